@@ -40,7 +40,10 @@ fn samples() -> Vec<ImuSample> {
 }
 
 fn build(name: FilterName) -> Filter {
-    name.build(Periods { imu_s: PERIOD_S, mag_s: 5.0 * PERIOD_S })
+    name.build(Periods {
+        imu_s: PERIOD_S,
+        mag_s: 5.0 * PERIOD_S,
+    })
 }
 
 fn bare_update(filter: &mut ahrs::Madgwick<f64>, s: &ImuSample) {
@@ -88,14 +91,23 @@ fn bend_filter(first: &ImuSample) -> BendFilter {
     BendFilter::new(&BendFilterConfig::default(), &alignment)
 }
 
-const MASK: MeasurementMask = MeasurementMask { acc: true, mag: true, still: false };
+const MASK: MeasurementMask = MeasurementMask {
+    acc: true,
+    mag: true,
+    still: false,
+};
 
 #[divan::bench]
 fn bend(bencher: Bencher) {
     let samples = samples();
     let (mut filter, mut k) = (bend_filter(&samples[0]), 0);
     bencher.bench_local(|| {
-        filter.update(black_box(&samples[k % SAMPLES]), PERIOD_S, MASK, &BaseTurn::none());
+        filter.update(
+            black_box(&samples[k % SAMPLES]),
+            PERIOD_S,
+            MASK,
+            &BaseTurn::none(),
+        );
         k += 1;
     });
 }
@@ -113,16 +125,35 @@ fn best_ns(mut pass: impl FnMut()) -> f64 {
 fn ratios() {
     let samples = samples();
     let mut filter = ahrs::Madgwick::new(PERIOD_S, 0.05);
-    let bare_ns = best_ns(|| samples.iter().for_each(|s| bare_update(&mut filter, black_box(s))));
+    let bare_ns = best_ns(|| {
+        samples
+            .iter()
+            .for_each(|s| bare_update(&mut filter, black_box(s)))
+    });
     println!("{:<10} {bare_ns:8.0} ns per update", "bare ahrs");
     for name in FilterName::ALL {
         let mut filter = build(name);
-        let ns = best_ns(|| samples.iter().for_each(|s| filter.update(black_box(s), PERIOD_S)));
-        println!("{name:<10} {ns:8.0} ns per update, {:5.1} x bare ahrs", ns / bare_ns);
+        let ns = best_ns(|| {
+            samples
+                .iter()
+                .for_each(|s| filter.update(black_box(s), PERIOD_S))
+        });
+        println!(
+            "{name:<10} {ns:8.0} ns per update, {:5.1} x bare ahrs",
+            ns / bare_ns
+        );
     }
     let mut filter = bend_filter(&samples[0]);
-    let ns = best_ns(|| samples.iter().for_each(|s| filter.update(black_box(s), PERIOD_S, MASK, &BaseTurn::none())));
-    println!("{:<10} {ns:8.0} ns per update, {:5.1} x bare ahrs", "bend", ns / bare_ns);
+    let ns = best_ns(|| {
+        samples
+            .iter()
+            .for_each(|s| filter.update(black_box(s), PERIOD_S, MASK, &BaseTurn::none()))
+    });
+    println!(
+        "{:<10} {ns:8.0} ns per update, {:5.1} x bare ahrs",
+        "bend",
+        ns / bare_ns
+    );
 }
 
 fn main() {

@@ -21,7 +21,9 @@ fn main() {
 }
 
 fn limits() -> MotionLimits {
-    let Ok(limits) = MotionLimits::try_from(&MotionConfig::default()) else { unreachable!("the defaults are tested to be valid") };
+    let Ok(limits) = MotionLimits::try_from(&MotionConfig::default()) else {
+        unreachable!("the defaults are tested to be valid")
+    };
     limits
 }
 
@@ -48,7 +50,10 @@ fn tick_resting(bencher: Bencher) {
 
 #[divan::bench]
 fn tick_following(bencher: Bencher) {
-    let mut motion = Motion::new(&MotionLimits { travel_max_mm: 1e6, ..limits() });
+    let mut motion = Motion::new(&MotionLimits {
+        travel_max_mm: 1e6,
+        ..limits()
+    });
     motion.tick([1e6, -1e6, 5e5], 1e-3);
     bencher.bench_local(|| motion.tick(black_box([1e6, -1e6, 5e5]), 1e-9));
 }
@@ -62,21 +67,40 @@ fn tick_replanning_sines(bencher: Bencher) {
 #[divan::bench]
 fn tick_replanning_wild(bencher: Bencher) {
     let (mut motion, mut random) = (Motion::new(&limits()), SmallRng::seed_from_u64(1));
-    bencher.bench_local(|| motion.tick(std::array::from_fn(|_| random.random_range(-20.0..20.0)), 1e-3));
+    bencher.bench_local(|| {
+        motion.tick(
+            std::array::from_fn(|_| random.random_range(-20.0..20.0)),
+            1e-3,
+        )
+    });
 }
 
 #[divan::bench]
 fn solver_alone(bencher: Bencher) {
     let (l, mut solver, mut plan) = (limits(), Ruckig::default(), Plan::default());
-    let from = [3.0, -7.0, 1.0].map(|v| MotionState { velocity_mm_s: v, acceleration_mm_s2: 40.0, ..MotionState::rest(0.5) });
-    bencher.bench_local(|| solver.solve(&l, black_box(&from), &[4.0, -2.0, 7.0], &mut plan).is_ok());
+    let from = [3.0, -7.0, 1.0].map(|v| MotionState {
+        velocity_mm_s: v,
+        acceleration_mm_s2: 40.0,
+        ..MotionState::rest(0.5)
+    });
+    bencher.bench_local(|| {
+        solver
+            .solve(&l, black_box(&from), &[4.0, -2.0, 7.0], &mut plan)
+            .is_ok()
+    });
 }
 
 #[divan::bench]
 fn verify_a_plan(bencher: Bencher) {
     let (l, mut plan) = (limits(), Plan::default());
-    let from = [3.0, -7.0, 1.0].map(|v| MotionState { velocity_mm_s: v, ..MotionState::rest(0.5) });
-    if Ruckig::default().solve(&l, &from, &[4.0, -2.0, 7.0], &mut plan).is_ok() {
+    let from = [3.0, -7.0, 1.0].map(|v| MotionState {
+        velocity_mm_s: v,
+        ..MotionState::rest(0.5)
+    });
+    if Ruckig::default()
+        .solve(&l, &from, &[4.0, -2.0, 7.0], &mut plan)
+        .is_ok()
+    {
         bencher.bench_local(|| black_box(&plan).verify(&from, &l).is_ok());
     }
 }
@@ -102,25 +126,36 @@ fn steps_of_a_tick_at_full_speed(bencher: Bencher) {
 /// One second of motion of three channels through the step core, its clock jumping from wait to wait.
 #[divan::bench(sample_count = 50)]
 fn step_core_one_second(bencher: Bencher) {
-    let Ok(timing) = PulseTiming::try_from(&StepperConfig::default()) else { unreachable!("the defaults are tested to be valid") };
+    let Ok(timing) = PulseTiming::try_from(&StepperConfig::default()) else {
+        unreachable!("the defaults are tested to be valid")
+    };
     let mut motion = Motion::new(&limits());
-    let segments: Vec<Segment> = (0..500).map(|_| motion.tick([22.0, -22.0, 20.0], 2e-3)).collect();
+    let segments: Vec<Segment> = (0..500)
+        .map(|_| motion.tick([22.0, -22.0, 20.0], 2e-3))
+        .collect();
     let queue: VecDeque<TimedSegment> = segments
         .iter()
         .zip(0_u64..)
-        .map(|(s, k)| TimedSegment { epoch: 0, start_ns: 1_000_000 + k * 2_000_000, duration_ns: 2_000_000, segment: *s })
+        .map(|(s, k)| TimedSegment {
+            epoch: 0,
+            start_ns: 1_000_000 + k * 2_000_000,
+            duration_ns: 2_000_000,
+            segment: *s,
+        })
         .collect();
-    bencher.with_inputs(|| (StepCore::new(timing, &limits(), STEP_MM), queue.clone())).bench_local_values(|(mut core, mut queue)| {
-        let mut now = 0;
-        while now < 1_000_000_000 {
-            match core.poll(now, &mut || queue.pop_front()) {
-                PulseAction::WaitUntil(t) => now = t,
-                PulseAction::Write(_) => {
-                    now += 300;
-                    core.wrote(now);
+    bencher
+        .with_inputs(|| (StepCore::new(timing, &limits(), STEP_MM), queue.clone()))
+        .bench_local_values(|(mut core, mut queue)| {
+            let mut now = 0;
+            while now < 1_000_000_000 {
+                match core.poll(now, &mut || queue.pop_front()) {
+                    PulseAction::WaitUntil(t) => now = t,
+                    PulseAction::Write(_) => {
+                        now += 300;
+                        core.wrote(now);
+                    }
                 }
             }
-        }
-        core
-    });
+            core
+        });
 }

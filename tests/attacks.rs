@@ -12,7 +12,11 @@ use retroflex::drill::row::Row;
 use std::path::Path;
 
 fn config() -> BenchConfig {
-    BenchConfig { board: twin(), calibration: source::read(&repo("calib/paper.toml")).unwrap(), gains: Gains::default() }
+    BenchConfig {
+        board: twin(),
+        calibration: source::read(&repo("calib/paper.toml")).unwrap(),
+        gains: Gains::default(),
+    }
 }
 
 fn program() -> &'static Path {
@@ -20,16 +24,35 @@ fn program() -> &'static Path {
 }
 
 fn tries(default: u32) -> u32 {
-    std::env::var("RETROFLEX_TRIES").ok().and_then(|n| n.parse().ok()).unwrap_or(default)
+    std::env::var("RETROFLEX_TRIES")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(default)
 }
 
-fn plan<'a>(config: &'a BenchConfig, scratch: &'a Path, selected: &'a dyn Fn(&str) -> bool) -> Plan<'a> {
-    Plan { config, program: program(), scratch, kills: tries(4) * 5, tries: tries(4), selected }
+fn plan<'a>(
+    config: &'a BenchConfig,
+    scratch: &'a Path,
+    selected: &'a dyn Fn(&str) -> bool,
+) -> Plan<'a> {
+    Plan {
+        config,
+        program: program(),
+        scratch,
+        kills: tries(4) * 5,
+        tries: tries(4),
+        selected,
+    }
 }
 
 fn assert_all(rows: &[Row]) {
-    rows.iter().for_each(|r| eprintln!("{}: {} {}", r.fault, r.message, r.why));
-    let failed: Vec<_> = rows.iter().filter(|r| !r.ok).map(|r| format!("{}: {}", r.fault, r.why)).collect();
+    rows.iter()
+        .for_each(|r| eprintln!("{}: {} {}", r.fault, r.message, r.why));
+    let failed: Vec<_> = rows
+        .iter()
+        .filter(|r| !r.ok)
+        .map(|r| format!("{}: {}", r.fault, r.why))
+        .collect();
     assert!(failed.is_empty(), "{failed:#?}");
     assert!(rows.iter().all(|r| !r.requires.is_empty()));
 }
@@ -49,7 +72,15 @@ fn a_memory_is_never_believed_falsely_after_a_kill() {
 #[test]
 fn clients_that_contradict_each_other_fall_silent_or_die_are_survived() {
     let folder = tempfile::tempdir().unwrap();
-    let of_clients = |name: &str| ["two_clients", "stream_silent", "client_dies_in_motion", "sigterm_while_bent"].contains(&name);
+    let of_clients = |name: &str| {
+        [
+            "two_clients",
+            "stream_silent",
+            "client_dies_in_motion",
+            "sigterm_while_bent",
+        ]
+        .contains(&name)
+    };
     let rows = process::rows(&plan(&config(), folder.path(), &of_clients)).unwrap();
     assert_eq!(rows.len(), 4);
     assert_all(&rows);

@@ -11,33 +11,81 @@ const FILES: [(&str, &str); 45] = [
     ("empty.csv", ""),
     ("other.csv", "a,b\n1,2\n"),
     ("no-rows.csv", "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n"),
-    ("text.csv", "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n0,0,20,5,10\n10,0,long,1,10\n"),
-    ("far.csv", "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n0,0,20,5,10\n400,0,20,1,10\n"),
-    ("cut.csv", "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n0,0,20,5,10\n10,0,2"),
-    ("clock.csv", "time_s,piston1_mm,piston2_mm,piston3_mm\n0,0,0,0\n0.1,0,0,0\n0.1,0,0,0\n"),
-    ("words.csv", "time_s,piston1_mm,piston2_mm,piston3_mm\n0,0,0,0\n0.1,0,zero,0\n"),
+    (
+        "text.csv",
+        "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n0,0,20,5,10\n10,0,long,1,10\n",
+    ),
+    (
+        "far.csv",
+        "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n0,0,20,5,10\n400,0,20,1,10\n",
+    ),
+    (
+        "cut.csv",
+        "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n0,0,20,5,10\n10,0,2",
+    ),
+    (
+        "clock.csv",
+        "time_s,piston1_mm,piston2_mm,piston3_mm\n0,0,0,0\n0.1,0,0,0\n0.1,0,0,0\n",
+    ),
+    (
+        "words.csv",
+        "time_s,piston1_mm,piston2_mm,piston3_mm\n0,0,0,0\n0.1,0,zero,0\n",
+    ),
     ("pistons.csv", "time_s,piston1_mm,piston2_mm\n0,0,0\n"),
     ("damaged.csv.gz", "\u{1f}not gzip"),
-    ("type.calib.toml", "[transmission]\nk_epsilon = [2.22, \"a\", 2.21]\nk_lambda_mm = [0.87, 0.92, 0.81]\n"),
-    ("two.calib.toml", "[transmission]\nk_epsilon = [2.22, 2.21]\nk_lambda_mm = [0.87, 0.92, 0.81]\n"),
-    ("one.calib.toml", "[transmission]\nk_epsilon = 2\nk_lambda_mm = [0.87, 0.92, 0.81]\n"),
-    ("typo.calib.toml", "[transmission]\nk_epsilom = [2.22, 2.2, 2.21]\nk_lambda_mm = [0.87, 0.92, 0.81]\n"),
+    (
+        "type.calib.toml",
+        "[transmission]\nk_epsilon = [2.22, \"a\", 2.21]\nk_lambda_mm = [0.87, 0.92, 0.81]\n",
+    ),
+    (
+        "two.calib.toml",
+        "[transmission]\nk_epsilon = [2.22, 2.21]\nk_lambda_mm = [0.87, 0.92, 0.81]\n",
+    ),
+    (
+        "one.calib.toml",
+        "[transmission]\nk_epsilon = 2\nk_lambda_mm = [0.87, 0.92, 0.81]\n",
+    ),
+    (
+        "typo.calib.toml",
+        "[transmission]\nk_epsilom = [2.22, 2.2, 2.21]\nk_lambda_mm = [0.87, 0.92, 0.81]\n",
+    ),
     ("open.calib.toml", "[transmission\n"),
     ("number.calib.toml", "transmission = 3\n"),
-    ("half.calib.toml", "[transmission]\nk_epsilon = [2.22, 2.2, 2.21]\n"),
-    ("twice.calib.toml", "[transmission]\nk_epsilon = [2, 2, 2]\nk_epsilon = [2, 2, 2]\nk_lambda_mm = [0.8, 0.8, 0.8]\n"),
-    ("range.calib.toml", "[transmission]\nk_epsilon = [2.2, 2.2, 2.2]\nk_lambda_mm = [0.9, 0.9, -0.1]\n"),
+    (
+        "half.calib.toml",
+        "[transmission]\nk_epsilon = [2.22, 2.2, 2.21]\n",
+    ),
+    (
+        "twice.calib.toml",
+        "[transmission]\nk_epsilon = [2, 2, 2]\nk_epsilon = [2, 2, 2]\nk_lambda_mm = [0.8, 0.8, 0.8]\n",
+    ),
+    (
+        "range.calib.toml",
+        "[transmission]\nk_epsilon = [2.2, 2.2, 2.2]\nk_lambda_mm = [0.9, 0.9, -0.1]\n",
+    ),
     ("bus.toml", "base = \"pi4\"\n[imu]\nbus = 3\n"),
-    ("chip.toml", "base = \"pi4\"\n[imu.chip]\npart = \"bno055\"\n"),
-    ("channel.toml", "base = \"pi4\"\n[[pins.channels]]\nstep = 17\n"),
+    (
+        "chip.toml",
+        "base = \"pi4\"\n[imu.chip]\npart = \"bno055\"\n",
+    ),
+    (
+        "channel.toml",
+        "base = \"pi4\"\n[[pins.channels]]\nstep = 17\n",
+    ),
     ("base.toml", "base = \"pi9\"\n"),
     ("loop.toml", "base = \"loop.toml\"\n"),
     ("whole.toml", "base = \"pi4\"\n[service]\npriority = 1.5\n"),
-    ("word.toml", "base = \"pi4\"\n[homing]\nmethod = \"switch\"\n"),
+    (
+        "word.toml",
+        "base = \"pi4\"\n[homing]\nmethod = \"switch\"\n",
+    ),
     ("travel.toml", "base = \"pi4\"\n[limits]\ntravel_mm = -3\n"),
     ("cpu.toml", "base = \"pi4\"\n[stepper]\ncpu = -1\n"),
     ("effect.toml", "base = \"sim\"\n[plant.effects.leek]\n"),
-    ("flag.toml", "base = \"pi4\"\n[imu]\nmount_deg = [true, 1, 2]\n"),
+    (
+        "flag.toml",
+        "base = \"pi4\"\n[imu]\nmount_deg = [true, 1, 2]\n",
+    ),
     ("step.toml", "base = \"pi4\"\n[drive]\nmicrosteps = 5\n"),
     ("bare.toml", "[geometry]\ntriangle_side_mm = 7.0\n"),
     ("text.gains.toml", "[loop]\ntau_c_s = \"100 ms\"\n"),
@@ -45,7 +93,10 @@ const FILES: [(&str, &str); 45] = [
     ("part.model.toml", "schema = 1\nsource = \"x\"\n"),
     ("map.toml", "every = 0\noutput = \"y\"\n"),
     ("one-row.path.csv", "t_s,bend_deg,dir_deg\n0,30,0\n"),
-    ("clock.path.csv", "t_s,bend_deg,dir_deg\n0,30,0\n1,30,90\n1,30,180\n"),
+    (
+        "clock.path.csv",
+        "t_s,bend_deg,dir_deg\n0,30,0\n1,30,90\n1,30,180\n",
+    ),
     ("far.path.csv", "t_s,bend_deg,dir_deg\n0,30,0\n1,120,0\n"),
     ("no-flight.csv", "time_s\n"),
     ("garbage.mcap", "not an MCAP file\n"),
@@ -203,9 +254,18 @@ const CASES: &[&str] = &[
 
 /// The message as one line, without the drawing and the quoted lines of the file.
 fn flat(stderr: &str) -> String {
-    let quoted = |line: &str| line.trim_start().split(['│', '·']).next().is_some_and(|n| n.trim().parse::<u32>().is_ok());
+    let quoted = |line: &str| {
+        line.trim_start()
+            .split(['│', '·'])
+            .next()
+            .is_some_and(|n| n.trim().parse::<u32>().is_ok())
+    };
     let drawn = |line: &&str| !(line.contains(['·', '╭', '╰']) || quoted(line));
-    let plain: String = stderr.lines().filter(drawn).map(|l| l.replace(['│', '×'], " ") + " ").collect();
+    let plain: String = stderr
+        .lines()
+        .filter(drawn)
+        .map(|l| l.replace(['│', '×'], " ") + " ")
+        .collect();
     plain.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
@@ -219,11 +279,22 @@ fn every_bad_input_ends_with_code_2_and_one_message() {
     std::fs::write(file("damaged.csv.gz"), [0x1f, 0x8b, 8, 0, 1, 2, 3]).unwrap();
     std::fs::write(file("binary.toml"), [0xff, 0xfe, 0]).unwrap();
     std::fs::create_dir(file("folder")).unwrap();
-    for (name, mode) in [("empty.csv", 0o600), ("good.token", 0o600), ("short.token", 0o600), ("open.token", 0o644)] {
+    for (name, mode) in [
+        ("empty.csv", 0o600),
+        ("good.token", 0o600),
+        ("short.token", 0o600),
+        ("open.token", 0o644),
+    ] {
         std::fs::set_permissions(file(name), std::fs::Permissions::from_mode(mode)).unwrap();
     }
     for board in ["sim.toml", "pi4.toml"] {
-        std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join("boards").join(board), file(board)).unwrap();
+        std::fs::copy(
+            Path::new(env!("CARGO_MANIFEST_DIR"))
+                .join("boards")
+                .join(board),
+            file(board),
+        )
+        .unwrap();
     }
     let mut all = String::new();
     for case in CASES {
@@ -236,16 +307,31 @@ fn every_bad_input_ends_with_code_2_and_one_message() {
             .env("NO_COLOR", "1")
             .output()
             .unwrap();
-        let (stdout, stderr) = (String::from_utf8_lossy(&out.stdout), String::from_utf8_lossy(&out.stderr));
+        let (stdout, stderr) = (
+            String::from_utf8_lossy(&out.stdout),
+            String::from_utf8_lossy(&out.stderr),
+        );
         let message = flat(&stderr);
         assert_eq!(out.status.code(), Some(2), "{case}: {stderr}");
         assert!(stdout.is_empty() && !message.is_empty(), "{case}: {stdout}");
-        assert!(stderr.matches(['×']).count() + stderr.matches("error: ").count() <= 1, "{case}: {stderr}");
-        for internal in ["os error", "f64", "struct ", "panicked", "literal", "usize", "line 0"] {
-            assert!(!message.contains(internal), "{case}: `{internal}` is not a word of the user: {message}");
+        assert!(
+            stderr.matches(['×']).count() + stderr.matches("error: ").count() <= 1,
+            "{case}: {stderr}"
+        );
+        for internal in [
+            "os error", "f64", "struct ", "panicked", "literal", "usize", "line 0",
+        ] {
+            assert!(
+                !message.contains(internal),
+                "{case}: `{internal}` is not a word of the user: {message}"
+            );
         }
         // a help page is not a message
-        let message = if case.is_empty() { message.split(" Move:").next().unwrap().to_owned() } else { message };
+        let message = if case.is_empty() {
+            message.split(" Move:").next().unwrap().to_owned()
+        } else {
+            message
+        };
         let _ = writeln!(all, "$ retroflex {case}\n  {message}");
     }
     insta::assert_snapshot!(all);

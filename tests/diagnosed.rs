@@ -15,22 +15,52 @@ fn the_open_loop_through_the_right_model_leaves_little_of_the_gap() {
     let machine = Arc::new(described());
     let config = uncalibrated();
     let step_mm = config.drive.step_mm;
-    let config = retroflex::control::tick::LoopConfig { lines: machine.chain().lines, ..config };
+    let config = retroflex::control::tick::LoopConfig {
+        lines: machine.chain().lines,
+        ..config
+    };
     let arms = vec![Arm::Backlash, Arm::Diagnosed];
-    let plan = Plan { config, identify: false, arms, seed: 0, rig: Rig::default(), track: None, feedforward: Some(Arc::clone(&machine)) };
-    let mut open = |_| Ok(Box::new(Described::new(machine.as_ref().clone(), step_mm, 1)) as Box<dyn World>);
+    let plan = Plan {
+        config,
+        identify: false,
+        arms,
+        seed: 0,
+        rig: Rig::default(),
+        track: None,
+        feedforward: Some(Arc::clone(&machine)),
+    };
+    let mut open =
+        |_| Ok(Box::new(Described::new(machine.as_ref().clone(), step_mm, 1)) as Box<dyn World>);
     let e = evaluation::run(&plan, &mut open, &mut |_| ()).unwrap();
     let of = |arm| e.arm(arm).unwrap().bend_rmse_deg;
-    println!("backlash {:.2}°, diagnosed {:.2}°", of(Arm::Backlash), of(Arm::Diagnosed));
-    assert!(of(Arm::Backlash) > 3.0 && of(Arm::Diagnosed) < 0.3, "{} {}", of(Arm::Backlash), of(Arm::Diagnosed));
+    println!(
+        "backlash {:.2}°, diagnosed {:.2}°",
+        of(Arm::Backlash),
+        of(Arm::Diagnosed)
+    );
+    assert!(
+        of(Arm::Backlash) > 3.0 && of(Arm::Diagnosed) < 0.3,
+        "{} {}",
+        of(Arm::Backlash),
+        of(Arm::Diagnosed)
+    );
 }
 
 #[test]
 fn the_diagnosed_arm_of_the_twin_stays_below_one_and_a_half_degrees() {
     let e = evaluate(0, &[Arm::Extension, Arm::Backlash, Arm::Diagnosed]);
     let of = |arm| e.arm(arm).unwrap().bend_rmse_deg;
-    println!("backlash {:.2}°, diagnosed {:.2}°", of(Arm::Backlash), of(Arm::Diagnosed));
-    assert!(of(Arm::Diagnosed) <= 1.5 && of(Arm::Backlash) > 5.0, "{} {}", of(Arm::Backlash), of(Arm::Diagnosed));
+    println!(
+        "backlash {:.2}°, diagnosed {:.2}°",
+        of(Arm::Backlash),
+        of(Arm::Diagnosed)
+    );
+    assert!(
+        of(Arm::Diagnosed) <= 1.5 && of(Arm::Backlash) > 5.0,
+        "{} {}",
+        of(Arm::Backlash),
+        of(Arm::Diagnosed)
+    );
     // the twin knows what the nominal model does not
     assert_eq!(e.foretold.len(), 2);
     for f in &e.foretold {

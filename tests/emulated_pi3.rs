@@ -41,14 +41,22 @@ fn board() -> Board {
 #[ignore = "five minutes and a machine that .ci/emulated-pi3 makes"]
 fn a_whole_pi_3_runs_the_service() {
     let Some(folder) = std::env::var_os("EMULATED_PI3").map(PathBuf::from) else {
-        println!("skipped: .ci/emulated-pi3 makes the machine, and names its folder in EMULATED_PI3");
+        println!(
+            "skipped: .ci/emulated-pi3 makes the machine, and names its folder in EMULATED_PI3"
+        );
         return;
     };
     let words = chips::on_the_controller(&folder).unwrap();
     let guest = guest::Guest::start(&folder, &words);
     let tip = tip::TheTip::start(&guest, &board(), &common::plant().make());
     let verdicts = verdicts::Verdicts::new(&folder.join("verdicts.txt"));
-    let mut scene = Scene { guest, tip, verdicts, zero: [0; 3], stalls: 0 };
+    let mut scene = Scene {
+        guest,
+        tip,
+        verdicts,
+        zero: [0; 3],
+        stalls: 0,
+    };
     stages::machine(&mut scene);
     stages::controller(&mut scene);
     stages::pins(&mut scene);
@@ -56,7 +64,11 @@ fn a_whole_pi_3_runs_the_service() {
     runner::watchdog(&mut scene);
     runner::caught(&mut scene);
     runner::stop(&mut scene);
-    let Scene { guest, mut verdicts, .. } = scene;
+    let Scene {
+        guest,
+        mut verdicts,
+        ..
+    } = scene;
     verdicts.hold("the guest shuts down", guest.end(), "QEMU has ended");
     assert!(verdicts.end());
 }

@@ -26,10 +26,17 @@ struct Candidate {
 
 /// Kind of motion or disturbance; recordings of one kind are held out together.
 fn kind(name: &str) -> &'static str {
-    ["rotation", "translation", "combined", "tapping", "vibration", "magnet"]
-        .into_iter()
-        .find(|k| name.contains(k))
-        .map_or("other", |k| if k == "tapping" { "vibration" } else { k })
+    [
+        "rotation",
+        "translation",
+        "combined",
+        "tapping",
+        "vibration",
+        "magnet",
+    ]
+    .into_iter()
+    .find(|k| name.contains(k))
+    .map_or("other", |k| if k == "tapping" { "vibration" } else { k })
 }
 
 fn recordings() -> Option<Vec<Recording>> {
@@ -42,15 +49,26 @@ fn recordings() -> Option<Vec<Recording>> {
     let mut files: Vec<PathBuf> = entries.map(|e| e.unwrap().path()).collect();
     files.retain(|f| f.to_string_lossy().ends_with(".csv.gz"));
     files.sort();
-    Some(files.par_iter().map(|f| recording::read(f).unwrap()).collect())
+    Some(
+        files
+            .par_iter()
+            .map(|f| recording::read(f).unwrap())
+            .collect(),
+    )
 }
 
 fn periods(r: &Recording) -> Periods {
-    Periods { imu_s: r.period_s(), mag_s: r.mag_period_s() }
+    Periods {
+        imu_s: r.period_s(),
+        mag_s: r.mag_period_s(),
+    }
 }
 
 fn totals(recordings: &[Recording], make: &Maker) -> Vec<f64> {
-    recordings.par_iter().map(|r| score::score_with(r, &mut *make(r)).unwrap().total_deg).collect()
+    recordings
+        .par_iter()
+        .map(|r| score::score_with(r, &mut *make(r)).unwrap().total_deg)
+        .collect()
 }
 
 fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
@@ -61,20 +79,40 @@ fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
 fn held_out(tried: &[Candidate], together: impl Fn(usize, usize) -> bool) -> f64 {
     let count = tried[0].total_deg.len();
     mean((0..count).map(|out| {
-        let training = |t: &Candidate| mean((0..count).filter(|k| !together(*k, out)).map(|k| t.total_deg[k]));
-        let best = tried.iter().min_by(|a, b| training(a).total_cmp(&training(b))).unwrap();
+        let training = |t: &Candidate| {
+            mean(
+                (0..count)
+                    .filter(|k| !together(*k, out))
+                    .map(|k| t.total_deg[k]),
+            )
+        };
+        let best = tried
+            .iter()
+            .min_by(|a, b| training(a).total_cmp(&training(b)))
+            .unwrap();
         best.total_deg[out]
     }))
 }
 
 /// Prints the cross-validation of a grid; returns the mean over leave-one-kind-out.
 fn validate(title: &str, recordings: &[Recording], grid: Vec<(String, Maker)>) -> f64 {
-    let tried: Vec<Candidate> = grid.into_iter().map(|(name, make)| Candidate { name, total_deg: totals(recordings, &make) }).collect();
+    let tried: Vec<Candidate> = grid
+        .into_iter()
+        .map(|(name, make)| Candidate {
+            name,
+            total_deg: totals(recordings, &make),
+        })
+        .collect();
     let overall = |t: &Candidate| mean(t.total_deg.iter().copied());
-    let best = tried.iter().min_by(|a, b| overall(a).total_cmp(&overall(b))).unwrap();
+    let best = tried
+        .iter()
+        .min_by(|a, b| overall(a).total_cmp(&overall(b)))
+        .unwrap();
     let worst = tried.iter().map(overall).fold(0.0, f64::max);
     let trial = held_out(&tried, |a, b| a == b);
-    let by_kind = held_out(&tried, |a, b| kind(&recordings[a].name) == kind(&recordings[b].name));
+    let by_kind = held_out(&tried, |a, b| {
+        kind(&recordings[a].name) == kind(&recordings[b].name)
+    });
     println!(
         "{title}: {} settings, best in sample {:.2} ({}), worst {worst:.2}, leave one out {trial:.2}, leave one kind out {by_kind:.2}",
         tried.len(),
@@ -86,8 +124,14 @@ fn validate(title: &str, recordings: &[Recording], grid: Vec<(String, Maker)>) -
 
 fn vqf_grid() -> Vec<(String, Maker)> {
     let point = |tau_mag_s: f64| -> (String, Maker) {
-        let config = VqfConfig { tau_mag_s, ..VqfConfig::default() };
-        (format!("tau_mag {tau_mag_s}"), Box::new(move |r| Filter::Vqf(Vqf::new(periods(r), config))))
+        let config = VqfConfig {
+            tau_mag_s,
+            ..VqfConfig::default()
+        };
+        (
+            format!("tau_mag {tau_mag_s}"),
+            Box::new(move |r| Filter::Vqf(Vqf::new(periods(r), config))),
+        )
     };
     [9.0, 12.0, 15.0, 20.0, 25.0, 30.0, 40.0].map(point).into()
 }
@@ -97,9 +141,17 @@ fn madgwick_grid() -> Vec<(String, Maker)> {
     for beta_field in [0.003, 0.005, 0.008, 0.012, 0.02] {
         for input_tau_s in [1.0, 2.0, 3.0] {
             for beta_gravity in [0.01, 0.02, 0.03] {
-                let config = MadgwickConfig { beta_field, input_tau_s, beta_gravity };
-                let name = format!("field {beta_field}, inputs {input_tau_s} s, gravity {beta_gravity}");
-                grid.push((name, Box::new(move |_| Filter::Madgwick(Madgwick::new(config)))));
+                let config = MadgwickConfig {
+                    beta_field,
+                    input_tau_s,
+                    beta_gravity,
+                };
+                let name =
+                    format!("field {beta_field}, inputs {input_tau_s} s, gravity {beta_gravity}");
+                grid.push((
+                    name,
+                    Box::new(move |_| Filter::Madgwick(Madgwick::new(config))),
+                ));
             }
         }
     }
@@ -136,7 +188,9 @@ fn mekf_grid() -> Vec<(String, Maker)> {
 #[test]
 #[ignore = "a minute of grid search"]
 fn settings_generalise_to_held_out_recordings() {
-    let Some(recordings) = recordings() else { return };
+    let Some(recordings) = recordings() else {
+        return;
+    };
     let vqf = mean(totals(&recordings, &vqf_grid()[0].1).into_iter());
     println!("vqf as published: {vqf:.2}");
     let long = validate("vqf-long", &recordings, vqf_grid());
@@ -148,7 +202,9 @@ fn settings_generalise_to_held_out_recordings() {
 /// Adds hard iron of the given strength over the middle three quarters of the motion.
 fn with_magnet(recording: &Recording, strength_ut: f64, axis: usize) -> Recording {
     let mut changed = recording.clone();
-    let moving: Vec<usize> = (0..changed.rows.len()).filter(|k| changed.rows[*k].moving).collect();
+    let moving: Vec<usize> = (0..changed.rows.len())
+        .filter(|k| changed.rows[*k].moving)
+        .collect();
     let (first, last) = (moving[moving.len() / 12], moving[moving.len() * 5 / 6]);
     let mut iron = Vector3::repeat(-0.4);
     iron[axis] = 1.0;
@@ -164,17 +220,32 @@ fn with_magnet(recording: &Recording, strength_ut: f64, axis: usize) -> Recordin
 #[test]
 #[ignore = "half a minute of simulation"]
 fn mekf_tolerates_a_magnet_on_the_body() {
-    let Some(recordings) = recordings() else { return };
-    let clean: Vec<Recording> = recordings.into_iter().filter(|r| r.name.contains("undisturbed")).collect();
-    println!("{:>10} {:>9} {:>9} {:>9} {:>9}", "µT", "madgwick", "vqf", "vqf-long", "mekf");
+    let Some(recordings) = recordings() else {
+        return;
+    };
+    let clean: Vec<Recording> = recordings
+        .into_iter()
+        .filter(|r| r.name.contains("undisturbed"))
+        .collect();
+    println!(
+        "{:>10} {:>9} {:>9} {:>9} {:>9}",
+        "µT", "madgwick", "vqf", "vqf-long", "mekf"
+    );
     for strength_ut in [0.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0] {
-        let disturbed: Vec<Recording> = clean.iter().enumerate().map(|(k, r)| with_magnet(r, strength_ut, k % 3)).collect();
+        let disturbed: Vec<Recording> = clean
+            .iter()
+            .enumerate()
+            .map(|(k, r)| with_magnet(r, strength_ut, k % 3))
+            .collect();
         let of = |name: FilterName| {
             let make: Maker = Box::new(move |r| name.build(periods(r)));
             mean(totals(&disturbed, &make).into_iter())
         };
         let errors = FilterName::ALL.map(of);
-        println!("{strength_ut:>10} {:>9.2} {:>9.2} {:>9.2} {:>9.2}", errors[0], errors[1], errors[2], errors[3]);
+        println!(
+            "{strength_ut:>10} {:>9.2} {:>9.2} {:>9.2} {:>9.2}",
+            errors[0], errors[1], errors[2], errors[3]
+        );
         assert!(errors[3] < 3.0, "{strength_ut} µT: mekf {} deg", errors[3]);
     }
 }

@@ -46,7 +46,11 @@ impl Sensor {
             return Vector3::zeros();
         }
         let ramp = t.min(1.0);
-        Vector3::new((1.1 * t).sin(), (0.7 * t + 1.0).cos(), 0.8 * (0.5 * t).sin() + 0.3) * (self.swing_rad_s * ramp)
+        Vector3::new(
+            (1.1 * t).sin(),
+            (0.7 * t + 1.0).cos(),
+            0.8 * (0.5 * t).sin() + 0.3,
+        ) * (self.swing_rad_s * ramp)
     }
 
     /// The next sample, `dt_s` after the last.
@@ -63,7 +67,8 @@ impl Sensor {
         let to_sensor = self.r_world_sensor.inverse();
         let t = (self.t_s - self.still_s).max(0.0);
         let shake = Vector3::new((5.0 * t).sin(), (6.3 * t).sin(), (4.1 * t).sin()) * t.min(1.0);
-        self.past_mag.push(to_sensor * (EARTH_UT + self.room_ut) + self.iron_ut);
+        self.past_mag
+            .push(to_sensor * (EARTH_UT + self.room_ut) + self.iron_ut);
         let late = self.past_mag.len() - 1;
         let then = late.saturating_sub((self.latency_s / dt_s).round() as usize);
         ImuSample {
@@ -76,11 +81,18 @@ impl Sensor {
 }
 
 fn build(name: FilterName) -> Filter {
-    name.build(Periods { imu_s: PERIOD_S, mag_s: PERIOD_S })
+    name.build(Periods {
+        imu_s: PERIOD_S,
+        mag_s: PERIOD_S,
+    })
 }
 
 fn error_deg(filter: &dyn OrientationFilter, sensor: &Sensor) -> f64 {
-    filter.orientation().quat().angle_to(&sensor.r_world_sensor).to_degrees()
+    filter
+        .orientation()
+        .quat()
+        .angle_to(&sensor.r_world_sensor)
+        .to_degrees()
 }
 
 /// Runs for `seconds` at the nominal period; returns the largest error on the way, degrees.
@@ -108,13 +120,22 @@ fn the_first_samples_determine_attitude_and_heading() {
     for name in FilterName::ALL {
         for start in starts() {
             let (mut filter, mut sensor) = (build(name), Sensor::new(start));
-            assert!(!filter.flags().levelled && !filter.flags().north_found, "{name}");
+            assert!(
+                !filter.flags().levelled && !filter.flags().north_found,
+                "{name}"
+            );
             for _ in 0..3 {
                 filter.update(&sensor.sample(PERIOD_S), PERIOD_S);
             }
             let error = error_deg(&*filter, &sensor);
-            assert!(error < 1.0, "{name}: {error} deg after three samples from {start}");
-            assert!(filter.flags().levelled && filter.flags().north_found, "{name}");
+            assert!(
+                error < 1.0,
+                "{name}: {error} deg after three samples from {start}"
+            );
+            assert!(
+                filter.flags().levelled && filter.flags().north_found,
+                "{name}"
+            );
         }
     }
 }
@@ -134,11 +155,21 @@ fn an_ideal_sensor_is_tracked() {
 fn the_bias_is_estimated_at_standstill_and_subtracted() {
     let bias = Vector3::new(0.02, -0.025, 0.03);
     for name in FilterName::ALL {
-        let (mut filter, mut sensor) = (build(name), Sensor { bias, ..Sensor::new(starts()[3]) });
+        let (mut filter, mut sensor) = (
+            build(name),
+            Sensor {
+                bias,
+                ..Sensor::new(starts()[3])
+            },
+        );
         run(&mut *filter, &mut sensor, 4.9);
         assert!(filter.flags().standstill, "{name}");
         let off = (filter.gyro_bias_rad_s() - bias).norm().to_degrees();
-        assert!(off < 0.1, "{name}: {off} deg/s of {}", bias.norm().to_degrees());
+        assert!(
+            off < 0.1,
+            "{name}: {off} deg/s of {}",
+            bias.norm().to_degrees()
+        );
         let worst = run(&mut *filter, &mut sensor, 60.0);
         assert!(!filter.flags().standstill, "{name}");
         assert!(worst < 4.0, "{name}: {worst} deg");
@@ -168,20 +199,46 @@ fn invalid_samples_never_corrupt_the_state() {
         for k in 0..8 {
             let sample = sensor.sample(PERIOD_S);
             filter.update(&invalid(&sample, k), PERIOD_S);
-            assert!(filter.orientation().quat().coords.iter().all(|x| x.is_finite()), "{name}: first samples");
+            assert!(
+                filter
+                    .orientation()
+                    .quat()
+                    .coords
+                    .iter()
+                    .all(|x| x.is_finite()),
+                "{name}: first samples"
+            );
         }
         run(&mut *filter, &mut sensor, 15.0);
         for k in 0..2000 {
             let sample = sensor.sample(PERIOD_S);
-            let sample = if k % 3 == 0 { invalid(&sample, k / 3) } else { sample };
+            let sample = if k % 3 == 0 {
+                invalid(&sample, k / 3)
+            } else {
+                sample
+            };
             filter.update(&sample, PERIOD_S);
-            assert!(filter.orientation().quat().coords.iter().all(|x| x.is_finite()), "{name}: sample {k}");
-            assert!(filter.gyro_bias_rad_s().iter().all(|x| x.is_finite()), "{name}: bias, sample {k}");
+            assert!(
+                filter
+                    .orientation()
+                    .quat()
+                    .coords
+                    .iter()
+                    .all(|x| x.is_finite()),
+                "{name}: sample {k}"
+            );
+            assert!(
+                filter.gyro_bias_rad_s().iter().all(|x| x.is_finite()),
+                "{name}: bias, sample {k}"
+            );
         }
         let held = error_deg(&*filter, &sensor);
         run(&mut *filter, &mut sensor, 30.0);
         let after = error_deg(&*filter, &sensor);
-        assert!(held < 6.0 && after < 2.5, "{name}: {held} deg with invalid samples, {after} deg after");
+        assert!(
+            held < 6.0 && after < 2.5,
+            "{name}: {held} deg with invalid samples, {after} deg after"
+        );
     }
 }
 
@@ -211,7 +268,11 @@ fn varying_steps_are_integrated_and_invalid_steps_ignored() {
 fn after_a_gap_the_filter_levels_again_and_keeps_the_bias() {
     let bias = Vector3::new(0.015, 0.01, -0.02);
     for name in FilterName::ALL {
-        let mut sensor = Sensor { bias, still_s: 1e9, ..Sensor::new(starts()[3]) };
+        let mut sensor = Sensor {
+            bias,
+            still_s: 1e9,
+            ..Sensor::new(starts()[3])
+        };
         let mut filter = build(name);
         run(&mut *filter, &mut sensor, 10.0);
         sensor.r_world_sensor = starts()[4];
@@ -221,17 +282,35 @@ fn after_a_gap_the_filter_levels_again_and_keeps_the_bias() {
         }
         let error = error_deg(&*filter, &sensor);
         assert!(error < 2.0, "{name}: {error} deg");
-        assert!((filter.gyro_bias_rad_s() - bias).norm().to_degrees() < 0.1, "{name}");
+        assert!(
+            (filter.gyro_bias_rad_s() - bias).norm().to_degrees() < 0.1,
+            "{name}"
+        );
     }
 }
 
 /// A magnet is near for 15 s: in the room, or on the body.
 #[test]
 fn the_heading_is_kept_near_a_magnet() {
-    let in_room = |s: &mut Sensor, on: bool| s.room_ut = if on { Vector3::new(-5.0, 28.0, 12.0) } else { Vector3::zeros() };
-    let on_body = |s: &mut Sensor, on: bool| s.iron_ut = if on { Vector3::new(18.0, -16.0, 14.0) } else { Vector3::zeros() };
+    let in_room = |s: &mut Sensor, on: bool| {
+        s.room_ut = if on {
+            Vector3::new(-5.0, 28.0, 12.0)
+        } else {
+            Vector3::zeros()
+        }
+    };
+    let on_body = |s: &mut Sensor, on: bool| {
+        s.iron_ut = if on {
+            Vector3::new(18.0, -16.0, 14.0)
+        } else {
+            Vector3::zeros()
+        }
+    };
     for name in FilterName::ALL {
-        for (place, magnet) in [("room", &in_room as &dyn Fn(&mut Sensor, bool)), ("body", &on_body)] {
+        for (place, magnet) in [
+            ("room", &in_room as &dyn Fn(&mut Sensor, bool)),
+            ("body", &on_body),
+        ] {
             let (mut filter, mut sensor) = (build(name), Sensor::new(starts()[3]));
             run(&mut *filter, &mut sensor, 40.0);
             assert!(!filter.flags().field_disturbed, "{name}");
@@ -244,9 +323,15 @@ fn the_heading_is_kept_near_a_magnet() {
                 worst = worst.max(error_deg(&*filter, &sensor));
             }
             magnet(&mut sensor, false);
-            assert!(detected > 30, "{name}: a magnet in the {place} was detected in {detected} samples");
+            assert!(
+                detected > 30,
+                "{name}: a magnet in the {place} was detected in {detected} samples"
+            );
             worst = worst.max(run(&mut *filter, &mut sensor, 20.0));
-            assert!(worst < 6.0, "{name}: {worst} deg with a magnet on the {place}");
+            assert!(
+                worst < 6.0,
+                "{name}: {worst} deg with a magnet on the {place}"
+            );
         }
     }
 }
@@ -257,13 +342,21 @@ fn without_a_magnetometer_the_tilt_is_accurate() {
         let (mut filter, mut sensor) = (build(name), Sensor::new(starts()[3]));
         let mut worst = 0.0_f64;
         for _ in 0..8000 {
-            let sample = ImuSample { mag_ut: None, ..sensor.sample(PERIOD_S) };
+            let sample = ImuSample {
+                mag_ut: None,
+                ..sensor.sample(PERIOD_S)
+            };
             filter.update(&sample, PERIOD_S);
-            let up = filter.orientation().apply(&(sensor.r_world_sensor.inverse() * Vector3::z()));
+            let up = filter
+                .orientation()
+                .apply(&(sensor.r_world_sensor.inverse() * Vector3::z()));
             worst = worst.max(up.angle(&Vector3::z()).to_degrees());
         }
         assert!(worst < 2.5, "{name}: {worst} deg of tilt");
-        assert!(filter.flags().levelled && !filter.flags().north_found, "{name}");
+        assert!(
+            filter.flags().levelled && !filter.flags().north_found,
+            "{name}"
+        );
     }
 }
 
@@ -271,7 +364,13 @@ fn without_a_magnetometer_the_tilt_is_accurate() {
 fn mekf_estimates_the_simulated_sensor_errors() {
     let iron_ut = Vector3::new(6.0, -4.0, 5.0);
     let bias = Vector3::new(0.01, -0.01, 0.005);
-    let mut sensor = Sensor { bias, scale: 1.008, latency_s: 0.02, swing_rad_s: 4.0, ..Sensor::new(starts()[1]) };
+    let mut sensor = Sensor {
+        bias,
+        scale: 1.008,
+        latency_s: 0.02,
+        swing_rad_s: 4.0,
+        ..Sensor::new(starts()[1])
+    };
     let mut filter = Mekf::new(MekfConfig::default());
     run(&mut filter, &mut sensor, 60.0);
     sensor.iron_ut = iron_ut;
@@ -281,10 +380,26 @@ fn mekf_estimates_the_simulated_sensor_errors() {
         assert!((diagonal[k] - 0.008).abs() < 0.003, "scale {diagonal}");
         assert!(diagonal[k + 3].abs() < 0.003, "skew {diagonal}");
     }
-    assert!((filter.mag_latency_s() - 0.02).abs() < 0.004, "latency {} s", filter.mag_latency_s());
-    assert!((filter.hard_iron_ut() - iron_ut).norm() < 1.5, "iron {}", filter.hard_iron_ut());
-    assert!((filter.gyro_bias_rad_s() - bias).norm().to_degrees() < 0.3, "bias {}", filter.gyro_bias_rad_s());
-    assert!(error_deg(&filter, &sensor) < 2.0, "{} deg", error_deg(&filter, &sensor));
+    assert!(
+        (filter.mag_latency_s() - 0.02).abs() < 0.004,
+        "latency {} s",
+        filter.mag_latency_s()
+    );
+    assert!(
+        (filter.hard_iron_ut() - iron_ut).norm() < 1.5,
+        "iron {}",
+        filter.hard_iron_ut()
+    );
+    assert!(
+        (filter.gyro_bias_rad_s() - bias).norm().to_degrees() < 0.3,
+        "bias {}",
+        filter.gyro_bias_rad_s()
+    );
+    assert!(
+        error_deg(&filter, &sensor) < 2.0,
+        "{} deg",
+        error_deg(&filter, &sensor)
+    );
 }
 
 #[test]

@@ -17,7 +17,10 @@ use std::path::PathBuf;
 
 /// Number of mutated inputs per parser.
 fn inputs() -> u64 {
-    std::env::var("RETROFLEX_FUZZ").ok().and_then(|n| n.parse().ok()).unwrap_or(4_000)
+    std::env::var("RETROFLEX_FUZZ")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(4_000)
 }
 
 /// A random index below `n`, or 0 if `n` is 0.
@@ -123,25 +126,39 @@ fn fuzz(name: &str, seeds: &[Vec<u8>]) {
         Err(_) => {
             let saved = std::env::temp_dir().join(format!("retroflex-fuzz-{name}"));
             std::fs::write(&saved, text).unwrap();
-            panic!("{name} panicked; the input was saved as {}: add it to tests/corpus/{name}", saved.display());
+            panic!(
+                "{name} panicked; the input was saved as {}: add it to tests/corpus/{name}",
+                saved.display()
+            );
         }
     };
     seeds.iter().for_each(|s| feed(s));
     for _ in 0..inputs() {
         feed(&mutate(&mut dice, seeds));
     }
-    eprintln!("{name}: {} seeds, {accepted} accepted, {refused} refused", seeds.len());
-    assert!(accepted > 0 && refused > 0, "{name}: {accepted} accepted, {refused} refused");
+    eprintln!(
+        "{name}: {} seeds, {accepted} accepted, {refused} refused",
+        seeds.len()
+    );
+    assert!(
+        accepted > 0 && refused > 0,
+        "{name}: {accepted} accepted, {refused} refused"
+    );
 }
 
 #[test]
 fn toml_files_do_not_panic() {
-    let small_board =
-        "[limits]\ntravel_mm = 25.0\n[safety.on]\nlate = \"relax\"\n[service]\npriority = 5\n[plant.line]\nk_epsilon = [1.0, 2.0, 3.0]\n";
+    let small_board = "[limits]\ntravel_mm = 25.0\n[safety.on]\nlate = \"relax\"\n[service]\npriority = 5\n[plant.line]\nk_epsilon = [1.0, 2.0, 3.0]\n";
     let small_gains = "[loop]\ntau_c_s = 0.2\n[fuse.align]\nwindow_s = 1.0\n";
     let paper = std::fs::read_to_string(repo("calib/paper.toml")).unwrap();
     let whole = std::fs::read_to_string(repo("boards/sim.toml")).unwrap();
-    fuzz("board", &corpus("board", &[small_board, &whole[..whole.floor_char_boundary(1500)]]));
+    fuzz(
+        "board",
+        &corpus(
+            "board",
+            &[small_board, &whole[..whole.floor_char_boundary(1500)]],
+        ),
+    );
     fuzz("gains", &corpus("gains", &[small_gains]));
     fuzz("calib", &corpus("calib", &[&paper]));
 }
@@ -162,7 +179,10 @@ fn bend_logs_do_not_panic() {
     let head = "time_s,cmd_bend_deg,cmd_dir_deg,cmd_len_mm,piston1_mm,piston2_mm,piston3_mm,acc_x_m_s2,acc_y_m_s2,acc_z_m_s2,gyr_x_rad_s,gyr_y_rad_s,gyr_z_rad_s,mag_x_ut,mag_y_ut,mag_z_ut\n";
     let rows = "0.001,0,0,20,0,0,0,0.1,0.2,9.81,0.001,0,0,20,1,-40\n0.003,10,30,20,1,-0.5,-0.5,0.1,0.2,9.8,0.001,0,0,,,\n0.005,10,30,20,2,-1,-1,0.1,,,0.001,0,0,20,1,-40\n";
     let lab = "time_s,piston1_mm,piston2_mm,piston3_mm,ref_qw,ref_qx,ref_qy,ref_qz,extra\n0,0,0,0,1,0,0,0,x\n1,1,1,1,0.9,0.1,0,0,y\n";
-    fuzz("bend_log", &corpus("bend_log", &[&(head.to_owned() + rows), lab]));
+    fuzz(
+        "bend_log",
+        &corpus("bend_log", &[&(head.to_owned() + rows), lab]),
+    );
 }
 
 /// A memory with every field set.
@@ -179,15 +199,27 @@ fn full_memory() -> memory::Memory {
         caution: 1.0,
         rest: None,
     };
-    let mut whole = memory::Memory { restart: Some(restart), tip: "A".to_owned(), armed: true, ..memory::Memory::default() };
-    whole.record_fault(memory::RecordedFault { unix_s: 1.0, cause: "late".to_owned(), message: "é".to_owned() });
+    let mut whole = memory::Memory {
+        restart: Some(restart),
+        tip: "A".to_owned(),
+        armed: true,
+        ..memory::Memory::default()
+    };
+    whole.record_fault(memory::RecordedFault {
+        unix_s: 1.0,
+        cause: "late".to_owned(),
+        message: "é".to_owned(),
+    });
     whole
 }
 
 #[test]
 fn memory_slots_do_not_panic() {
     let body = serde_json::to_string(&full_memory()).unwrap();
-    fuzz("memory", &corpus("memory", &[&slot::seal(3, &body), &body, ""]));
+    fuzz(
+        "memory",
+        &corpus("memory", &[&slot::seal(3, &body), &body, ""]),
+    );
 }
 
 /// After any change to a slot, only the original content passes the checksum.
@@ -197,7 +229,9 @@ fn a_damaged_slot_never_passes_its_checksum() {
     let whole_slot = slot::seal(3, &serde_json::to_string(&whole).unwrap()).into_bytes();
     let mut dice = StdRng::seed_from_u64(4);
     for _ in 0..inputs() {
-        if let Ok(Some((_, read))) = slot::parse(&mutate(&mut dice, std::slice::from_ref(&whole_slot))) {
+        if let Ok(Some((_, read))) =
+            slot::parse(&mutate(&mut dice, std::slice::from_ref(&whole_slot)))
+        {
             assert_eq!(read, whole);
         }
     }
@@ -217,10 +251,17 @@ fn flight_logs_do_not_panic() {
         gauges: Default::default(),
         truth: None,
     };
-    let target =
-        retroflex::model::arc::Shape { bend: retroflex::model::bend::Bend::STRAIGHT, length: retroflex::primitives::units::Mm(20.0) };
+    let target = retroflex::model::arc::Shape {
+        bend: retroflex::model::bend::Bend::STRAIGHT,
+        length: retroflex::primitives::units::Mm(20.0),
+    };
     let order = retroflex::supervisor::cycle::order::Order::Arm;
-    let one = |k: i32| cycle::Cycle { sensed: sensed(k), order: (k % 2 == 0).then_some(order), target, digests: (7, vec![1, 2, 3]) };
+    let one = |k: i32| cycle::Cycle {
+        sensed: sensed(k),
+        order: (k % 2 == 0).then_some(order),
+        target,
+        digests: (7, vec![1, 2, 3]),
+    };
     let message = cycle::encode(9, &(0..4).map(one).collect::<Vec<_>>()).unwrap();
     fuzz("flight", &[corpus("flight", &[]), vec![message]].concat());
 }

@@ -43,18 +43,30 @@ impl Flight {
         let (board, section) = (twin(), plant());
         let mut make = section.make();
         change(&mut make);
-        let machine = Lockstep::new(Sim::new(&make, unit, 7, section.period_s).unwrap(), &board.drive_limits());
+        let machine = Lockstep::new(
+            Sim::new(&make, unit, 7, section.period_s).unwrap(),
+            &board.drive_limits(),
+        );
         let paper: Calibration = source::read(&repo("calib/paper.toml")).unwrap();
         let mut config = assemble(&board, &paper, &Gains::default(), Machine::info(&machine));
         if unit > 0 {
             // as `evaluate` identifies them
             let found = evaluate(unit, &[]);
             for i in 0..3 {
-                config.tick.lines[i] = Line { k_epsilon: found.k_eps[i], k_lambda_mm: found.k_lambda_mm[i] };
+                config.tick.lines[i] = Line {
+                    k_epsilon: found.k_eps[i],
+                    k_lambda_mm: found.k_lambda_mm[i],
+                };
             }
-            config.tick.dynamics.expected = Dynamics { lag_s: found.lag_s, delay_s: found.delay_s };
+            config.tick.dynamics.expected = Dynamics {
+                lag_s: found.lag_s,
+                delay_s: found.delay_s,
+            };
         }
-        let mut flight = Self { runner: Runner::new(machine, Supervisor::new(config, None)), cycles: 0 };
+        let mut flight = Self {
+            runner: Runner::new(machine, Supervisor::new(config, None)),
+            cycles: 0,
+        };
         while flight.turn(None).mode != Mode::Disarmed {
             assert!(flight.now_s() < 15.0, "not aligned");
         }
@@ -77,7 +89,10 @@ impl Flight {
     }
 
     fn run(&mut self, s: f64) -> CycleOutput {
-        (0..(s / self.period_s()) as u64).map(|_| self.turn(None)).last().unwrap()
+        (0..(s / self.period_s()) as u64)
+            .map(|_| self.turn(None))
+            .last()
+            .unwrap()
     }
 
     fn answer(&mut self, order: Order) -> Result<(), Refusal> {
@@ -102,7 +117,10 @@ impl Flight {
 }
 
 fn at(bend_deg: f64, dir_deg: f64) -> Command {
-    Command { bend: Bend::from_deg(bend_deg, dir_deg), length: Mm(20.0) }
+    Command {
+        bend: Bend::from_deg(bend_deg, dir_deg),
+        length: Mm(20.0),
+    }
 }
 
 /// A circle of 30° at 0.2 Hz.
@@ -112,12 +130,20 @@ fn circle(t_s: f64) -> Command {
 
 /// RMS of the differences, degrees.
 fn rms(differences: &[f64]) -> f64 {
-    (differences.iter().map(|d| d * d).sum::<f64>() / differences.len() as f64).sqrt().to_degrees()
+    (differences.iter().map(|d| d * d).sum::<f64>() / differences.len() as f64)
+        .sqrt()
+        .to_degrees()
 }
 
 fn path(seconds: f64, at: impl Fn(f64) -> Command) -> Box<Path> {
-    let t_s: Vec<f64> = (0..=(seconds * 50.0) as u32).map(|k| f64::from(k) / 50.0).collect();
-    let rows = t_s.iter().map(|t| at(*t)).map(|c| Vector3::new(c.bend.0.x, c.bend.0.y, c.length.0)).collect();
+    let t_s: Vec<f64> = (0..=(seconds * 50.0) as u32)
+        .map(|k| f64::from(k) / 50.0)
+        .collect();
+    let rows = t_s
+        .iter()
+        .map(|t| at(*t))
+        .map(|c| Vector3::new(c.bend.0.x, c.bend.0.y, c.length.0))
+        .collect();
     Box::new(Path::new(t_s, rows).unwrap())
 }
 
@@ -134,14 +160,22 @@ fn a_loaded_path_is_followed_as_evaluate_follows_it_and_ends_in_a_hold() {
     let (from_s, mut off) = (flight.now_s(), Vec::new());
     while flight.now_s() - from_s < 9.9 {
         let output = flight.turn(None);
-        assert!(output.mode == Mode::Tracking && matches!(output.guidance, Guidance::Path { .. }), "{:?}", output.guidance);
+        assert!(
+            output.mode == Mode::Tracking && matches!(output.guidance, Guidance::Path { .. }),
+            "{:?}",
+            output.guidance
+        );
         off.push((flight.true_bend().0 - circle(flight.now_s() - from_s).bend.0).norm());
     }
     println!("path: {:.2}°", rms(&off));
     // `evaluate --track` measures 0.70° on this circle
     assert!(rms(&off) < 1.1, "{:.2}", rms(&off));
     let last = flight.run(2.0);
-    assert!(last.mode == Mode::Holding && last.guidance == Guidance::Target, "{:?}", last.mode);
+    assert!(
+        last.mode == Mode::Holding && last.guidance == Guidance::Target,
+        "{:?}",
+        last.mode
+    );
     assert!((last.frame.target.bend.0 - circle(10.0).bend.0).norm() < 1e-6);
 
     // a hold and a stop end a path, and a new one does not begin by itself
@@ -168,15 +202,25 @@ fn set_points_with_times_are_followed_without_the_jitter_of_their_arrival() {
     flight.run(4.0);
     let (mut dice, from_s) = (StdRng::seed_from_u64(5), flight.now_s() + flight.period_s());
     // rows every 20 ms that arrive up to 15 ms late
-    let mut arrivals: Vec<(f64, f64)> =
-        (0..400).map(|k| (f64::from(k) * 0.02, f64::from(k) * 0.02 + 0.015 * dice.random::<f64>())).collect();
+    let mut arrivals: Vec<(f64, f64)> = (0..400)
+        .map(|k| {
+            (
+                f64::from(k) * 0.02,
+                f64::from(k) * 0.02 + 0.015 * dice.random::<f64>(),
+            )
+        })
+        .collect();
     arrivals[0].1 = 0.0;
     let (mut next, mut off) = (0, Vec::new());
     while next < arrivals.len() {
         let (t_s, arrives_s) = arrivals[next];
         let due = flight.now_s() + flight.period_s() - from_s >= arrives_s;
         let output = flight.turn(due.then_some(Order::Timed(circle(t_s), 100.0 + t_s)));
-        assert!(output.answer.is_none_or(|a| a.is_ok()), "{:?}", output.answer);
+        assert!(
+            output.answer.is_none_or(|a| a.is_ok()),
+            "{:?}",
+            output.answer
+        );
         next += usize::from(due);
         let t = flight.now_s() - from_s;
         if t > 1.0 {
@@ -186,10 +230,22 @@ fn set_points_with_times_are_followed_without_the_jitter_of_their_arrival() {
     println!("stream with times: {:.2}°", rms(&off));
     // `evaluate --track --live` measures 0.66°
     assert!(rms(&off) < 1.1, "{:.2}", rms(&off));
-    assert_eq!(flight.answer(Order::Timed(circle(0.0), 107.9)), Err(Refusal::Backwards));
-    assert_eq!(flight.answer(Order::Timed(circle(0.0), 109.5)), Err(Refusal::Ahead));
-    assert_eq!(flight.answer(Order::Timed(circle(0.0), f64::NAN)), Err(Refusal::NotANumber));
-    let silent = (0..500).map(|_| flight.turn(None)).find(|output| output.stream_ended).expect("the dead man's time");
+    assert_eq!(
+        flight.answer(Order::Timed(circle(0.0), 107.9)),
+        Err(Refusal::Backwards)
+    );
+    assert_eq!(
+        flight.answer(Order::Timed(circle(0.0), 109.5)),
+        Err(Refusal::Ahead)
+    );
+    assert_eq!(
+        flight.answer(Order::Timed(circle(0.0), f64::NAN)),
+        Err(Refusal::NotANumber)
+    );
+    let silent = (0..500)
+        .map(|_| flight.turn(None))
+        .find(|output| output.stream_ended)
+        .expect("the dead man's time");
     assert_eq!(silent.mode, Mode::Holding);
 }
 
@@ -213,7 +269,12 @@ fn a_tip_keeps_its_orientation_in_the_world_while_the_base_sways() {
         let mut off = Vec::new();
         for _ in 0..(25.0 / flight.period_s()) as u32 {
             flight.turn(None);
-            off.push(flight.in_world().apply(&Vector3::z()).angle(&wanted.apply(&Vector3::z())));
+            off.push(
+                flight
+                    .in_world()
+                    .apply(&Vector3::z())
+                    .angle(&wanted.apply(&Vector3::z())),
+            );
         }
         rms(&off)
     };
@@ -230,17 +291,29 @@ fn a_tip_keeps_its_orientation_in_the_world_while_the_base_sways() {
 #[test]
 fn an_orientation_in_the_world_needs_a_healthy_imu_on_the_base() {
     let mut flight = Flight::new(0, swaying(false));
-    assert_eq!(flight.answer(Order::World(at(40.0, 60.0), None)), Err(Refusal::NoBase));
+    assert_eq!(
+        flight.answer(Order::World(at(40.0, 60.0), None)),
+        Err(Refusal::NoBase)
+    );
 
     let mut flight = Flight::new(0, swaying(true));
     flight.order(Order::World(at(40.0, 60.0), None));
     assert_eq!(flight.run(5.0).guidance, Guidance::World);
-    flight.runner.machine.world.plant_mut().inject(InjectedFault::OfBaseImu(&InjectedFault::SILENT));
+    flight
+        .runner
+        .machine
+        .world
+        .plant_mut()
+        .inject(InjectedFault::OfBaseImu(&InjectedFault::SILENT));
     let lost = flight.run(0.3);
     assert_eq!(lost.guidance, Guidance::WorldLost);
     let kept = lost.frame.target.bend.0;
     let last = flight.run(3.0);
-    assert!((last.frame.target.bend.0 - kept).norm() < 1e-9 && last.mode == Mode::Holding && last.guidance == Guidance::WorldLost);
+    assert!(
+        (last.frame.target.bend.0 - kept).norm() < 1e-9
+            && last.mode == Mode::Holding
+            && last.guidance == Guidance::WorldLost
+    );
     flight.order(Order::Bend(at(20.0, 0.0), None));
     assert_eq!(flight.run(0.1).guidance, Guidance::Target);
 }
@@ -253,25 +326,61 @@ fn an_orientation_out_of_reach_is_approached_as_far_as_the_tip_bends() {
     // the base turns away from the tip
     let world_base = flight.truth().truth.r_world_base;
     let axis = world_base.apply(&at(1.0, 0.0).bend.rotation_vector().normalize());
-    flight.runner.machine.world.plant_mut().inject(InjectedFault::BaseTurn { axis: (-axis).into(), angle_deg: 30.0, over_s: 2.0 });
+    flight
+        .runner
+        .machine
+        .world
+        .plant_mut()
+        .inject(InjectedFault::BaseTurn {
+            axis: (-axis).into(),
+            angle_deg: 30.0,
+            over_s: 2.0,
+        });
     let last = flight.run(5.0);
     let bend_deg = last.frame.target.bend.beta().to_degrees();
     println!("out of reach: {bend_deg:.1}° of 105° asked for");
-    assert!(last.guidance == Guidance::WorldOutOfReach && (78.0..92.0).contains(&bend_deg), "{:?} {bend_deg}", last.guidance);
-    flight.runner.machine.world.plant_mut().inject(InjectedFault::BaseTurn { axis: axis.into(), angle_deg: 30.0, over_s: 2.0 });
+    assert!(
+        last.guidance == Guidance::WorldOutOfReach && (78.0..92.0).contains(&bend_deg),
+        "{:?} {bend_deg}",
+        last.guidance
+    );
+    flight
+        .runner
+        .machine
+        .world
+        .plant_mut()
+        .inject(InjectedFault::BaseTurn {
+            axis: axis.into(),
+            angle_deg: 30.0,
+            over_s: 2.0,
+        });
     let last = flight.run(5.0);
-    assert!(last.guidance == Guidance::World && (last.frame.target.bend.0 - at(75.0, 0.0).bend.0).norm().to_degrees() < 1.0);
+    assert!(
+        last.guidance == Guidance::World
+            && (last.frame.target.bend.0 - at(75.0, 0.0).bend.0)
+                .norm()
+                .to_degrees()
+                < 1.0
+    );
 }
 
 /// Runs a command of the program with this standard input; returns its exit code and output.
 fn cli(socket: &File, args: &[&str], input: &str) -> (i32, String) {
     let mut command = process::Command::new(env!("CARGO_BIN_EXE_retroflex"));
-    command.args(args).env("RETROFLEX_SOCKET", socket).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+        .args(args)
+        .env("RETROFLEX_SOCKET", socket)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
     let mut child = command.spawn().unwrap();
     // a command that refuses its first line does not read the rest
     let _ = child.stdin.take().unwrap().write_all(input.as_bytes());
     let out = child.wait_with_output().unwrap();
-    (out.status.code().unwrap(), String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr))
+    (
+        out.status.code().unwrap(),
+        String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr),
+    )
 }
 
 #[test]
@@ -281,44 +390,111 @@ fn the_service_plays_a_path_and_streams_set_points_with_times() {
     let socket = daemon.sockets()[0].clone();
     let expect = |args: &[&str], input: &str, code: i32, part: &str| {
         let (got, text) = cli(&socket, args, input);
-        assert!(got == code && text.contains(part), "{args:?}: expected {code} and `{part}`, got {got}:\n{text}");
+        assert!(
+            got == code && text.contains(part),
+            "{args:?}: expected {code} and `{part}`, got {got}:\n{text}"
+        );
     };
     let file = |name: &str, rows: &str| {
         let path = folder.path().join(name);
         std::fs::write(&path, format!("t_s,bend_deg,dir_deg\n{rows}")).unwrap();
         path.to_str().unwrap().to_owned()
     };
-    daemon.until(10.0, "alignment", |s| s["mode"] == "disarmed").unwrap();
+    daemon
+        .until(10.0, "alignment", |s| s["mode"] == "disarmed")
+        .unwrap();
     // more rows than one request holds, and too fast
-    let rows = (0..=300).map(|k| format!("{:.3},30,{:.1}\n", f64::from(k) * 0.005, f64::from(k * 18 % 3600) / 10.0));
+    let rows = (0..=300).map(|k| {
+        format!(
+            "{:.3},30,{:.1}\n",
+            f64::from(k) * 0.005,
+            f64::from(k * 18 % 3600) / 10.0
+        )
+    });
     let circle = file("circle.csv", &rows.collect::<String>());
     expect(&["play", &circle], "", 1, "retroflex arm");
     expect(&["arm"], "", 0, "");
-    expect(&["play", &circle, "--record", "round"], "", 0, "times the speed that the pistons can follow");
-    daemon.until(2.0, "the end of the path", |s| s["mode"] == "holding" && s["path"].is_null()).unwrap();
+    expect(
+        &["play", &circle, "--record", "round"],
+        "",
+        0,
+        "times the speed that the pistons can follow",
+    );
+    daemon
+        .until(2.0, "the end of the path", |s| {
+            s["mode"] == "holding" && s["path"].is_null()
+        })
+        .unwrap();
     let far = file("far.csv", "0,20,0\n5,120,0\n");
-    expect(&["play", &far], "", 2, "far.csv, line 3, column bend_deg: `120` is not within");
+    expect(
+        &["play", &far],
+        "",
+        2,
+        "far.csv, line 3, column bend_deg: `120` is not within",
+    );
     let target = daemon.until(1.0, "a status", |_| true).unwrap()["target"].clone();
-    expect(&["play", &file("beyond.csv", "0,20,0\n5,89,0\n")], "", 2, "beyond.csv, line 3, column bend_deg: `89` is not within");
-    assert_eq!(daemon.until(1.0, "a status", |_| true).unwrap()["target"], target, "a refused path moves nothing");
-    expect(&["play", &file("late.csv", "0,20,0\n0,25,0\n")], "", 2, "late.csv, line 3, column t_s");
+    expect(
+        &["play", &file("beyond.csv", "0,20,0\n5,89,0\n")],
+        "",
+        2,
+        "beyond.csv, line 3, column bend_deg: `89` is not within",
+    );
+    assert_eq!(
+        daemon.until(1.0, "a status", |_| true).unwrap()["target"],
+        target,
+        "a refused path moves nothing"
+    );
+    expect(
+        &["play", &file("late.csv", "0,20,0\n0,25,0\n")],
+        "",
+        2,
+        "late.csv, line 3, column t_s",
+    );
 
     expect(&["bend", "30", "--wait"], "", 0, "settled");
-    let rows: String = (0..=50).map(|k| format!("{} 0 {}\n", 30.0 - 0.2 * f64::from(k), 7.0 + f64::from(k) * 0.02)).collect();
+    let rows: String = (0..=50)
+        .map(|k| {
+            format!(
+                "{} 0 {}\n",
+                30.0 - 0.2 * f64::from(k),
+                7.0 + f64::from(k) * 0.02
+            )
+        })
+        .collect();
     expect(&["stream"], &rows, 0, "of 20.0° at 0°: settled");
     daemon
-        .until(3.0, "the hold", |s| s["mode"] == "holding" && (s["target"]["bend_deg"].as_f64().unwrap_or(0.0) - 20.0).abs() < 0.5)
+        .until(3.0, "the hold", |s| {
+            s["mode"] == "holding"
+                && (s["target"]["bend_deg"].as_f64().unwrap_or(0.0) - 20.0).abs() < 0.5
+        })
         .unwrap();
     // the end of the input is a target, also where the times were too short for the tip
-    expect(&["stream"], "30 0 0.00\n30 4 0.02\n30 8 0.04\n", 0, "of 30.0° at 8°: settled");
+    expect(
+        &["stream"],
+        "30 0 0.00\n30 4 0.02\n30 8 0.04\n",
+        0,
+        "of 30.0° at 8°: settled",
+    );
     expect(&["stream"], "20 0\n", 0, "of 20.0° at 0°: settled");
-    expect(&["stream"], "20 0 1\n20 x 2\n", 2, "line 2: DIR `x`: expected a number");
-    expect(&["stream"], "20 0\n120 0\n", 2, "line 2: the tip bends by at most");
+    expect(
+        &["stream"],
+        "20 0 1\n20 x 2\n",
+        2,
+        "line 2: DIR `x`: expected a number",
+    );
+    expect(
+        &["stream"],
+        "20 0\n120 0\n",
+        2,
+        "line 2: the tip bends by at most",
+    );
     expect(&["bend", "20", "--world"], "", 1, "IMU on the base");
 
     // paths and set-points with times make the same decisions again
     assert!(daemon.end().unwrap().0);
-    let flights = std::fs::read_dir(folder.path().join("state/flights")).unwrap().map(|e| e.unwrap().path());
+    let flights = std::fs::read_dir(folder.path().join("state/flights"))
+        .unwrap()
+        .map(|e| e.unwrap().path());
     let flight = flights.max().unwrap();
     expect(&["replay", flight.to_str().unwrap()], "", 0, " 0 differ");
 }
@@ -330,7 +506,10 @@ fn a_stick_steers_the_tip_while_its_button_is_held() {
     let socket = daemon.sockets()[0].clone();
     let expect = |args: &[&str], code: i32, part: &str| {
         let (got, text) = cli(&socket, args, "");
-        assert!(got == code && text.contains(part), "{args:?}: expected {code} and `{part}`, got {got}:\n{text}");
+        assert!(
+            got == code && text.contains(part),
+            "{args:?}: expected {code} and `{part}`, got {got}:\n{text}"
+        );
     };
     let table = |name: &str, rows: &str| {
         let path = folder.path().join(name);
@@ -340,36 +519,103 @@ fn a_stick_steers_the_tip_while_its_button_is_held() {
     let target = |what: &str, bend_deg: f64, dir_deg: f64| {
         let near = |s: &serde_json::Value| {
             let given = |key: &str| s["target"][key].as_f64().unwrap_or(f64::NAN);
-            (at(given("bend_deg"), given("dir_deg")).bend.0 - at(bend_deg, dir_deg).bend.0).norm().to_degrees() < 1.0
+            (at(given("bend_deg"), given("dir_deg")).bend.0 - at(bend_deg, dir_deg).bend.0)
+                .norm()
+                .to_degrees()
+                < 1.0
         };
-        daemon.until(3.0, what, |s| s["mode"] == "holding" && near(s)).unwrap();
+        daemon
+            .until(3.0, what, |s| s["mode"] == "holding" && near(s))
+            .unwrap();
     };
-    daemon.until(10.0, "alignment", |s| s["mode"] == "disarmed").unwrap();
+    daemon
+        .until(10.0, "alignment", |s| s["mode"] == "disarmed")
+        .unwrap();
     let up = table("up.csv", "0,0,1,1\n1.5,0,1,0\n1.9,0,1,0\n");
     expect(&["steer", "--replay", &up], 1, "must be armed");
     expect(&["arm"], 0, "");
     // the stick stays where it is when the button is released, and the tip holds
-    expect(&["steer", "--mode", "position", "--bend-max", "30", "--replay", &up], 0, "");
+    expect(
+        &[
+            "steer",
+            "--mode",
+            "position",
+            "--bend-max",
+            "30",
+            "--replay",
+            &up,
+        ],
+        0,
+        "",
+    );
     target("the stick's bend", 30.0, 90.0);
-    expect(&["steer", "--replay", &table("far.csv", "0,0,0,1\n1,2,0,1\n")], 2, "far.csv, line 3, column x: `2` is not within -1 to 1");
-    expect(&["steer", "--replay", folder.path().join("none.csv").to_str().unwrap()], 2, "none.csv");
+    expect(
+        &["steer", "--replay", &table("far.csv", "0,0,0,1\n1,2,0,1\n")],
+        2,
+        "far.csv, line 3, column x: `2` is not within -1 to 1",
+    );
+    expect(
+        &[
+            "steer",
+            "--replay",
+            folder.path().join("none.csv").to_str().unwrap(),
+        ],
+        2,
+        "none.csv",
+    );
     expect(&["steer", "--device", "/dev/none"], 2, "/dev/none");
 
     // a joystick that is unplugged while its button is held; --speed 20 for 1 s
     let device = folder.path().join("js0");
-    assert!(process::Command::new("mkfifo").arg(&device).status().unwrap().success());
+    assert!(
+        process::Command::new("mkfifo")
+            .arg(&device)
+            .status()
+            .unwrap()
+            .success()
+    );
     let writer = device.clone();
     let unplugged = std::thread::spawn(move || {
-        let event = |value: i16, kind: u8, number: u8| [[0; 4], [value.to_ne_bytes()[0], value.to_ne_bytes()[1], kind, number]].concat();
-        let mut joystick = std::fs::OpenOptions::new().write(true).open(writer).unwrap();
+        let event = |value: i16, kind: u8, number: u8| {
+            [
+                [0; 4],
+                [value.to_ne_bytes()[0], value.to_ne_bytes()[1], kind, number],
+            ]
+            .concat()
+        };
+        let mut joystick = std::fs::OpenOptions::new()
+            .write(true)
+            .open(writer)
+            .unwrap();
         // the state at the start, then the stick away from the operator, which a joystick counts as negative
-        joystick.write_all(&[event(0, 0x81, 0), event(0, 0x82, 0), event(0, 0x82, 1)].concat()).unwrap();
-        joystick.write_all(&[event(i16::MAX, 2, 1), event(1, 1, 0)].concat()).unwrap();
+        joystick
+            .write_all(&[event(0, 0x81, 0), event(0, 0x82, 0), event(0, 0x82, 1)].concat())
+            .unwrap();
+        joystick
+            .write_all(&[event(i16::MAX, 2, 1), event(1, 1, 0)].concat())
+            .unwrap();
         std::thread::sleep(std::time::Duration::from_millis(1000));
     });
-    expect(&["steer", "--device", device.to_str().unwrap(), "--speed", "20", "--expo", "0"], 3, "holding");
+    expect(
+        &[
+            "steer",
+            "--device",
+            device.to_str().unwrap(),
+            "--speed",
+            "20",
+            "--expo",
+            "0",
+        ],
+        3,
+        "holding",
+    );
     unplugged.join().unwrap();
-    let status = daemon.until(3.0, "the hold", |s| s["mode"] == "holding").unwrap();
+    let status = daemon
+        .until(3.0, "the hold", |s| s["mode"] == "holding")
+        .unwrap();
     let bend_deg = status["target"]["bend_deg"].as_f64().unwrap();
-    assert!((6.0..16.0).contains(&bend_deg), "20 °/s for a second from 30°: {bend_deg}");
+    assert!(
+        (6.0..16.0).contains(&bend_deg),
+        "20 °/s for a second from 30°: {bend_deg}"
+    );
 }

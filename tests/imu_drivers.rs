@@ -10,11 +10,15 @@ use embedded_hal_mock::eh1::delay::NoopDelay;
 use embedded_hal_mock::eh1::i2c::{Mock, Transaction};
 use fake_imu::{FakeBus, FakeIcm20948, FakeLis2mdl, FakeLsm6dso, FakePressure, Motion, Noise};
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use retroflex::estimation::fusion::health::{HealthCause, ImuReading, KnownErrors, ReadFault, SensorMonitor};
+use retroflex::estimation::fusion::health::{
+    HealthCause, ImuReading, KnownErrors, ReadFault, SensorMonitor,
+};
 use retroflex::estimation::imu_calibration::{self, ImuCalibration, Pedigree};
 use retroflex::hardware::imu::icm20948::{self, Icm20948};
 use retroflex::hardware::imu::lsm6dso::{self, Lsm6dsoLis2mdl};
-use retroflex::hardware::imu::{Axes, Axis, ChipConfig, Imu, ImuError, Part, RawImu, STANDARD_GRAVITY_M_S2, open};
+use retroflex::hardware::imu::{
+    Axes, Axis, ChipConfig, Imu, ImuError, Part, RawImu, STANDARD_GRAVITY_M_S2, open,
+};
 use retroflex::hardware::pressure::{PressureError, PressureSection, PressureSensor};
 use retroflex::primitives::units::Seconds;
 
@@ -103,10 +107,17 @@ fn burst(st1: u8, mag: [i16; 3], st2: u8) -> Vec<u8> {
 }
 
 /// Runs the scripted driver through init and then `reads` readings of `tail`.
-fn scripted_icm(tail: Vec<Transaction>, canary_every: u16, reads: usize) -> Vec<Result<RawImu, ImuError>> {
+fn scripted_icm(
+    tail: Vec<Transaction>,
+    canary_every: u16,
+    reads: usize,
+) -> Vec<Result<RawImu, ImuError>> {
     let mut script = icm_init_script();
     script.extend(tail);
-    let config = icm20948::IcmConfig { canary_every, ..Default::default() };
+    let config = icm20948::IcmConfig {
+        canary_every,
+        ..Default::default()
+    };
     let mut bus = Mock::new(&script);
     let mut imu = Icm20948::new(bus.clone(), &config).unwrap();
     imu.init(&mut NoopDelay::new()).unwrap();
@@ -123,19 +134,47 @@ fn icm_reads_nine_axes_in_one_burst() {
         get(ICM, 0x2D, &burst(0x00, [10, 21, -30], 0x10)), // data-ready cleared by an earlier poll
         get(ICM, 0x2D, &burst(0x01, [10, 20, -30], 0x18)),
     ];
-    let r: Vec<_> = scripted_icm(tail, 0, 4).into_iter().map(|r| r.unwrap()).collect();
-    assert_eq!((r[0].acc, r[0].gyro, r[0].temp), ([1, -2, 8192], [100, -200, 300], 1335));
-    assert_eq!(r.iter().map(|r| r.mag).collect::<Vec<_>>(), [Some([10, 20, -30]), None, Some([10, 21, -30]), Some([10, 20, -30])]);
-    assert_eq!(r.iter().map(|r| r.fresh).collect::<Vec<_>>(), [true, false, false, false]);
+    let r: Vec<_> = scripted_icm(tail, 0, 4)
+        .into_iter()
+        .map(|r| r.unwrap())
+        .collect();
+    assert_eq!(
+        (r[0].acc, r[0].gyro, r[0].temp),
+        ([1, -2, 8192], [100, -200, 300], 1335)
+    );
+    assert_eq!(
+        r.iter().map(|r| r.mag).collect::<Vec<_>>(),
+        [
+            Some([10, 20, -30]),
+            None,
+            Some([10, 21, -30]),
+            Some([10, 20, -30])
+        ]
+    );
+    assert_eq!(
+        r.iter().map(|r| r.fresh).collect::<Vec<_>>(),
+        [true, false, false, false]
+    );
     assert!(r[3].mag_overflow && !r[0].mag_overflow);
     let mut bus = Mock::new(&[]);
     let mut unused = Icm20948::new(bus.clone(), &icm20948::IcmConfig::default()).unwrap();
     let s = unused.scale().sample(&r[0], Seconds(3.0));
-    assert!((s.acc_m_s2.z - STANDARD_GRAVITY_M_S2).abs() < 1e-9, "8192 counts at 4 g");
+    assert!(
+        (s.acc_m_s2.z - STANDARD_GRAVITY_M_S2).abs() < 1e-9,
+        "8192 counts at 4 g"
+    );
     assert!((s.gyro_rad_s.x.to_degrees() - 100.0 / 65.5).abs() < 1e-12);
-    assert!((s.mag_ut.unwrap() - Vector3::new(1.5, -3.0, 4.5)).norm() < 1e-12, "y and z are inverted");
+    assert!(
+        (s.mag_ut.unwrap() - Vector3::new(1.5, -3.0, 4.5)).norm() < 1e-12,
+        "y and z are inverted"
+    );
     assert!((unused.scale().temperature_c(&r[0]) - (21.0 + 1335.0 / 333.87)).abs() < 1e-9);
-    assert!(matches!(unused.read(), Err(ImuError::NotReady { part: Part::Icm20948 })));
+    assert!(matches!(
+        unused.read(),
+        Err(ImuError::NotReady {
+            part: Part::Icm20948
+        })
+    ));
     bus.done();
 }
 
@@ -144,20 +183,42 @@ fn icm_distinguishes_another_part_a_missing_one_and_a_broken_bus() {
     let config = icm20948::IcmConfig::default();
     let init = |script: &[Transaction]| {
         let mut bus = Mock::new(script);
-        let result = Icm20948::new(bus.clone(), &config).unwrap().init(&mut NoopDelay::new());
+        let result = Icm20948::new(bus.clone(), &config)
+            .unwrap()
+            .init(&mut NoopDelay::new());
         bus.done();
         result.unwrap_err()
     };
     let other_part = init(&[put(ICM, 0x7F, 0), get(ICM, 0, &[0x71])]);
-    assert_eq!(other_part, ImuError::WrongId { part: Part::Icm20948, address: ICM, have: 0x71, want: 0xEA });
-    assert!(other_part.to_string().contains("imu.chip.part"), "{other_part}");
+    assert_eq!(
+        other_part,
+        ImuError::WrongId {
+            part: Part::Icm20948,
+            address: ICM,
+            have: 0x71,
+            want: 0xEA
+        }
+    );
+    assert!(
+        other_part.to_string().contains("imu.chip.part"),
+        "{other_part}"
+    );
     let nack = ErrorKind::NoAcknowledge(NoAcknowledgeSource::Address);
     let missing = init(&[put(ICM, 0x7F, 0).with_error(nack)]);
-    assert_eq!(missing, ImuError::Nack { part: Part::Icm20948, address: ICM });
+    assert_eq!(
+        missing,
+        ImuError::Nack {
+            part: Part::Icm20948,
+            address: ICM
+        }
+    );
     assert_eq!(missing.fault(), ReadFault::Nack);
     let broken = init(&[put(ICM, 0x7F, 0).with_error(ErrorKind::ArbitrationLoss)]);
     assert_eq!(broken.fault(), ReadFault::Bus);
-    let script = [put(ICM, 0x7F, 0), get(ICM, 0, &[0xEA]).with_error(ErrorKind::Overrun)];
+    let script = [
+        put(ICM, 0x7F, 0),
+        get(ICM, 0, &[0xEA]).with_error(ErrorKind::Overrun),
+    ];
     assert_eq!(init(&script).fault(), ReadFault::ShortRead);
 }
 
@@ -166,7 +227,18 @@ fn icm_detects_a_transfer_that_ends_early() {
     let mut dead = burst(0x01, [10, 20, -30], 0x10);
     dead[11..].fill(0xFF);
     let r = scripted_icm(vec![get(ICM, 0x2D, &dead)], 0, 1);
-    assert!(matches!(r[0], Err(ImuError::ShortRead { have: 11, want: 23, .. })), "{:?}", r[0]);
+    assert!(
+        matches!(
+            r[0],
+            Err(ImuError::ShortRead {
+                have: 11,
+                want: 23,
+                ..
+            })
+        ),
+        "{:?}",
+        r[0]
+    );
 }
 
 #[test]
@@ -188,9 +260,17 @@ fn icm_canary_checks_power_and_ranges_in_turn() {
     ];
     let r = scripted_icm(tail, 1, 5);
     assert!(r[..3].iter().all(Result::is_ok));
-    let want = ImuError::ResetToDefaults { part: Part::Icm20948, register: 0x00, have: 0, want: 1 };
+    let want = ImuError::ResetToDefaults {
+        part: Part::Icm20948,
+        register: 0x00,
+        have: 0,
+        want: 1,
+    };
     assert_eq!(r[3], Err(want));
-    assert!(matches!(r[4], Err(ImuError::NotReady { .. })), "no reading before the next init");
+    assert!(
+        matches!(r[4], Err(ImuError::NotReady { .. })),
+        "no reading before the next init"
+    );
 }
 
 #[test]
@@ -229,17 +309,31 @@ fn lsm_and_lis_send_the_bytes_of_their_data_sheets() {
         get(LIS, 0x60, &[0x8C, 0x02, 0x10]),
         get(LSM, 0x1E, &inertial).with_error(nack),
     ];
-    let config = lsm6dso::LsmConfig { rate_hz: 120.0, canary_every: 2, ..Default::default() };
+    let config = lsm6dso::LsmConfig {
+        rate_hz: 120.0,
+        canary_every: 2,
+        ..Default::default()
+    };
     let mut bus = Mock::new(&script);
     let mut imu = Lsm6dsoLis2mdl::new(bus.clone(), &config).unwrap();
     let id = imu.init(&mut NoopDelay::new()).unwrap();
     assert_eq!((id.rate_hz, id.magnetic.part), (208.0, Part::Lis2mdl));
     let raw = imu.read().unwrap();
-    assert_eq!((raw.gyro, raw.acc, raw.temp, raw.fresh), ([10, -20, 30], [1, -2, 8196], 256, true));
+    assert_eq!(
+        (raw.gyro, raw.acc, raw.temp, raw.fresh),
+        ([10, -20, 30], [1, -2, 8196], 256, true)
+    );
     assert_eq!((raw.mag, raw.mag_fault), (Some([100, -200, 300]), None));
     let raw = imu.read().unwrap();
-    let fault = ImuError::Nack { part: Part::Lis2mdl, address: LIS };
-    assert_eq!((raw.acc, raw.mag, raw.mag_fault), ([1, -2, 8196], None, Some(fault)), "six axes are kept");
+    let fault = ImuError::Nack {
+        part: Part::Lis2mdl,
+        address: LIS,
+    };
+    assert_eq!(
+        (raw.acc, raw.mag, raw.mag_fault),
+        ([1, -2, 8196], None, Some(fault)),
+        "six axes are kept"
+    );
     assert_eq!(imu.read().unwrap_err().fault(), ReadFault::Nack);
     bus.done();
 }
@@ -279,10 +373,20 @@ fn all_configs() -> Vec<(ChipConfig, f64, f64)> {
             let rate_hz = 200.0;
             let gyro = f64::from(gyro_range_dps).to_radians() / 28_000.0;
             let acc = f64::from(acc_range_g) * 9.81 / 32_000.0;
-            let lsm = lsm6dso::LsmConfig { acc_range_g, gyro_range_dps, rate_hz, ..Default::default() };
+            let lsm = lsm6dso::LsmConfig {
+                acc_range_g,
+                gyro_range_dps,
+                rate_hz,
+                ..Default::default()
+            };
             all.push((ChipConfig::Lsm6dsoLis2mdl(lsm), gyro, acc));
             if gyro_range_dps > 125 {
-                let icm = icm20948::IcmConfig { acc_range_g, gyro_range_dps, rate_hz, ..Default::default() };
+                let icm = icm20948::IcmConfig {
+                    acc_range_g,
+                    gyro_range_dps,
+                    rate_hz,
+                    ..Default::default()
+                };
                 all.push((ChipConfig::Icm20948(icm), gyro, acc));
             }
         }
@@ -311,9 +415,18 @@ fn every_range_measures_the_true_motion() {
             last = Some((raw, sample));
         }
         let (raw, sample) = last.unwrap();
-        assert!((sample.gyro_rad_s - motion.gyro_rad_s).amax() <= 0.5 * gyro_lsb, "{config:?}");
-        assert!((sample.acc_m_s2 - motion.acc_m_s2).amax() <= 0.5 * acc_lsb, "{config:?}");
-        assert!((mag.unwrap() - motion.mag_ut).amax() <= 0.0751, "{config:?} {mag:?}");
+        assert!(
+            (sample.gyro_rad_s - motion.gyro_rad_s).amax() <= 0.5 * gyro_lsb,
+            "{config:?}"
+        );
+        assert!(
+            (sample.acc_m_s2 - motion.acc_m_s2).amax() <= 0.5 * acc_lsb,
+            "{config:?}"
+        );
+        assert!(
+            (mag.unwrap() - motion.mag_ut).amax() <= 0.0751,
+            "{config:?} {mag:?}"
+        );
         assert!((imu.scale().temperature_c(&raw) - motion.temp_c).abs() < 0.01);
     }
 }
@@ -322,14 +435,22 @@ fn every_range_measures_the_true_motion() {
 fn a_rotated_magnetometer_is_corrected() {
     let axes = Axes([Axis::MinusZ, Axis::PlusX, Axis::MinusY]);
     let bus = lsm_bus(Noise::NONE, axes);
-    let config = lsm6dso::LsmConfig { mag_axes: axes, rate_hz: 100.0, ..Default::default() };
+    let config = lsm6dso::LsmConfig {
+        mag_axes: axes,
+        rate_hz: 100.0,
+        ..Default::default()
+    };
     let mut imu = Lsm6dsoLis2mdl::new(bus.clone(), &config).unwrap();
     imu.init(&mut bus.delay()).unwrap();
     bus.machine().set_motion(&odd_motion());
     bus.machine().advance(0.011);
     let _ = imu.read().unwrap();
     bus.machine().advance(0.011);
-    let field = imu.scale().sample(&imu.read().unwrap(), Seconds(0.0)).mag_ut.unwrap();
+    let field = imu
+        .scale()
+        .sample(&imu.read().unwrap(), Seconds(0.0))
+        .mag_ut
+        .unwrap();
     assert!((field - odd_motion().mag_ut).amax() <= 0.0751, "{field}");
 }
 
@@ -338,10 +459,20 @@ fn a_second_sensor_shares_the_bus() {
     let bus = icm_bus(Noise::NONE);
     bus.machine().attach(FakeIcm20948::new(0x69, 99));
     let mut tip = Icm20948::new(bus.clone(), &icm20948::IcmConfig::default()).unwrap();
-    let mut base = Icm20948::new(bus.clone(), &icm20948::IcmConfig { address: 0x69, ..Default::default() }).unwrap();
+    let mut base = Icm20948::new(
+        bus.clone(),
+        &icm20948::IcmConfig {
+            address: 0x69,
+            ..Default::default()
+        },
+    )
+    .unwrap();
     tip.init(&mut bus.delay()).unwrap();
     assert_eq!(base.init(&mut bus.delay()).unwrap().inertial.address, 0x69);
-    bus.machine().device(0x69).unwrap().set_motion(&odd_motion());
+    bus.machine()
+        .device(0x69)
+        .unwrap()
+        .set_motion(&odd_motion());
     bus.machine().advance(0.01);
     assert_eq!(tip.read().unwrap().gyro, [0, 0, 0]);
     assert_ne!(base.read().unwrap().gyro, [0, 0, 0]);
@@ -350,8 +481,16 @@ fn a_second_sensor_shares_the_bus() {
 #[test]
 fn the_magnetometer_is_read_once_per_measurement_at_500_hz() {
     for part in 0..2 {
-        let bus = if part == 0 { icm_bus(Noise::TYPICAL) } else { lsm_bus(Noise::TYPICAL, Axes::ALIGNED) };
-        let config = if part == 0 { ChipConfig::default() } else { ChipConfig::Lsm6dsoLis2mdl(lsm6dso::LsmConfig::default()) };
+        let bus = if part == 0 {
+            icm_bus(Noise::TYPICAL)
+        } else {
+            lsm_bus(Noise::TYPICAL, Axes::ALIGNED)
+        };
+        let config = if part == 0 {
+            ChipConfig::default()
+        } else {
+            ChipConfig::Lsm6dsoLis2mdl(lsm6dso::LsmConfig::default())
+        };
         let mut imu = open(&config, bus.clone()).unwrap();
         imu.init(&mut bus.delay()).unwrap();
         let mut fresh = 0;
@@ -359,7 +498,10 @@ fn the_magnetometer_is_read_once_per_measurement_at_500_hz() {
             bus.machine().advance(0.002);
             fresh += u32::from(imu.read().unwrap().mag.is_some());
         }
-        assert!((990..=1010).contains(&fresh), "ten seconds at 100 Hz gave {fresh} ({config:?})");
+        assert!(
+            (990..=1010).contains(&fresh),
+            "ten seconds at 100 Hz gave {fresh} ({config:?})"
+        );
     }
 }
 
@@ -374,11 +516,18 @@ fn bus_time_of_a_reading_is_as_documented() {
         (bus.machine().bus_time_s(400e3) - before) / f64::from(n)
     };
     let bus = icm_bus(Noise::TYPICAL);
-    let config = icm20948::IcmConfig { canary_every: 0, ..Default::default() };
+    let config = icm20948::IcmConfig {
+        canary_every: 0,
+        ..Default::default()
+    };
     let mut icm = Icm20948::new(bus.clone(), &config).unwrap();
     icm.init(&mut bus.delay()).unwrap();
     let t = per_reading(&bus, &mut icm, 100);
-    assert!((t - 595e-6).abs() < 1e-6, "ICM-20948 without canary: {:.1} us", t * 1e6);
+    assert!(
+        (t - 595e-6).abs() < 1e-6,
+        "ICM-20948 without canary: {:.1} us",
+        t * 1e6
+    );
     let mut icm = Icm20948::new(bus.clone(), &icm20948::IcmConfig::default()).unwrap();
     icm.init(&mut bus.delay()).unwrap();
     let t = per_reading(&bus, &mut icm, 1000);
@@ -445,7 +594,10 @@ fn a_stuck_bus_is_not_a_missing_chip() {
     let (bus, mut imu) = running_icm();
     bus.machine().stuck = true;
     let error = next(&bus, &mut imu).unwrap_err();
-    assert_eq!((error.fault(), matches!(error, ImuError::Bus { .. })), (ReadFault::Bus, true));
+    assert_eq!(
+        (error.fault(), matches!(error, ImuError::Bus { .. })),
+        (ReadFault::Bus, true)
+    );
     bus.machine().stuck = false;
     assert!(next(&bus, &mut imu).is_ok());
 }
@@ -458,8 +610,22 @@ fn a_brown_out_is_detected_at_once_and_repaired_by_init() {
     }
     bus.machine().brown_out();
     let error = next(&bus, &mut imu).unwrap_err();
-    assert!(matches!(error, ImuError::ResetToDefaults { register: 0x03, have: 0x00, want: 0x20, .. }), "{error}");
-    assert_eq!(next(&bus, &mut imu).unwrap_err().fault(), ReadFault::BrownOut);
+    assert!(
+        matches!(
+            error,
+            ImuError::ResetToDefaults {
+                register: 0x03,
+                have: 0x00,
+                want: 0x20,
+                ..
+            }
+        ),
+        "{error}"
+    );
+    assert_eq!(
+        next(&bus, &mut imu).unwrap_err().fault(),
+        ReadFault::BrownOut
+    );
     imu.init(&mut bus.delay()).unwrap();
     assert!(next(&bus, &mut imu).unwrap().mag.is_some());
 }
@@ -470,7 +636,9 @@ fn a_changed_range_is_detected_by_the_check_of_settings() {
     bus.machine().write(ICM, &[0x7F, 0x20]).unwrap();
     bus.machine().write(ICM, &[0x01, 0x11]).unwrap(); // 250 dps: every rate doubles silently
     bus.machine().write(ICM, &[0x7F, 0x00]).unwrap();
-    let found = (1..=200).find(|_| next(&bus, &mut imu).is_err()).expect("found");
+    let found = (1..=200)
+        .find(|_| next(&bus, &mut imu).is_err())
+        .expect("found");
     assert!(found <= 100, "two canary periods at most: {found}");
 }
 
@@ -486,7 +654,9 @@ fn lsm_brown_out_and_dead_magnetometer() {
     }
     bus.machine().nack(LIS, 0);
     bus.machine().brown_out();
-    let found = (1..=100).find(|_| next(&bus, &mut imu).is_err()).expect("found");
+    let found = (1..=100)
+        .find(|_| next(&bus, &mut imu).is_err())
+        .expect("found");
     assert!(found <= 50, "{found}");
     imu.init(&mut bus.delay()).unwrap();
     assert!(next(&bus, &mut imu).is_ok());
@@ -496,10 +666,20 @@ fn lsm_brown_out_and_dead_magnetometer() {
 fn init_reports_another_part_or_a_dead_magnetometer() {
     let (bus, mut imu) = running_icm();
     bus.machine().spoil(ICM, |q| q.wrong_id = Some(0x12));
-    assert_eq!(imu.init(&mut bus.delay()).unwrap_err().fault(), ReadFault::WrongId);
-    bus.machine().spoil(ICM, |q| (q.wrong_id, q.mag_dead) = (None, true));
+    assert_eq!(
+        imu.init(&mut bus.delay()).unwrap_err().fault(),
+        ReadFault::WrongId
+    );
+    bus.machine()
+        .spoil(ICM, |q| (q.wrong_id, q.mag_dead) = (None, true));
     let error = imu.init(&mut bus.delay()).unwrap_err();
-    assert_eq!(error, ImuError::Nack { part: Part::Ak09916, address: 0x0C });
+    assert_eq!(
+        error,
+        ImuError::Nack {
+            part: Part::Ak09916,
+            address: 0x0C
+        }
+    );
     bus.machine().spoil(ICM, |q| q.mag_dead = false);
     imu.init(&mut bus.delay()).unwrap();
 }
@@ -508,7 +688,11 @@ fn init_reports_another_part_or_a_dead_magnetometer() {
 fn a_magnetometer_that_another_program_configured_is_taken_over() {
     let (bus, mut imu) = running_icm();
     next(&bus, &mut imu).unwrap();
-    let slow = icm20948::IcmConfig { mag_rate_hz: 10, rate_hz: 200.0, ..Default::default() };
+    let slow = icm20948::IcmConfig {
+        mag_rate_hz: 10,
+        rate_hz: 200.0,
+        ..Default::default()
+    };
     let mut second = Icm20948::new(bus.clone(), &slow).unwrap();
     second.init(&mut bus.delay()).unwrap();
     let mut fresh = 0;
@@ -559,21 +743,48 @@ fn every_fault_of_a_chip_is_named_by_the_health_monitor() {
     use HealthCause::*;
     assert_eq!(seen_after(|_| ()), []);
     assert_eq!(seen_after(|b| b.machine().nack(ICM, 5)), [Nack]);
-    assert_eq!(seen_after(|b| b.machine().nack(ICM, u32::MAX)), [Nack, StuckBus]);
+    assert_eq!(
+        seen_after(|b| b.machine().nack(ICM, u32::MAX)),
+        [Nack, StuckBus]
+    );
     assert_eq!(seen_after(|b| b.machine().stuck = true), [Nack, StuckBus]);
     assert_eq!(seen_after(|b| b.machine().shorten(ICM, 9)), [ShortRead]);
     assert_eq!(seen_after(|b| b.machine().brown_out()), [BrownOut]);
-    assert_eq!(seen_after(|b| b.machine().spoil(ICM, |q| q.frozen = true)), [Frozen, MagSilent]);
-    assert_eq!(seen_after(|b| b.machine().spoil(ICM, |q| q.mag_dead = true)), [MagSilent]);
-    assert_eq!(seen_after(|b| b.machine().spoil(ICM, |q| q.mag_overflow = true)), [MagOverflow]);
+    assert_eq!(
+        seen_after(|b| b.machine().spoil(ICM, |q| q.frozen = true)),
+        [Frozen, MagSilent]
+    );
+    assert_eq!(
+        seen_after(|b| b.machine().spoil(ICM, |q| q.mag_dead = true)),
+        [MagSilent]
+    );
+    assert_eq!(
+        seen_after(|b| b.machine().spoil(ICM, |q| q.mag_overflow = true)),
+        [MagOverflow]
+    );
     let saturated = seen_after(|b| b.machine().spoil(ICM, |q| q.saturate = true));
-    assert!(saturated.contains(&Saturated) && saturated.contains(&AccelDisturbed), "{saturated:?}");
+    assert!(
+        saturated.contains(&Saturated) && saturated.contains(&AccelDisturbed),
+        "{saturated:?}"
+    );
     let spike = seen_after(|b| b.machine().spoil(ICM, |q| q.spike = Some(20_000)));
     assert_eq!(spike, [Spike, AccelDisturbed]);
-    let bent = Motion { mag_ut: Vector3::new(60.0, 10.0, -45.0), ..Motion::default() };
-    assert_eq!(seen_after(move |b| b.machine().set_motion(&bent)), [FieldDisturbed]);
-    let pushed = Motion { acc_m_s2: Vector3::new(6.0, 0.0, 9.81), ..Motion::default() };
-    assert_eq!(seen_after(move |b| b.machine().set_motion(&pushed))[0], AccelDisturbed);
+    let bent = Motion {
+        mag_ut: Vector3::new(60.0, 10.0, -45.0),
+        ..Motion::default()
+    };
+    assert_eq!(
+        seen_after(move |b| b.machine().set_motion(&bent)),
+        [FieldDisturbed]
+    );
+    let pushed = Motion {
+        acc_m_s2: Vector3::new(6.0, 0.0, 9.81),
+        ..Motion::default()
+    };
+    assert_eq!(
+        seen_after(move |b| b.machine().set_motion(&pushed))[0],
+        AccelDisturbed
+    );
 }
 
 // --------------------------------------------------------------------------- calibration chain
@@ -604,15 +815,22 @@ fn a_sensor_with_errors_is_calibrated_through_the_driver() {
         samples
     };
     let rest = record(1500, &|_| Vector3::zeros());
-    let tumble = record(20_000, &|t| Vector3::new(1.1, 0.9 * (0.31 * t).sin(), 0.8 * (0.17 * t).cos()));
+    let tumble = record(20_000, &|t| {
+        Vector3::new(1.1, 0.9 * (0.31 * t).sin(), 0.8 * (0.17 * t).cos())
+    });
 
-    let from = Pedigree { date: "2025-01-31", source: "fake" };
+    let from = Pedigree {
+        date: "2025-01-31",
+        source: "fake",
+    };
     let mut calibration = ImuCalibration::default();
     calibration.set_gyro(&imu_calibration::gyro::at_rest(&rest).unwrap(), from);
     let field: Vec<_> = tumble.iter().filter_map(|s| s.mag_ut).collect();
     calibration.set_mag(&imu_calibration::mag::ellipsoid(&field).unwrap(), from);
     let text = toml::to_string(&calibration).unwrap();
-    let correction = toml::from_str::<ImuCalibration>(&text).unwrap().correction();
+    let correction = toml::from_str::<ImuCalibration>(&text)
+        .unwrap()
+        .correction();
 
     let norm_spread = |samples: &mut dyn Iterator<Item = Vector3<f64>>| {
         let norms: Vec<f64> = samples.map(|m| m.norm()).collect();
@@ -621,14 +839,27 @@ fn a_sensor_with_errors_is_calibrated_through_the_driver() {
     };
     let before = norm_spread(&mut field.iter().copied());
     let after = norm_spread(&mut tumble.iter().filter_map(|s| correction.apply(s).mag_ut));
-    assert!(before > 0.1 && after < 0.012, "{before} {after}: what remains is the noise of 0.5 of 49 uT");
+    assert!(
+        before > 0.1 && after < 0.012,
+        "{before} {after}: what remains is the noise of 0.5 of 49 uT"
+    );
     assert!((correction.gyro_bias_rad_s - gyro_bias).amax() < 4e-4);
-    assert!((correction.mag_bias_ut - hard_ut).amax() < 0.2, "{}", correction.mag_bias_ut);
-    let still: Vec<_> = rest.iter().filter_map(|s| correction.apply(s).mag_ut).collect();
+    assert!(
+        (correction.mag_bias_ut - hard_ut).amax() < 0.2,
+        "{}",
+        correction.mag_bias_ut
+    );
+    let still: Vec<_> = rest
+        .iter()
+        .filter_map(|s| correction.apply(s).mag_ut)
+        .collect();
     let mean = still.iter().sum::<Vector3<f64>>() / still.len() as f64;
     let angle = mean.angle(&Vector3::new(20.0, 0.0, -45.0)).to_degrees();
     // 0.29° to 0.45° over 18 seeds of the noise
-    assert!(angle < 0.6, "direction of the field restored, axes and all: {angle} deg off");
+    assert!(
+        angle < 0.6,
+        "direction of the field restored, axes and all: {angle} deg off"
+    );
 }
 
 // --------------------------------------------------------------------------------- pressure
@@ -638,9 +869,19 @@ fn pressure_sensors_send_the_bytes_of_their_data_sheets() {
     // 90 % of the counts are the upper end of the range, half of them its middle
     let at = |counts: u32, status: u8| {
         let [_, high, middle, low] = counts.to_be_bytes();
-        [Transaction::write(0x28, vec![0xAA, 0x00, 0x00]), Transaction::read(0x28, vec![status, high, middle, low])]
+        [
+            Transaction::write(0x28, vec![0xAA, 0x00, 0x00]),
+            Transaction::read(0x28, vec![status, high, middle, low]),
+        ]
     };
-    let script = [at(15_099_494, 0x40), at(8_388_608, 0x40), at(8_388_608, 0x60), at(8_388_608, 0x44), at(8_388_608, 0x00)].concat();
+    let script = [
+        at(15_099_494, 0x40),
+        at(8_388_608, 0x40),
+        at(8_388_608, 0x60),
+        at(8_388_608, 0x44),
+        at(8_388_608, 0x00),
+    ]
+    .concat();
     let mut bus = Mock::new(&script);
     let mut sensor = PressureSensor::new(bus.clone(), &PressureSection::default(), 1);
     let mut read = || {
@@ -649,7 +890,11 @@ fn pressure_sensors_send_the_bytes_of_their_data_sheets() {
     };
     assert!((read().unwrap() - 100.0).abs() < 1e-9 && read().unwrap().abs() < 1e-4);
     for status in [0x60, 0x44, 0x00] {
-        assert_eq!(read(), Err(PressureError::Status(0x28, status)), "busy, memory error, no power");
+        assert_eq!(
+            read(),
+            Err(PressureError::Status(0x28, status)),
+            "busy, memory error, no power"
+        );
     }
     bus.done();
 }
@@ -658,13 +903,18 @@ fn pressure_sensors_send_the_bytes_of_their_data_sheets() {
 fn pressure_sensors_measure_either_sign_and_tell_a_fault_from_a_missing_part() {
     let bus = FakeBus::new();
     bus.machine().attach(FakePressure::new(0x18).at(41.3));
-    bus.machine().attach(FakePressure::new(0x28).at(-38.5).with_fault(0x00));
-    bus.machine().attach(FakePressure::new(0x38).with_fault(0x04));
+    bus.machine()
+        .attach(FakePressure::new(0x28).at(-38.5).with_fault(0x00));
+    bus.machine()
+        .attach(FakePressure::new(0x38).with_fault(0x04));
     let read = |channel| {
         let mut sensor = PressureSensor::new(bus.clone(), &PressureSection::default(), channel);
         sensor.start()?;
         let early = sensor.fetch();
-        assert!(matches!(early, Err(PressureError::Status(..))), "a conversion takes 5 ms: {early:?}");
+        assert!(
+            matches!(early, Err(PressureError::Status(..))),
+            "a conversion takes 5 ms: {early:?}"
+        );
         bus.machine().advance(0.006);
         sensor.fetch()
     };
@@ -680,28 +930,59 @@ fn pressure_sensors_measure_either_sign_and_tell_a_fault_from_a_missing_part() {
 #[test]
 fn a_published_driver_reads_the_same_numbers() {
     use icm20948_oracle::{
-        AccelConfig, AccelDlpf, AccelFullScale, GyroConfig, GyroDlpf, GyroFullScale, I2cInterface, Icm20948Driver, MagConfig,
+        AccelConfig, AccelDlpf, AccelFullScale, GyroConfig, GyroDlpf, GyroFullScale, I2cInterface,
+        Icm20948Driver, MagConfig,
     };
-    let acc_ranges = [AccelFullScale::G2, AccelFullScale::G4, AccelFullScale::G8, AccelFullScale::G16];
-    let gyro_ranges = [GyroFullScale::Dps250, GyroFullScale::Dps500, GyroFullScale::Dps1000, GyroFullScale::Dps2000];
+    let acc_ranges = [
+        AccelFullScale::G2,
+        AccelFullScale::G4,
+        AccelFullScale::G8,
+        AccelFullScale::G16,
+    ];
+    let gyro_ranges = [
+        GyroFullScale::Dps250,
+        GyroFullScale::Dps500,
+        GyroFullScale::Dps1000,
+        GyroFullScale::Dps2000,
+    ];
     let motion = odd_motion();
     for i in 0..4 {
         let bus = icm_bus(Noise::NONE);
         bus.machine().set_motion(&motion);
         let mut theirs = Icm20948Driver::new(I2cInterface::default(bus.clone()));
         theirs.init(&mut bus.delay()).unwrap();
-        let acc = AccelConfig { full_scale: acc_ranges[i], dlpf: AccelDlpf::Hz50, ..Default::default() };
-        let gyro = GyroConfig { full_scale: gyro_ranges[i], dlpf: GyroDlpf::Hz120, ..Default::default() };
+        let acc = AccelConfig {
+            full_scale: acc_ranges[i],
+            dlpf: AccelDlpf::Hz50,
+            ..Default::default()
+        };
+        let gyro = GyroConfig {
+            full_scale: gyro_ranges[i],
+            dlpf: GyroDlpf::Hz120,
+            ..Default::default()
+        };
         theirs.configure_accelerometer(acc).unwrap();
         theirs.configure_gyroscope(gyro).unwrap();
-        theirs.init_magnetometer(MagConfig::default(), &mut bus.delay()).unwrap();
+        theirs
+            .init_magnetometer(MagConfig::default(), &mut bus.delay())
+            .unwrap();
         bus.machine().advance(0.1);
-        let (a, g) = (theirs.read_accelerometer().unwrap(), theirs.read_gyroscope_radians().unwrap());
-        let (m, t) = (theirs.read_magnetometer().unwrap(), theirs.read_temperature_celsius().unwrap());
+        let (a, g) = (
+            theirs.read_accelerometer().unwrap(),
+            theirs.read_gyroscope_radians().unwrap(),
+        );
+        let (m, t) = (
+            theirs.read_magnetometer().unwrap(),
+            theirs.read_temperature_celsius().unwrap(),
+        );
 
         let bus = icm_bus(Noise::NONE);
         bus.machine().set_motion(&motion);
-        let config = icm20948::IcmConfig { acc_range_g: 2 << i, gyro_range_dps: 250 << i, ..Default::default() };
+        let config = icm20948::IcmConfig {
+            acc_range_g: 2 << i,
+            gyro_range_dps: 250 << i,
+            ..Default::default()
+        };
         let mut ours = Icm20948::new(bus.clone(), &config).unwrap();
         ours.init(&mut bus.delay()).unwrap();
         bus.machine().advance(0.1);
@@ -711,10 +992,21 @@ fn a_published_driver_reads_the_same_numbers() {
         let theirs_acc = Vector3::new(a.x, a.y, a.z).map(f64::from) * STANDARD_GRAVITY_M_S2;
         let theirs_gyro = Vector3::new(g.x, g.y, g.z).map(f64::from);
         let theirs_mag = Vector3::new(m.x, m.y, m.z).map(f64::from); // they leave it in its own axes
-        assert!((s.acc_m_s2 - theirs_acc).amax() < 1e-5, "{} {theirs_acc}", s.acc_m_s2);
-        assert!((s.gyro_rad_s - theirs_gyro).amax() < 1e-6, "{} {theirs_gyro}", s.gyro_rad_s);
+        assert!(
+            (s.acc_m_s2 - theirs_acc).amax() < 1e-5,
+            "{} {theirs_acc}",
+            s.acc_m_s2
+        );
+        assert!(
+            (s.gyro_rad_s - theirs_gyro).amax() < 1e-6,
+            "{} {theirs_gyro}",
+            s.gyro_rad_s
+        );
         let ours_mag = s.mag_ut.unwrap();
-        assert!((ours_mag - Axes::AK09916.to_frame(&theirs_mag)).amax() < 1e-4, "{ours_mag} {theirs_mag}");
+        assert!(
+            (ours_mag - Axes::AK09916.to_frame(&theirs_mag)).amax() < 1e-4,
+            "{ours_mag} {theirs_mag}"
+        );
         assert!((ours.scale().temperature_c(&raw) - f64::from(t)).abs() < 1e-3);
     }
 }

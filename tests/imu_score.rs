@@ -34,7 +34,10 @@ fn rows() -> Option<&'static [Row]> {
     static ROWS: OnceLock<Option<Vec<Row>>> = OnceLock::new();
     ROWS.get_or_init(|| {
         let folder = folder()?;
-        let files: Vec<PathBuf> = VQF_PUBLISHED.iter().map(|(trial, _)| folder.join(format!("broad_{trial}.csv.gz"))).collect();
+        let files: Vec<PathBuf> = VQF_PUBLISHED
+            .iter()
+            .map(|(trial, _)| folder.join(format!("broad_{trial}.csv.gz")))
+            .collect();
         Some(score::run(&files, None, true).unwrap())
     })
     .as_deref()
@@ -52,41 +55,77 @@ fn mean(filter: FilterName) -> Option<Score> {
 fn vqf_matches_the_published_filter_in_every_trial() {
     let Some(rows) = rows() else { return };
     for (trial, published) in VQF_PUBLISHED {
-        let row = rows.iter().find(|r| r.filter == FilterName::Vqf && r.file.contains(trial)).unwrap();
-        let ours = [row.score.total_deg, row.score.heading_deg, row.score.inclination_deg];
+        let row = rows
+            .iter()
+            .find(|r| r.filter == FilterName::Vqf && r.file.contains(trial))
+            .unwrap();
+        let ours = [
+            row.score.total_deg,
+            row.score.heading_deg,
+            row.score.inclination_deg,
+        ];
         for (ours, published) in ours.iter().zip(published) {
-            assert!((ours - published).abs() < 0.02, "{trial}: {row:?}, published {published}");
+            assert!(
+                (ours - published).abs() < 0.02,
+                "{trial}: {row:?}, published {published}"
+            );
         }
     }
     let mean = mean(FilterName::Vqf).unwrap();
-    assert!(mean.total_deg <= 3.21 && mean.inclination_deg <= 0.75, "{mean:?}");
+    assert!(
+        mean.total_deg <= 3.21 && mean.inclination_deg <= 0.75,
+        "{mean:?}"
+    );
 }
 
 #[test]
 fn madgwick_keeps_its_accuracy() {
-    let Some(mean) = mean(FilterName::Madgwick) else { return };
-    assert!(mean.total_deg <= 2.95 && mean.inclination_deg <= 0.95, "{mean:?}");
+    let Some(mean) = mean(FilterName::Madgwick) else {
+        return;
+    };
+    assert!(
+        mean.total_deg <= 2.95 && mean.inclination_deg <= 0.95,
+        "{mean:?}"
+    );
 }
 
 #[test]
 fn vqf_long_keeps_its_accuracy() {
-    let Some(mean) = mean(FilterName::VqfLong) else { return };
-    assert!(mean.total_deg <= 2.90 && mean.inclination_deg <= 0.75, "{mean:?}");
+    let Some(mean) = mean(FilterName::VqfLong) else {
+        return;
+    };
+    assert!(
+        mean.total_deg <= 2.90 && mean.inclination_deg <= 0.75,
+        "{mean:?}"
+    );
 }
 
 #[test]
 fn mekf_keeps_its_accuracy_and_is_never_far_from_vqf() {
-    let (Some(rows), Some(mean)) = (rows(), mean(FilterName::Mekf)) else { return };
-    assert!(mean.total_deg <= 2.05 && mean.heading_deg <= 1.85 && mean.inclination_deg <= 0.70, "{mean:?}");
+    let (Some(rows), Some(mean)) = (rows(), mean(FilterName::Mekf)) else {
+        return;
+    };
+    assert!(
+        mean.total_deg <= 2.05 && mean.heading_deg <= 1.85 && mean.inclination_deg <= 0.70,
+        "{mean:?}"
+    );
     for (trial, [vqf, ..]) in VQF_PUBLISHED {
-        let row = rows.iter().find(|r| r.filter == FilterName::Mekf && r.file.contains(trial)).unwrap();
-        assert!(row.score.total_deg < vqf + 0.1, "{trial}: {row:?}, VQF {vqf}");
+        let row = rows
+            .iter()
+            .find(|r| r.filter == FilterName::Mekf && r.file.contains(trial))
+            .unwrap();
+        assert!(
+            row.score.total_deg < vqf + 0.1,
+            "{trial}: {row:?}, VQF {vqf}"
+        );
     }
 }
 
 #[test]
 fn a_single_filter_can_be_selected() {
-    let Some(folder) = folder() else { return println!("skipped: no recordings") };
+    let Some(folder) = folder() else {
+        return println!("skipped: no recordings");
+    };
     let files = [folder.join("broad_02_undisturbed_slow_rotation_B.csv.gz")];
     let rows = score::run(&files, Some(FilterName::Vqf), false).unwrap();
     assert_eq!((rows.len(), rows[0].filter), (1, FilterName::Vqf));

@@ -11,7 +11,10 @@ use retroflex::log::plausibility;
 use retroflex::model::arc::Geometry;
 use retroflex::model::transmission::Line;
 
-const PRIOR: Line = Line { k_epsilon: 2.2, k_lambda_mm: 0.87 };
+const PRIOR: Line = Line {
+    k_epsilon: 2.2,
+    k_lambda_mm: 0.87,
+};
 
 /// The recorded logs beside the repository, if they are there.
 fn logs() -> Option<Vec<BendLog>> {
@@ -20,7 +23,10 @@ fn logs() -> Option<Vec<BendLog>> {
         println!("skipped: {} is absent", folder.display());
         return None;
     };
-    let mut paths: Vec<_> = entries.map(|e| e.unwrap().path()).filter(|p| p.extension().is_some_and(|e| e == "gz")).collect();
+    let mut paths: Vec<_> = entries
+        .map(|e| e.unwrap().path())
+        .filter(|p| p.extension().is_some_and(|e| e == "gz"))
+        .collect();
     paths.sort();
     Some(paths.iter().map(|p| bend_log::read(p).unwrap()).collect())
 }
@@ -50,22 +56,54 @@ fn each_piston(log: &mut BendLog, change: fn(&mut Vector3<f64>)) -> bool {
 }
 
 const WRONG: [Wrong; 14] = [
-    ("acc_* looks like g", |log| log.imu.as_mut().is_some_and(|imu| scale(&mut imu.acc, 1.0 / 9.81))),
-    ("gyr_* looks like °/s", |log| log.imu.as_mut().is_some_and(|imu| scale(&mut imu.gyr, 57.3))),
-    ("mag_* looks like gauss", |log| log.imu.as_mut().is_some_and(|imu| scale(&mut imu.mag, 0.01))),
-    ("mag_* looks like tesla", |log| log.imu.as_mut().is_some_and(|imu| scale(&mut imu.mag, 1e-6))),
+    ("acc_* looks like g", |log| {
+        log.imu
+            .as_mut()
+            .is_some_and(|imu| scale(&mut imu.acc, 1.0 / 9.81))
+    }),
+    ("gyr_* looks like °/s", |log| {
+        log.imu
+            .as_mut()
+            .is_some_and(|imu| scale(&mut imu.gyr, 57.3))
+    }),
+    ("mag_* looks like gauss", |log| {
+        log.imu
+            .as_mut()
+            .is_some_and(|imu| scale(&mut imu.mag, 0.01))
+    }),
+    ("mag_* looks like tesla", |log| {
+        log.imu
+            .as_mut()
+            .is_some_and(|imu| scale(&mut imu.mag, 1e-6))
+    }),
     ("time_s: looks like milliseconds", |log| {
         log.t_s.iter_mut().for_each(|t| *t *= 1e3);
         true
     }),
-    ("piston*_mm looks like m", |log| scale(&mut log.piston_mm, 1e-3)),
-    ("piston1_mm and piston2_mm look exchanged", |log| each_piston(log, |p| p.swap_rows(0, 1))),
-    ("piston1_mm and piston3_mm look exchanged", |log| each_piston(log, |p| p.swap_rows(0, 2))),
-    ("piston2_mm and piston3_mm look exchanged", |log| each_piston(log, |p| p.swap_rows(1, 2))),
-    ("piston1_mm looks like it has the other sign", |log| each_piston(log, |p| p.x = -p.x)),
-    ("piston2_mm looks like it has the other sign", |log| each_piston(log, |p| p.y = -p.y)),
-    ("piston3_mm looks like it has the other sign", |log| each_piston(log, |p| p.z = -p.z)),
-    ("all pistons look like they have the other sign", |log| each_piston(log, |p| *p = -*p)),
+    ("piston*_mm looks like m", |log| {
+        scale(&mut log.piston_mm, 1e-3)
+    }),
+    ("piston1_mm and piston2_mm look exchanged", |log| {
+        each_piston(log, |p| p.swap_rows(0, 1))
+    }),
+    ("piston1_mm and piston3_mm look exchanged", |log| {
+        each_piston(log, |p| p.swap_rows(0, 2))
+    }),
+    ("piston2_mm and piston3_mm look exchanged", |log| {
+        each_piston(log, |p| p.swap_rows(1, 2))
+    }),
+    ("piston1_mm looks like it has the other sign", |log| {
+        each_piston(log, |p| p.x = -p.x)
+    }),
+    ("piston2_mm looks like it has the other sign", |log| {
+        each_piston(log, |p| p.y = -p.y)
+    }),
+    ("piston3_mm looks like it has the other sign", |log| {
+        each_piston(log, |p| p.z = -p.z)
+    }),
+    ("all pistons look like they have the other sign", |log| {
+        each_piston(log, |p| *p = -*p)
+    }),
     ("is beyond what the machine can do", |log| {
         log.piston_mm[1000].y = 1e9;
         true

@@ -37,8 +37,11 @@ fn status(t: f64, error: f64) -> Value {
 
 /// A minute of holding, with a disturbance that fades.
 fn holding() -> View {
-    let mut view =
-        View { source: "live, /run/retroflex/control.sock".to_owned(), keys: "h hold   s stop   r relax   q quit", ..View::default() };
+    let mut view = View {
+        source: "live, /run/retroflex/control.sock".to_owned(),
+        keys: "h hold   s stop   r relax   q quit",
+        ..View::default()
+    };
     for k in 0..=600 {
         let t = f64::from(k) * 0.1;
         view.take(status(t, 6.0 * (-(t - 20.0_f64).abs() / 5.0).exp() + 0.3));
@@ -63,7 +66,8 @@ fn a_fault() {
     let text = "the tip does not follow its set-point: see the suspected cause";
     (fault["mode"], fault["fault"], fault["target"]) = (json!("faulted"), json!(text), Value::Null);
     fault["suspicion"] = json!("line 3 does not respond as its piston moved");
-    fault["sensor"] = json!({"active": ["mag_disturbed"], "advice": ["look for a magnet near the tip"]});
+    fault["sensor"] =
+        json!({"active": ["mag_disturbed"], "advice": ["look for a magnet near the tip"]});
     view.take(fault);
     view.note("relax: not while faulted: `retroflex reset-fault` first");
     both("fault", &view);
@@ -89,7 +93,11 @@ fn player() -> Player {
         }
         (t, now.to_string())
     };
-    Player::of("log flight.mcap".to_owned(), (0..900).map(frame).collect(), 2.0)
+    Player::of(
+        "log flight.mcap".to_owned(),
+        (0..900).map(frame).collect(),
+        2.0,
+    )
 }
 
 #[test]
@@ -105,36 +113,62 @@ fn a_log_is_played_paused_and_sought() {
     player.seek(-5.0);
     player.advance(0.0, &mut view);
     // the minute before is shown again, and nothing of the future
-    assert_eq!((bend(&view), view.errors.len(), view.events.len()), (30.0, 301, 2));
+    assert_eq!(
+        (bend(&view), view.errors.len(), view.events.len()),
+        (30.0, 301, 2)
+    );
     for _ in 0..20 {
         player.seek(5.0);
     }
     player.advance(0.0, &mut view);
-    assert!((bend(&view) - 89.9).abs() < 1e-9 && view.errors.len() <= 601, "{}", bend(&view));
+    assert!(
+        (bend(&view) - 89.9).abs() < 1e-9 && view.errors.len() <= 601,
+        "{}",
+        bend(&view)
+    );
 }
 
 #[test]
 fn every_size_is_drawn_and_a_small_one_says_what_it_needs() {
     let view = holding();
-    for (width, height) in (1..=220).step_by(7).flat_map(|width| (1..=70).step_by(3).map(move |height| (width, height))) {
+    for (width, height) in (1..=220)
+        .step_by(7)
+        .flat_map(|width| (1..=70).step_by(3).map(move |height| (width, height)))
+    {
         screen(&view, width, height);
         screen(&View::default(), width, height);
     }
     assert!(screen(&view, 39, 12).contains("The monitor needs a terminal of"));
     let least = screen(&view, 40, 12);
-    assert!(least.contains("holding") && least.contains("12.34"), "{least}");
+    assert!(
+        least.contains("holding") && least.contains("12.34"),
+        "{least}"
+    );
 }
 
 #[test]
 fn a_recorded_flight_is_shown() {
-    let (mut player, mut view) = (Player::open(Path::new("tests/replay/backlash.mcap"), 1.0).unwrap(), View::default());
+    let (mut player, mut view) = (
+        Player::open(Path::new("tests/replay/backlash.mcap"), 1.0).unwrap(),
+        View::default(),
+    );
     player.advance(1.95, &mut view);
     for key in ["piston_mm", "k_epsilon", "k_lambda_mm"] {
         assert_eq!(view.now[key].as_array().unwrap().len(), 3);
     }
     assert!(view.now["limits"]["k_epsilon"][2][1].as_f64().unwrap() > 1.0);
-    assert!(view.bend("estimate").unwrap().beta() > 0.2 && view.error_deg().unwrap() < 15.0, "{}", view.now);
-    assert!(view.events.iter().any(|event| event.contains("mode tracking")), "{:?}", view.events);
+    assert!(
+        view.bend("estimate").unwrap().beta() > 0.2 && view.error_deg().unwrap() < 15.0,
+        "{}",
+        view.now
+    );
+    assert!(
+        view.events
+            .iter()
+            .any(|event| event.contains("mode tracking")),
+        "{:?}",
+        view.events
+    );
 }
 
 /// On a terminal, that of `script`, the monitor shows the service, sends a stop, and restores the terminal when it ends and when it is killed.
@@ -148,13 +182,26 @@ fn a_session_restores_the_terminal() {
     let program = Path::new(env!("CARGO_BIN_EXE_retroflex"));
     let daemon = Daemon::start(program, folder.path()).unwrap();
     let socket = daemon.sockets()[0].clone();
-    daemon.until(10.0, "alignment", |s| s["mode"] == "disarmed").unwrap();
+    daemon
+        .until(10.0, "alignment", |s| s["mode"] == "disarmed")
+        .unwrap();
     // what looks like the beginning of an escape sequence hides no key after it
     for keys in [&["\x1b[<", "s", "q"][..], &["s", "\x1b[<"]] {
-        let line = format!("stty rows 24 cols 80; echo $$ >pid; exec {} monitor --socket {}", program.display(), socket.display());
+        let line = format!(
+            "stty rows 24 cols 80; echo $$ >pid; exec {} monitor --socket {}",
+            program.display(),
+            socket.display()
+        );
         let mut script = Command::new("script");
-        script.args(["-qec", &line, "/dev/null"]).current_dir(folder.path()).env("TERM", "xterm");
-        let mut child = script.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+        script
+            .args(["-qec", &line, "/dev/null"])
+            .current_dir(folder.path())
+            .env("TERM", "xterm");
+        let mut child = script
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
         let mut input = child.stdin.take().unwrap();
         std::thread::sleep(Duration::from_millis(1500));
         for key in keys {
@@ -163,17 +210,39 @@ fn a_session_restores_the_terminal() {
         }
         if !keys.contains(&"q") {
             let pid = std::fs::read_to_string(folder.path().join("pid")).unwrap();
-            assert!(Command::new("kill").args(["-TERM", pid.trim()]).status().unwrap().success());
+            assert!(
+                Command::new("kill")
+                    .args(["-TERM", pid.trim()])
+                    .status()
+                    .unwrap()
+                    .success()
+            );
         }
         let mut shown = String::new();
-        child.stdout.take().unwrap().read_to_string(&mut shown).unwrap();
+        child
+            .stdout
+            .take()
+            .unwrap()
+            .read_to_string(&mut shown)
+            .unwrap();
         let status = child.wait().unwrap();
         assert!(status.success(), "{status}: {shown}");
         // a cell that does not change is not written
-        assert!(["disarmed", "accepted"].iter().all(|word| shown.contains(word)), "{keys:?}: {shown:?}");
-        let (opened, closed) = (shown.find("\x1b[?1049h").unwrap(), shown.rfind("\x1b[?1049l").unwrap());
+        assert!(
+            ["disarmed", "accepted"]
+                .iter()
+                .all(|word| shown.contains(word)),
+            "{keys:?}: {shown:?}"
+        );
+        let (opened, closed) = (
+            shown.find("\x1b[?1049h").unwrap(),
+            shown.rfind("\x1b[?1049l").unwrap(),
+        );
         assert!(opened < closed && closed + 40 > shown.len(), "{shown}");
-        assert!(shown.rfind("\x1b[?25h").unwrap() > opened, "the cursor is hidden: {shown}");
+        assert!(
+            shown.rfind("\x1b[?25h").unwrap() > opened,
+            "the cursor is hidden: {shown}"
+        );
         daemon.until(2.0, "stop", |s| s["stopped"] == true).unwrap();
     }
 }

@@ -10,7 +10,9 @@ use retroflex::motion::follow::KEEP_TICKS_MAX;
 use retroflex::motion::plan::{ChannelPlan, Plan, PlanError, PlanFault};
 use retroflex::motion::solver::{Ruckig, Solver};
 use retroflex::motion::steps::ChannelSteps;
-use retroflex::motion::{ChannelSegment, Motion, MotionConfig, MotionLimits, MotionState, MoveStatus, Segment};
+use retroflex::motion::{
+    ChannelSegment, Motion, MotionConfig, MotionLimits, MotionState, MoveStatus, Segment,
+};
 
 /// Guaranteed bound on the relative excess over a limit.
 const TOLERANCE: f64 = 1e-6;
@@ -45,7 +47,13 @@ struct Targets {
 
 impl Targets {
     fn new(pattern: Pattern, seed: u64, travel_mm: f64) -> Self {
-        Self { pattern, random: SmallRng::seed_from_u64(seed), travel_mm, target: [0.0; 3], hold: 0 }
+        Self {
+            pattern,
+            random: SmallRng::seed_from_u64(seed),
+            travel_mm,
+            target: [0.0; 3],
+            hold: 0,
+        }
     }
 
     fn next(&mut self, t_s: f64) -> [f64; 3] {
@@ -57,7 +65,8 @@ impl Targets {
                 self.hold = r.random_range(0..400);
             }
             Pattern::Ends => {
-                self.target = std::array::from_fn(|_| if r.random_bool(0.5) { travel } else { -travel });
+                self.target =
+                    std::array::from_fn(|_| if r.random_bool(0.5) { travel } else { -travel });
                 self.hold = r.random_range(0..900);
             }
             Pattern::Wild => self.target = std::array::from_fn(|_| r.random_range(-travel..travel)),
@@ -92,29 +101,56 @@ fn check_channel(c: &ChannelSegment, l: &MotionLimits) -> Result<(), TestCaseErr
             prop_assert!(within(v, l.speed_max_mm_s), "speed {v}");
         }
         let (low, high) = s.position_range(jerk, d);
-        prop_assert!(within(low, l.travel_max_mm) && within(high, l.travel_max_mm), "{low} {high}");
+        prop_assert!(
+            within(low, l.travel_max_mm) && within(high, l.travel_max_mm),
+            "{low} {high}"
+        );
         s = e;
     }
     // The pieces lead to the end state without a jump.
-    prop_assert!((s.position_mm - c.end.position_mm).abs() < 1e-7, "{s:?} {:?}", c.end);
+    prop_assert!(
+        (s.position_mm - c.end.position_mm).abs() < 1e-7,
+        "{s:?} {:?}",
+        c.end
+    );
     let jump = |a: f64, b: f64, max: f64| (a - b).abs() > TOLERANCE * max;
-    prop_assert!(!jump(s.velocity_mm_s, c.end.velocity_mm_s, l.speed_max_mm_s), "{s:?} {:?}", c.end);
-    prop_assert!(!jump(s.acceleration_mm_s2, c.end.acceleration_mm_s2, l.acceleration_max_mm_s2), "{s:?} {:?}", c.end);
+    prop_assert!(
+        !jump(s.velocity_mm_s, c.end.velocity_mm_s, l.speed_max_mm_s),
+        "{s:?} {:?}",
+        c.end
+    );
+    prop_assert!(
+        !jump(
+            s.acceleration_mm_s2,
+            c.end.acceleration_mm_s2,
+            l.acceleration_max_mm_s2
+        ),
+        "{s:?} {:?}",
+        c.end
+    );
     Ok(())
 }
 
 fn config() -> impl Strategy<Value = MotionConfig> {
-    (1.0..200.0f64, 0.02..1.0f64, 0.01..0.3f64, 2.0..40.0f64).prop_map(|(speed, ramp_s, rise_s, travel)| MotionConfig {
-        speed_max_mm_s: speed,
-        acceleration_max_mm_s2: speed / ramp_s,
-        jerk_max_mm_s3: speed / ramp_s / rise_s,
-        travel_max_mm: travel,
-        retarget_min_mm: 0.0,
-    })
+    (1.0..200.0f64, 0.02..1.0f64, 0.01..0.3f64, 2.0..40.0f64).prop_map(
+        |(speed, ramp_s, rise_s, travel)| MotionConfig {
+            speed_max_mm_s: speed,
+            acceleration_max_mm_s2: speed / ramp_s,
+            jerk_max_mm_s3: speed / ramp_s / rise_s,
+            travel_max_mm: travel,
+            retarget_min_mm: 0.0,
+        },
+    )
 }
 
 fn pattern() -> impl Strategy<Value = Pattern> {
-    prop_oneof![Just(Pattern::Jumps), Just(Pattern::Ends), Just(Pattern::Wild), Just(Pattern::Sines), Just(Pattern::Walk)]
+    prop_oneof![
+        Just(Pattern::Jumps),
+        Just(Pattern::Ends),
+        Just(Pattern::Wild),
+        Just(Pattern::Sines),
+        Just(Pattern::Walk)
+    ]
 }
 
 proptest! {
@@ -222,9 +258,13 @@ impl Auditor {
         steps.load(c);
         let mut last_s = 0.0;
         while let Some(step) = steps.next_step() {
-            let midpoint_mm = (f64::from(self.count) + 0.5 * f64::from(step.direction)) * self.step_mm;
+            let midpoint_mm =
+                (f64::from(self.count) + 0.5 * f64::from(step.direction)) * self.step_mm;
             let there_mm = position_mm(c, step.t_s);
-            assert!((there_mm - midpoint_mm).abs() < 1e-7, "step at {there_mm}, midpoint at {midpoint_mm}");
+            assert!(
+                (there_mm - midpoint_mm).abs() < 1e-7,
+                "step at {there_mm}, midpoint at {midpoint_mm}"
+            );
             assert!(step.t_s >= last_s && step.t_s <= duration_s + 1e-9);
             last_s = step.t_s;
             self.count += step.direction;
@@ -258,11 +298,20 @@ fn no_step_is_lost_or_doubled_in_ten_million() {
     let l = limits(&c);
     let step_mm = std::f64::consts::PI * 30.0 / 200.0 / 256.0;
     let mut total = 0;
-    for (m, seed) in [Pattern::Jumps, Pattern::Ends, Pattern::Sines, Pattern::Wild].into_iter().cycle().zip(0..) {
+    for (m, seed) in [Pattern::Jumps, Pattern::Ends, Pattern::Sines, Pattern::Wild]
+        .into_iter()
+        .cycle()
+        .zip(0..)
+    {
         let mut motion = Motion::new(&l);
         let mut targets = Targets::new(m, seed, l.travel_max_mm);
-        let mut channels: [ChannelSteps; 3] = std::array::from_fn(|_| ChannelSteps::new(step_mm, 0));
-        let mut auditors: [Auditor; 3] = std::array::from_fn(|_| Auditor { step_mm, count: 0, steps: 0 });
+        let mut channels: [ChannelSteps; 3] =
+            std::array::from_fn(|_| ChannelSteps::new(step_mm, 0));
+        let mut auditors: [Auditor; 3] = std::array::from_fn(|_| Auditor {
+            step_mm,
+            count: 0,
+            steps: 0,
+        });
         for k in 0..4000 {
             let segment = motion.tick(targets.next(f64::from(k) * 2e-3), 2e-3);
             for i in 0..3 {
@@ -365,7 +414,10 @@ fn the_control_path_allocates_nothing() {
     assert_eq!(counting::allocations() - before, 0);
     assert!(made > 1000 && replans > 10_000 && brakes > 10);
     let allocation = Box::new(made);
-    assert!(counting::allocations() > before, "the counter does not count: {allocation}");
+    assert!(
+        counting::allocations() > before,
+        "the counter does not count: {allocation}"
+    );
 }
 
 fn default_motion() -> Motion {
@@ -396,7 +448,10 @@ fn a_target_beyond_travel_is_clamped() {
     let mut m = default_motion();
     run(&mut m, [80.0, 0.0, -80.0], 4000);
     let travel_mm = MotionConfig::default().travel_max_mm;
-    assert_eq!(m.state(), &[travel_mm, 0.0, -travel_mm].map(MotionState::rest));
+    assert_eq!(
+        m.state(),
+        &[travel_mm, 0.0, -travel_mm].map(MotionState::rest)
+    );
 }
 
 #[test]
@@ -405,7 +460,13 @@ fn after_a_target_that_is_not_a_number_the_plan_is_kept_and_then_braked() {
     run(&mut m, [10.0; 3], 100);
     for _ in 0..KEEP_TICKS_MAX {
         m.tick([10.0, 10.0, f64::NAN], 1e-3);
-        assert_eq!(m.status(), MoveStatus::Kept(PlanError { channel: 2, reason: PlanFault::TargetNotFinite }));
+        assert_eq!(
+            m.status(),
+            MoveStatus::Kept(PlanError {
+                channel: 2,
+                reason: PlanFault::TargetNotFinite
+            })
+        );
     }
     assert!(m.state()[0].velocity_mm_s > 5.0);
     run(&mut m, [10.0, 10.0, f64::NAN], 500);
@@ -418,15 +479,31 @@ fn after_a_target_that_is_not_a_number_the_plan_is_kept_and_then_braked() {
 struct Failing(std::rc::Rc<std::cell::Cell<bool>>, Ruckig);
 
 impl Solver for Failing {
-    fn solve(&mut self, l: &MotionLimits, from: &[MotionState; 3], to: &[f64; 3], out: &mut Plan) -> Result<(), PlanError> {
-        if self.0.get() { Err(PlanError { channel: 1, reason: PlanFault::NoProfile }) } else { self.1.solve(l, from, to, out) }
+    fn solve(
+        &mut self,
+        l: &MotionLimits,
+        from: &[MotionState; 3],
+        to: &[f64; 3],
+        out: &mut Plan,
+    ) -> Result<(), PlanError> {
+        if self.0.get() {
+            Err(PlanError {
+                channel: 1,
+                reason: PlanFault::NoProfile,
+            })
+        } else {
+            self.1.solve(l, from, to, out)
+        }
     }
 }
 
 #[test]
 fn a_failing_solver_ends_at_rest_and_motion_recovers() {
     let fails = std::rc::Rc::default();
-    let mut m = Motion::with_solver(&limits(&MotionConfig::default()), Failing(std::rc::Rc::clone(&fails), Ruckig::default()));
+    let mut m = Motion::with_solver(
+        &limits(&MotionConfig::default()),
+        Failing(std::rc::Rc::clone(&fails), Ruckig::default()),
+    );
     for k in 0..300 {
         m.tick([10.0 + 1e-3 * f64::from(k), -5.0, 5.0], 1e-3);
     }
@@ -448,7 +525,10 @@ fn braking_ends_at_rest_and_the_next_target_starts_there() {
         m.brake(1e-3);
     }
     let rest = m.state()[0];
-    assert!(rest.is_rest() && rest.position_mm > 0.5 && rest.position_mm < 15.0, "{rest:?}");
+    assert!(
+        rest.is_rest() && rest.position_mm > 0.5 && rest.position_mm < 15.0,
+        "{rest:?}"
+    );
     run(&mut m, [20.0; 3], 3000);
     assert_eq!(m.state()[0], MotionState::rest(20.0));
 }
@@ -461,12 +541,24 @@ impl EndOfTravel {
     /// Durations and signs of the jerk.
     fn phases(&self) -> [(f64, f64); 5] {
         let (t, root) = (self.0, 3.0_f64.sqrt());
-        [(t, 1.0), (3.0 * t, -1.0), (2.0 * t, 1.0), (root * t, 1.0), (root * t, -1.0)]
+        [
+            (t, 1.0),
+            (3.0 * t, -1.0),
+            (2.0 * t, 1.0),
+            (root * t, 1.0),
+            (root * t, -1.0),
+        ]
     }
 }
 
 impl Solver for EndOfTravel {
-    fn solve(&mut self, l: &MotionLimits, from: &[MotionState; 3], _: &[f64; 3], out: &mut Plan) -> Result<(), PlanError> {
+    fn solve(
+        &mut self,
+        l: &MotionLimits,
+        from: &[MotionState; 3],
+        _: &[f64; 3],
+        out: &mut Plan,
+    ) -> Result<(), PlanError> {
         *out = Plan::resting([0.0; 3]);
         let (mut at, mut plan) = (from[0], ChannelPlan::default());
         for (d, sign) in self.phases() {
@@ -489,14 +581,28 @@ fn a_plan_that_leaves_no_room_for_a_stop_is_braked_in_time() {
         travel_max_mm: 1000.0,
         retarget_min_mm: 0.0,
     };
-    let farthest_mm = MotionState::rest(0.0).after(c.jerk_max_mm_s3, t).position_range(-c.jerk_max_mm_s3, 3.0 * t).1;
-    let l = limits(&MotionConfig { travel_max_mm: start_mm + farthest_mm + 1e-6, ..c });
+    let farthest_mm = MotionState::rest(0.0)
+        .after(c.jerk_max_mm_s3, t)
+        .position_range(-c.jerk_max_mm_s3, 3.0 * t)
+        .1;
+    let l = limits(&MotionConfig {
+        travel_max_mm: start_mm + farthest_mm + 1e-6,
+        ..c
+    });
     let mut m = Motion::with_solver(&l, EndOfTravel(t));
     m.reset([start_mm, 0.0, 0.0]);
     let (mut highest_mm, mut cornered) = (0.0_f64, false);
     for _ in 0..1000 {
-        let segment = if cornered { m.brake(1e-3) } else { m.tick([19.0, 0.0, 0.0], 1e-3) };
-        cornered |= m.status() == MoveStatus::Braking(Some(PlanError { channel: 0, reason: PlanFault::NoStop }));
+        let segment = if cornered {
+            m.brake(1e-3)
+        } else {
+            m.tick([19.0, 0.0, 0.0], 1e-3)
+        };
+        cornered |= m.status()
+            == MoveStatus::Braking(Some(PlanError {
+                channel: 0,
+                reason: PlanFault::NoStop,
+            }));
         let mut s = segment.channels[0].start;
         for &(d, j) in segment.channels[0].pieces() {
             highest_mm = highest_mm.max(s.position_range(j, d).1);
@@ -505,7 +611,10 @@ fn a_plan_that_leaves_no_room_for_a_stop_is_braked_in_time() {
     }
     assert!(cornered, "{:?}", m.status());
     assert!(m.state()[0].is_rest());
-    assert!(highest_mm <= l.travel_max_mm + 1e-7 && highest_mm > l.travel_max_mm - 0.1, "{highest_mm}");
+    assert!(
+        highest_mm <= l.travel_max_mm + 1e-7 && highest_mm > l.travel_max_mm - 0.1,
+        "{highest_mm}"
+    );
 }
 
 #[test]

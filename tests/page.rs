@@ -40,17 +40,31 @@ struct Page {
 impl Page {
     fn start(daemon: &Daemon, options: &[&str]) -> Self {
         let mut command = Command::new(program());
-        command.args(["page", "--listen", "127.0.0.1:0", "--socket"]).arg(&daemon.sockets()[0]).args(options);
+        command
+            .args(["page", "--listen", "127.0.0.1:0", "--socket"])
+            .arg(&daemon.sockets()[0])
+            .args(options);
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let address = line.trim().strip_prefix("http://").unwrap().split('/').next().unwrap().to_owned();
+        BufReader::new(child.stdout.take().unwrap())
+            .read_line(&mut line)
+            .unwrap();
+        let address = line
+            .trim()
+            .strip_prefix("http://")
+            .unwrap()
+            .split('/')
+            .next()
+            .unwrap()
+            .to_owned();
         Self { child, address }
     }
 
     fn connect(&self) -> TcpStream {
         let stream = TcpStream::connect(&self.address).unwrap();
-        stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        stream
+            .set_read_timeout(Some(Duration::from_secs(10)))
+            .unwrap();
         stream
     }
 
@@ -60,15 +74,34 @@ impl Page {
     }
 
     /// As `ask`; an error if the connection ends without an answer.
-    fn attempt(&self, first: &str, head: &str, body: &str) -> std::io::Result<(u16, String, String)> {
+    fn attempt(
+        &self,
+        first: &str,
+        head: &str,
+        body: &str,
+    ) -> std::io::Result<(u16, String, String)> {
         let mut stream = self.connect();
-        let host = if head.contains("Host:") { String::new() } else { format!("Host: {}\r\n", self.address) };
-        let length = if body.is_empty() { String::new() } else { format!("Content-Length: {}\r\n", body.len()) };
+        let host = if head.contains("Host:") {
+            String::new()
+        } else {
+            format!("Host: {}\r\n", self.address)
+        };
+        let length = if body.is_empty() {
+            String::new()
+        } else {
+            format!("Content-Length: {}\r\n", body.len())
+        };
         write!(stream, "{first} HTTP/1.1\r\n{host}{length}{head}\r\n{body}")?;
         let mut text = String::new();
         stream.read_to_string(&mut text)?;
-        let (head, body) = text.split_once("\r\n\r\n").ok_or(std::io::ErrorKind::UnexpectedEof)?;
-        Ok((head.split(' ').nth(1).unwrap().parse().unwrap(), head.to_owned(), body.to_owned()))
+        let (head, body) = text
+            .split_once("\r\n\r\n")
+            .ok_or(std::io::ErrorKind::UnexpectedEof)?;
+        Ok((
+            head.split(' ').nth(1).unwrap().parse().unwrap(),
+            head.to_owned(),
+            body.to_owned(),
+        ))
     }
 
     fn get(&self, path: &str) -> (u16, String, String) {
@@ -77,7 +110,11 @@ impl Page {
 
     /// The answer to a command of a page.
     fn command(&self, page: &str, command: &Value) -> Value {
-        let (status, _, body) = self.ask("POST /command", &format!("X-Retroflex-Page: {page}\r\n"), &command.to_string());
+        let (status, _, body) = self.ask(
+            "POST /command",
+            &format!("X-Retroflex-Page: {page}\r\n"),
+            &command.to_string(),
+        );
         assert_eq!(status, 200, "{command}: {body}");
         serde_json::from_str(&body).unwrap()
     }
@@ -89,16 +126,31 @@ impl Page {
 
     fn stop_with(&self, head: &str) -> f64 {
         let since = Instant::now();
-        let attempt = |_| self.attempt("POST /stop", head, "").map_err(|_| std::thread::sleep(Duration::from_millis(100))).ok();
+        let attempt = |_| {
+            self.attempt("POST /stop", head, "")
+                .map_err(|_| std::thread::sleep(Duration::from_millis(100)))
+                .ok()
+        };
         let (status, _, body) = (0..20).find_map(attempt).unwrap();
-        assert!(status == 200 && body.contains("\"ok\":true"), "{status} {body}");
+        assert!(
+            status == 200 && body.contains("\"ok\":true"),
+            "{status} {body}"
+        );
         since.elapsed().as_secs_f64()
     }
 
     fn open(&self) -> Stream {
         let mut stream = self.connect();
-        write!(stream, "GET /frames HTTP/1.1\r\nHost: {}\r\n\r\n", self.address).unwrap();
-        let mut stream = Stream { lines: BufReader::new(stream), page: String::new() };
+        write!(
+            stream,
+            "GET /frames HTTP/1.1\r\nHost: {}\r\n\r\n",
+            self.address
+        )
+        .unwrap();
+        let mut stream = Stream {
+            lines: BufReader::new(stream),
+            page: String::new(),
+        };
         stream.page = stream.next("hello").as_str().unwrap().to_owned();
         stream
     }
@@ -124,7 +176,10 @@ impl Stream {
         let mut event = false;
         loop {
             let mut line = String::new();
-            assert!(self.lines.read_line(&mut line).unwrap() > 0, "the stream ended before `{name}`");
+            assert!(
+                self.lines.read_line(&mut line).unwrap() > 0,
+                "the stream ended before `{name}`"
+            );
             if let Some(data) = line.strip_prefix("data: ").filter(|_| event) {
                 return serde_json::from_str(data).unwrap();
             }
@@ -140,14 +195,19 @@ impl Stream {
             if holds(&frame) {
                 return frame;
             }
-            assert!(since.elapsed().as_secs_f64() < seconds, "{what} did not come: {frame}");
+            assert!(
+                since.elapsed().as_secs_f64() < seconds,
+                "{what} did not come: {frame}"
+            );
         }
     }
 }
 
 fn service(folder: &Path) -> Daemon {
     let daemon = Daemon::start(program(), folder).unwrap();
-    daemon.until(15.0, "alignment", |s| s["mode"] == "disarmed").unwrap();
+    daemon
+        .until(15.0, "alignment", |s| s["mode"] == "disarmed")
+        .unwrap();
     daemon
 }
 
@@ -165,50 +225,104 @@ fn the_page_needs_nothing_else_follows_a_move_and_commands_a_bend() {
     let folder = tempfile::tempdir().unwrap();
     let daemon = service(folder.path());
     let page = Page::start(&daemon, &[]);
-    for (path, media) in [("/", "text/html"), ("/page.js", "text/javascript"), ("/page.css", "text/css")] {
+    for (path, media) in [
+        ("/", "text/html"),
+        ("/page.js", "text/javascript"),
+        ("/page.css", "text/css"),
+    ] {
         let (status, head, body) = page.get(path);
-        assert!(status == 200 && head.contains(media) && head.contains("default-src 'none'"), "{path}: {head}");
-        assert!(body.len() > 1000 && !body.contains("http://") && !body.contains("https://"), "{path} refers to another place");
+        assert!(
+            status == 200 && head.contains(media) && head.contains("default-src 'none'"),
+            "{path}: {head}"
+        );
+        assert!(
+            body.len() > 1000 && !body.contains("http://") && !body.contains("https://"),
+            "{path} refers to another place"
+        );
     }
     assert_eq!(page.get("/favicon.ico").0, 404);
-    let taken = Command::new(program()).args(["page", "--listen", &page.address, "--socket", "none"]).output().unwrap();
+    let taken = Command::new(program())
+        .args(["page", "--listen", &page.address, "--socket", "none"])
+        .output()
+        .unwrap();
     let message = String::from_utf8_lossy(&taken.stderr).into_owned();
-    assert!(taken.status.code() == Some(2) && message.contains("address in use"), "{message}");
+    assert!(
+        taken.status.code() == Some(2) && message.contains("address in use"),
+        "{message}"
+    );
     assert_eq!(page.get("/diagnosis").2, "null");
 
     let mut open = page.open();
     assert_eq!(open.next("status")["mode"], "disarmed");
     let reach = open.next("reach");
-    let largest: Vec<f64> = reach["bend_deg"].as_array().unwrap().iter().map(|b| b.as_f64().unwrap()).collect();
+    let largest: Vec<f64> = reach["bend_deg"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|b| b.as_f64().unwrap())
+        .collect();
     assert_eq!(largest.len(), 72);
 
     // a refusal is in the words of the service, and the edge of the region is where the service refuses
     let bend = |bend_deg: f64| json!({"cmd": "bend", "bend_deg": bend_deg, "dir_deg": 60});
     let number = open.page.clone();
-    assert!(page.command(&number, &bend(30.0))["error"].as_str().unwrap().contains("retroflex arm"));
+    assert!(
+        page.command(&number, &bend(30.0))["error"]
+            .as_str()
+            .unwrap()
+            .contains("retroflex arm")
+    );
     assert_eq!(page.command(&number, &json!({"cmd": "arm"}))["ok"], true);
     open.until(5.0, "the hold", |f| f["mode"] == "holding");
     assert_eq!(page.command(&number, &bend(largest[12] + 0.2))["code"], 2);
     assert_eq!(page.command(&number, &bend(30.0))["ok"], true);
     let passed = open.until(10.0, "half of the way", |f| bend_of(f, "estimate") > 15.0);
-    assert!(bend_of(&passed, "estimate") < 29.0, "the picture jumped: {passed}");
-    open.until(10.0, "the bend", |f| (bend_of(f, "estimate") - 30.0).abs() < 1.0);
+    assert!(
+        bend_of(&passed, "estimate") < 29.0,
+        "the picture jumped: {passed}"
+    );
+    open.until(10.0, "the bend", |f| {
+        (bend_of(f, "estimate") - 30.0).abs() < 1.0
+    });
     assert_eq!(page.command(&number, &bend(largest[12] - 0.2))["ok"], true);
 
     // what no page sends, and what no open page has sent
-    for command in [json!({"cmd": "calibrate", "action": "full"}), json!({"cmd": "stream", "bend_deg": 1}), json!("bend")] {
-        let (status, ..) = page.ask("POST /command", &format!("X-Retroflex-Page: {number}\r\n"), &command.to_string());
+    for command in [
+        json!({"cmd": "calibrate", "action": "full"}),
+        json!({"cmd": "stream", "bend_deg": 1}),
+        json!("bend"),
+    ] {
+        let (status, ..) = page.ask(
+            "POST /command",
+            &format!("X-Retroflex-Page: {number}\r\n"),
+            &command.to_string(),
+        );
         assert_eq!(status, 400, "{command}");
     }
-    assert!(page.command("1", &bend(10.0))["error"].as_str().unwrap().contains("lost"));
+    assert!(
+        page.command("1", &bend(10.0))["error"]
+            .as_str()
+            .unwrap()
+            .contains("lost")
+    );
     page.stop();
-    assert_eq!(daemon.until(2.0, "the stop", |s| s["stopped"] == true).unwrap()["mode"], "holding");
+    assert_eq!(
+        daemon
+            .until(2.0, "the stop", |s| s["stopped"] == true)
+            .unwrap()["mode"],
+        "holding"
+    );
     assert_eq!(page.command(&number, &bend(10.0))["ok"], false);
 
     // a service that ends is gone, and comes back
     daemon.kill();
     // the first message tells of the connection, those after it of each attempt to make another
-    assert!((0..3).any(|_| open.next("gone").as_str().unwrap().contains("retroflex run")));
+    assert!((0..3).any(|_| {
+        open.next("gone")
+            .as_str()
+            .unwrap()
+            .contains("retroflex run")
+    }));
     let daemon = Daemon::start(program(), folder.path()).unwrap();
     open.next("frame");
     drop(daemon);
@@ -222,20 +336,30 @@ fn a_motion_ends_with_the_page_that_attends_it() {
     let page = Page::start(&daemon, &[]);
     let (mut other, open) = (page.open(), page.open());
     ask(&daemon, &Request::Arm {});
-    daemon.until(5.0, "the hold", |s| s["mode"] == "holding").unwrap();
+    daemon
+        .until(5.0, "the hold", |s| s["mode"] == "holding")
+        .unwrap();
     let slow = json!({"cmd": "bend", "bend_deg": 60, "dir_deg": 0, "speed_deg_s": 10});
     assert_eq!(page.command(&open.page, &slow)["ok"], true);
     other.until(5.0, "the motion", |f| bend_of(f, "estimate") > 5.0);
     drop(open);
     let held = other.until(4.0, "the hold", |f| f["mode"] == "holding");
-    assert!(bend_of(&held, "estimate") < 50.0, "the tip moved on: {held}");
+    assert!(
+        bend_of(&held, "estimate") < 50.0,
+        "the tip moved on: {held}"
+    );
 
     // the motion of another client is none of its business
     let open = page.open();
-    assert_eq!(page.command(&open.page, &json!({"cmd": "bend", "bend_deg": 5}))["ok"], true);
+    assert_eq!(
+        page.command(&open.page, &json!({"cmd": "bend", "bend_deg": 5}))["ok"],
+        true
+    );
     ask(&daemon, &Request::bend(20.0, 90.0, None));
     drop(open);
-    other.until(10.0, "the bend of another client", |f| (bend_of(f, "estimate") - 20.0).abs() < 1.0);
+    other.until(10.0, "the bend of another client", |f| {
+        (bend_of(f, "estimate") - 20.0).abs() < 1.0
+    });
 }
 
 #[test]
@@ -246,9 +370,14 @@ fn who_has_no_token_or_comes_from_elsewhere_gets_nothing() {
     let file = folder.path().join("page.token");
     let page = Page::start(&daemon, &["--token-file", file.to_str().unwrap()]);
     let token = std::fs::read_to_string(&file).unwrap().trim().to_owned();
-    assert!(token.len() == 32 && std::fs::metadata(&file).unwrap().permissions().mode() & 0o777 == 0o600);
+    assert!(
+        token.len() == 32
+            && std::fs::metadata(&file).unwrap().permissions().mode() & 0o777 == 0o600
+    );
 
-    let wrong = token.replace(|c: char| c.is_ascii_digit(), "a").replace('b', "c");
+    let wrong = token
+        .replace(|c: char| c.is_ascii_digit(), "a")
+        .replace('b', "c");
     for path in ["/", "/page.js", "/frames", "/diagnosis", "/none"] {
         for (query, head) in [
             (String::new(), String::new()),
@@ -259,7 +388,10 @@ fn who_has_no_token_or_comes_from_elsewhere_gets_nothing() {
             (String::new(), format!("Authorization: Bearer {wrong}0\r\n")),
         ] {
             let (status, head, body) = page.ask(&format!("GET {path}{query}"), &head, "");
-            assert!(status == 401 && body.is_empty() && !head.contains("set-cookie"), "{path}{query}: {head}");
+            assert!(
+                status == 401 && body.is_empty() && !head.contains("set-cookie"),
+                "{path}{query}: {head}"
+            );
         }
     }
     let mark = "X-Retroflex-Page: 1\r\n";
@@ -267,18 +399,43 @@ fn who_has_no_token_or_comes_from_elsewhere_gets_nothing() {
         let (status, _, body) = page.ask(&format!("POST {path}"), mark, r#"{"cmd":"arm"}"#);
         assert!(status == 401 && body.is_empty(), "{path}");
     }
-    assert_eq!(daemon.until(2.0, "status", |_| true).unwrap()["stopped"], false);
+    assert_eq!(
+        daemon.until(2.0, "status", |_| true).unwrap()["stopped"],
+        false
+    );
 
     // the token once in the address, then the cookie
     let (status, head, _) = page.get(&format!("/?token={token}"));
-    assert!(status == 200 && head.contains(&format!("set-cookie: retroflex={token}; HttpOnly; SameSite=Lax")), "{head}");
+    assert!(
+        status == 200
+            && head.contains(&format!(
+                "set-cookie: retroflex={token}; HttpOnly; SameSite=Lax"
+            )),
+        "{head}"
+    );
     let cookie = format!("Cookie: a=b; retroflex={token}\r\n");
     assert_eq!(page.ask("GET /", &cookie, "").0, 200);
-    assert_eq!(page.ask("GET /", &format!("Authorization: Bearer {token}\r\n"), "").0, 200);
+    assert_eq!(
+        page.ask("GET /", &format!("Authorization: Bearer {token}\r\n"), "")
+            .0,
+        200
+    );
 
     // another site that the same browser shows
-    assert_eq!(page.ask("GET /frames", &format!("{cookie}Origin: http://elsewhere.example\r\n"), "").0, 403);
-    assert_eq!(page.ask("POST /stop", &format!("{cookie}{mark}Origin: null\r\n"), "").0, 403);
+    assert_eq!(
+        page.ask(
+            "GET /frames",
+            &format!("{cookie}Origin: http://elsewhere.example\r\n"),
+            ""
+        )
+        .0,
+        403
+    );
+    assert_eq!(
+        page.ask("POST /stop", &format!("{cookie}{mark}Origin: null\r\n"), "")
+            .0,
+        403
+    );
     assert_eq!(page.ask("POST /stop", &cookie, "").0, 403);
     assert_eq!(page.ask("OPTIONS /command", &cookie, "").0, 403);
     let own = format!("{cookie}{mark}Origin: http://{}\r\n", page.address);
@@ -286,8 +443,18 @@ fn who_has_no_token_or_comes_from_elsewhere_gets_nothing() {
 
     // without a token, a name of another site that leads to this computer
     let open = Page::start(&daemon, &[]);
-    for host in ["elsewhere.example", "elsewhere.example:8088", "127.0.0.1.elsewhere.example", "localhost.example", ""] {
-        assert_eq!(open.ask("GET /", &format!("Host: {host}\r\n"), "").0, 403, "{host}");
+    for host in [
+        "elsewhere.example",
+        "elsewhere.example:8088",
+        "127.0.0.1.elsewhere.example",
+        "localhost.example",
+        "",
+    ] {
+        assert_eq!(
+            open.ask("GET /", &format!("Host: {host}\r\n"), "").0,
+            403,
+            "{host}"
+        );
     }
     assert_eq!(open.ask("GET /", "Host: localhost:9000\r\n", "").0, 200);
 }
@@ -310,7 +477,11 @@ impl Attackers {
             Some(stream)
         };
         let kept = (0..connections).filter_map(connect).collect();
-        Self { done: Arc::default(), threads: Vec::new(), kept }
+        Self {
+            done: Arc::default(),
+            threads: Vec::new(),
+            kept,
+        }
     }
 
     /// Four threads that connect as fast as they can, send this text and read nothing.
@@ -327,7 +498,11 @@ impl Attackers {
             })
         };
         let threads = (0..4).map(attack).collect();
-        Self { done, threads, kept: Vec::new() }
+        Self {
+            done,
+            threads,
+            kept: Vec::new(),
+        }
     }
 }
 
@@ -335,7 +510,9 @@ impl Drop for Attackers {
     fn drop(&mut self) {
         self.done.store(true, Relaxed);
         self.kept.clear();
-        self.threads.drain(..).for_each(|thread| drop(thread.join()));
+        self.threads
+            .drain(..)
+            .for_each(|thread| drop(thread.join()));
     }
 }
 
@@ -347,29 +524,53 @@ fn a_stop_is_answered_under_every_attack_on_the_port_of_the_page() {
     let file = folder.path().join("page.token");
     std::fs::write(&file, "anattackerdoesnotknowthis\n").unwrap();
     std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o600)).unwrap();
-    let (guarded, page) = (Page::start(&daemon, &["--token-file", file.to_str().unwrap()]), Page::start(&daemon, &[]));
-    let head = |first: &str, rest: &str| format!("{first} HTTP/1.1\r\nHost: localhost\r\nX-Retroflex-Page: 1\r\n{rest}");
+    let (guarded, page) = (
+        Page::start(&daemon, &["--token-file", file.to_str().unwrap()]),
+        Page::start(&daemon, &[]),
+    );
+    let head = |first: &str, rest: &str| {
+        format!("{first} HTTP/1.1\r\nHost: localhost\r\nX-Retroflex-Page: 1\r\n{rest}")
+    };
     let half_body = head("POST /command", "Content-Length: 100\r\n\r\n{\"cmd\"");
     let frames = head("GET /frames", "\r\n");
-    let large = head("POST /command", &format!("Content-Length: 10000000\r\n\r\n{}", "x".repeat(100_000)));
+    let large = head(
+        "POST /command",
+        &format!("Content-Length: 10000000\r\n\r\n{}", "x".repeat(100_000)),
+    );
     let long_head = head("GET /", &"X-A: b\r\n".repeat(10_000));
     let script = head("GET /page.js", "\r\n");
     type Attack<'a> = &'a dyn Fn(&str) -> Attackers;
     let attacks: [(&str, Attack<'_>); 9] = [
         ("silent connections", &|to| Attackers::keep(to, 400, "")),
-        ("half of a head", &|to| Attackers::keep(to, 400, "GET / HTTP/1.1\r\nHost: loc")),
+        ("half of a head", &|to| {
+            Attackers::keep(to, 400, "GET / HTTP/1.1\r\nHost: loc")
+        }),
         ("half of a body", &|to| Attackers::keep(to, 400, &half_body)),
-        ("garbage", &|to| Attackers::keep(to, 400, "\0\x01\u{7f} garbage\r\n\r\n\r\n")),
-        ("pages that are not read", &|to| Attackers::keep(to, 400, &frames)),
-        ("scripts that are not read", &|to| Attackers::keep(to, 400, &script)),
+        ("garbage", &|to| {
+            Attackers::keep(to, 400, "\0\x01\u{7f} garbage\r\n\r\n\r\n")
+        }),
+        ("pages that are not read", &|to| {
+            Attackers::keep(to, 400, &frames)
+        }),
+        ("scripts that are not read", &|to| {
+            Attackers::keep(to, 400, &script)
+        }),
         ("a flood of connections", &|to| Attackers::flood(to, "")),
-        ("a flood of large bodies", &|to| Attackers::flood(to, &large)),
-        ("a flood of long heads", &|to| Attackers::flood(to, &long_head)),
+        ("a flood of large bodies", &|to| {
+            Attackers::flood(to, &large)
+        }),
+        ("a flood of long heads", &|to| {
+            Attackers::flood(to, &long_head)
+        }),
     ];
     let cookie = "Cookie: retroflex=anattackerdoesnotknowthis\r\nX-Retroflex-Page: 0\r\n";
     for (name, attack) in attacks {
         ask(&daemon, &Request::Arm {});
-        daemon.until(5.0, "the hold", |s| s["mode"] == "holding" && s["stopped"] == false).unwrap();
+        daemon
+            .until(5.0, "the hold", |s| {
+                s["mode"] == "holding" && s["stopped"] == false
+            })
+            .unwrap();
         ask(&daemon, &Request::bend(60.0, 30.0, Some(10.0)));
         let attackers = [attack(&page.address), attack(&guarded.address)];
         std::thread::sleep(Duration::from_millis(300));
@@ -378,19 +579,45 @@ fn a_stop_is_answered_under_every_attack_on_the_port_of_the_page() {
         let since = Instant::now();
         daemon.command("stop").unwrap();
         let of_line_s = since.elapsed().as_secs_f64();
-        eprintln!("{name}: page {of_page_s:.3} s, with token {of_guarded_s:.3} s, command line {of_line_s:.3} s");
-        let most_s = if name.contains("flood") { FLOODED_MAX_S } else { STOPPED_MAX_S };
-        assert!(of_page_s.max(of_guarded_s) < most_s, "{name}: {of_page_s} s, {of_guarded_s} s");
+        eprintln!(
+            "{name}: page {of_page_s:.3} s, with token {of_guarded_s:.3} s, command line {of_line_s:.3} s"
+        );
+        let most_s = if name.contains("flood") {
+            FLOODED_MAX_S
+        } else {
+            STOPPED_MAX_S
+        };
+        assert!(
+            of_page_s.max(of_guarded_s) < most_s,
+            "{name}: {of_page_s} s, {of_guarded_s} s"
+        );
         assert!(of_line_s < LINE_MAX_S, "{name}: {of_line_s} s");
         let counted = |s: &Value| [0, 1, 2].map(|i| s["counted"][i].as_i64().unwrap());
-        let stopped = counted(&daemon.until(2.0, "the stop", |s| s["stopped"] == true && s["mode"] == "holding").unwrap());
+        let stopped = counted(
+            &daemon
+                .until(2.0, "the stop", |s| {
+                    s["stopped"] == true && s["mode"] == "holding"
+                })
+                .unwrap(),
+        );
         std::thread::sleep(Duration::from_secs_f64(BRAKED_S));
         let braked = counted(&daemon.until(2.0, "status", |_| true).unwrap());
-        let braking = stopped.iter().zip(braked).map(|(a, b)| (a - b).abs()).max().unwrap();
-        assert!(braking <= BRAKING_MICROSTEPS, "{name}: {braking} microsteps to brake");
+        let braking = stopped
+            .iter()
+            .zip(braked)
+            .map(|(a, b)| (a - b).abs())
+            .max()
+            .unwrap();
+        assert!(
+            braking <= BRAKING_MICROSTEPS,
+            "{name}: {braking} microsteps to brake"
+        );
         std::thread::sleep(Duration::from_millis(1000));
         let later = daemon.until(2.0, "status", |_| true).unwrap();
-        assert!(later["stopped"] == true && counted(&later) == braked, "{name}: moves after the stop from {braked:?}: {later}");
+        assert!(
+            later["stopped"] == true && counted(&later) == braked,
+            "{name}: moves after the stop from {braked:?}: {later}"
+        );
         drop(attackers);
         // whoever comes after the attack is served
         assert_eq!(page.get("/").0, 200);
@@ -404,7 +631,11 @@ fn a_stop_is_answered_under_every_attack_on_the_port_of_the_page() {
 fn chromium() -> Option<PathBuf> {
     let named = std::env::var_os("RETROFLEX_CHROMIUM").map(PathBuf::from);
     let folders = std::env::var_os("PATH").unwrap_or_default();
-    named.or_else(|| std::env::split_paths(&folders).map(|folder| folder.join("chromium")).find(|file| file.exists()))
+    named.or_else(|| {
+        std::env::split_paths(&folders)
+            .map(|folder| folder.join("chromium"))
+            .find(|file| file.exists())
+    })
 }
 
 #[test]
@@ -413,7 +644,12 @@ fn a_browser_shows_the_move_bends_stops_and_notices_a_lost_connection() {
         eprintln!("skipped: no Chromium; install it, or name it in RETROFLEX_CHROMIUM");
         return;
     };
-    if Command::new("python3").arg("--version").stdout(Stdio::null()).status().is_err() {
+    if Command::new("python3")
+        .arg("--version")
+        .stdout(Stdio::null())
+        .status()
+        .is_err()
+    {
         eprintln!("skipped: no python3");
         return;
     }
@@ -426,7 +662,11 @@ fn a_browser_shows_the_move_bends_stops_and_notices_a_lost_connection() {
         }
         browse(&chromium, &shots)
     });
-    assert!(passes, "see the messages above, and the pictures in {}", shots.display());
+    assert!(
+        passes,
+        "see the messages above, and the pictures in {}",
+        shots.display()
+    );
 }
 
 /// Runs the script of the browser on a service of its own.
@@ -445,7 +685,12 @@ fn browse(chromium: &Path, shots: &Path) -> bool {
     Command::new("python3")
         .arg(root.join("tests/page/browser.py"))
         .args([chromium, &daemon.sockets()[0], shots])
-        .args([&page.address, &page.child.id().to_string(), &guarded.address, token.trim()])
+        .args([
+            &page.address,
+            &page.child.id().to_string(),
+            &guarded.address,
+            token.trim(),
+        ])
         .status()
         .unwrap()
         .success()

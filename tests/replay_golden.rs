@@ -68,8 +68,15 @@ fn write(path: &Path, filter: &str, script: Script) -> u64 {
 }
 
 fn retroflex(args: &[&str], log: &Path) -> (bool, String) {
-    let out = Command::new(env!("CARGO_BIN_EXE_retroflex")).args(args).arg(log).output().unwrap();
-    (out.status.success(), String::from_utf8_lossy(&[out.stdout, out.stderr].concat()).into_owned())
+    let out = Command::new(env!("CARGO_BIN_EXE_retroflex"))
+        .args(args)
+        .arg(log)
+        .output()
+        .unwrap();
+    (
+        out.status.success(),
+        String::from_utf8_lossy(&[out.stdout, out.stderr].concat()).into_owned(),
+    )
 }
 
 #[test]
@@ -86,7 +93,9 @@ fn recorded_flights_replay_bit_for_bit() {
         }
     }
     if cfg!(not(target_arch = "x86_64")) {
-        eprintln!("skipped: the flights were recorded on x86_64, and the mathematics of another processor may differ in the last bit");
+        eprintln!(
+            "skipped: the flights were recorded on x86_64, and the mathematics of another processor may differ in the last bit"
+        );
         return;
     }
     let mut failed = String::new();
@@ -96,22 +105,40 @@ fn recorded_flights_replay_bit_for_bit() {
             failed += &format!("{name}: {text}");
         }
     }
-    assert!(failed.is_empty(), "{failed}If the loop was meant to change: {REFRESH}");
+    assert!(
+        failed.is_empty(),
+        "{failed}If the loop was meant to change: {REFRESH}"
+    );
 }
 
 #[test]
 fn the_flights_show_what_they_are_for() {
     let (_, text) = retroflex(&["log", "info"], &path("fault"));
-    assert!(text.contains("mode faulted") && text.contains("mode tracking"), "{text}");
+    assert!(
+        text.contains("mode faulted") && text.contains("mode tracking"),
+        "{text}"
+    );
     for (name, filter, _) in FLIGHTS {
         let (_, text) = retroflex(&["replay", "--filter", filter], &path(name));
         // the same filter again changes nothing
-        let changes: Vec<&str> = text.lines().filter(|line| line.contains(" mm ") || line.contains('°')).collect();
-        assert!(changes.len() == 5 && changes.iter().all(|line| line.contains("0.0000")), "{name}: {text}");
+        let changes: Vec<&str> = text
+            .lines()
+            .filter(|line| line.contains(" mm ") || line.contains('°'))
+            .collect();
+        assert!(
+            changes.len() == 5 && changes.iter().all(|line| line.contains("0.0000")),
+            "{name}: {text}"
+        );
     }
     let (_, text) = retroflex(&["replay", "--filter", "mekf"], &path("backlash"));
-    let estimate = text.lines().find(|line| line.contains("estimated bend")).unwrap_or_default();
-    assert!(text.contains("This is speculation") && !estimate.contains("0.0000"), "{text}");
+    let estimate = text
+        .lines()
+        .find(|line| line.contains("estimated bend"))
+        .unwrap_or_default();
+    assert!(
+        text.contains("This is speculation") && !estimate.contains("0.0000"),
+        "{text}"
+    );
 }
 
 /// Equal programs write equal files, so that a refresh changes only what the loop changes.

@@ -51,7 +51,11 @@ struct Chip {
 impl Chip {
     fn new() -> Self {
         let plant = TipPlant::new(7, 50.0, DT_S);
-        let mut config = assemble(&Board::default(), &Calibration::default(), &Gains::default());
+        let mut config = assemble(
+            &Board::default(),
+            &Calibration::default(),
+            &Gains::default(),
+        );
         config.lines = plant.lines;
         let bus = FakeBus::new();
         bus.machine().attach(FakeIcm20948::new(ADDRESS, 3));
@@ -59,7 +63,19 @@ impl Chip {
         let mut imu = ImuRecovery::new(Box::new(chip));
         imu.start(&mut bus.delay()).unwrap();
         let state = LoopState::new(&config);
-        Self { plant, config, state, input: Input { dt_s: DT_S, ..Input::default() }, bus, imu, corrupt: None, held: None }
+        Self {
+            plant,
+            config,
+            state,
+            input: Input {
+                dt_s: DT_S,
+                ..Input::default()
+            },
+            bus,
+            imu,
+            corrupt: None,
+            held: None,
+        }
     }
 
     fn tick(&mut self) -> Frame {
@@ -67,7 +83,13 @@ impl Chip {
         let steps = self.plant.step(&frame.steps);
         let now = Seconds(self.plant.t_s);
         let reading = self.read(now);
-        self.input = Input { t: now, dt_s: DT_S, imu: reading, steps, ..Input::default() };
+        self.input = Input {
+            t: now,
+            dt_s: DT_S,
+            imu: reading,
+            steps,
+            ..Input::default()
+        };
         frame
     }
 
@@ -119,18 +141,35 @@ impl Chip {
         }
         drop(machine);
         match name {
-            "iron nearby" => self.plant.field = if on { tip::Field::HardIron(60.0) } else { tip::Field::Clean },
-            "shaken" => self.plant.push = if on { Vector3::new(0.0, 6.0, 2.0) } else { Vector3::zeros() },
+            "iron nearby" => {
+                self.plant.field = if on {
+                    tip::Field::HardIron(60.0)
+                } else {
+                    tip::Field::Clean
+                }
+            }
+            "shaken" => {
+                self.plant.push = if on {
+                    Vector3::new(0.0, 6.0, 2.0)
+                } else {
+                    Vector3::zeros()
+                }
+            }
             _ => self.corrupt = on.then_some(name),
         }
     }
 
     fn command(&mut self, bend_deg: f64, dir_deg: f64) {
-        self.input.command = Some(Command { bend: Bend::from_deg(bend_deg, dir_deg), length: Mm(20.0) });
+        self.input.command = Some(Command {
+            bend: Bend::from_deg(bend_deg, dir_deg),
+            length: Mm(20.0),
+        });
     }
 
     fn error_deg(&self, frame: &Frame) -> f64 {
-        (frame.setpoint.bend.0 - self.plant.bend().0).norm().to_degrees()
+        (frame.setpoint.bend.0 - self.plant.bend().0)
+            .norm()
+            .to_degrees()
     }
 }
 
@@ -151,7 +190,12 @@ fn run(case: &Case) -> Observed {
     while chip.tick().estimate.is_none() {
         assert!(chip.plant.t_s < 6.0, "{}", chip.state.fusion.waiting_for());
     }
-    for (bend, dir, ticks) in [(30.0, 0.0, 750), (50.0, 90.0, 750), (20.0, 200.0, 750), (60.0, 20.0, 200)] {
+    for (bend, dir, ticks) in [
+        (30.0, 0.0, 750),
+        (50.0, 90.0, 750),
+        (20.0, 200.0, 750),
+        (60.0, 20.0, 200),
+    ] {
         chip.command(bend, dir);
         for _ in 0..ticks {
             chip.tick();
@@ -173,11 +217,23 @@ fn run(case: &Case) -> Observed {
         before = frame;
     }
     observed.after_deg = chip.error_deg(&before);
-    assert!(before.senses.in_force.is_empty(), "{}: still {}", case.name, before.senses.in_force);
+    assert!(
+        before.senses.in_force.is_empty(),
+        "{}: still {}",
+        case.name,
+        before.senses.in_force
+    );
     observed
 }
 
-fn observe(observed: &mut Observed, chip: &Chip, case: &Case, before: &Frame, frame: &Frame, since_s: f64) {
+fn observe(
+    observed: &mut Observed,
+    chip: &Chip,
+    case: &Case,
+    before: &Frame,
+    frame: &Frame,
+    since_s: f64,
+) {
     if frame.senses.in_force.contains(case.cause) {
         observed.detected_s = observed.detected_s.or(Some(since_s));
         observed.recovered_s = since_s;
@@ -190,19 +246,30 @@ fn observe(observed: &mut Observed, chip: &Chip, case: &Case, before: &Frame, fr
     if since_s < case.lasts_s + 0.3 {
         observed.during_deg = observed.during_deg.max(chip.error_deg(frame));
     }
-    let (now, then) = (frame.estimate.unwrap().bend.0, before.estimate.unwrap().bend.0);
+    let (now, then) = (
+        frame.estimate.unwrap().bend.0,
+        before.estimate.unwrap().bend.0,
+    );
     // the motion of the tip within a tick is no jump
     let jump = (now - then).norm() - 120f64.to_radians() * DT_S;
     observed.estimate_jump_deg = observed.estimate_jump_deg.max(jump.to_degrees());
     if before.senses.held && !frame.senses.held {
-        observed.target_jump_mm = observed.target_jump_mm.max((frame.piston_target_mm - before.piston_target_mm).amax());
+        observed.target_jump_mm = observed
+            .target_jump_mm
+            .max((frame.piston_target_mm - before.piston_target_mm).amax());
     }
 }
 
 #[test]
 fn every_fault_is_detected_handled_and_recovered_from() {
     use HealthAction::{CoastOnGyro, GravityOnly, Hold, Skip};
-    let case = |name, lasts_s, cause, action, error_max_deg| Case { name, lasts_s, cause, action, error_max_deg };
+    let case = |name, lasts_s, cause, action, error_max_deg| Case {
+        name,
+        lasts_s,
+        cause,
+        action,
+        error_max_deg,
+    };
     let cases = [
         case("nack", 0.02, HealthCause::Nack, Skip, 12.0),
         case("short read", 0.02, HealthCause::ShortRead, Skip, 12.0),
@@ -214,15 +281,53 @@ fn every_fault_is_detected_handled_and_recovered_from() {
         case("spike", 0.02, HealthCause::Spike, Skip, 12.0),
         case("saturated", 0.2, HealthCause::Saturated, Hold, 25.0),
         case("stale stamp", 0.1, HealthCause::StaleTimestamp, Skip, 12.0),
-        case("stamp jumps ahead", 0.03, HealthCause::JumpingTimestamp, Skip, 12.0),
-        case("stamp runs back", 0.03, HealthCause::JumpingTimestamp, Skip, 12.0),
+        case(
+            "stamp jumps ahead",
+            0.03,
+            HealthCause::JumpingTimestamp,
+            Skip,
+            12.0,
+        ),
+        case(
+            "stamp runs back",
+            0.03,
+            HealthCause::JumpingTimestamp,
+            Skip,
+            12.0,
+        ),
         case("silence", 0.5, HealthCause::StaleTimestamp, Hold, 25.0),
-        case("field overflow", 0.8, HealthCause::MagOverflow, GravityOnly, 12.0),
-        case("magnetometer dead", 0.8, HealthCause::MagSilent, GravityOnly, 12.0),
-        case("iron nearby", 0.8, HealthCause::FieldDisturbed, GravityOnly, 12.0),
-        case("shaken", 0.8, HealthCause::AccelDisturbed, CoastOnGyro, 12.0),
+        case(
+            "field overflow",
+            0.8,
+            HealthCause::MagOverflow,
+            GravityOnly,
+            12.0,
+        ),
+        case(
+            "magnetometer dead",
+            0.8,
+            HealthCause::MagSilent,
+            GravityOnly,
+            12.0,
+        ),
+        case(
+            "iron nearby",
+            0.8,
+            HealthCause::FieldDisturbed,
+            GravityOnly,
+            12.0,
+        ),
+        case(
+            "shaken",
+            0.8,
+            HealthCause::AccelDisturbed,
+            CoastOnGyro,
+            12.0,
+        ),
     ];
-    println!("fault               detected   policy         pistons  error during  after   estimate jump  target jump  over after");
+    println!(
+        "fault               detected   policy         pistons  error during  after   estimate jump  target jump  over after"
+    );
     for c in &cases {
         let s = run(c);
         println!(
@@ -237,11 +342,25 @@ fn every_fault_is_detected_handled_and_recovered_from() {
             s.target_jump_mm,
             s.recovered_s,
         );
-        let detected = s.detected_s.unwrap_or_else(|| panic!("{} was not detected", c.name));
-        assert!((0.0..0.35).contains(&detected), "{}: detected after {detected} s", c.name);
+        let detected = s
+            .detected_s
+            .unwrap_or_else(|| panic!("{} was not detected", c.name));
+        assert!(
+            (0.0..0.35).contains(&detected),
+            "{}: detected after {detected} s",
+            c.name
+        );
         assert!(s.worst >= Some(c.action), "{}: {:?}", c.name, s.worst);
-        assert!(s.during_deg < c.error_max_deg && s.after_deg < 1.0, "{}: {s:?}", c.name);
-        assert!(s.estimate_jump_deg < 1.0 && s.target_jump_mm < 0.2, "{}: {s:?}", c.name);
+        assert!(
+            s.during_deg < c.error_max_deg && s.after_deg < 1.0,
+            "{}: {s:?}",
+            c.name
+        );
+        assert!(
+            s.estimate_jump_deg < 1.0 && s.target_jump_mm < 0.2,
+            "{}: {s:?}",
+            c.name
+        );
     }
 }
 
@@ -258,7 +377,11 @@ fn jump(chip: &mut Chip, jump_deg: f64, over_s: f64, after_s: f64) -> f64 {
         chip.plant.aside = from + displacement * (x * x * (3.0 - 2.0 * x));
         let frame = chip.tick();
         if chip.plant.t_s - start > after_s {
-            worst = worst.max((frame.estimate.unwrap().bend.0 - chip.plant.bend().0).norm().to_degrees());
+            worst = worst.max(
+                (frame.estimate.unwrap().bend.0 - chip.plant.bend().0)
+                    .norm()
+                    .to_degrees(),
+            );
         }
     }
     worst
@@ -266,7 +389,13 @@ fn jump(chip: &mut Chip, jump_deg: f64, over_s: f64, after_s: f64) -> f64 {
 
 #[test]
 fn the_estimate_reacquires_the_tip_after_a_jump() {
-    for (jump_deg, over_s) in [(40.0, 0.002), (25.0, 0.02), (5.0, 0.02), (9.0, 0.04), (20.0, 0.1)] {
+    for (jump_deg, over_s) in [
+        (40.0, 0.002),
+        (25.0, 0.02),
+        (5.0, 0.02),
+        (9.0, 0.04),
+        (20.0, 0.1),
+    ] {
         for tilt in [20.0, 50.0, 90.0] {
             let mut chip = Chip::new();
             chip.plant = TipPlant::new(7, tilt, DT_S);
@@ -280,7 +409,9 @@ fn the_estimate_reacquires_the_tip_after_a_jump() {
                 }
             }
             let off = jump(&mut chip, jump_deg, over_s, 1.5);
-            println!("base at {tilt}°: {jump_deg}° in {over_s} s: error at most {off:.2}° from 1.5 s on");
+            println!(
+                "base at {tilt}°: {jump_deg}° in {over_s} s: error at most {off:.2}° from 1.5 s on"
+            );
             assert!(off < 0.8, "{off}");
         }
     }

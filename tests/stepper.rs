@@ -16,7 +16,10 @@ use retroflex::motion::lines::{EmergencyStop, Inputs, Levels, PulseTiming};
 use retroflex::motion::pulse::{PulseAction, StepCore};
 use retroflex::motion::queue::{SyncStatus, TimedSegment};
 use retroflex::motion::report::{StepperFault, StepperMode, StepperOrder};
-use retroflex::motion::{ChannelSegment, Motion, MotionConfig, MotionLimits, MotionState, Segment, StepGenerator, StepperConfig};
+use retroflex::motion::{
+    ChannelSegment, Motion, MotionConfig, MotionLimits, MotionState, Segment, StepGenerator,
+    StepperConfig,
+};
 use retroflex::primitives::units::Steps;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -45,7 +48,11 @@ struct Delays {
     write_ns: u64,
 }
 
-const CALM: Delays = Delays { wake_ns: 1, preempt_ns: 1, write_ns: 200 };
+const CALM: Delays = Delays {
+    wake_ns: 1,
+    preempt_ns: 1,
+    write_ns: 200,
+};
 
 /// A core with its clock, its pins and a record of their edges.
 struct Machine {
@@ -91,7 +98,11 @@ impl Machine {
             PulseAction::WaitUntil(t) => {
                 // short waits are spun, not slept
                 let slept = t > self.now_ns + 20_000;
-                let late = if slept { self.up_to(self.delays.wake_ns) } else { 0 };
+                let late = if slept {
+                    self.up_to(self.delays.wake_ns)
+                } else {
+                    0
+                };
                 self.now_ns = self.now_ns.max(t) + late + 30;
             }
             PulseAction::Write(levels) => {
@@ -127,7 +138,12 @@ impl Machine {
     fn feed(&mut self, epoch: u32, start_ns: u64, segments: &[Segment]) -> u64 {
         let mut at = start_ns;
         for segment in segments {
-            self.queue.push_back(TimedSegment { epoch, start_ns: at, duration_ns: TICK_NS, segment: *segment });
+            self.queue.push_back(TimedSegment {
+                epoch,
+                start_ns: at,
+                duration_ns: TICK_NS,
+                segment: *segment,
+            });
             at += TICK_NS;
         }
         at
@@ -172,7 +188,8 @@ fn walk(seed: u64, jumps: u32) -> Vec<Segment> {
 /// Verifies the chip's timing on the edges of a record.
 fn check_record(record: &[Edge], t: &PulseTiming) -> Result<(), TestCaseError> {
     for channel in 0..3 {
-        let (mut rise, mut fall, mut turn, mut awake): (Option<u64>, _, _, Option<u64>) = (None, None, None, None);
+        let (mut rise, mut fall, mut turn, mut awake): (Option<u64>, _, _, Option<u64>) =
+            (None, None, None, None);
         let mut high = false;
         for e in record {
             match e.line {
@@ -183,8 +200,14 @@ fn check_record(record: &[Edge], t: &PulseTiming) -> Result<(), TestCaseError> {
                     turn = Some(e.t_ns);
                 }
                 LineName::Step(c) if c == channel && e.high => {
-                    prop_assert!(awake.is_some_and(|a| e.t_ns >= a + t.wake_ns), "a driver was stepped before it was awake");
-                    prop_assert!(turn.is_none_or(|d: u64| e.t_ns >= d + t.dir_ns), "DIR set-up");
+                    prop_assert!(
+                        awake.is_some_and(|a| e.t_ns >= a + t.wake_ns),
+                        "a driver was stepped before it was awake"
+                    );
+                    prop_assert!(
+                        turn.is_none_or(|d: u64| e.t_ns >= d + t.dir_ns),
+                        "DIR set-up"
+                    );
                     prop_assert!(fall.is_none_or(|f| e.t_ns >= f + t.low_ns), "STEP low");
                     prop_assert!(rise.is_none_or(|r| e.t_ns >= r + t.interval_ns), "interval");
                     (rise, high) = (Some(e.t_ns), true);
@@ -201,16 +224,22 @@ fn check_record(record: &[Edge], t: &PulseTiming) -> Result<(), TestCaseError> {
 }
 
 fn delays() -> impl Strategy<Value = Delays> {
-    (1u64..900_000, 1u64..60_000, 1u64..60_000).prop_map(|(wake_ns, preempt_ns, write_ns)| Delays { wake_ns, preempt_ns, write_ns })
+    (1u64..900_000, 1u64..60_000, 1u64..60_000).prop_map(|(wake_ns, preempt_ns, write_ns)| Delays {
+        wake_ns,
+        preempt_ns,
+        write_ns,
+    })
 }
 
 fn config() -> impl Strategy<Value = StepperConfig> {
-    (1.0..20.0f64, 1.0..20.0f64, 0.2..10.0f64, 0.0..60.0f64).prop_map(|(high, low, dir, more)| StepperConfig {
-        pulse_high_us: high,
-        pulse_low_us: low,
-        dir_setup_us: dir,
-        step_interval_min_us: high + low + more,
-        ..StepperConfig::default()
+    (1.0..20.0f64, 1.0..20.0f64, 0.2..10.0f64, 0.0..60.0f64).prop_map(|(high, low, dir, more)| {
+        StepperConfig {
+            pulse_high_us: high,
+            pulse_low_us: low,
+            dir_setup_us: dir,
+            step_interval_min_us: high + low + more,
+            ..StepperConfig::default()
+        }
     })
 }
 
@@ -304,24 +333,55 @@ proptest! {
 
 /// A segment of 10 ms in which channel 1 starts with a speed and decelerates steadily.
 fn decelerating(speed_mm_s: f64, braked_mm_s2: f64) -> Segment {
-    let start = MotionState { position_mm: 0.0, velocity_mm_s: speed_mm_s, acceleration_mm_s2: -braked_mm_s2 };
+    let start = MotionState {
+        position_mm: 0.0,
+        velocity_mm_s: speed_mm_s,
+        acceleration_mm_s2: -braked_mm_s2,
+    };
     let mut moving = ChannelSegment::starting(start);
     moving.push(0.01, 0.0);
     let still = ChannelSegment::holding(0.0, 0.01);
-    Segment { duration_s: 0.01, channels: [moving.ending(start.after(0.0, 0.01)), still, still] }
+    Segment {
+        duration_s: 0.01,
+        channels: [moving.ending(start.after(0.0, 0.01)), still, still],
+    }
 }
 
 #[test]
 fn a_step_up_and_down_within_microseconds_keeps_dir_timing() {
     // up to a nanometre above the middle between two microsteps and down again: 6 µs between the steps
     let step_mm = 2.0 * (1.0 / 400.0 - 1e-9);
-    let c = StepperConfig { dir_setup_us: 5.0, step_interval_min_us: 4.0, ..StepperConfig::default() };
+    let c = StepperConfig {
+        dir_setup_us: 5.0,
+        step_interval_min_us: 4.0,
+        ..StepperConfig::default()
+    };
     for seed in 0..200 {
-        let mut m = Machine::with_step(&c, Delays { wake_ns: 300_000, preempt_ns: 3_000, write_ns: 1_000 }, seed, step_mm);
+        let mut m = Machine::with_step(
+            &c,
+            Delays {
+                wake_ns: 300_000,
+                preempt_ns: 3_000,
+                write_ns: 1_000,
+            },
+            seed,
+            step_mm,
+        );
         let segment = decelerating(1.0, 200.0);
-        m.queue.push_back(TimedSegment { epoch: 0, start_ns: START_NS + 4_000_000, duration_ns: 10_000_000, segment });
+        m.queue.push_back(TimedSegment {
+            epoch: 0,
+            start_ns: START_NS + 4_000_000,
+            duration_ns: 10_000_000,
+            segment,
+        });
         m.run_until(START_NS + 13_000_000);
-        assert_eq!(m.record.iter().filter(|e| matches!(e.line, LineName::Step(0)) && e.high).count(), 2);
+        assert_eq!(
+            m.record
+                .iter()
+                .filter(|e| matches!(e.line, LineName::Step(0)) && e.high)
+                .count(),
+            2
+        );
         assert_eq!((m.mode(), m.pulsed(0)), (StepperMode::Following, 0));
         check_record(&m.record, &timing(&c)).unwrap();
     }
@@ -329,13 +389,25 @@ fn a_step_up_and_down_within_microseconds_keeps_dir_timing() {
 
 #[test]
 fn a_released_driver_gets_its_time_to_wake() {
-    let c = StepperConfig { wake_delay_ms: 6.0, ..StepperConfig::default() };
+    let c = StepperConfig {
+        wake_delay_ms: 6.0,
+        ..StepperConfig::default()
+    };
     let mut m = Machine::new(&c, CALM, 1);
     let segment = decelerating(20.0, 0.0);
-    m.queue.push_back(TimedSegment { epoch: 0, start_ns: START_NS + 1_000_000, duration_ns: 10_000_000, segment });
+    m.queue.push_back(TimedSegment {
+        epoch: 0,
+        start_ns: START_NS + 1_000_000,
+        duration_ns: 10_000_000,
+        segment,
+    });
     m.run_until(START_NS + 500_000_000);
     check_record(&m.record, &timing(&c)).unwrap();
-    assert_eq!(m.mode(), StepperMode::Resting, "a step that waits for the driver is not late");
+    assert_eq!(
+        m.mode(),
+        StepperMode::Resting,
+        "a step that waits for the driver is not late"
+    );
     assert!(m.pulsed(0) > 6 && m.pulsed(0) == m.counted().0[0]);
 }
 
@@ -343,7 +415,9 @@ fn a_released_driver_gets_its_time_to_wake() {
 fn on_the_way(timing: PulseTiming) -> (Machine, Motion) {
     let mut m = Machine::with_timing(timing, CALM, 1, STEP_MM);
     let mut motion = Motion::new(&limits());
-    let segments: Vec<Segment> = (0..150).map(|_| motion.tick([12.0, -12.0, 6.0], 2e-3)).collect();
+    let segments: Vec<Segment> = (0..150)
+        .map(|_| motion.tick([12.0, -12.0, 6.0], 2e-3))
+        .collect();
     m.feed(0, START_NS + 4_000_000, &segments);
     m.run_until(START_NS + 200_000_000);
     assert_eq!(m.mode(), StepperMode::Following);
@@ -356,9 +430,19 @@ fn an_order_to_stop_brakes_and_drops_the_queue() {
     m.core.order(StepperOrder::Stop);
     m.run_until(m.now_ns + 500_000_000);
     let report = m.core.report(m.now_ns);
-    assert_eq!((report.mode, report.epoch, report.underruns), (StepperMode::Resting, 1, 0));
-    assert!(report.rest_mm[0] > 1.0 && report.rest_mm[0] < 9.0, "{:?}", report.rest_mm);
-    assert_eq!(report.counted.0[0], (report.rest_mm[0] / STEP_MM).round() as i32);
+    assert_eq!(
+        (report.mode, report.epoch, report.underruns),
+        (StepperMode::Resting, 1, 0)
+    );
+    assert!(
+        report.rest_mm[0] > 1.0 && report.rest_mm[0] < 9.0,
+        "{:?}",
+        report.rest_mm
+    );
+    assert_eq!(
+        report.counted.0[0],
+        (report.rest_mm[0] / STEP_MM).round() as i32
+    );
     assert!(m.queue.is_empty() && report.refused > 0);
     assert!(report.energised, "a stop holds");
 }
@@ -369,7 +453,9 @@ fn after_a_break_motion_goes_on_from_where_it_rests() {
     m.core.order(StepperOrder::Stop);
     m.run_until(m.now_ns + 500_000_000);
     motion.reset(m.core.report(m.now_ns).rest_mm);
-    let segments: Vec<Segment> = (0..1500).map(|_| motion.tick([-3.0, 2.0, 1.0], 2e-3)).collect();
+    let segments: Vec<Segment> = (0..1500)
+        .map(|_| motion.tick([-3.0, 2.0, 1.0], 2e-3))
+        .collect();
     let end_ns = m.feed(1, m.now_ns + 4_000_000, &segments);
     m.run_until(end_ns + 10_000_000);
     let wanted = [-3.0, 2.0, 1.0_f64].map(|p| (p / STEP_MM).round() as i32);
@@ -382,7 +468,11 @@ fn a_fault_holds_until_cleared_and_then_motion_goes_on_from_the_count() {
     let (mut m, mut motion) = on_the_way(timing(&StepperConfig::default()));
     m.now_ns += 5_000_000;
     m.turn();
-    assert!(matches!(m.mode(), StepperMode::Faulted(StepperFault::Late { .. })), "{:?}", m.mode());
+    assert!(
+        matches!(m.mode(), StepperMode::Faulted(StepperFault::Late { .. })),
+        "{:?}",
+        m.mode()
+    );
     m.core.order(StepperOrder::Stop);
     m.core.order(StepperOrder::Rebase([0.0; 3]));
     m.run_until(m.now_ns + 50_000_000);
@@ -391,7 +481,10 @@ fn a_fault_holds_until_cleared_and_then_motion_goes_on_from_the_count() {
     m.run_until(m.now_ns + 1_000_000);
     let report = m.core.report(m.now_ns);
     assert_eq!(report.mode, StepperMode::Resting);
-    assert_eq!(report.rest_mm, report.counted.0.map(|n| f64::from(n) * STEP_MM));
+    assert_eq!(
+        report.rest_mm,
+        report.counted.0.map(|n| f64::from(n) * STEP_MM)
+    );
     motion.reset(report.rest_mm);
     let segments: Vec<Segment> = (0..1500).map(|_| motion.tick([0.0; 3], 2e-3)).collect();
     let end_ns = m.feed(report.epoch, m.now_ns + 4_000_000, &segments);
@@ -402,42 +495,84 @@ fn a_fault_holds_until_cleared_and_then_motion_goes_on_from_the_count() {
 
 #[test]
 fn the_emergency_stop_releases_at_once_or_brakes_and_holds() {
-    let pressed = Inputs { emergency_stop: true, ..Inputs::default() };
+    let pressed = Inputs {
+        emergency_stop: true,
+        ..Inputs::default()
+    };
     let (mut m, _) = on_the_way(timing(&StepperConfig::default()));
     m.core.observe(pressed);
-    assert_eq!(m.mode(), StepperMode::Following, "one reading may be a disturbance");
+    assert_eq!(
+        m.mode(),
+        StepperMode::Following,
+        "one reading may be a disturbance"
+    );
     m.core.observe(Inputs::default());
     m.core.observe(pressed);
     assert_eq!(m.mode(), StepperMode::Following);
     m.core.observe(pressed);
-    let before = m.record.iter().filter(|e| matches!(e.line, LineName::Step(_)) && e.high).count();
+    let before = m
+        .record
+        .iter()
+        .filter(|e| matches!(e.line, LineName::Step(_)) && e.high)
+        .count();
     m.run_until(m.now_ns + 100_000_000);
-    let after = m.record.iter().filter(|e| matches!(e.line, LineName::Step(_)) && e.high).count();
-    assert_eq!((m.mode(), m.levels.enable, after - before), (StepperMode::Faulted(StepperFault::EmergencyStop), false, 0));
+    let after = m
+        .record
+        .iter()
+        .filter(|e| matches!(e.line, LineName::Step(_)) && e.high)
+        .count();
+    assert_eq!(
+        (m.mode(), m.levels.enable, after - before),
+        (StepperMode::Faulted(StepperFault::EmergencyStop), false, 0)
+    );
     m.core.order(StepperOrder::Clear);
-    assert_eq!(m.mode(), StepperMode::Faulted(StepperFault::EmergencyStop), "still pressed");
+    assert_eq!(
+        m.mode(),
+        StepperMode::Faulted(StepperFault::EmergencyStop),
+        "still pressed"
+    );
     m.core.observe(Inputs::default());
     m.core.order(StepperOrder::Clear);
     assert_eq!(m.mode(), StepperMode::Resting);
 
-    let hold = PulseTiming { emergency_stop: EmergencyStop::Hold, ..timing(&StepperConfig::default()) };
+    let hold = PulseTiming {
+        emergency_stop: EmergencyStop::Hold,
+        ..timing(&StepperConfig::default())
+    };
     let (mut m, _) = on_the_way(hold);
     m.core.observe(pressed);
     m.core.observe(pressed);
     assert_eq!(m.mode(), StepperMode::Stopping);
     m.run_until(m.now_ns + 500_000_000);
     let report = m.core.report(m.now_ns);
-    assert_eq!((report.mode, report.energised), (StepperMode::Faulted(StepperFault::EmergencyStop), true));
-    assert_eq!(report.counted.0[0], (report.rest_mm[0] / STEP_MM).round() as i32);
+    assert_eq!(
+        (report.mode, report.energised),
+        (StepperMode::Faulted(StepperFault::EmergencyStop), true)
+    );
+    assert_eq!(
+        report.counted.0[0],
+        (report.rest_mm[0] / STEP_MM).round() as i32
+    );
 }
 
 #[test]
 fn a_segment_that_jumps_is_refused_before_it_moves_anything() {
     for bad in [5.0, f64::NAN] {
         let mut m = Machine::new(&StepperConfig::default(), CALM, 1);
-        m.feed(0, START_NS + 4_000_000, &[Segment::holding([0.0, bad, 0.0], 2e-3)]);
+        m.feed(
+            0,
+            START_NS + 4_000_000,
+            &[Segment::holding([0.0, bad, 0.0], 2e-3)],
+        );
         m.run_until(START_NS + 20_000_000);
-        assert!(matches!(m.mode(), StepperMode::Faulted(StepperFault::Discontinuity { channel: 1, .. })), "{:?}", m.mode());
+        assert!(
+            matches!(
+                m.mode(),
+                StepperMode::Faulted(StepperFault::Discontinuity { channel: 1, .. })
+            ),
+            "{:?}",
+            m.mode()
+        );
         assert!(m.record.is_empty());
     }
     let mut m = Machine::new(&StepperConfig::default(), CALM, 1);
@@ -445,12 +580,18 @@ fn a_segment_that_jumps_is_refused_before_it_moves_anything() {
     fast.channels[2] = fast.channels[2].ending(MotionState::rest(3.0));
     m.feed(0, START_NS + 4_000_000, &[fast]);
     m.run_until(START_NS + 20_000_000);
-    assert!(matches!(m.mode(), StepperMode::Faulted(StepperFault::Discontinuity { channel: 2, jump_mm }) if jump_mm == 3.0));
+    assert!(
+        matches!(m.mode(), StepperMode::Faulted(StepperFault::Discontinuity { channel: 2, jump_mm }) if jump_mm == 3.0)
+    );
 }
 
 #[test]
 fn drivers_are_released_when_idle_and_woken_in_time() {
-    let c = StepperConfig { idle_release_s: Some(0.5), wake_delay_ms: 3.0, ..StepperConfig::default() };
+    let c = StepperConfig {
+        idle_release_s: Some(0.5),
+        wake_delay_ms: 3.0,
+        ..StepperConfig::default()
+    };
     let mut m = Machine::new(&c, CALM, 1);
     let mut motion = Motion::new(&limits());
     let there: Vec<Segment> = (0..250).map(|_| motion.tick([2.0; 3], 2e-3)).collect();
@@ -477,17 +618,29 @@ fn finishing_brakes_releases_and_ends() {
         assert!(turns < 100_000);
     }
     let report = m.core.report(m.now_ns);
-    assert_eq!((report.mode, m.levels.enable, m.levels.step), (StepperMode::Resting, false, [false; 3]));
-    assert_eq!(report.counted.0[1], (report.rest_mm[1] / STEP_MM).round() as i32);
+    assert_eq!(
+        (report.mode, m.levels.enable, m.levels.step),
+        (StepperMode::Resting, false, [false; 3])
+    );
+    assert_eq!(
+        report.counted.0[1],
+        (report.rest_mm[1] / STEP_MM).round() as i32
+    );
 }
 
 /// A fault or an emergency stop while the last motion brakes must not keep the thread, and with it the program, from ending.
 #[test]
 fn finishing_ends_whatever_happens_while_it_brakes() {
-    let hold = PulseTiming { emergency_stop: EmergencyStop::Hold, ..timing(&StepperConfig::default()) };
+    let hold = PulseTiming {
+        emergency_stop: EmergencyStop::Hold,
+        ..timing(&StepperConfig::default())
+    };
     let late: fn(&mut Machine) = |m| m.now_ns += 5_000_000;
     let pressed: fn(&mut Machine) = |m| {
-        let stop = Inputs { emergency_stop: true, ..Inputs::default() };
+        let stop = Inputs {
+            emergency_stop: true,
+            ..Inputs::default()
+        };
         m.core.observe(stop);
         m.core.observe(stop);
     };
@@ -524,7 +677,10 @@ fn a_segment_too_late_to_begin_is_refused_and_the_epoch_tells() {
     m.feed(0, START_NS + 10_000_000, &walk(3, 1)[..20]);
     m.run_until(START_NS + 60_000_000);
     let report = m.core.report(m.now_ns);
-    assert_eq!((report.mode, report.epoch, report.counted.0), (StepperMode::Resting, 1, [0; 3]));
+    assert_eq!(
+        (report.mode, report.epoch, report.counted.0),
+        (StepperMode::Resting, 1, [0; 3])
+    );
     assert_eq!(report.refused, 20);
 }
 
@@ -542,23 +698,45 @@ fn failing_pins_are_left_alone_until_cleared() {
     }
     assert_eq!(m.mode(), StepperMode::Faulted(StepperFault::Pins));
     m.core.order(StepperOrder::Clear);
-    assert!(matches!(m.core.poll(m.now_ns, &mut || m.queue.pop_front()), PulseAction::Write(_)), "the levels are written again");
+    assert!(
+        matches!(
+            m.core.poll(m.now_ns, &mut || m.queue.pop_front()),
+            PulseAction::Write(_)
+        ),
+        "the levels are written again"
+    );
 }
 
 // ---------------------------------------------------------------- the real thread
 
 /// Configuration of the real thread with bounds that a busy test machine meets.
 fn patient() -> StepperConfig {
-    StepperConfig { late_max_us: 100_000.0, lead_ms: 60.0, priority: 0, ..StepperConfig::default() }
+    StepperConfig {
+        late_max_us: 100_000.0,
+        lead_ms: 60.0,
+        priority: 0,
+        ..StepperConfig::default()
+    }
 }
 
 fn mock(emergency_stop: Option<InputPin>) -> RecordingPins {
-    let map = LineMap::new(&PinsConfig { emergency_stop, ..PinsConfig::default() }, 16).unwrap();
+    let map = LineMap::new(
+        &PinsConfig {
+            emergency_stop,
+            ..PinsConfig::default()
+        },
+        16,
+    )
+    .unwrap();
     RecordingPins::new(map, 100_000)
 }
 
 /// Feeds a stepper until the motion rests at its target or the thread reports something else.
-fn drive(stepper: &mut Stepper<RecordingPins>, motion: &mut Motion, target: [f64; 3]) -> SyncStatus {
+fn drive(
+    stepper: &mut Stepper<RecordingPins>,
+    motion: &mut Motion,
+    target: [f64; 3],
+) -> SyncStatus {
     for _ in 0..4000 {
         let now = retroflex::hardware::rt::monotonic_ns();
         match stepper.sync(now) {
@@ -576,7 +754,9 @@ fn drive(stepper: &mut Stepper<RecordingPins>, motion: &mut Motion, target: [f64
         }
         let segment = motion.tick(target, 2e-3);
         stepper.feed(&segment, now).unwrap();
-        let there = stepper.latest().is_some_and(|r| r.counted.0 == target.map(|p| (p / STEP_MM).round() as i32));
+        let there = stepper
+            .latest()
+            .is_some_and(|r| r.counted.0 == target.map(|p| (p / STEP_MM).round() as i32));
         if there && segment.is_still() {
             break;
         }
@@ -587,48 +767,100 @@ fn drive(stepper: &mut Stepper<RecordingPins>, motion: &mut Motion, target: [f64
 #[test]
 fn the_thread_pulses_what_the_loop_feeds() {
     let c = patient();
-    let mut stepper = Stepper::start(mock(None), &c, &MotionConfig::default(), STEP_MM, EmergencyStop::Release).unwrap();
+    let mut stepper = Stepper::start(
+        mock(None),
+        &c,
+        &MotionConfig::default(),
+        STEP_MM,
+        EmergencyStop::Release,
+    )
+    .unwrap();
     let mut motion = Motion::new(&limits());
     for target in [[3.0, -2.0, 1.0], [-1.0, 0.5, 2.0]] {
         assert_eq!(drive(&mut stepper, &mut motion, target), SyncStatus::Ready);
     }
     let (summary, pins) = stepper.finish().unwrap();
-    assert_eq!(summary.report.counted.0, [-1.0, 0.5, 2.0_f64].map(|p| (p / STEP_MM).round() as i32));
-    assert_eq!((summary.report.mode, pins.dropped(), pins.levels().enable), (StepperMode::Resting, 0, false));
+    assert_eq!(
+        summary.report.counted.0,
+        [-1.0, 0.5, 2.0_f64].map(|p| (p / STEP_MM).round() as i32)
+    );
+    assert_eq!(
+        (summary.report.mode, pins.dropped(), pins.levels().enable),
+        (StepperMode::Resting, 0, false)
+    );
     check_record(pins.record(), &timing(&c)).unwrap();
     assert_eq!(
         summary.report.lateness.count(),
-        pins.record().iter().filter(|e| e.high && matches!(e.line, LineName::Step(_))).count() as u64
+        pins.record()
+            .iter()
+            .filter(|e| e.high && matches!(e.line, LineName::Step(_)))
+            .count() as u64
     );
 }
 
 /// Drivers that an earlier program left energised stay energised when their lines are taken over.
 #[test]
 fn drivers_found_energised_stay_so_until_they_are_told() {
-    let c = StepperConfig { idle_release_s: Some(3600.0), ..patient() };
-    let mut stepper = Stepper::start(mock(None).energised(), &c, &MotionConfig::default(), STEP_MM, EmergencyStop::Release).unwrap();
+    let c = StepperConfig {
+        idle_release_s: Some(3600.0),
+        ..patient()
+    };
+    let mut stepper = Stepper::start(
+        mock(None).energised(),
+        &c,
+        &MotionConfig::default(),
+        STEP_MM,
+        EmergencyStop::Release,
+    )
+    .unwrap();
     assert!(stepper.is_energised(), "before the first report");
     let mut motion = Motion::new(&limits());
     std::thread::sleep(std::time::Duration::from_millis(30));
-    assert_eq!(drive(&mut stepper, &mut motion, [0.3, 0.0, 0.0]), SyncStatus::Ready);
+    assert_eq!(
+        drive(&mut stepper, &mut motion, [0.3, 0.0, 0.0]),
+        SyncStatus::Ready
+    );
     assert!(stepper.is_energised());
     let (_, pins) = stepper.finish().unwrap();
-    let enable: Vec<bool> = pins.record().iter().filter(|e| e.line == LineName::Enable).map(|e| e.high).collect();
-    assert_eq!(enable, [false], "only the end of the thread releases the drivers");
+    let enable: Vec<bool> = pins
+        .record()
+        .iter()
+        .filter(|e| e.line == LineName::Enable)
+        .map(|e| e.high)
+        .collect();
+    assert_eq!(
+        enable,
+        [false],
+        "only the end of the thread releases the drivers"
+    );
     assert!(pins.record().len() > 10);
 }
 
 #[test]
 fn the_thread_stops_for_the_emergency_stop_and_reports_it() {
-    let pins = mock(Some(InputPin { pin: 26, active_low: false, pull: Pull::Down }));
+    let pins = mock(Some(InputPin {
+        pin: 26,
+        active_low: false,
+        pull: Pull::Down,
+    }));
     let button = pins.inputs();
-    let mut stepper = Stepper::start(pins, &patient(), &MotionConfig::default(), STEP_MM, EmergencyStop::Release).unwrap();
+    let mut stepper = Stepper::start(
+        pins,
+        &patient(),
+        &MotionConfig::default(),
+        STEP_MM,
+        EmergencyStop::Release,
+    )
+    .unwrap();
     let mut motion = Motion::new(&limits());
     std::thread::spawn(move || {
         std::thread::sleep(std::time::Duration::from_millis(150));
         button.store(1, std::sync::atomic::Ordering::Relaxed);
     });
-    assert_eq!(drive(&mut stepper, &mut motion, [20.0; 3]), SyncStatus::Faulted(StepperFault::EmergencyStop));
+    assert_eq!(
+        drive(&mut stepper, &mut motion, [20.0; 3]),
+        SyncStatus::Faulted(StepperFault::EmergencyStop)
+    );
     let (summary, pins) = stepper.finish().unwrap();
     assert!(!pins.levels().enable && summary.report.inputs.emergency_stop);
 }
@@ -653,12 +885,25 @@ impl Pins for Hanging {
 #[test]
 fn a_thread_that_hangs_in_a_pin_is_silent_until_it_goes_on() {
     let hangs = Arc::new(AtomicBool::new(false));
-    let button = Some(InputPin { pin: 26, active_low: false, pull: Pull::Down });
+    let button = Some(InputPin {
+        pin: 26,
+        active_low: false,
+        pull: Pull::Down,
+    });
     let pins = Hanging(mock(button), hangs.clone());
-    let mut stepper = Stepper::start(pins, &patient(), &MotionConfig::default(), STEP_MM, EmergencyStop::Release).unwrap();
+    let mut stepper = Stepper::start(
+        pins,
+        &patient(),
+        &MotionConfig::default(),
+        STEP_MM,
+        EmergencyStop::Release,
+    )
+    .unwrap();
     let mut becomes = |silent: bool| {
         let begun = std::time::Instant::now();
-        while (stepper.sync(retroflex::hardware::rt::monotonic_ns()) == SyncStatus::Silent) != silent {
+        while (stepper.sync(retroflex::hardware::rt::monotonic_ns()) == SyncStatus::Silent)
+            != silent
+        {
             assert!(begun.elapsed().as_secs() < 30, "silent: {}", !silent);
             std::thread::sleep(std::time::Duration::from_millis(1));
         }
@@ -674,15 +919,38 @@ fn a_thread_that_hangs_in_a_pin_is_silent_until_it_goes_on() {
 #[test]
 fn the_thread_survives_failing_pins_and_reports_the_reason() {
     let pins = mock(None).failing_after(40);
-    let mut stepper = Stepper::start(pins, &patient(), &MotionConfig::default(), STEP_MM, EmergencyStop::Release).unwrap();
+    let mut stepper = Stepper::start(
+        pins,
+        &patient(),
+        &MotionConfig::default(),
+        STEP_MM,
+        EmergencyStop::Release,
+    )
+    .unwrap();
     let mut motion = Motion::new(&limits());
-    assert_eq!(drive(&mut stepper, &mut motion, [20.0; 3]), SyncStatus::Faulted(StepperFault::Pins));
+    assert_eq!(
+        drive(&mut stepper, &mut motion, [20.0; 3]),
+        SyncStatus::Faulted(StepperFault::Pins)
+    );
     assert!(stepper.pin_error().unwrap().contains("set to fail"));
 }
 
 #[test]
 fn a_rate_the_chip_is_not_allowed_is_refused_at_the_start() {
-    let fast = MotionConfig { speed_max_mm_s: 300.0, ..MotionConfig::default() };
-    let error = Stepper::start(mock(None), &patient(), &fast, STEP_MM, EmergencyStop::Release).unwrap_err();
-    assert!(error.to_string().contains("stepper.step_interval_min_us"), "{error}");
+    let fast = MotionConfig {
+        speed_max_mm_s: 300.0,
+        ..MotionConfig::default()
+    };
+    let error = Stepper::start(
+        mock(None),
+        &patient(),
+        &fast,
+        STEP_MM,
+        EmergencyStop::Release,
+    )
+    .unwrap_err();
+    assert!(
+        error.to_string().contains("stepper.step_interval_min_us"),
+        "{error}"
+    );
 }

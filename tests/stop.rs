@@ -13,7 +13,11 @@ use retroflex::supervisor::gate::SafeState;
 use retroflex::supervisor::mode::Mode;
 
 fn config() -> BenchConfig {
-    BenchConfig { board: twin(), calibration: source::read(&repo("calib/paper.toml")).unwrap(), gains: Gains::default() }
+    BenchConfig {
+        board: twin(),
+        calibration: source::read(&repo("calib/paper.toml")).unwrap(),
+        gains: Gains::default(),
+    }
 }
 
 /// An armed tip on its way to a large bend.
@@ -30,7 +34,9 @@ fn in_motion(config: &BenchConfig) -> Bench {
 
 /// Microsteps of all channels between two cycles.
 fn between(a: &CycleOutput, b: &CycleOutput) -> i64 {
-    (0..3).map(|i| i64::from((a.steps.0[i] - b.steps.0[i]).abs())).sum()
+    (0..3)
+        .map(|i| i64::from((a.steps.0[i] - b.steps.0[i]).abs()))
+        .sum()
 }
 
 /// Stops, then orders every motion 100 times a second for two seconds. No piston moves further than it needs to brake.
@@ -38,7 +44,10 @@ fn stands_after_a_stop(bench: &mut Bench) -> CycleOutput {
     let before = bench.turn(Some(Order::Stop)).unwrap();
     assert_eq!((before.answer, before.stopped), (Some(Ok(())), true));
     let limits = bench.runner.supervisor.config().gate;
-    let braking = (3.0 * limits.speed_mm_s * limits.speed_mm_s / (2.0 * limits.brake_mm_s2) / limits.step_mm).ceil() as i64 + 6;
+    let braking =
+        (3.0 * limits.speed_mm_s * limits.speed_mm_s / (2.0 * limits.brake_mm_s2) / limits.step_mm)
+            .ceil() as i64
+            + 6;
     let motions = [bend(60.0, 200.0), Order::Relax, Order::Calibrate(true)];
     let mut output = before;
     for k in 0..2000usize {
@@ -50,9 +59,16 @@ fn stands_after_a_stop(bench: &mut Bench) -> CycleOutput {
         assert!(output.stopped);
     }
     let moved = between(&before, &output);
-    assert!(moved <= braking, "{moved} microsteps after the stop, {braking} to brake");
+    assert!(
+        moved <= braking,
+        "{moved} microsteps after the stop, {braking} to brake"
+    );
     let later = bench.run(1.0).unwrap();
-    assert_eq!(between(&output, &later), 0, "feedback moved the pistons after the stop");
+    assert_eq!(
+        between(&output, &later),
+        0,
+        "feedback moved the pistons after the stop"
+    );
     later
 }
 
@@ -63,7 +79,10 @@ fn a_stop_in_motion_stands_until_arm() {
     assert_eq!((stopped.mode, stopped.energise), (Mode::Holding, true));
     assert_eq!(bench.turn(Some(Order::Arm)).unwrap().answer, Some(Ok(())));
     bench.run(0.05).unwrap();
-    assert_eq!(bench.turn(Some(bend(40.0, 30.0))).unwrap().answer, Some(Ok(())));
+    assert_eq!(
+        bench.turn(Some(bend(40.0, 30.0))).unwrap().answer,
+        Some(Ok(()))
+    );
     let output = bench.run(3.0).unwrap();
     assert_eq!((output.mode, output.stopped), (Mode::Holding, false));
     assert!((output.frame.estimate.unwrap().bend.beta().to_degrees() - 40.0).abs() < 1.0);
@@ -86,12 +105,19 @@ fn a_stop_ends_a_return_and_the_gates_own_return() {
     let returning = bench.run(0.3).unwrap();
     assert_eq!(returning.mode, Mode::Faulted);
     let stopped = stands_after_a_stop(&mut bench);
-    assert!(stopped.mode == Mode::Faulted && stopped.energise && stopped.counted.0 != [0; 3], "{:?}", stopped.counted);
+    assert!(
+        stopped.mode == Mode::Faulted && stopped.energise && stopped.counted.0 != [0; 3],
+        "{:?}",
+        stopped.counted
+    );
     // a further trip holds as well
     bench.runner.machine.emergency_stop = true;
     let before = bench.run(0.01).unwrap();
     let later = bench.run(1.0).unwrap();
-    assert!(between(&before, &later) <= 1, "a trip after the stop returned the pistons");
+    assert!(
+        between(&before, &later) <= 1,
+        "a trip after the stop returned the pistons"
+    );
 }
 
 #[test]
@@ -112,10 +138,16 @@ fn a_refused_arm_keeps_the_latch() {
     bench.runner.machine.emergency_stop = true;
     bench.turn(None).unwrap();
     bench.turn(Some(Order::Stop)).unwrap();
-    assert_eq!(bench.turn(Some(Order::Arm)).unwrap().answer, Some(Err(Refusal::Latched)));
+    assert_eq!(
+        bench.turn(Some(Order::Arm)).unwrap().answer,
+        Some(Err(Refusal::Latched))
+    );
     let output = bench.turn(None).unwrap();
     assert!(output.stopped, "a refused `arm` released the latch");
-    assert_eq!(bench.turn(Some(Order::Relax)).unwrap().answer, Some(Err(Refusal::Stopped)));
+    assert_eq!(
+        bench.turn(Some(Order::Relax)).unwrap().answer,
+        Some(Err(Refusal::Stopped))
+    );
 }
 
 #[test]
@@ -126,15 +158,25 @@ fn relax_does_not_end_lost_and_only_a_confirmed_or_asserted_zero_does() {
         let mut before = in_motion(&config);
         before.run(3.0).unwrap();
         let remembered = before.runner.supervisor.keep();
-        let mut bench = config.bench_on(before.runner.machine, rest.then_some(remembered), before.now_s);
+        let mut bench = config.bench_on(
+            before.runner.machine,
+            rest.then_some(remembered),
+            before.now_s,
+        );
         bench.runner.supervisor.doubt();
         assert!(bench.until(10.0, |t| t.mode == Mode::Lost).unwrap());
         bench
     };
     let mut bench = start(true);
-    assert_eq!(bench.turn(Some(Order::Arm)).unwrap().answer, Some(Err(Refusal::Mode(Mode::Lost))));
+    assert_eq!(
+        bench.turn(Some(Order::Arm)).unwrap().answer,
+        Some(Err(Refusal::Mode(Mode::Lost)))
+    );
     // the remembered attitude measures how far the tip hangs away
-    let Some(Err(Refusal::NotStraight(tenths))) = bench.turn(Some(Order::Zero)).unwrap().answer else { panic!("accepted") };
+    let Some(Err(Refusal::NotStraight(tenths))) = bench.turn(Some(Order::Zero)).unwrap().answer
+    else {
+        panic!("accepted")
+    };
     assert!((300..=750).contains(&tenths), "{tenths}");
     // relax drives back by the remembered counts, and the position stays unknown
     assert_eq!(bench.turn(Some(Order::Relax)).unwrap().answer, Some(Ok(())));
@@ -145,8 +187,14 @@ fn relax_does_not_end_lost_and_only_a_confirmed_or_asserted_zero_does() {
 
     // without a remembered attitude only the operator's word counts
     let mut bench = start(false);
-    assert_eq!(bench.turn(Some(Order::Zero)).unwrap().answer, Some(Err(Refusal::Unmeasured)));
-    assert_eq!(bench.turn(Some(Order::AssertStraight)).unwrap().answer, Some(Ok(())));
+    assert_eq!(
+        bench.turn(Some(Order::Zero)).unwrap().answer,
+        Some(Err(Refusal::Unmeasured))
+    );
+    assert_eq!(
+        bench.turn(Some(Order::AssertStraight)).unwrap().answer,
+        Some(Ok(()))
+    );
     assert!(bench.until(10.0, |t| t.mode == Mode::Disarmed).unwrap());
     assert!(bench.runner.supervisor.is_unverified() && !bench.runner.supervisor.is_lost());
 }

@@ -44,8 +44,13 @@ struct Booted {
 
 impl Booted {
     fn enter(&self, args: &[&str]) -> (bool, String) {
-        let out = Command::new("nsenter").args(["-t", &self.pid.to_string(), "-m", "-p", "-C", "-u", "-i"]).args(args).output().unwrap();
-        let text = String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr);
+        let out = Command::new("nsenter")
+            .args(["-t", &self.pid.to_string(), "-m", "-p", "-C", "-u", "-i"])
+            .args(args)
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&out.stdout).into_owned()
+            + &String::from_utf8_lossy(&out.stderr);
         (out.status.success(), text.trim().to_owned())
     }
     fn systemctl(&self, args: &[&str]) -> (bool, String) {
@@ -66,7 +71,8 @@ impl Booted {
     }
     fn status(&self) -> serde_json::Value {
         let (_, text) = self.retroflex(&["status", "--json"]);
-        serde_json::from_str(text.lines().next().unwrap_or("null")).unwrap_or(serde_json::Value::Null)
+        serde_json::from_str(text.lines().next().unwrap_or("null"))
+            .unwrap_or(serde_json::Value::Null)
     }
     fn until(&self, what: &str, holds: impl Fn(&Self) -> bool) -> f64 {
         let begun = Instant::now();
@@ -85,16 +91,24 @@ impl Booted {
 impl Drop for Booted {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            eprintln!("{}", self.enter(&["tail", "-n", "40", "/run/rf/retroflex.log"]).1);
+            eprintln!(
+                "{}",
+                self.enter(&["tail", "-n", "40", "/run/rf/retroflex.log"]).1
+            );
         }
         // the first process of its namespace takes all others with it
-        let _ = Command::new("kill").args(["-9", &self.pid.to_string()]).status();
+        let _ = Command::new("kill")
+            .args(["-9", &self.pid.to_string()])
+            .status();
         let _ = self.outer.wait();
     }
 }
 
 fn is_root() -> bool {
-    std::fs::read_to_string("/proc/self/status").unwrap().lines().any(|l| l.starts_with("Uid:\t0\t"))
+    std::fs::read_to_string("/proc/self/status")
+        .unwrap()
+        .lines()
+        .any(|l| l.starts_with("Uid:\t0\t"))
 }
 
 fn can_boot() -> Result<(), &'static str> {
@@ -116,7 +130,11 @@ fn can_boot() -> Result<(), &'static str> {
         ])
         .stderr(Stdio::null())
         .status();
-    if tried.is_ok_and(|s| s.success()) { Ok(()) } else { Err("no namespace with control groups of its own") }
+    if tried.is_ok_and(|s| s.success()) {
+        Ok(())
+    } else {
+        Err("no namespace with control groups of its own")
+    }
 }
 
 fn boot(folder: &Path) -> Booted {
@@ -124,19 +142,40 @@ fn boot(folder: &Path) -> Booted {
     std::fs::create_dir_all(&units).unwrap();
     std::fs::copy(env!("CARGO_BIN_EXE_retroflex"), folder.join("retroflex")).unwrap();
     std::fs::write(folder.join("pins.toml"), "[pins]\nbackend = \"mock\"\n").unwrap();
-    for (unit, command) in [("retroflex", "run"), ("retroflex-release", "release --hold --board /run/rf/pins.toml")] {
-        std::fs::copy(repo(&format!("systemd/{unit}.service")), units.join(format!("{unit}.service"))).unwrap();
-        let here = format!("[Service]\nExecStart=\nExecStart=/run/rf/retroflex {command}\nStandardError=append:/run/rf/{unit}.log\n");
+    for (unit, command) in [
+        ("retroflex", "run"),
+        (
+            "retroflex-release",
+            "release --hold --board /run/rf/pins.toml",
+        ),
+    ] {
+        std::fs::copy(
+            repo(&format!("systemd/{unit}.service")),
+            units.join(format!("{unit}.service")),
+        )
+        .unwrap();
+        let here = format!(
+            "[Service]\nExecStart=\nExecStart=/run/rf/retroflex {command}\nStandardError=append:/run/rf/{unit}.log\n"
+        );
         std::fs::create_dir_all(units.join(format!("{unit}.service.d"))).unwrap();
         std::fs::write(units.join(format!("{unit}.service.d/here.conf")), here).unwrap();
     }
     for target in ["default", "basic", "sysinit", "shutdown", "multi-user"] {
-        std::fs::write(units.join(format!("{target}.target")), format!("[Unit]\nDescription={target}\nDefaultDependencies=no\n")).unwrap();
+        std::fs::write(
+            units.join(format!("{target}.target")),
+            format!("[Unit]\nDescription={target}\nDefaultDependencies=no\n"),
+        )
+        .unwrap();
     }
     let log = std::fs::File::create(folder.join("boot.log")).unwrap();
-    #[allow(clippy::zombie_processes, reason = "waited for when `Booted` is dropped")]
+    #[allow(
+        clippy::zombie_processes,
+        reason = "waited for when `Booted` is dropped"
+    )]
     let outer = Command::new("unshare")
-        .args(["--fork", "--pid", "--mount", "--cgroup", "--uts", "--ipc", "bash", "-c", BOOT, "boot"])
+        .args([
+            "--fork", "--pid", "--mount", "--cgroup", "--uts", "--ipc", "bash", "-c", BOOT, "boot",
+        ])
         .arg(folder)
         .stdin(Stdio::null())
         .stdout(log.try_clone().unwrap())
@@ -146,11 +185,14 @@ fn boot(folder: &Path) -> Booted {
     let children = format!("/proc/{0}/task/{0}/children", outer.id());
     let begun = Instant::now();
     loop {
-        let pid = std::fs::read_to_string(&children).ok().and_then(|t| t.split_whitespace().next()?.parse().ok());
+        let pid = std::fs::read_to_string(&children)
+            .ok()
+            .and_then(|t| t.split_whitespace().next()?.parse().ok());
         if let Some(pid) = pid {
             let booted = Booted { outer, pid };
             booted.until("systemd", |b| {
-                b.systemctl(&["is-system-running"]).1.contains("running") || b.systemctl(&["is-system-running"]).1.contains("degraded")
+                b.systemctl(&["is-system-running"]).1.contains("running")
+                    || b.systemctl(&["is-system-running"]).1.contains("degraded")
             });
             return booted;
         }
@@ -172,7 +214,13 @@ fn a_real_systemd_starts_watches_restarts_and_stops_it() {
     let folder = tempfile::tempdir().unwrap();
     let booted = boot(folder.path());
     let (started, said) = booted.systemctl(&["start", "retroflex"]);
-    assert!(started, "{said}\n{}", booted.systemctl(&["status", "retroflex", "--no-pager", "-n", "30"]).1);
+    assert!(
+        started,
+        "{said}\n{}",
+        booted
+            .systemctl(&["status", "retroflex", "--no-pager", "-n", "30"])
+            .1
+    );
     assert_eq!(booted.show("ActiveState"), "active");
     assert_eq!(booted.show("User"), "retroflex");
     booted.until("alignment", |b| b.status()["mode"] == "disarmed");
@@ -188,7 +236,9 @@ fn a_real_systemd_starts_watches_restarts_and_stops_it() {
     // SIGSTOP ends the heartbeat; systemd kills the service and starts it again
     let first = booted.show("MainPID");
     assert!(booted.enter(&["kill", "-STOP", &first]).0);
-    let took_s = booted.until("the restart", |b| b.show("NRestarts") == "1" && b.show("ActiveState") == "active");
+    let took_s = booted.until("the restart", |b| {
+        b.show("NRestarts") == "1" && b.show("ActiveState") == "active"
+    });
     assert!((1.0..12.0).contains(&took_s), "{took_s} s");
     assert_ne!(booted.show("MainPID"), first);
 
@@ -201,9 +251,23 @@ fn a_real_systemd_starts_watches_restarts_and_stops_it() {
     assert!(booted.retroflex(&["bend", "35", "--wait"]).0);
     let (stopped, said) = booted.systemctl(&["stop", "retroflex"]);
     assert!(stopped, "{said}");
-    assert_eq!((booted.show("Result").as_str(), booted.show("ActiveState").as_str()), ("success", "inactive"));
-    let (_, memory) = booted.enter(&["/run/rf/retroflex", "drill", "--recall", "/var/lib/retroflex"]);
-    assert!(memory.contains("armed false, steps [0, 0, 0]"), "left relaxed: {memory}");
+    assert_eq!(
+        (
+            booted.show("Result").as_str(),
+            booted.show("ActiveState").as_str()
+        ),
+        ("success", "inactive")
+    );
+    let (_, memory) = booted.enter(&[
+        "/run/rf/retroflex",
+        "drill",
+        "--recall",
+        "/var/lib/retroflex",
+    ]);
+    assert!(
+        memory.contains("armed false, steps [0, 0, 0]"),
+        "left relaxed: {memory}"
+    );
 }
 
 /// After the last restart nobody controls the drivers; another unit takes the current away, and ends when the service returns.
@@ -218,8 +282,14 @@ fn a_service_that_has_failed_for_good_is_followed_by_the_release_of_the_drivers(
     assert!(booted.systemctl(&["start", "retroflex"]).0);
     let state_of_release = |b: &Booted| b.show_of("retroflex-release", "ActiveState");
     for restarts in 0..5 {
-        assert_eq!(state_of_release(&booted), "inactive", "after {restarts} restarts");
-        booted.until("a start", |b| b.show("NRestarts") == restarts.to_string() && b.show("ActiveState") == "active");
+        assert_eq!(
+            state_of_release(&booted),
+            "inactive",
+            "after {restarts} restarts"
+        );
+        booted.until("a start", |b| {
+            b.show("NRestarts") == restarts.to_string() && b.show("ActiveState") == "active"
+        });
         assert!(booted.enter(&["kill", "-KILL", &booted.show("MainPID")]).0);
     }
     booted.until("the failure", |b| b.show("ActiveState") == "failed");
@@ -227,21 +297,38 @@ fn a_service_that_has_failed_for_good_is_followed_by_the_release_of_the_drivers(
 
     booted.systemctl(&["reset-failed", "retroflex"]);
     assert!(booted.systemctl(&["start", "retroflex"]).0);
-    booted.until("the end of the release", |b| state_of_release(b) == "inactive");
+    booted.until("the end of the release", |b| {
+        state_of_release(b) == "inactive"
+    });
     assert_eq!(booted.show_of("retroflex-release", "Result"), "success");
 }
 
 #[test]
 fn the_units_are_hardened() {
-    for unit in ["systemd/retroflex.service", "systemd/retroflex-release.service", "systemd/retroflex-page.service"] {
-        let out = Command::new("systemd-analyze").args(["security", "--offline=yes"]).arg(repo(unit)).output();
+    for unit in [
+        "systemd/retroflex.service",
+        "systemd/retroflex-release.service",
+        "systemd/retroflex-page.service",
+    ] {
+        let out = Command::new("systemd-analyze")
+            .args(["security", "--offline=yes"])
+            .arg(repo(unit))
+            .output();
         let Ok(out) = out else {
             eprintln!("skipped: no systemd-analyze");
             return;
         };
         let text = String::from_utf8_lossy(&out.stdout).into_owned();
-        let line = text.lines().find(|l| l.contains("Overall exposure level")).unwrap_or_else(|| panic!("{text}"));
-        let level: f64 = line.split(':').nth(1).and_then(|r| r.split_whitespace().next()).and_then(|n| n.parse().ok()).unwrap();
+        let line = text
+            .lines()
+            .find(|l| l.contains("Overall exposure level"))
+            .unwrap_or_else(|| panic!("{text}"));
+        let level: f64 = line
+            .split(':')
+            .nth(1)
+            .and_then(|r| r.split_whitespace().next())
+            .and_then(|n| n.parse().ok())
+            .unwrap();
         assert!(level <= 1.0, "{unit}: {line}");
     }
 }

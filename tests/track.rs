@@ -29,7 +29,9 @@ fn path(seconds: f64, at: impl Fn(f64) -> (f64, f64)) -> Path {
         let (bend_deg, dir_deg) = at(t);
         writeln!(text, "{t:.3},{bend_deg:.4},{dir_deg:.4}").unwrap();
     }
-    PathFile::parse("path.csv", &text, &config().geometry).unwrap().path
+    PathFile::parse("path.csv", &text, &config().geometry)
+        .unwrap()
+        .path
 }
 
 fn circle(seconds: f64, bend_deg: f64, hz: f64) -> Path {
@@ -46,9 +48,16 @@ fn drive(path: &Path, live: bool) -> TrackResult {
 #[test]
 fn circles_are_followed() {
     // measured 0.43, 0.60 and 1.09
-    for (bend_deg, hz, seconds, bound_deg) in [(30.0, 0.1, 20.0, 0.6), (30.0, 0.2, 10.0, 0.8), (25.0, 0.5, 6.0, 1.5)] {
+    for (bend_deg, hz, seconds, bound_deg) in [
+        (30.0, 0.1, 20.0, 0.6),
+        (30.0, 0.2, 10.0, 0.8),
+        (25.0, 0.5, 6.0, 1.5),
+    ] {
         let r = drive(&circle(seconds, bend_deg, hz), false);
-        assert!(r.rmse_deg < bound_deg && r.delay_s.abs() <= 0.03 && r.time_scale == 1.0, "{hz} Hz: {r:?}");
+        assert!(
+            r.rmse_deg < bound_deg && r.delay_s.abs() <= 0.03 && r.time_scale == 1.0,
+            "{hz} Hz: {r:?}"
+        );
     }
 }
 
@@ -68,12 +77,18 @@ fn a_live_path_is_followed_with_little_delay() {
     // measured 0.64 and 1.33 after a delay of 3 ms
     for (bend_deg, hz, seconds, bound_deg) in [(30.0, 0.2, 10.0, 1.0), (25.0, 0.5, 6.0, 2.0)] {
         let r = drive(&circle(seconds, bend_deg, hz), true);
-        assert!(r.rmse_delayed_deg < bound_deg && r.delay_s.abs() <= 0.05 && r.live, "{hz} Hz: {r:?}");
+        assert!(
+            r.rmse_delayed_deg < bound_deg && r.delay_s.abs() <= 0.05 && r.live,
+            "{hz} Hz: {r:?}"
+        );
     }
 }
 
 #[test]
 fn a_path_that_is_too_fast_is_slowed_down_and_says_so() {
     let r = drive(&circle(2.0, 30.0, 1.0), false);
-    assert!(r.demand > 1.2 && r.time_scale == r.demand && (r.duration_s - 2.0 * r.demand).abs() < 1e-9, "{r:?}");
+    assert!(
+        r.demand > 1.2 && r.time_scale == r.demand && (r.duration_s - 2.0 * r.demand).abs() < 1e-9,
+        "{r:?}"
+    );
 }

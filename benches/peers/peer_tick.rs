@@ -83,16 +83,34 @@ fn main() -> Result<(), Box<dyn Error>> {
     let inputs = inputs(&config)?;
     match Args::parse().command {
         Task::Record => record(&inputs)?,
-        Task::Time { stack, ticks } => println!("{}", time(&mut runner(stack, &config, &inputs), ticks)),
-        Task::Late { stack, rate, seconds, priority } => {
-            println!("{}", late(&mut runner(stack, &config, &inputs), rate, seconds, priority))
+        Task::Time { stack, ticks } => {
+            println!("{}", time(&mut runner(stack, &config, &inputs), ticks))
+        }
+        Task::Late {
+            stack,
+            rate,
+            seconds,
+            priority,
+        } => {
+            println!(
+                "{}",
+                late(
+                    &mut runner(stack, &config, &inputs),
+                    rate,
+                    seconds,
+                    priority
+                )
+            )
         }
     }
     Ok(())
 }
 
 fn board() -> Result<Board, Box<dyn Error>> {
-    Ok(source::parse("boards/sim.toml", include_str!("../../boards/sim.toml"))?)
+    Ok(source::parse(
+        "boards/sim.toml",
+        include_str!("../../boards/sim.toml"),
+    )?)
 }
 
 fn sim() -> Result<Sim, Box<dyn Error>> {
@@ -101,8 +119,12 @@ fn sim() -> Result<Sim, Box<dyn Error>> {
 }
 
 fn config() -> Result<LoopConfig, Box<dyn Error>> {
-    let calib: Calibration = source::parse("calib/paper.toml", include_str!("../../calib/paper.toml"))?;
-    Ok(for_world(&assemble(&board()?, &calib, &Gains::default()), &sim()?))
+    let calib: Calibration =
+        source::parse("calib/paper.toml", include_str!("../../calib/paper.toml"))?;
+    Ok(for_world(
+        &assemble(&board()?, &calib, &Gains::default()),
+        &sim()?,
+    ))
 }
 
 /// The inputs of the loop while it drives the experiment.
@@ -111,19 +133,31 @@ fn inputs(config: &LoopConfig) -> Result<Vec<Input>, Box<dyn Error>> {
     let dt_s = world.info().period_s;
     let (mut machine, mut state) = (Lockstep::new(world, &config.motion), LoopState::new(config));
     machine.energise(true);
-    let mut input = Input { dt_s, ..Input::default() };
+    let mut input = Input {
+        dt_s,
+        ..Input::default()
+    };
     let mut poses = paper().into_iter();
     let (rest, hold) = ((REST_S / dt_s) as usize, (HOLD_S / dt_s) as usize);
     let mut all = Vec::new();
     for k in 0..(LENGTH_S / dt_s) as usize {
         if k >= rest && (k - rest).is_multiple_of(hold) {
-            input.command = poses.next().map(|p| Command { bend: p.bend(), length: Mm(config.geometry.rest_length_mm) });
+            input.command = poses.next().map(|p| Command {
+                bend: p.bend(),
+                length: Mm(config.geometry.rest_length_mm),
+            });
         }
         all.push(input);
         let frame = tick(config, &mut state, &input);
         let t = Seconds((k + 1) as f64 * dt_s);
         let sensed = machine.turn(t, &frame.steps)?;
-        input = Input { t, imu: sensed.imu, steps: sensed.counted, command: None, ..input };
+        input = Input {
+            t,
+            imu: sensed.imu,
+            steps: sensed.counted,
+            command: None,
+            ..input
+        };
     }
     Ok(all)
 }
@@ -139,7 +173,10 @@ fn sample(input: &Input) -> Option<&ImuSample> {
 /// Samples and targets; the field is the last one that was read.
 fn record(inputs: &[Input]) -> std::io::Result<()> {
     let mut out = BufWriter::new(std::io::stdout().lock());
-    writeln!(out, "gyr_x,gyr_y,gyr_z,acc_x,acc_y,acc_z,mag_x,mag_y,mag_z,bend_x,bend_y")?;
+    writeln!(
+        out,
+        "gyr_x,gyr_y,gyr_z,acc_x,acc_y,acc_z,mag_x,mag_y,mag_z,bend_x,bend_y"
+    )?;
     let (mut mag, mut target) = (None, Bend::STRAIGHT);
     for input in inputs {
         target = input.command.map_or(target, |c| c.bend);
@@ -147,7 +184,12 @@ fn record(inputs: &[Input]) -> std::io::Result<()> {
         mag = s.mag_ut.or(mag);
         let Some(mag) = mag else { continue };
         let columns = [s.gyro_rad_s, s.acc_m_s2, mag];
-        let columns: Vec<String> = columns.iter().flatten().chain(&target.0).map(f64::to_string).collect();
+        let columns: Vec<String> = columns
+            .iter()
+            .flatten()
+            .chain(&target.0)
+            .map(f64::to_string)
+            .collect();
         writeln!(out, "{}", columns.join(","))?;
     }
     out.flush()
@@ -254,7 +296,10 @@ fn time(run: &mut dyn FnMut(), ticks: usize) -> serde_json::Value {
 /// Runs ticks at absolute times. Late is a tick that ends after the next one is due; those that are due by then are skipped
 /// and late too.
 fn late(run: &mut dyn FnMut(), rate: f64, seconds: f64, priority: i32) -> serde_json::Value {
-    let (status, _guard) = rt::enter(&RtRequest { priority, cpu: None });
+    let (status, _guard) = rt::enter(&RtRequest {
+        priority,
+        cpu: None,
+    });
     let period_ns = (1e9 / rate) as u64;
     let ticks = (seconds * rate) as u64;
     let start = monotonic_ns() + 100_000_000;

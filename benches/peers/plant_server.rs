@@ -55,19 +55,37 @@ fn main() -> Result<(), Box<dyn Error>> {
 /// The plant that the arguments describe.
 fn unit(args: &Args, twin: &PlantConfig) -> Result<PlantConfig, Box<dyn Error>> {
     let make = twin.make();
-    let mut unit = if args.unit == 0 { make } else { make.drawn(args.unit) };
+    let mut unit = if args.unit == 0 {
+        make
+    } else {
+        make.drawn(args.unit)
+    };
     if let Some(text) = &args.condition {
-        let (name, value) = text.split_once('=').ok_or_else(|| format!("--condition {text}: expected NAME=VALUE"))?;
+        let (name, value) = text
+            .split_once('=')
+            .ok_or_else(|| format!("--condition {text}: expected NAME=VALUE"))?;
         let known = || CONDITIONS.map(|c| c.name).join(", ");
-        let condition = CONDITIONS.iter().find(|c| c.name == name).ok_or_else(|| format!("no condition {name}; there are {}", known()))?;
-        condition.apply(&mut unit, value.parse()?, TURN_DEG * args.unit.saturating_sub(1) as f64 % 360.0);
+        let condition = CONDITIONS
+            .iter()
+            .find(|c| c.name == name)
+            .ok_or_else(|| format!("no condition {name}; there are {}", known()))?;
+        condition.apply(
+            &mut unit,
+            value.parse()?,
+            TURN_DEG * args.unit.saturating_sub(1) as f64 % 360.0,
+        );
     }
     unit.validate()?;
     Ok(unit)
 }
 
 /// Greets, then answers every request until end of file.
-fn serve(mut world: Sim, inner: usize, period_s: f64, base_imu: bool) -> Result<(), Box<dyn Error>> {
+fn serve(
+    mut world: Sim,
+    inner: usize,
+    period_s: f64,
+    base_imu: bool,
+) -> Result<(), Box<dyn Error>> {
     let mut out = BufWriter::new(std::io::stdout().lock());
     let info = world.info();
     let (step_mm, rest_mm) = (info.step_mm, info.rest_length_mm);
@@ -85,13 +103,22 @@ fn serve(mut world: Sim, inner: usize, period_s: f64, base_imu: bool) -> Result<
             base = reply.base_imu.or(base);
             truth = reply.truth;
         }
-        write!(out, "{{\"t\":{},\"imu\":{}", request.t, sample(imu.as_ref()))?;
+        write!(
+            out,
+            "{{\"t\":{},\"imu\":{}",
+            request.t,
+            sample(imu.as_ref())
+        )?;
         if base_imu {
             write!(out, ",\"base\":{}", sample(base.as_ref()))?;
         }
         if let Some(truth) = truth {
             let q = truth.quat();
-            write!(out, ",\"ref\":{{\"quat\":[{},{},{},{}]}}", q.w, q.i, q.j, q.k)?;
+            write!(
+                out,
+                ",\"ref\":{{\"quat\":[{},{},{},{}]}}",
+                q.w, q.i, q.j, q.k
+            )?;
         }
         writeln!(out, "}}")?;
         out.flush()?;
@@ -104,6 +131,10 @@ fn sample(sample: Option<&ImuSample>) -> String {
     let vector = |v: &nalgebra::Vector3<f64>| format!("[{},{},{}]", v.x, v.y, v.z);
     sample.map_or("null".to_owned(), |s| {
         let mag = s.mag_ut.as_ref().map_or("null".to_owned(), vector);
-        format!("{{\"acc\":{},\"gyr\":{},\"mag\":{mag}}}", vector(&s.acc_m_s2), vector(&s.gyro_rad_s))
+        format!(
+            "{{\"acc\":{},\"gyr\":{},\"mag\":{mag}}}",
+            vector(&s.acc_m_s2),
+            vector(&s.gyro_rad_s)
+        )
     })
 }

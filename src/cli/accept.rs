@@ -61,19 +61,33 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let board = inputs::board(Some(&args.board))?;
     let asks = board.hardware().is_some() && !args.yes;
     if asks && !stdin().is_terminal() {
-        bail!("`accept` asks before it moves a real machine: run it on a terminal, or confirm everything beforehand with --yes");
+        bail!(
+            "`accept` asks before it moves a real machine: run it on a terminal, or confirm everything beforehand with --yes"
+        );
     }
     let scratch = output::Scratch::new("accept")?;
     std::fs::write(scratch.0.join("schedule.csv"), demo::SCHEDULE).into_diagnostic()?;
     let program = std::env::current_exe().into_diagnostic()?;
     let shown = args.board.display().to_string();
-    let mut procedure = Procedure { program, folder: &scratch.0, shown: &shown, board: &board, service: None, text: String::new() };
+    let mut procedure = Procedure {
+        program,
+        folder: &scratch.0,
+        shown: &shown,
+        board: &board,
+        service: None,
+        text: String::new(),
+    };
     let mut page = Page::new(&format!("Acceptance of {shown}"));
     let version = env!("CARGO_PKG_VERSION");
     page.text(&format!("retroflex {version}. Nothing of it stays on the machine: its service had a folder of its own."));
     let (mut rows, mut texts, mut good, mut goes_on) = (Vec::new(), Vec::new(), true, true);
     let applies = |step: &Step| !step.hardware || board.hardware().is_some();
-    for step in toml::from_str::<Steps>(STEPS).into_diagnostic()?.step.into_iter().filter(applies) {
+    for step in toml::from_str::<Steps>(STEPS)
+        .into_diagnostic()?
+        .step
+        .into_iter()
+        .filter(applies)
+    {
         let began = Instant::now();
         let agreed = goes_on && (!asks || step.confirm.is_empty() || confirmed(&step.confirm));
         let done = agreed && procedure.step(&step);
@@ -85,7 +99,11 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         };
         good &= done;
         goes_on &= done || step.goes_on;
-        rows.push([step.name.clone(), result.to_owned(), format!("{:.0} s", began.elapsed().as_secs_f64())]);
+        rows.push([
+            step.name.clone(),
+            result.to_owned(),
+            format!("{:.0} s", began.elapsed().as_secs_f64()),
+        ]);
         texts.push((step.name, take(&mut procedure.text)));
     }
     let header = ["step", "result", "duration"];
@@ -96,7 +114,10 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     output::write(&args.html, page.html())?;
     let table = output::table(&header, 2..3, rows);
-    output::print(format!("\n{table}\nThe report is {}.\n", args.html.display()));
+    output::print(format!(
+        "\n{table}\nThe report is {}.\n",
+        args.html.display()
+    ));
     Ok(good.into())
 }
 
@@ -130,14 +151,25 @@ impl Procedure<'_> {
     fn run(&mut self, step: &Step) -> Result<bool> {
         if step.served && self.service.is_none() {
             let options = ["--board", self.shown, "--fast", "8"];
-            let options = if self.board.hardware().is_none() { &options[..] } else { &options[..2] };
-            let service = Daemon::start_with(&self.program, &self.folder.join("service"), options).into_diagnostic()?;
-            service.until(30.0, "alignment", |s| s["mode"] == "disarmed" || s["mode"] == "lost").into_diagnostic()?;
+            let options = if self.board.hardware().is_none() {
+                &options[..]
+            } else {
+                &options[..2]
+            };
+            let service = Daemon::start_with(&self.program, &self.folder.join("service"), options)
+                .into_diagnostic()?;
+            service
+                .until(30.0, "alignment", |s| {
+                    s["mode"] == "disarmed" || s["mode"] == "lost"
+                })
+                .into_diagnostic()?;
             self.service = Some(service);
         }
         for line in &step.commands {
             if let Some(service) = &self.service {
-                service.until(60.0, "rest", |s| s["mode"] != "relaxing").into_diagnostic()?;
+                service
+                    .until(60.0, "rest", |s| s["mode"] != "relaxing")
+                    .into_diagnostic()?;
             }
             let words: Vec<String> = line.split(' ').flat_map(|word| self.words(word)).collect();
             if !self.command(&words)? {
@@ -153,7 +185,9 @@ impl Procedure<'_> {
         let switches = self.board.homing.method == HomingMethod::Switches;
         match word {
             "BOARD" => vec![self.shown.to_owned()],
-            "PINS" if self.board.pins.is_some() => vec!["--board".to_owned(), self.shown.to_owned()],
+            "PINS" if self.board.pins.is_some() => {
+                vec!["--board".to_owned(), self.shown.to_owned()]
+            }
             "PINS" => vec![],
             "CONFIRMED" => vec![if switches { "--vented" } else { "--at-rest" }.to_owned()],
             "SCHEDULE" => file("schedule.csv"),
@@ -173,12 +207,23 @@ impl Procedure<'_> {
         self.say(&format!("$ retroflex {}", words.join(" ")));
         let (reader, writer) = std::io::pipe().into_diagnostic()?;
         let mut command = Command::new(&self.program);
-        command.args(words).stdin(Stdio::null()).stdout(writer.try_clone().into_diagnostic()?).stderr(writer);
-        command.envs(self.service.as_ref().map(|service| ("RETROFLEX_SOCKET", &service.sockets()[0])));
+        command
+            .args(words)
+            .stdin(Stdio::null())
+            .stdout(writer.try_clone().into_diagnostic()?)
+            .stderr(writer);
+        command.envs(
+            self.service
+                .as_ref()
+                .map(|service| ("RETROFLEX_SOCKET", &service.sockets()[0])),
+        );
         let mut child = command.spawn().into_diagnostic()?;
         // the pipe ends when nobody can write to it any more
         drop(command);
-        for line in BufReader::new(reader).lines().map_while(std::io::Result::ok) {
+        for line in BufReader::new(reader)
+            .lines()
+            .map_while(std::io::Result::ok)
+        {
             self.say(&line);
         }
         Ok(child.wait().into_diagnostic()?.success())

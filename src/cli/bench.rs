@@ -49,7 +49,12 @@ pub fn run(command: &Bench) -> Result<CommandOutcome> {
     let inputs: Vec<&Path> = args.board.iter().map(PathBuf::as_path).collect();
     output::check(&[("--svg", args.svg.as_deref())], &inputs)?;
     let (rate_hz, duration_s, load_threads) = (args.rate, args.seconds, args.load);
-    let base = RtBenchConfig { rate_hz, duration_s, load_threads, ..RtBenchConfig::default() };
+    let base = RtBenchConfig {
+        rate_hz,
+        duration_s,
+        load_threads,
+        ..RtBenchConfig::default()
+    };
     let (bench, through) = match &args.board {
         Some(path) => on_board(path, base)?,
         None => {
@@ -68,10 +73,14 @@ fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
     let board = inputs::board(Some(path))?;
     let file = path.display();
     let Some(wiring) = &board.pins else {
-        bail!("{file}: there is no [pins] table, so there is nothing to pulse; omit --board to use the mock");
+        bail!(
+            "{file}: there is no [pins] table, so there is nothing to pulse; omit --board to use the mock"
+        );
     };
     if wiring.channels.iter().any(|c| c.enable.is_none()) {
-        bail!("{file}: the EN input of a channel is hard-wired, so its motor would run; wire EN to a line and name it in pins.channels");
+        bail!(
+            "{file}: the EN input of a channel is hard-wired, so its motor would run; wire EN to a line and name it in pins.channels"
+        );
     }
     let refused = |e| manual_motion::hardware_error(path, e);
     let _lock = HardwareLock::take().map_err(|device| refused(HardwareError::InUse(device)))?;
@@ -83,7 +92,10 @@ fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
     let least_us = board.stepper.pulse_high_us + board.stepper.pulse_low_us;
     let most_us = board.stepper.step_interval_min_us.max(least_us);
     let step_interval_min_us = (0.2e6 / base.rate_hz).clamp(least_us, most_us);
-    let stepper = StepperConfig { step_interval_min_us, ..board.stepper };
+    let stepper = StepperConfig {
+        step_interval_min_us,
+        ..board.stepper
+    };
     let config = RtBenchConfig { stepper, ..base };
     let through = format!("{:?} on {}", wiring.backend, board.machine.name).to_lowercase();
     Ok((measure(&config, NoCurrent(pins))?, through))

@@ -81,7 +81,8 @@ fn draw(args: &DrawArgs) -> Result<CommandOutcome> {
         bail!("{path}: this board has no [pins], so there is nothing to wire");
     };
     let raspberry = board.machine.header == Header::RaspberryPi;
-    let supply = |name: &str, position| raspberry.then(|| (name.to_owned(), Wire::Position(position)));
+    let supply =
+        |name: &str, position| raspberry.then(|| (name.to_owned(), Wire::Position(position)));
     let uses = pins.uses();
     let mut devices = Vec::new();
     for (i, ground) in [9, 14, 20].into_iter().enumerate() {
@@ -89,19 +90,28 @@ fn draw(args: &DrawArgs) -> Result<CommandOutcome> {
         let own = uses.iter().filter(|u| u.key.starts_with(&channel));
         let lines = own.map(|u| (u.name.to_uppercase(), Wire::Line(u.pin)));
         let terminals = lines.chain(supply("GND", ground)).collect();
-        devices.push(Device { name: format!("driver of bellow {}", i + 1), terminals });
+        devices.push(Device {
+            name: format!("driver of bellow {}", i + 1),
+            terminals,
+        });
     }
     if let Some(imu) = &board.imu {
         let bus = imu.bus_lines.into_iter().flatten().zip(["SDA", "SCL"]);
         let bus = bus.map(|(pin, name)| (name.to_owned(), Wire::Line(pin)));
         let power = supply("3.3 V", 1).into_iter();
         let terminals = power.chain(bus).chain(supply("GND", 6)).collect();
-        devices.push(Device { name: format!("IMU at the tip, {}", imu.bus), terminals });
+        devices.push(Device {
+            name: format!("IMU at the tip, {}", imu.bus),
+            terminals,
+        });
     }
     if let Some(stop) = pins.emergency_stop {
         let contact = [("NC".to_owned(), Wire::Line(stop.pin))];
         let terminals = contact.into_iter().chain(supply("GND", 39)).collect();
-        devices.push(Device { name: "emergency stop".to_owned(), terminals });
+        devices.push(Device {
+            name: "emergency stop".to_owned(),
+            terminals,
+        });
     }
     let title = format!("Wiring of {}", board.machine.name);
     output::write(&args.svg, wiring::draw(&title, raspberry, &devices))?;
@@ -117,6 +127,9 @@ fn check(path: &Path) -> Result<CommandOutcome> {
 }
 
 /// A file, or what comes with the program in its place, as the whole of its keys.
-fn page<T: DeserializeOwned + Check + Parameters>(file: Option<&Path>, own: (&str, &str)) -> Result<String> {
+fn page<T: DeserializeOwned + Check + Parameters>(
+    file: Option<&Path>,
+    own: (&str, &str),
+) -> Result<String> {
     Ok(show::whole(&inputs::read_or::<T>(file, own)?))
 }

@@ -5,7 +5,9 @@
 
 use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, output};
-use crate::estimation::imu_calibration::{ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, gyro, mag, motor, mount, still};
+use crate::estimation::imu_calibration::{
+    ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, gyro, mag, motor, mount, still,
+};
 use crate::log::bend_log;
 use crate::log::table::text;
 use crate::primitives::ImuSample;
@@ -77,31 +79,58 @@ pub fn run(command: &Calibrate) -> Result<CommandOutcome> {
     let inputs: Vec<&Path> = args.file.iter().map(PathBuf::as_path).collect();
     output::check(&[("--out", Some(&args.out))], &inputs)?;
     let date = args.date.clone().unwrap_or_else(today);
-    let source = args.file.as_ref().or(args.live.as_ref()).map_or_else(String::new, |p| p.display().to_string());
+    let source = args
+        .file
+        .as_ref()
+        .or(args.live.as_ref())
+        .map_or_else(String::new, |p| p.display().to_string());
     let mut table = existing(&args.out)?;
     let mut calibration: ImuCalibration = match table.remove("imu") {
-        Some(imu) => imu.try_into().map_err(|e| miette!("{}: [imu]: {e}", args.out.display()))?,
+        Some(imu) => imu
+            .try_into()
+            .map_err(|e| miette!("{}: [imu]: {e}", args.out.display()))?,
         None => ImuCalibration::default(),
     };
-    match identify(args, Pedigree { date: &date, source: &source }, &mut calibration)? {
+    match identify(
+        args,
+        Pedigree {
+            date: &date,
+            source: &source,
+        },
+        &mut calibration,
+    )? {
         Ok(line) => eprintln!("{line}"),
         Err(refusal) => {
             eprintln!("refused: {refusal}");
             return Ok(CommandOutcome::NotGoodEnough);
         }
     }
-    table.insert("imu".to_owned(), toml::Value::try_from(&calibration).into_diagnostic()?);
-    output::write(&args.out, &toml::to_string_pretty(&table).into_diagnostic()?)?;
+    table.insert(
+        "imu".to_owned(),
+        toml::Value::try_from(&calibration).into_diagnostic()?,
+    );
+    output::write(
+        &args.out,
+        &toml::to_string_pretty(&table).into_diagnostic()?,
+    )?;
     eprintln!("written to {}", args.out.display());
     Ok(CommandOutcome::Good)
 }
 
 /// A day as `--date` gives it.
 fn day(text: &str) -> std::result::Result<String, String> {
-    let number = |range: std::ops::Range<usize>| text.get(range).and_then(|part| part.parse::<u16>().ok());
+    let number =
+        |range: std::ops::Range<usize>| text.get(range).and_then(|part| part.parse::<u16>().ok());
     let month = number(5..7).and_then(|m| time::Month::try_from(u8::try_from(m).ok()?).ok());
-    let known = match (text.len(), number(0..4), month, number(8..10).and_then(|d| u8::try_from(d).ok())) {
-        (10, Some(year), Some(month), Some(day)) => time::Date::from_calendar_date(i32::from(year), month, day).ok(),
+    let known = match (
+        text.len(),
+        number(0..4),
+        month,
+        number(8..10).and_then(|d| u8::try_from(d).ok()),
+    ) {
+        (10, Some(year), Some(month), Some(day)) => {
+            time::Date::from_calendar_date(i32::from(year), month, day).ok()
+        }
         _ => None,
     };
     known
@@ -124,7 +153,9 @@ type Identified = Result<String, Refusal>;
 
 fn identify(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Result<Identified> {
     let log = || {
-        let file = args.file.as_deref().ok_or_else(|| miette!("motors and mount need a bend log with piston positions; give its file"))?;
+        let file = args.file.as_deref().ok_or_else(|| {
+            miette!("motors and mount need a bend log with piston positions; give its file")
+        })?;
         bend_log::read(file).into_diagnostic()
     };
     let read = || match (&args.file, &args.live) {
@@ -155,17 +186,35 @@ fn identify(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Resul
     })
 }
 
-fn identify_gyro(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
+fn identify_gyro(
+    samples: &[ImuSample],
+    from: Pedigree<'_>,
+    into: &mut ImuCalibration,
+) -> Identified {
     let fit = gyro::at_rest(samples)?;
     into.set_gyro(&fit, from);
-    let (bias, sigma) = (list(fit.bias_rad_s.map(f64::to_degrees), 3), fit.sigma_rad_s.amax().to_degrees());
-    Ok(format!("gyroscope bias {bias} °/s, ± {sigma:.4} °/s, from {:.1} s of standstill", fit.duration_s))
+    let (bias, sigma) = (
+        list(fit.bias_rad_s.map(f64::to_degrees), 3),
+        fit.sigma_rad_s.amax().to_degrees(),
+    );
+    Ok(format!(
+        "gyroscope bias {bias} °/s, ± {sigma:.4} °/s, from {:.1} s of standstill",
+        fit.duration_s
+    ))
 }
 
-fn identify_accel(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
+fn identify_accel(
+    samples: &[ImuSample],
+    from: Pedigree<'_>,
+    into: &mut ImuCalibration,
+) -> Identified {
     let rests = still::rests(samples);
     let enough = rests.len() >= ELLIPSOID_SAMPLES_MIN;
-    let fit = if enough { accel::ellipsoid(&rests) } else { accel::six_positions(&rests) }?;
+    let fit = if enough {
+        accel::ellipsoid(&rests)
+    } else {
+        accel::six_positions(&rests)
+    }?;
     into.set_accel(&fit, from);
     Ok(format!(
         "accelerometer bias {} m/s², residual {:.4} m/s², {:.0} % of the sphere covered, {} standstills",
@@ -176,7 +225,11 @@ fn identify_accel(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalib
     ))
 }
 
-fn identify_mag(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
+fn identify_mag(
+    samples: &[ImuSample],
+    from: Pedigree<'_>,
+    into: &mut ImuCalibration,
+) -> Identified {
     let readings: Vec<Vector3<f64>> = samples.iter().filter_map(|s| s.mag_ut).collect();
     let fit = mag::ellipsoid(&readings)?;
     into.set_mag(&fit, from);

@@ -87,13 +87,22 @@ pub fn run(command: &Client) -> Result<CommandOutcome> {
         Client::Relax(p) => send(&p.at, &Request::Relax {}),
         Client::Arm(p) => follow::arm(&p.at),
         Client::Disarm(p) => send(&p.at, &Request::Disarm {}),
-        Client::Zero(args) => send_and_align(&args.at, &Request::Zero { straight: args.straight }),
+        Client::Zero(args) => send_and_align(
+            &args.at,
+            &Request::Zero {
+                straight: args.straight,
+            },
+        ),
         Client::ResetFault(p) => send(&p.at, &Request::ResetFault {}),
         Client::Reload(p) => send(&p.at, &Request::Reload {}),
         Client::Status(args) => status::status(args),
         Client::Monitor(args) => monitor::monitor(args),
         Client::Record(args) => {
-            let request = |action| Request::Record { action, name: args.name.clone(), owned: false };
+            let request = |action| Request::Record {
+                action,
+                name: args.name.clone(),
+                owned: false,
+            };
             match args.action {
                 // a recording that starts at rest starts with a new alignment
                 Action::Start => send_and_align(&args.at, &request(RecordAction::Start)),

@@ -56,7 +56,9 @@ fn write_back(path: &Path, board: &Board, wiring: &Wiring) -> Result<()> {
     }
     let file = path.display();
     if !path.exists() {
-        bail!("{file} is a board of the program; write it into a file with `retroflex board show {file} >board.toml`, and give that file");
+        bail!(
+            "{file} is a board of the program; write it into a file with `retroflex board show {file} >board.toml`, and give that file"
+        );
     }
     let text = source::text_of(path)?;
     let (new, changes) = rewired(&text, board, wiring).map_err(|key| {
@@ -79,22 +81,33 @@ fn rewired(text: &str, board: &Board, wiring: &Wiring) -> Result<(String, Vec<St
         new = place::replace(&new, &key, &value).ok_or(key)?;
         Ok(())
     };
-    let Some(pins) = &board.pins else { return Err("pins".to_owned()) };
+    let Some(pins) = &board.pins else {
+        return Err("pins".to_owned());
+    };
     for (i, &bellow) in wiring.reaches.iter().enumerate() {
         // the driver that is configured as channel i drives `bellow`
         let from = &pins.channels[i];
         if bellow != i {
-            set(format!("pins.channels.{bellow}.step"), from.step.to_string())?;
+            set(
+                format!("pins.channels.{bellow}.step"),
+                from.step.to_string(),
+            )?;
             set(format!("pins.channels.{bellow}.dir"), from.dir.to_string())?;
         }
         let turned = from.dir_inverted != wiring.inverted[i];
         if turned != pins.channels[bellow].dir_inverted {
-            set(format!("pins.channels.{bellow}.dir_inverted"), turned.to_string())?;
+            set(
+                format!("pins.channels.{bellow}.dir_inverted"),
+                turned.to_string(),
+            )?;
         }
     }
     if let (Some(imu), true) = (&board.imu, wiring.turned_rad.abs() >= TURN_SMALL_RAD) {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), wiring.turned_rad);
-        let mount: [f64; 3] = (turn * imu.mount()).scaled_axis().map(f64::to_degrees).into();
+        let mount: [f64; 3] = (turn * imu.mount())
+            .scaled_axis()
+            .map(f64::to_degrees)
+            .into();
         set("imu.mount_deg".to_owned(), format!("{mount:.1?}"))?;
     }
     Ok((new, changes))
@@ -108,15 +121,29 @@ mod tests {
     fn the_corrected_file_describes_the_wiring_that_was_found() {
         let text = include_str!("../../boards/pi4.toml");
         let board: Board = source::parse("pi4", text).unwrap();
-        let wiring = Wiring { reaches: [1, 0, 2], inverted: [true, false, false], turned_rad: 0.7, residual_rad: 0.0 };
+        let wiring = Wiring {
+            reaches: [1, 0, 2],
+            inverted: [true, false, false],
+            turned_rad: 0.7,
+            residual_rad: 0.0,
+        };
         let (new, changes) = rewired(text, &board, &wiring).unwrap();
         let mended: Board = source::parse("new", &new).unwrap();
         let (was, is) = (board.pins.unwrap().channels, mended.pins.unwrap().channels);
         // driver 1 drives bellow 2 and turns in the wrong direction
-        assert_eq!((is[1].step, is[1].dir, is[1].dir_inverted), (was[0].step, was[0].dir, true));
-        assert_eq!((is[0].step, is[0].dir, is[0].dir_inverted), (was[1].step, was[1].dir, false));
+        assert_eq!(
+            (is[1].step, is[1].dir, is[1].dir_inverted),
+            (was[0].step, was[0].dir, true)
+        );
+        assert_eq!(
+            (is[0].step, is[0].dir, is[0].dir_inverted),
+            (was[1].step, was[1].dir, false)
+        );
         assert_eq!(is[2], was[2]);
-        assert!((mended.imu.unwrap().mount().angle() - 0.7).abs() < 1e-3 && changes.len() == 6, "{changes:?}");
+        assert!(
+            (mended.imu.unwrap().mount().angle() - 0.7).abs() < 1e-3 && changes.len() == 6,
+            "{changes:?}"
+        );
         // comments and everything else are unchanged
         assert_eq!(new.lines().count(), text.lines().count());
         let sim: Board = source::parse("sim", include_str!("../../boards/sim.toml")).unwrap();

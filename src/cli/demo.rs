@@ -32,7 +32,10 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let report = args.html.display();
     let scratch = output::Scratch::new("demo")?;
     let program = std::env::current_exe().into_diagnostic()?;
-    let demo = Demo { program, folder: &scratch.0 };
+    let demo = Demo {
+        program,
+        folder: &scratch.0,
+    };
     std::fs::write(demo.file("schedule.csv"), SCHEDULE).into_diagnostic()?;
     output::print(format!(
         "A simulated tip, {PACE} times faster than real time. Each step shows its command after `$`; its files are temporary.\n"
@@ -56,7 +59,9 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let names = after["verdict"]["names"].as_array();
     let good = names.is_some_and(|names| names.iter().all(|n| n != "leak"));
     let end = if good { "gone" } else { "still there" };
-    output::print(format!("\nThe leak is {end}. The report of the leaky tip is {report}.\n"));
+    output::print(format!(
+        "\nThe leak is {end}. The report of the leaky tip is {report}.\n"
+    ));
     Ok(good.into())
 }
 
@@ -108,7 +113,10 @@ impl Demo<'_> {
         let done = command.args(words).env("RETROFLEX_SOCKET", socket).status();
         match done.into_diagnostic()?.code() {
             Some(0) => Ok(()),
-            Some(3) => Err(Unreachable::report("the simulated tip", "its service has ended")),
+            Some(3) => Err(Unreachable::report(
+                "the simulated tip",
+                "its service has ended",
+            )),
             _ => Err(miette!("`retroflex {line}` failed; see above")),
         }
     }
@@ -119,7 +127,11 @@ impl Demo<'_> {
         {
             let service = Some(&self.serve(name, leak)?);
             self.step(about, &["arm"], service)?;
-            self.step("", &["play", &path("schedule.csv"), "--record", name], service)?;
+            self.step(
+                "",
+                &["play", &path("schedule.csv"), "--record", name],
+                service,
+            )?;
         }
         let log = path(&format!("{name}/state/recordings/{name}.csv.gz"));
         let (html, json) = (html.display().to_string(), path(&format!("{name}.json")));

@@ -51,7 +51,12 @@ pub struct Finding {
 
 impl Finding {
     fn new(what: &str, verdict: Verdict, found: impl Into<String>, remedy: &str) -> Self {
-        Self { what: what.to_owned(), verdict, found: found.into(), remedy: remedy.to_owned() }
+        Self {
+            what: what.to_owned(),
+            verdict,
+            found: found.into(),
+            remedy: remedy.to_owned(),
+        }
     }
 
     fn pass(what: &str, found: impl Into<String>) -> Self {
@@ -68,7 +73,11 @@ impl Finding {
 
     /// Passes if `good`, else warns.
     fn pass_or_warn(good: bool, what: &str, found: impl Into<String>, remedy: &str) -> Self {
-        if good { Self::pass(what, found) } else { Self::warn(what, found, remedy) }
+        if good {
+            Self::pass(what, found)
+        } else {
+            Self::warn(what, found, remedy)
+        }
     }
 
     fn line(&self) -> String {
@@ -77,7 +86,11 @@ impl Finding {
             Verdict::Warn => "WARN",
             Verdict::Fail => "FAIL",
         };
-        let remedy = if self.remedy.is_empty() { String::new() } else { format!("\n      → {}", self.remedy) };
+        let remedy = if self.remedy.is_empty() {
+            String::new()
+        } else {
+            format!("\n      → {}", self.remedy)
+        };
         format!("{mark}  {:<18} {}{remedy}\n", self.what, self.found)
     }
 }
@@ -152,7 +165,9 @@ fn devices(board: &Board) -> Vec<Finding> {
         let remedy = "join the group gpio; on a Raspberry Pi 5 with an older kernel the header is /dev/gpiochip4";
         findings.push(device("pins", &pins.chip, remedy));
     }
-    let Some(machine) = board.hardware() else { return findings };
+    let Some(machine) = board.hardware() else {
+        return findings;
+    };
     let _lock = match HardwareLock::take() {
         Ok(lock) => lock,
         Err(path) => {
@@ -167,11 +182,15 @@ fn devices(board: &Board) -> Vec<Finding> {
         findings.push(match Sensor::start(config) {
             Ok(s) => {
                 let i = s.identity;
-                let found = format!("{} at {:#04x}, {:.0} Hz", i.inertial.part, i.inertial.address, i.rate_hz);
+                let found = format!(
+                    "{} at {:#04x}, {:.0} Hz",
+                    i.inertial.part, i.inertial.address, i.rate_hz
+                );
                 Finding::pass(what, found)
             }
             Err(e) => {
-                let remedy = "check connector, supply, address and part; see [imu] in the board file";
+                let remedy =
+                    "check connector, supply, address and part; see [imu] in the board file";
                 Finding::fail(what, e.to_string(), remedy)
             }
         });
@@ -194,7 +213,12 @@ fn bus_speed(bus: &str) -> Option<Finding> {
     let hz = u32::from_be_bytes(bytes.get(..4)?.try_into().ok()?);
     let found = format!("{} kHz", hz / 1000);
     let remedy = "set `dtparam=i2c_arm_baudrate=400000` in config.txt and restart";
-    Some(Finding::pass_or_warn(hz >= 400_000, "bus speed", found, remedy))
+    Some(Finding::pass_or_warn(
+        hz >= 400_000,
+        "bus speed",
+        found,
+        remedy,
+    ))
 }
 
 /// What the kernel grants, requested in a temporary thread so that this one keeps its scheduling.
@@ -255,7 +279,9 @@ fn disk(state: &Path) -> Finding {
 }
 
 fn folder(what: &str, path: Option<&Path>) -> Finding {
-    let Some(path) = path else { return Finding::fail(what, "none", "give the socket's path with its folder") };
+    let Some(path) = path else {
+        return Finding::fail(what, "none", "give the socket's path with its folder");
+    };
     let shown = path.display();
     match std::fs::metadata(path) {
         Ok(m) => {

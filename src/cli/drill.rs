@@ -70,7 +70,13 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if let Some(folder) = &args.recall {
         return recall(folder);
     }
-    output::check(&[("--json", args.json.as_deref()), ("--html", args.html.as_deref())], &[])?;
+    output::check(
+        &[
+            ("--json", args.json.as_deref()),
+            ("--html", args.html.as_deref()),
+        ],
+        &[],
+    )?;
     if let Some(hours) = args.soak {
         return run_soak(args, &config, hours);
     }
@@ -88,7 +94,11 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 fn simulation() -> Result<BenchConfig> {
     let (board, calibration) = (inputs::board(None)?, inputs::calibration(None)?);
     let gains = Gains::default();
-    Ok(BenchConfig { board, calibration, gains })
+    Ok(BenchConfig {
+        board,
+        calibration,
+        gains,
+    })
 }
 
 fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<Row>> {
@@ -107,8 +117,14 @@ fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<Row>> {
     if !args.in_flight && (args.only.is_none() || rows.is_empty()) {
         let program = std::env::current_exe().into_diagnostic()?;
         let scratch = output::Scratch::new("drill")?;
-        let plan =
-            process::Plan { config, program: &program, scratch: &scratch.0, kills: args.kills, tries: args.tries, selected: &selected };
+        let plan = process::Plan {
+            config,
+            program: &program,
+            scratch: &scratch.0,
+            kills: args.kills,
+            tries: args.tries,
+            selected: &selected,
+        };
         rows.extend(process::rows(&plan).into_diagnostic()?);
     }
     Ok(rows)

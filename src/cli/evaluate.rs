@@ -114,13 +114,29 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let calibration = calibration.unwrap_or_default();
     let given = args.feedforward.as_deref();
     let feedforward = inputs::feedforward(given, args.calib.as_deref(), &calibration);
-    let feedforward = feedforward.map(|path| inputs::described(&path, &board)).transpose()?;
+    let feedforward = feedforward
+        .map(|path| inputs::described(&path, &board))
+        .transpose()?;
     let config = assemble(&board, &calibration, &gains);
     let track = track(args, &config)?;
-    let usual = || if track.is_some() { Vec::new() } else { Arm::ALL.to_vec() };
+    let usual = || {
+        if track.is_some() {
+            Vec::new()
+        } else {
+            Arm::ALL.to_vec()
+        }
+    };
     let arms = args.arms.clone().unwrap_or_else(usual);
     let rig = gap::input::rig(args.board.as_deref())?;
-    let plan = Plan { identify, config, arms, track, seed: args.seed, rig, feedforward };
+    let plan = Plan {
+        identify,
+        config,
+        arms,
+        track,
+        seed: args.seed,
+        rig,
+        feedforward,
+    };
     let bar = output::bar(0, "{msg:<18} {pos} states held,");
     let result = evaluation::run(&plan, &mut |purpose| plant.open(purpose), &mut |what| {
         bar.set_message(what.to_owned());
@@ -150,7 +166,17 @@ fn check(args: &Args) -> Result<()> {
             bail!("--arms names `{}` twice; name each arm once", arm.name());
         }
     }
-    let Args { json, html, svg, board, calib, gains, feedforward, track, .. } = args;
+    let Args {
+        json,
+        html,
+        svg,
+        board,
+        calib,
+        gains,
+        feedforward,
+        track,
+        ..
+    } = args;
     let results = [("--json", json), ("--html", html), ("--svg", svg)];
     let results = results.map(|(option, path)| (option, path.as_deref()));
     let inputs = [board, calib, gains, feedforward, track].into_iter();
@@ -160,10 +186,16 @@ fn check(args: &Args) -> Result<()> {
 
 /// The path of `--track`, within the reach of the machine as far as it is known before an identification.
 fn track(args: &Args, config: &LoopConfig) -> Result<Option<Track>> {
-    let Some(file) = &args.track else { return Ok(None) };
+    let Some(file) = &args.track else {
+        return Ok(None);
+    };
     let path = path::PathFile::open(file, &config.geometry).into_diagnostic()?;
-    path.within(&config.limits, &config.geometry, &config.lines).into_diagnostic()?;
-    Ok(Some(Track { path, live: args.live }))
+    path.within(&config.limits, &config.geometry, &config.lines)
+        .into_diagnostic()?;
+    Ok(Some(Track {
+        path,
+        live: args.live,
+    }))
 }
 
 /// What is to be said of a path that the pistons cannot follow as it is.
@@ -173,36 +205,66 @@ fn too_fast(t: &TrackResult) -> Option<String> {
         true => "a live path is not slowed down, so the tip falls behind",
         false => "it was driven that much slower",
     };
-    (demand > 1.0).then(|| format!("the path asks {demand:.2} times the speed that the pistons can follow; {done}"))
+    (demand > 1.0).then(|| {
+        format!("the path asks {demand:.2} times the speed that the pistons can follow; {done}")
+    })
 }
 
 /// The plant that the arms run on.
 enum Plant {
-    Foreign { program: String, args: Vec<String> },
-    BuiltIn { section: Box<PlantSection>, seed: u64 },
-    Described { machine: Arc<DescribedMachine>, step_mm: f64, seed: u64 },
+    Foreign {
+        program: String,
+        args: Vec<String>,
+    },
+    BuiltIn {
+        section: Box<PlantSection>,
+        seed: u64,
+    },
+    Described {
+        machine: Arc<DescribedMachine>,
+        step_mm: f64,
+        seed: u64,
+    },
 }
 
 impl Plant {
     fn new(args: &Args, board: &Board) -> Result<Self> {
         if let Some(path) = args.plant.as_deref().and_then(|p| p.strip_prefix("model:")) {
             let machine = inputs::described(Path::new(path), board)?;
-            return Ok(Self::Described { machine, step_mm: board.drive.law().step_mm, seed: args.seed });
+            return Ok(Self::Described {
+                machine,
+                step_mm: board.drive.law().step_mm,
+                seed: args.seed,
+            });
         }
         if let Some(plant) = &args.plant {
             let (program, args) = inputs::program(plant)?;
             return Ok(Self::Foreign { program, args });
         }
-        Ok(Self::BuiltIn { section: Box::new(built_in(args, board)?), seed: args.seed })
+        Ok(Self::BuiltIn {
+            section: Box::new(built_in(args, board)?),
+            seed: args.seed,
+        })
     }
 
     fn open(&self, purpose: Purpose) -> Result<Box<dyn World>, MachineError> {
         Ok(match self {
             Self::Foreign { program, args } => Box::new(Link::start(program, args)?),
-            Self::Described { machine, step_mm, seed } => {
-                Box::new(Described::new(machine.as_ref().clone(), *step_mm, seed.wrapping_add(noise_of(purpose))))
-            }
-            Self::BuiltIn { section, seed } => Box::new(Sim::new(&section.make(), *seed, noise_of(purpose), section.period_s)?),
+            Self::Described {
+                machine,
+                step_mm,
+                seed,
+            } => Box::new(Described::new(
+                machine.as_ref().clone(),
+                *step_mm,
+                seed.wrapping_add(noise_of(purpose)),
+            )),
+            Self::BuiltIn { section, seed } => Box::new(Sim::new(
+                &section.make(),
+                *seed,
+                noise_of(purpose),
+                section.period_s,
+            )?),
         })
     }
 }
@@ -244,10 +306,18 @@ fn summary(e: &Evaluation) -> String {
     };
     // a figure a row, so that the table is narrow
     let rows = pictures::arm_rows(e);
-    let line = |c: usize, title: &str| std::iter::once(title.to_owned()).chain(rows.iter().map(|r| r[c].clone())).collect::<Vec<_>>();
+    let line = |c: usize, title: &str| {
+        std::iter::once(title.to_owned())
+            .chain(rows.iter().map(|r| r[c].clone()))
+            .collect::<Vec<_>>()
+    };
     let header = line(0, "");
     let header: Vec<&str> = header.iter().map(String::as_str).collect();
-    let figures = pictures::ARM_COLUMNS.iter().enumerate().skip(1).map(|(c, title)| line(c, title));
+    let figures = pictures::ARM_COLUMNS
+        .iter()
+        .enumerate()
+        .skip(1)
+        .map(|(c, title)| line(c, title));
     let arms = match e.arms.len() {
         0 => String::new(),
         _ => format!("{}\n", output::table(&header, 1..header.len(), figures)),
@@ -256,9 +326,24 @@ fn summary(e: &Evaluation) -> String {
         0 => String::new(),
         _ => {
             let deg = |x: f64| format!("{x:.1}°");
-            let row = |f: &Foretold| [f.name.clone(), deg(f.machine_deg), deg(f.twin_deg), deg(f.nominal_deg)];
-            let header = ["bend RMSE, open loop", "machine", "its twin foretells", "nominal model foretells"];
-            format!("{}\n", output::table(&header, 1..header.len(), e.foretold.iter().map(row)))
+            let row = |f: &Foretold| {
+                [
+                    f.name.clone(),
+                    deg(f.machine_deg),
+                    deg(f.twin_deg),
+                    deg(f.nominal_deg),
+                ]
+            };
+            let header = [
+                "bend RMSE, open loop",
+                "machine",
+                "its twin foretells",
+                "nominal model foretells",
+            ];
+            format!(
+                "{}\n",
+                output::table(&header, 1..header.len(), e.foretold.iter().map(row))
+            )
         }
     };
     let path = e.track.as_ref().map_or(String::new(), |t| {
@@ -268,5 +353,7 @@ fn summary(e: &Evaluation) -> String {
         )
     });
     let (plant, seed, k_eps, k_lambda) = (&e.plant, e.seed, gains(&e.k_eps), gains(&e.k_lambda_mm));
-    format!("plant {plant}, seed {seed}\n{arms}{foretold}{path}k_ε = {k_eps}   k_λ = {k_lambda} mm   ({origin})\n")
+    format!(
+        "plant {plant}, seed {seed}\n{arms}{foretold}{path}k_ε = {k_eps}   k_λ = {k_lambda} mm   ({origin})\n"
+    )
 }

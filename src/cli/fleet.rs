@@ -43,14 +43,25 @@ pub struct Args {
 /// A report that names the faulty file.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let (json, html) = (args.json.as_deref(), args.html.as_deref());
-    let results = [("--merged", args.merged.as_deref()), ("--prior", args.prior.as_deref()), ("--json", json), ("--html", html)];
-    output::check(&results, &args.tables.iter().map(PathBuf::as_path).collect::<Vec<_>>())?;
+    let results = [
+        ("--merged", args.merged.as_deref()),
+        ("--prior", args.prior.as_deref()),
+        ("--json", json),
+        ("--html", html),
+    ];
+    output::check(
+        &results,
+        &args.tables.iter().map(PathBuf::as_path).collect::<Vec<_>>(),
+    )?;
     let mut rows: BTreeMap<String, Row> = BTreeMap::new();
     for table in &args.tables {
         for row in read(table)? {
             let log = row.log.clone();
             if rows.get(&log).is_some_and(|known| *known != row) {
-                bail!("{}: {log} has another row in another table; diagnose it again, with the same settings everywhere", table.display());
+                bail!(
+                    "{}: {log} has another row in another table; diagnose it again, with the same settings everywhere",
+                    table.display()
+                );
             }
             rows.insert(log, row);
         }
@@ -75,17 +86,27 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 fn prior(survey: &Survey) -> Result<Calibration> {
     let mut gains = Vec::new();
     for name in GAINS {
-        let gain = survey.gains.get(name).ok_or_else(|| miette!("--prior: no log of these tables is without an effect"))?;
+        let gain = survey
+            .gains
+            .get(name)
+            .ok_or_else(|| miette!("--prior: no log of these tables is without an effect"))?;
         gains.push(gain.map(|x| (x * 1e4).round() / 1e4));
     }
     let [value, sigma] = [0, 1].map(|k| move |gain: &[f64; 2]| gain[k].max(LEAST));
     let mut prior = Calibration::default();
     let transmission = &mut prior.transmission;
     for i in 0..3 {
-        (transmission.k_epsilon[i], transmission.k_epsilon_sigma[i]) = (value(&gains[i]), sigma(&gains[i]));
-        (transmission.k_lambda_mm[i], transmission.k_lambda_sigma_mm[i]) = (value(&gains[3 + i]), sigma(&gains[3 + i]));
+        (transmission.k_epsilon[i], transmission.k_epsilon_sigma[i]) =
+            (value(&gains[i]), sigma(&gains[i]));
+        (
+            transmission.k_lambda_mm[i],
+            transmission.k_lambda_sigma_mm[i],
+        ) = (value(&gains[3 + i]), sigma(&gains[3 + i]));
     }
-    transmission.source = format!("median and spread of the sound ones of {} logs", survey.lots[0].logs);
+    transmission.source = format!(
+        "median and spread of the sound ones of {} logs",
+        survey.lots[0].logs
+    );
     prior.dynamics.lag_s = value(&gains[6]);
     Ok(prior)
 }
@@ -94,28 +115,59 @@ fn prior(survey: &Survey) -> Result<Calibration> {
 fn words(f: &Finding) -> String {
     let (here, elsewhere) = match f.what.starts_with("k_") || f.what == "lag_s" {
         true => (format!("{:.3}", f.here), format!("{:.3}", f.elsewhere)),
-        false => (format!("{:.0} %", f.here * 100.0), format!("{:.0} %", f.elsewhere * 100.0)),
+        false => (
+            format!("{:.0} %", f.here * 100.0),
+            format!("{:.0} %", f.elsewhere * 100.0),
+        ),
     };
-    let lot = f.lot.as_ref().map_or("each lot".to_owned(), |lot| format!("lot {lot}"));
-    let sides = if f.drifts { ["the later half of ", "the earlier"] } else { ["", "the others"] };
-    format!("{}: {here} in {}{lot}, {elsewhere} in {} (p = {:.1e})", f.what, sides[0], sides[1], f.p)
+    let lot = f
+        .lot
+        .as_ref()
+        .map_or("each lot".to_owned(), |lot| format!("lot {lot}"));
+    let sides = if f.drifts {
+        ["the later half of ", "the earlier"]
+    } else {
+        ["", "the others"]
+    };
+    format!(
+        "{}: {here} in {}{lot}, {elsewhere} in {} (p = {:.1e})",
+        f.what, sides[0], sides[1], f.p
+    )
 }
 
 fn summary(survey: &Survey) -> String {
     let row = |lot: &Lot| {
-        let shares: Vec<String> = lot.shares.iter().take(4).map(|(name, share)| format!("{name} {:.0} %", share * 100.0)).collect();
+        let shares: Vec<String> = lot
+            .shares
+            .iter()
+            .take(4)
+            .map(|(name, share)| format!("{name} {:.0} %", share * 100.0))
+            .collect();
         [lot.name.clone(), lot.logs.to_string(), shares.join(", ")]
     };
-    let mut text = format!("{}\n", output::table(&["lot", "logs", "verdicts"], 1..2, survey.lots.iter().map(row)));
+    let mut text = format!(
+        "{}\n",
+        output::table(
+            &["lot", "logs", "verdicts"],
+            1..2,
+            survey.lots.iter().map(row)
+        )
+    );
     for (name, [median, sigma]) in &survey.gains {
         text += &format!("{name}: {median:.3} ± {sigma:.3}\n");
     }
     if survey.findings.is_empty() {
         text += "no lot differs from the others, and nothing drifts\n";
     }
-    survey.findings.iter().for_each(|f| text += &format!("{}\n", words(f)));
+    survey
+        .findings
+        .iter()
+        .for_each(|f| text += &format!("{}\n", words(f)));
     if survey.refused > 0 {
-        text += &format!("{} logs cannot be diagnosed; the column `refused` says why\n", survey.refused);
+        text += &format!(
+            "{} logs cannot be diagnosed; the column `refused` says why\n",
+            survey.refused
+        );
     }
     text
 }
@@ -126,10 +178,18 @@ fn page(survey: &Survey) -> Page {
     page.output(&summary(survey));
     page.quiet("p is the probability of a difference as large by chance, corrected for the number of comparisons; from 0.01 on nothing is claimed.");
     page.heading("Verdicts by lot");
-    let bar = |(name, share): &(String, f64)| Bar { name: name.clone(), share: *share, interval: None, strong: true };
+    let bar = |(name, share): &(String, f64)| Bar {
+        name: name.clone(),
+        share: *share,
+        interval: None,
+        strong: true,
+    };
     let chart = |lot: &Lot| {
         let bars: Vec<Bar> = lot.shares.iter().map(bar).collect();
-        (bars::svg(&lot.name, Ink::GREEN, &bars), format!("{} logs", lot.logs))
+        (
+            bars::svg(&lot.name, Ink::GREEN, &bars),
+            format!("{} logs", lot.logs),
+        )
     };
     page.charts(&survey.lots.iter().map(chart).collect::<Vec<_>>());
     page

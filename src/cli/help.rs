@@ -9,8 +9,14 @@ use std::path::PathBuf;
 
 /// The commands by task, as `--help` lists them.
 pub const GROUPS: [(&str, &str); 7] = [
-    ("Move", "run arm bend stream play steer page hold stop relax disarm status monitor subscribe reset-fault reload"),
-    ("Bring up", "accept board doctor release jog home commission bench"),
+    (
+        "Move",
+        "run arm bend stream play steer page hold stop relax disarm status monitor subscribe reset-fault reload",
+    ),
+    (
+        "Bring up",
+        "accept board doctor release jog home commission bench",
+    ),
     ("Calibrate", "zero calibrate imu"),
     ("Diagnose", "record log replay gap fleet"),
     ("Simulate", "demo evaluate"),
@@ -21,13 +27,16 @@ pub const GROUPS: [(&str, &str); 7] = [
 /// Two examples of each command that has arguments. A command with commands of its own stands for all of them.
 const EXAMPLES: &str = include_str!("examples.txt");
 
-const TEMPLATE: &str = "{about-with-newline}\n{usage-heading} {usage}\n{after-help}\n\nOptions:\n{options}";
+const TEMPLATE: &str =
+    "{about-with-newline}\n{usage-heading} {usage}\n{after-help}\n\nOptions:\n{options}";
 
 /// The commands with examples, in their order, with the two of each.
 fn all_examples() -> Vec<(&'static str, [&'static str; 2])> {
     let lines: Vec<&str> = EXAMPLES.lines().collect();
     let pairs = lines.chunks_exact(2).map(|pair| [pair[0], pair[1]]);
-    pairs.filter_map(|pair| Some((pair[0].split(' ').next()?, pair))).collect()
+    pairs
+        .filter_map(|pair| Some((pair[0].split(' ').next()?, pair)))
+        .collect()
 }
 
 /// Two examples of a command, without the name of the program.
@@ -50,30 +59,47 @@ pub fn explained(cli: Command) -> Command {
         }
         let mut own = all_examples();
         own.retain(|e| names.split(' ').any(|name| name == e.0) && e.1[0].contains(' '));
-        let Some((_, [first, second])) = own.first() else { continue };
+        let Some((_, [first, second])) = own.first() else {
+            continue;
+        };
         let second = own.get(1).map_or(second, |other| &other.1[0]);
-        let _ = writeln!(text, "  Examples: `retroflex {first}`, `retroflex {second}`");
+        let _ = writeln!(
+            text,
+            "  Examples: `retroflex {first}`, `retroflex {second}`"
+        );
     }
     let numbers = |c: Command| c.allow_negative_numbers(true);
     let with_examples = |c: Command| {
         let [first, second] = examples(c.get_name());
-        numbers(c).mut_subcommands(numbers).after_help(format!("Examples:\n  retroflex {first}\n  retroflex {second}"))
+        numbers(c).mut_subcommands(numbers).after_help(format!(
+            "Examples:\n  retroflex {first}\n  retroflex {second}"
+        ))
     };
-    cli.mut_subcommands(with_examples).help_template(TEMPLATE).after_help(text.trim_end().to_owned())
+    cli.mut_subcommands(with_examples)
+        .help_template(TEMPLATE)
+        .after_help(text.trim_end().to_owned())
 }
 
 /// A usage error without the terms of the Rust library.
 pub fn plain(text: &str) -> String {
     const WORDS: [(&str, &str); 7] = [
-        ("invalid socket address syntax", "expected an address and a port, for example 192.168.1.20:8088"),
+        (
+            "invalid socket address syntax",
+            "expected an address and a port, for example 192.168.1.20:8088",
+        ),
         ("..=", " to "),
         ("invalid float literal", "expected a number"),
         ("cannot parse float from empty string", "expected a number"),
-        ("invalid digit found in string", "expected a whole number, not negative"),
+        (
+            "invalid digit found in string",
+            "expected a whole number, not negative",
+        ),
         ("unrecognized subcommand", "there is no command"),
         ("a similar subcommand exists", "did you mean"),
     ];
-    WORDS.iter().fold(text.to_owned(), |text, (from, to)| text.replace(from, to))
+    WORDS
+        .iter()
+        .fold(text.to_owned(), |text, (from, to)| text.replace(from, to))
 }
 
 /// Arguments of `completions`.
@@ -106,7 +132,9 @@ pub struct ManArgs {
 pub fn man(args: &ManArgs, command: Command) -> Result<CommandOutcome> {
     let folder = args.folder.display();
     if !args.folder.is_dir() {
-        return Err(miette!("{folder}: this is no folder; create one and name it"));
+        return Err(miette!(
+            "{folder}: this is no folder; create one and name it"
+        ));
     }
     clap_mangen::generate_to(command, &args.folder).map_err(|e| miette!("{folder}: {e}"))?;
     Ok(CommandOutcome::Good)

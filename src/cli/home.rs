@@ -34,7 +34,11 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let board = inputs::board(Some(&args.board))?;
     // the lock of the state folder also keeps a service from starting meanwhile
-    let memory = board.hardware().map(|_| Store::open(&Paths::of(&board.service).state)).transpose().into_diagnostic()?;
+    let memory = board
+        .hardware()
+        .map(|_| Store::open(&Paths::of(&board.service).state))
+        .transpose()
+        .into_diagnostic()?;
     let text = match board.homing.method {
         HomingMethod::Switches => by_switches(args, &board)?,
         HomingMethod::Operator => by_operator(args)?,
@@ -43,8 +47,21 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         let found = recall.memory.unwrap_or_default();
         // the switches measure; the operator's word is not verified
         let unverified = board.homing.method == HomingMethod::Operator;
-        let restart = found.restart.map(|r| RestartState { steps: Steps::default(), bend_rad: [0.0; 2], play_output_mm: [0.0; 3], ..r });
-        store.write(&Memory { armed: false, lost: false, unverified, restart, ..found }).into_diagnostic()?;
+        let restart = found.restart.map(|r| RestartState {
+            steps: Steps::default(),
+            bend_rad: [0.0; 2],
+            play_output_mm: [0.0; 3],
+            ..r
+        });
+        store
+            .write(&Memory {
+                armed: false,
+                lost: false,
+                unverified,
+                restart,
+                ..found
+            })
+            .into_diagnostic()?;
     }
     output::print(&text);
     Ok(CommandOutcome::Good)
@@ -52,7 +69,9 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 
 fn by_switches(args: &Args, board: &Board) -> Result<String> {
     if !args.vented {
-        return Err(miette!("homing drives every piston to the end of its travel: remove the tip or vent its lines, then add --vented"));
+        return Err(miette!(
+            "homing drives every piston to the end of its travel: remove the tip or vent its lines, then add --vented"
+        ));
     }
     let (h, travel_mm) = (board.homing, board.limits.travel_mm);
     let search_max_mm = 2.0 * travel_mm + h.back_off_mm;
@@ -88,14 +107,17 @@ fn by_switches(args: &Args, board: &Board) -> Result<String> {
 /// Keeps the drivers off while the operator turns the pinions and the pressure equalises.
 fn by_operator(args: &Args) -> Result<String> {
     if !args.at_rest {
-        eprintln!("Open the lines, move every piston to its rest mark by hand and close the lines. Then type `rest` and press Enter.");
+        eprintln!(
+            "Open the lines, move every piston to its rest mark by hand and close the lines. Then type `rest` and press Enter."
+        );
         let mut line = String::new();
         let read = std::io::stdin().lock().read_line(&mut line);
         if read.is_err() || line.trim() != "rest" {
             return Err(miette!("not confirmed; zero is unchanged"));
         }
     }
-    let (_, mut machine) = manual_motion::open(&args.board, |c| (c.imu, c.base_imu) = (None, None))?;
+    let (_, mut machine) =
+        manual_motion::open(&args.board, |c| (c.imu, c.base_imu) = (None, None))?;
     manual_motion::with_manual_control(machine.as_mut(), |hand| {
         let mut all = || {
             hand.energise(true)?;

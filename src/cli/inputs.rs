@@ -57,7 +57,10 @@ pub fn calibration(path: Option<&Path>) -> Result<Calibration> {
 ///
 /// # Errors
 /// A report that names file, line and key.
-pub fn read_or<T: DeserializeOwned + Check>(path: Option<&Path>, (name, built_in): (&str, &str)) -> Result<T> {
+pub fn read_or<T: DeserializeOwned + Check>(
+    path: Option<&Path>,
+    (name, built_in): (&str, &str),
+) -> Result<T> {
     Ok(match path {
         Some(path) => source::read(path)?,
         None => source::parse(name, built_in)?,
@@ -65,7 +68,10 @@ pub fn read_or<T: DeserializeOwned + Check>(path: Option<&Path>, (name, built_in
 }
 
 /// A parser of options that take a number from a range.
-pub fn within(allowed: RangeInclusive<f64>, unit: &'static str) -> impl Fn(&str) -> std::result::Result<f64, String> + Clone {
+pub fn within(
+    allowed: RangeInclusive<f64>,
+    unit: &'static str,
+) -> impl Fn(&str) -> std::result::Result<f64, String> + Clone {
     move |text| match text.parse() {
         Ok(number) if allowed.contains(&number) => Ok(number),
         _ => {
@@ -84,17 +90,27 @@ pub fn described(path: &Path, board: &Board) -> Result<Arc<DescribedMachine>> {
 }
 
 /// The path of the model for the feedforward: the one on the command line, or the one that the calibration file names.
-pub fn feedforward(given: Option<&Path>, calib: Option<&Path>, calibration: &Calibration) -> Option<PathBuf> {
+pub fn feedforward(
+    given: Option<&Path>,
+    calib: Option<&Path>,
+    calibration: &Calibration,
+) -> Option<PathBuf> {
     let named = Some(&calibration.feedforward).filter(|name| !name.is_empty());
     let folder = calib.and_then(Path::parent).unwrap_or(Path::new(""));
-    given.map(Path::to_owned).or_else(|| Some(folder.join(named?)))
+    given
+        .map(Path::to_owned)
+        .or_else(|| Some(folder.join(named?)))
 }
 
 /// [`described`] for a model that has been read from `origin`.
 ///
 /// # Errors
 /// A report that names the key.
-pub fn described_by(origin: &str, model: SavedModel, board: &Board) -> Result<Arc<DescribedMachine>> {
+pub fn described_by(
+    origin: &str,
+    model: SavedModel,
+    board: &Board,
+) -> Result<Arc<DescribedMachine>> {
     if let Some(problem) = model.unknown_names(&catalogue()) {
         bail!("{origin}: {problem}");
     }
@@ -117,7 +133,11 @@ pub fn program(plant: &str) -> Result<(String, Vec<String>)> {
     let refused = |why: &str| miette!("--plant `{plant}`: {why}");
     let line = plant.strip_prefix("exec:");
     let line = line.ok_or_else(|| refused("expected `exec:PROGRAM ARG…`"))?;
-    let mut words = shlex::split(line).ok_or_else(|| refused("a quote is not closed"))?.into_iter();
-    let program = words.next().ok_or_else(|| refused("no program is named after `exec:`"))?;
+    let mut words = shlex::split(line)
+        .ok_or_else(|| refused("a quote is not closed"))?
+        .into_iter();
+    let program = words
+        .next()
+        .ok_or_else(|| refused("no program is named after `exec:`"))?;
     Ok((program, words.collect()))
 }

@@ -43,7 +43,10 @@ pub struct Args {
 /// A report: bad input, hardware that does not answer, or the reason that ended the motion.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     if args.stay && args.times != 1 {
-        return Err(miette!("--stay and --times {} contradict each other; omit one of them", args.times));
+        return Err(miette!(
+            "--stay and --times {} contradict each other; omit one of them",
+            args.times
+        ));
     }
     let (_, mut machine) = manual_motion::open(&args.board, |config| {
         // the sensors are not needed to turn a motor

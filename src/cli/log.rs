@@ -66,8 +66,15 @@ pub enum Log {
 pub fn run(command: &Log) -> Result<CommandOutcome> {
     match command {
         Log::Info { file, json, html } => info(&flight_of(file)?, json.as_deref(), html.as_deref()),
-        Log::Export { file, csv, parquet } => export(&flight_of(file)?, csv.as_deref(), parquet.as_deref()),
-        Log::Cut { file, from, to, out } => cut(&flight_of(file)?, *from, *to, out),
+        Log::Export { file, csv, parquet } => {
+            export(&flight_of(file)?, csv.as_deref(), parquet.as_deref())
+        }
+        Log::Cut {
+            file,
+            from,
+            to,
+            out,
+        } => cut(&flight_of(file)?, *from, *to, out),
     }
 }
 
@@ -91,7 +98,8 @@ impl Info {
     }
 
     fn note(&mut self, text: &str) {
-        self.events.push(format!("{:.3} s: {text}", self.duration_s));
+        self.events
+            .push(format!("{:.3} s: {text}", self.duration_s));
     }
 
     fn take(&mut self, message: &Message<'_>) -> std::result::Result<(), String> {
@@ -100,7 +108,8 @@ impl Info {
             Entry::Event(event) => match *event {
                 Event::Start(header) => {
                     let hashes = header.hashes().into_iter();
-                    self.facts.extend(hashes.map(|(name, hash)| (name, json!(hash))));
+                    self.facts
+                        .extend(hashes.map(|(name, hash)| (name, json!(hash))));
                     self.fact("program", &header.program);
                     self.fact("machine", &header.machine.name);
                     self.fact("tip", &header.tip);
@@ -112,7 +121,9 @@ impl Info {
             Entry::Cycles(first, cycles) => {
                 if let Some(next) = self.next.filter(|next| *next < first) {
                     let missing = first - next;
-                    self.note(&format!("gap: {missing} cycles are missing before cycle {first}"));
+                    self.note(&format!(
+                        "gap: {missing} cycles are missing before cycle {first}"
+                    ));
                 }
                 self.next = Some(first + cycles.len() as u64);
                 self.cycles += cycles.len() as u64;
@@ -120,8 +131,14 @@ impl Info {
             Entry::Shown(value) => {
                 for (bends, key) in self.bends.iter_mut().zip(["target", "estimate"]) {
                     let bend_deg = value[key]["bend_deg"].as_f64();
-                    let new = bends.last().is_none_or(|last| self.duration_s - last.0 >= BEND_EVERY_S);
-                    bends.extend(bend_deg.filter(|_| new).map(|bend_deg| (self.duration_s, bend_deg)));
+                    let new = bends
+                        .last()
+                        .is_none_or(|last| self.duration_s - last.0 >= BEND_EVERY_S);
+                    bends.extend(
+                        bend_deg
+                            .filter(|_| new)
+                            .map(|bend_deg| (self.duration_s, bend_deg)),
+                    );
                 }
                 for change in self.changes.of(&value) {
                     self.note(&change);
@@ -140,12 +157,27 @@ const BENDS_MAX: usize = 2000;
 impl Info {
     fn page(&self, path: &Path, facts: &[[String; 2]]) -> Page {
         let mut page = Page::new(&format!("Flight log {}", path.display()));
-        let thinned = |all: &Vec<(f64, f64)>| all.iter().copied().step_by(all.len().div_ceil(BENDS_MAX).max(1)).collect();
+        let thinned = |all: &Vec<(f64, f64)>| {
+            all.iter()
+                .copied()
+                .step_by(all.len().div_ceil(BENDS_MAX).max(1))
+                .collect()
+        };
         let [target, estimate] = self.bends.each_ref().map(thinned);
-        let series = [("target", Ink::GREY, Stroke::Dashed, target), ("estimate", Ink::GREEN, Stroke::Solid, estimate)];
-        let series = series.map(|(name, ink, stroke, points)| Series::line(name, ink, stroke, points));
-        let (x, y) = (Axis::new("time / s", 0.0, self.duration_s, 8), Axis::new("bend / °", 0.0, 90.0, 6));
-        page.charts(&[(Chart::new("Bend", x, y, series.into()).svg(), "Target and estimate of the bend.".to_owned())]);
+        let series = [
+            ("target", Ink::GREY, Stroke::Dashed, target),
+            ("estimate", Ink::GREEN, Stroke::Solid, estimate),
+        ];
+        let series =
+            series.map(|(name, ink, stroke, points)| Series::line(name, ink, stroke, points));
+        let (x, y) = (
+            Axis::new("time / s", 0.0, self.duration_s, 8),
+            Axis::new("bend / °", 0.0, 90.0, 6),
+        );
+        page.charts(&[(
+            Chart::new("Bend", x, y, series.into()).svg(),
+            "Target and estimate of the bend.".to_owned(),
+        )]);
         page.table(&["", ""], facts);
         page.heading("Events");
         self.events.iter().for_each(|event| page.text(event));
@@ -165,13 +197,24 @@ fn info(path: &Path, json: Option<&Path>, html: Option<&Path>) -> Result<Command
     let ending = messages(path, &mut |message| info.take(&message)).map_err(|e| miette!("{e}"))?;
     let begin_s = info.begin_ns.unwrap_or(0) / 1_000_000_000;
     let begins = OffsetDateTime::from_unix_timestamp(begin_s as i64);
-    info.fact("begins", begins.map_or_else(|_| String::new(), |t| t.to_string()));
+    info.fact(
+        "begins",
+        begins.map_or_else(|_| String::new(), |t| t.to_string()),
+    );
     info.fact("duration_s", (info.duration_s * 1e3).round() / 1e3);
     info.fact("cycles", info.cycles);
     info.fact("ending", ending.to_string());
     let mut text = format!("{}\n", path.display());
-    let shown = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
-    let facts: Vec<[String; 2]> = info.facts.iter().map(|(name, value)| [name.clone(), shown(value)]).collect();
+    let shown = |value: &Value| {
+        value
+            .as_str()
+            .map_or_else(|| value.to_string(), str::to_owned)
+    };
+    let facts: Vec<[String; 2]> = info
+        .facts
+        .iter()
+        .map(|(name, value)| [name.clone(), shown(value)])
+        .collect();
     for [name, value] in &facts {
         text += &format!("  {name}: {value}\n");
     }
@@ -199,7 +242,11 @@ fn export(path: &Path, csv: Option<&Path>, parquet: Option<&Path>) -> Result<Com
                 }
             }
             Entry::Cycles(_, cycles) => {
-                rows.extend(cycles.iter().filter_map(|c| rows_of.add(&c.sensed, &c.target, step_mm)));
+                rows.extend(
+                    cycles
+                        .iter()
+                        .filter_map(|c| rows_of.add(&c.sensed, &c.target, step_mm)),
+                );
             }
             Entry::Shown(_) => {}
         }
@@ -212,8 +259,18 @@ fn export(path: &Path, csv: Option<&Path>, parquet: Option<&Path>) -> Result<Com
         output::write(csv, log)?;
     }
     if let Some(path) = parquet {
-        let column = |(k, name)| (name, Column::Numbers(rows.iter().map(|row| row[k]).collect()));
-        let table: Vec<(&str, Column)> = record::HEADER.trim_end().split(',').enumerate().map(column).collect();
+        let column = |(k, name)| {
+            (
+                name,
+                Column::Numbers(rows.iter().map(|row| row[k]).collect()),
+            )
+        };
+        let table: Vec<(&str, Column)> = record::HEADER
+            .trim_end()
+            .split(',')
+            .enumerate()
+            .map(column)
+            .collect();
         output::write(path, columns::write(&table).into_diagnostic()?)?;
     }
     eprintln!("{:.3} s; {ending}", rows_of.last_s);
@@ -238,17 +295,30 @@ fn cut(path: &Path, from_s: f64, to_s: f64, out: &Path) -> Result<CommandOutcome
             topic if topic == TOPICS[1] => {
                 if let (true, Entry::Event(event)) = (t_s <= to_s, Entry::of(&message)?) {
                     // every part says with what it was written
-                    file.event(&event, message.log_time + ((from_s - t_s).max(0.0) * 1e9) as u64).map_err(failed)?;
+                    file.event(
+                        &event,
+                        message.log_time + ((from_s - t_s).max(0.0) * 1e9) as u64,
+                    )
+                    .map_err(failed)?;
                 }
             }
             topic if topic == TOPICS[0] => {
-                let Entry::Cycles(first, all) = Entry::of(&message)? else { return Ok(()) };
+                let Entry::Cycles(first, all) = Entry::of(&message)? else {
+                    return Ok(());
+                };
                 let last_s = all.last().map_or(0.0, |cycle| cycle.sensed.t.0);
-                let before = |at_s: f64| all.partition_point(|cycle| t_s + cycle.sensed.t.0 - last_s < at_s - ROUNDING_S);
+                let before = |at_s: f64| {
+                    all.partition_point(|cycle| t_s + cycle.sensed.t.0 - last_s < at_s - ROUNDING_S)
+                };
                 let part = before(from_s)..before(to_s);
                 if let Some(cycle) = all[part.clone()].last() {
                     let early_ns = ((last_s - cycle.sensed.t.0) * 1e9) as u64;
-                    file.write_cycles(first + part.start as u64, &all[part.clone()], message.log_time - early_ns).map_err(failed)?;
+                    file.write_cycles(
+                        first + part.start as u64,
+                        &all[part.clone()],
+                        message.log_time - early_ns,
+                    )
+                    .map_err(failed)?;
                 }
                 cycles += part.len();
             }
@@ -262,8 +332,14 @@ fn cut(path: &Path, from_s: f64, to_s: f64, out: &Path) -> Result<CommandOutcome
         Ok(())
     });
     let done = copied.and_then(|ending| match cycles {
-        0 => Err(format!("{name}: there is nothing from {from_s} s to {to_s} s")),
-        _ => file.state_damage(&ending.damage).and_then(|()| file.finish()).map_err(failed).map(|()| ending),
+        0 => Err(format!(
+            "{name}: there is nothing from {from_s} s to {to_s} s"
+        )),
+        _ => file
+            .state_damage(&ending.damage)
+            .and_then(|()| file.finish())
+            .map_err(failed)
+            .map(|()| ending),
     });
     if done.is_err() {
         // it holds nothing of use

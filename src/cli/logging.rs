@@ -10,15 +10,21 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 /// Starts logging for as long as the result lives. The environment variable `RETROFLEX_LOG` sets the filter; the default is `info`.
 pub fn start() -> Logging {
-    let filter = EnvFilter::try_from_env("RETROFLEX_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
+    let filter =
+        EnvFilter::try_from_env("RETROFLEX_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
     let registry = tracing_subscriber::registry().with(filter);
     // systemd sets this variable if standard error is connected to the journal
     let journal = std::env::var_os("JOURNAL_STREAM").and_then(|_| tracing_journald::layer().ok());
     let started = match journal {
-        Some(journal) => registry.with(journal.with_field_prefix(Some("RETROFLEX".to_owned()))).try_init(),
+        Some(journal) => registry
+            .with(journal.with_field_prefix(Some("RETROFLEX".to_owned())))
+            .try_init(),
         None => {
             let colours = std::io::stderr().is_terminal();
-            let people = tracing_subscriber::fmt::layer().with_writer(Lines::start()).with_target(false).with_ansi(colours);
+            let people = tracing_subscriber::fmt::layer()
+                .with_writer(Lines::start())
+                .with_target(false)
+                .with_ansi(colours);
             registry.with(people).try_init()
         }
     };
@@ -45,13 +51,15 @@ impl Lines {
     fn start() -> impl Fn() -> Self {
         let (lines, waiting) = sync_channel::<Vec<u8>>(WAITING_MAX);
         // without a thread the service runs without a log
-        let _ = std::thread::Builder::new().name("log".into()).spawn(move || {
-            for line in waiting {
-                // whoever has closed standard error wants no log
-                let _ = io::stderr().write_all(&line);
-                WAITING.fetch_sub(1, Relaxed);
-            }
-        });
+        let _ = std::thread::Builder::new()
+            .name("log".into())
+            .spawn(move || {
+                for line in waiting {
+                    // whoever has closed standard error wants no log
+                    let _ = io::stderr().write_all(&line);
+                    WAITING.fetch_sub(1, Relaxed);
+                }
+            });
         move || Self(lines.clone())
     }
 }

@@ -20,7 +20,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 ///
 /// # Errors
 /// A report; [`Unreachable`] when the hardware does not answer.
-pub fn open(path: &Path, prepare: impl FnOnce(&mut MachineConfig)) -> Result<(Board, Box<dyn Machine>)> {
+pub fn open(
+    path: &Path,
+    prepare: impl FnOnce(&mut MachineConfig),
+) -> Result<(Board, Box<dyn Machine>)> {
     let board = inputs::board(Some(path))?;
     if let Some(mut config) = board.hardware() {
         prepare(&mut config);
@@ -54,7 +57,10 @@ pub fn hardware_error(path: &Path, error: HardwareError) -> miette::Report {
 ///
 /// # Errors
 /// The error of `work`.
-pub fn with_manual_control<T>(machine: &mut dyn Machine, work: impl FnOnce(&mut ManualMotion<'_>) -> Result<T>) -> Result<T> {
+pub fn with_manual_control<T>(
+    machine: &mut dyn Machine,
+    work: impl FnOnce(&mut ManualMotion<'_>) -> Result<T>,
+) -> Result<T> {
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
@@ -78,7 +84,9 @@ pub fn with_manual_control<T>(machine: &mut dyn Machine, work: impl FnOnce(&mut 
 /// Converts the reason that ended a motion into a report; failing pins count as hardware (exit code 3).
 pub fn motion_error(error: ManualMotionError) -> miette::Report {
     match &error {
-        ManualMotionError::EmergencyStop | ManualMotionError::Cancelled | ManualMotionError::NotArrived(..) => miette!("{error}"),
+        ManualMotionError::EmergencyStop
+        | ManualMotionError::Cancelled
+        | ManualMotionError::NotArrived(..) => miette!("{error}"),
         _ => Unreachable::report("the machine", error),
     }
 }

@@ -103,7 +103,9 @@ pub fn command() -> clap::Command {
 
 /// Parses the arguments of the process; prints help or a usage error and exits where that is due.
 pub fn parse() -> Cli {
-    let parsed = command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    let parsed = command()
+        .try_get_matches()
+        .and_then(|matches| Cli::from_arg_matches(&matches));
     parsed.unwrap_or_else(|e| {
         if !e.use_stderr() {
             e.exit();
@@ -164,17 +166,29 @@ mod tests {
         assert_eq!(exit_code(&Ok(CommandOutcome::Good)), 0);
         assert_eq!(exit_code(&Ok(CommandOutcome::NotGoodEnough)), 1);
         assert_eq!(exit_code(&Err(miette!("bad key"))), 2);
-        let gone = || Unreachable { what: "/dev/i2c-1".to_owned(), why: "no such file".to_owned() };
+        let gone = || Unreachable {
+            what: "/dev/i2c-1".to_owned(),
+            why: "no such file".to_owned(),
+        };
         assert_eq!(exit_code(&Err(gone().into())), 3);
-        let deep: miette::Result<CommandOutcome> = Err(miette::Report::from(gone())).wrap_err("at start");
+        let deep: miette::Result<CommandOutcome> =
+            Err(miette::Report::from(gone())).wrap_err("at start");
         assert_eq!(exit_code(&deep), 3);
     }
 
     #[test]
     fn help_lists_every_command_once() {
-        let mut listed: Vec<&str> = help::GROUPS.iter().flat_map(|g| g.1.split(' ')).filter(|n| *n != "help").collect();
+        let mut listed: Vec<&str> = help::GROUPS
+            .iter()
+            .flat_map(|g| g.1.split(' '))
+            .filter(|n| *n != "help")
+            .collect();
         let cli = Cli::command();
-        let mut all: Vec<&str> = cli.get_subcommands().filter(|c| !c.is_hide_set()).map(clap::Command::get_name).collect();
+        let mut all: Vec<&str> = cli
+            .get_subcommands()
+            .filter(|c| !c.is_hide_set())
+            .map(clap::Command::get_name)
+            .collect();
         listed.sort_unstable();
         all.sort_unstable();
         assert_eq!(listed, all);
@@ -183,19 +197,36 @@ mod tests {
 
     #[test]
     fn every_command_has_two_examples_that_parse() {
-        for name in help::GROUPS.iter().flat_map(|g| g.1.split(' ')).filter(|n| *n != "help") {
+        for name in help::GROUPS
+            .iter()
+            .flat_map(|g| g.1.split(' '))
+            .filter(|n| *n != "help")
+        {
             for example in help::examples(name) {
                 let words = std::iter::once("retroflex").chain(example.split(' '));
                 assert!(example.starts_with(name), "{example}");
-                command().try_get_matches_from(words).unwrap_or_else(|e| panic!("{example}: {e}"));
+                command()
+                    .try_get_matches_from(words)
+                    .unwrap_or_else(|e| panic!("{example}: {e}"));
             }
         }
     }
 
     #[test]
     fn usage_errors_name_the_value_and_what_is_expected() {
-        let message = |line: &str| help::plain(&command().try_get_matches_from(line.split(' ')).unwrap_err().render().to_string());
-        assert!(message("retroflex evaluate --seed -1").contains("'-1' for '--seed <SEED>': expected a whole number, not negative"));
+        let message = |line: &str| {
+            help::plain(
+                &command()
+                    .try_get_matches_from(line.split(' '))
+                    .unwrap_err()
+                    .render()
+                    .to_string(),
+            )
+        };
+        assert!(
+            message("retroflex evaluate --seed -1")
+                .contains("'-1' for '--seed <SEED>': expected a whole number, not negative")
+        );
         assert!(message("retroflex bend x").contains("'x' for '<BEND>': expected a number"));
     }
 }

@@ -62,10 +62,16 @@ pub fn bar(length: u64, text: &str) -> ProgressBar {
 }
 
 /// A table for the terminal; the columns `numbers` are aligned to the right.
-pub fn table<R: Into<Row>>(header: &[&str], numbers: Range<usize>, rows: impl IntoIterator<Item = R>) -> Table {
+pub fn table<R: Into<Row>>(
+    header: &[&str],
+    numbers: Range<usize>,
+    rows: impl IntoIterator<Item = R>,
+) -> Table {
     let mut table = Table::new();
     table.load_style(presets::UTF8_HORIZONTAL_ONLY);
-    table.set_content_arrangement(ContentArrangement::Dynamic).set_width(TABLE_COLUMNS);
+    table
+        .set_content_arrangement(ContentArrangement::Dynamic)
+        .set_width(TABLE_COLUMNS);
     table.set_header(header.to_vec());
     for row in rows {
         table.add_row(row);
@@ -82,7 +88,9 @@ pub fn table<R: Into<Row>>(header: &[&str], numbers: Range<usize>, rows: impl In
 pub fn print(text: impl AsRef<[u8]>) {
     let mut out = std::io::stdout();
     match out.write_all(text.as_ref()).and_then(|()| out.flush()) {
-        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => unprintable(&format!("standard output: {e}")),
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+            unprintable(&format!("standard output: {e}"))
+        }
         _ => {}
     }
 }
@@ -121,12 +129,16 @@ pub fn show(text: &str, json: Option<&Path>) {
 /// # Errors
 /// A report that names the option, the file and the obstacle.
 pub fn check(results: &[(&str, Option<&Path>)], inputs: &[&Path]) -> Result<()> {
-    let results = results.iter().filter_map(|&(option, path)| Some((option, path?)));
+    let results = results
+        .iter()
+        .filter_map(|&(option, path)| Some((option, path?)));
     let results: Vec<(&str, &Path)> = results.collect();
     for (n, &(option, path)) in results.iter().enumerate() {
         let file = path.display();
         if let Some((other, _)) = results[..n].iter().find(|r| r.1 == path) {
-            bail!("{file}: both {other} and {option} name this file; give each result its own file");
+            bail!(
+                "{file}: both {other} and {option} name this file; give each result its own file"
+            );
         }
         if is_stdout(path) {
             continue;
@@ -142,11 +154,15 @@ pub fn check(results: &[(&str, Option<&Path>)], inputs: &[&Path]) -> Result<()> 
         if path.is_file() || !path.exists() {
             let probe = beside(path);
             let made = std::fs::File::create(&probe).and_then(|_| std::fs::remove_file(&probe));
-            made.map_err(|e| miette!("{option} {file}: {e}; name a file in a folder in which you may write"))?;
+            made.map_err(|e| {
+                miette!("{option} {file}: {e}; name a file in a folder in which you may write")
+            })?;
         }
         if let Some(input) = inputs.iter().find(|input| same_file(path, input)) {
             let input = input.display();
-            bail!("{option} {file} would overwrite the input file {input}; give the result another name");
+            bail!(
+                "{option} {file} would overwrite the input file {input}; give the result another name"
+            );
         }
         check_kind(option, path, inputs)?;
     }
@@ -174,7 +190,11 @@ fn check_kind(option: &str, path: &Path, inputs: &[&Path]) -> Result<()> {
 
 /// Whether a file that begins with `old` is of the kind that the option writes.
 fn may_replace(option: &str, path: &Path, old: &[u8]) -> bool {
-    let table = || std::fs::read_to_string(path).ok().and_then(|text| text.parse::<toml::Table>().ok());
+    let table = || {
+        std::fs::read_to_string(path)
+            .ok()
+            .and_then(|text| text.parse::<toml::Table>().ok())
+    };
     let has = |key: &str| table().is_some_and(|table| table.contains_key(key));
     // a file with nothing but `[imu]` is one, too
     let is_calibration = || {
@@ -183,7 +203,9 @@ fn may_replace(option: &str, path: &Path, old: &[u8]) -> bool {
                 toml::toml! { k_epsilon = [2.2, 2.2, 2.2]
                 k_lambda_mm = [0.8, 0.8, 0.8] }
             };
-            table.entry("transmission").or_insert_with(|| gains().into());
+            table
+                .entry("transmission")
+                .or_insert_with(|| gains().into());
             table.try_into::<Calibration>().is_ok()
         })
     };
@@ -192,9 +214,12 @@ fn may_replace(option: &str, path: &Path, old: &[u8]) -> bool {
         ("--html" | "--svg", _) => old[0] == b'<',
         ("--parquet" | "--rows" | "--merged", _) => old.starts_with(b"PAR1"),
         ("--save", _) => has("with_effects"),
-        ("--calib" | "--prior", _) | ("--out", Some("toml")) => is_calibration() || has("conformal"),
+        ("--calib" | "--prior", _) | ("--out", Some("toml")) => {
+            is_calibration() || has("conformal")
+        }
         ("--csv", _) | ("--out", Some("csv")) => {
-            old.starts_with(b"\x1f\x8b") || (old.contains(&b',') && table().is_none() && old[0] != b'<')
+            old.starts_with(b"\x1f\x8b")
+                || (old.contains(&b',') && table().is_none() && old[0] != b'<')
         }
         ("--out", Some("mcap")) => old.starts_with(b"\x89MCAP"),
         ("--out", _) => table().is_none() && old[0] != b'<',
@@ -209,7 +234,9 @@ fn head(path: &Path) -> std::io::Result<Vec<u8>> {
 }
 
 fn same_file(a: &Path, b: &Path) -> bool {
-    let (Ok(a), Ok(b)) = (std::fs::metadata(a), std::fs::metadata(b)) else { return false };
+    let (Ok(a), Ok(b)) = (std::fs::metadata(a), std::fs::metadata(b)) else {
+        return false;
+    };
     a.is_file() && (a.dev(), a.ino()) == (b.dev(), b.ino())
 }
 
@@ -295,7 +322,10 @@ mod tests {
         assert!(refusal(&[("--json", Some(&lost))], &[]).contains("does not exist"));
         assert!(write(&lost, "").is_err());
         let one = Path::new("r.out");
-        assert!(refusal(&[("--json", Some(one)), ("--html", Some(one))], &[]).contains("both --json and --html"));
+        assert!(
+            refusal(&[("--json", Some(one)), ("--html", Some(one))], &[])
+                .contains("both --json and --html")
+        );
         assert!(check(&[("--json", Some(Path::new("-"))), ("--html", None)], &[]).is_ok());
     }
 
@@ -307,7 +337,10 @@ mod tests {
         std::os::unix::fs::symlink(&input, &link).unwrap();
         for result in [&input, &link] {
             let text = refusal(&[("--out", Some(result))], &[&input]);
-            assert!(text.contains("would overwrite the input file") && text.contains("a.csv"), "{text}");
+            assert!(
+                text.contains("would overwrite the input file") && text.contains("a.csv"),
+                "{text}"
+            );
         }
         assert!(refusal(&[("--json", Some(&input))], &[]).contains("another kind"));
         std::fs::write(&old, "[]\n").unwrap();
@@ -323,9 +356,15 @@ mod tests {
             may_replace(option, &path, old.as_bytes())
         };
         assert!(may("--out", "a.toml", "[imu]\n"));
-        assert!(may("--calib", "a.toml", "[transmission]\nk_epsilon = [2.2, 2.2, 2.2]\nk_lambda_mm = [0.8, 0.8, 0.8]\n"));
+        assert!(may(
+            "--calib",
+            "a.toml",
+            "[transmission]\nk_epsilon = [2.2, 2.2, 2.2]\nk_lambda_mm = [0.8, 0.8, 0.8]\n"
+        ));
         assert!(!may("--calib", "a.toml", "base = \"demo\"\n[pins]\n"));
         assert!(may("--csv", "a.csv", "t_s,p1_mm\n") && !may("--csv", "a.csv", "a = \"1,2\"\n"));
-        assert!(!may("--save", "a.toml", "[transmission]\n") && !may("--json", "a.csv", "t_s,p1_mm\n"));
+        assert!(
+            !may("--save", "a.toml", "[transmission]\n") && !may("--json", "a.csv", "t_s,p1_mm\n")
+        );
     }
 }

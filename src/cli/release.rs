@@ -28,10 +28,15 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let board = inputs::board(Some(&args.board))?;
     let Some(config) = &board.pins else {
-        return Err(miette!("{}: there is no [pins] table, so there are no drivers to release", args.board.display()));
+        return Err(miette!(
+            "{}: there is no [pins] table, so there are no drivers to release",
+            args.board.display()
+        ));
     };
-    let hardware = |e: OpenError| manual_motion::hardware_error(&args.board, HardwareError::Pins(e));
-    let _lock = HardwareLock::take().map_err(|path| manual_motion::hardware_error(&args.board, HardwareError::InUse(path)))?;
+    let hardware =
+        |e: OpenError| manual_motion::hardware_error(&args.board, HardwareError::Pins(e));
+    let _lock = HardwareLock::take()
+        .map_err(|path| manual_motion::hardware_error(&args.board, HardwareError::InUse(path)))?;
     let mut pins = pins::open(config, board.drive.microsteps).map_err(hardware)?;
     let off = |e: PinError| hardware(OpenError::Pin(e));
     pins.write(&Levels::default()).map_err(off)?;

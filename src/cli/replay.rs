@@ -50,29 +50,47 @@ pub fn start_of(header: &Header) -> std::result::Result<Start, String> {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let path = flight_of(&args.log)?;
     output::check(&[("--out", args.out.as_deref())], &[&path])?;
-    let mut replay = Replay { args: args.changes.any().then_some(&args.changes), ..Replay::default() };
+    let mut replay = Replay {
+        args: args.changes.any().then_some(&args.changes),
+        ..Replay::default()
+    };
     let done = match &args.out {
         None => replay.read(&path),
         Some(out) => replay.write(&path, out),
     };
     let ending = done.map_err(|e| miette!("{e}"))?;
-    let Replay { cycles, different, skipped, .. } = replay;
+    let Replay {
+        cycles,
+        different,
+        skipped,
+        ..
+    } = replay;
     if cycles == 0 {
         let file = path.display();
-        bail!("{file}: cannot be replayed, because it does not begin with the start of a supervisor: the part before is missing");
+        bail!(
+            "{file}: cannot be replayed, because it does not begin with the start of a supervisor: the part before is missing"
+        );
     }
-    let shown = if ending == Ending::COMPLETE { String::new() } else { format!("; {ending}") };
+    let shown = if ending == Ending::COMPLETE {
+        String::new()
+    } else {
+        format!("; {ending}")
+    };
     println!("{cycles} cycles replayed, {different} differ{shown}");
     for (before, t_s, lost) in &replay.gaps {
         println!("gap: {lost} cycles are missing before cycle {before} at {t_s:.3} s");
     }
     if skipped > 0 {
-        println!("{skipped} cycles after a gap are not compared, because nothing tells the state of the loop there");
+        println!(
+            "{skipped} cycles after a gap are not compared, because nothing tells the state of the loop there"
+        );
     }
     if replay.altered.is_some() {
         show(&replay.changes, cycles);
     }
-    let Some((number, t_s, fields)) = replay.first else { return Ok(ending.damage.is_empty().into()) };
+    let Some((number, t_s, fields)) = replay.first else {
+        return Ok(ending.damage.is_empty().into());
+    };
     let program = replay.header.as_ref().map_or("", |header| &header.program);
     let fields = match fields.len() {
         0 => "a field without a digest".to_owned(),
@@ -148,11 +166,17 @@ impl Replay<'_> {
     fn read(&mut self, path: &Path) -> std::result::Result<Ending, String> {
         let (mut ending, mut damage) = (Ending::default(), Vec::new());
         for part in parts(path) {
-            ending = messages(&part, &mut |message| match TOPICS.contains(&message.channel.topic.as_str()) {
+            ending = messages(&part, &mut |message| match TOPICS
+                .contains(&message.channel.topic.as_str())
+            {
                 true => self.take(Entry::of(&message)?),
                 false => Ok(()),
             })?;
-            let file = if part == path { String::new() } else { format!("{}: ", part.display()) };
+            let file = if part == path {
+                String::new()
+            } else {
+                format!("{}: ", part.display())
+            };
             damage.extend(ending.damage.drain(..).map(|place| file.clone() + &place));
         }
         Ok(Ending { damage, ..ending })
@@ -163,8 +187,13 @@ impl Replay<'_> {
         let failed = |e: McapError| format!("--out {}: {}", out.display(), io_error(e));
         self.out = Some(FlightFile::create(out, 0).map_err(failed)?);
         let written = self.read(path).and_then(|ending| {
-            let Some(mut file) = self.out.take() else { return Ok(ending) };
-            file.state_damage(&ending.damage).and_then(|()| file.finish()).map_err(failed).map(|()| ending)
+            let Some(mut file) = self.out.take() else {
+                return Ok(ending);
+            };
+            file.state_damage(&ending.damage)
+                .and_then(|()| file.finish())
+                .map_err(failed)
+                .map(|()| ending)
         });
         written.inspect_err(|_| {
             // it holds nothing of use
@@ -187,7 +216,9 @@ impl Replay<'_> {
                 self.event(*event)?;
             }
             Entry::Cycles(first, cycles) => {
-                (first..).zip(&cycles).try_for_each(|(number, cycle)| self.turn(number, cycle))?;
+                (first..)
+                    .zip(&cycles)
+                    .try_for_each(|(number, cycle)| self.turn(number, cycle))?;
             }
             Entry::Shown(_) => {}
         }
@@ -197,7 +228,11 @@ impl Replay<'_> {
     fn event(&mut self, event: Event) -> std::result::Result<(), String> {
         match event {
             // repeated at the beginning of a part
-            Event::Start(header) if self.header.as_ref().is_some_and(|known| known.cycle == header.cycle) => {}
+            Event::Start(header)
+                if self
+                    .header
+                    .as_ref()
+                    .is_some_and(|known| known.cycle == header.cycle) => {}
             Event::Start(header) => self.start(header)?,
             Event::Reload { gains, lines } => self.reload(&gains, lines)?,
             Event::Path(t_s, rows) => {
@@ -217,11 +252,19 @@ impl Replay<'_> {
         if let Some(args) = self.args {
             let settings = settings.clone().changed(args).map_err(|e| e.to_string())?;
             let config = settings.config(&header);
-            self.altered = Some(Start { config: config.clone(), ..start.clone() }.supervisor());
+            self.altered = Some(
+                Start {
+                    config: config.clone(),
+                    ..start.clone()
+                }
+                .supervisor(),
+            );
             used = (settings, config);
         }
         if self.out.is_some() {
-            self.events.push(Arc::new(Event::Start(self.header_of(&header, &used.0, &used.1)?)));
+            self.events.push(Arc::new(Event::Start(
+                self.header_of(&header, &used.0, &used.1)?,
+            )));
         }
         self.next = header.cycle;
         self.header = Some(header);
@@ -231,15 +274,36 @@ impl Replay<'_> {
     }
 
     /// The header of the log to write.
-    fn header_of(&self, read: &Header, settings: &Settings, config: &SupervisorConfig) -> std::result::Result<Header, String> {
+    fn header_of(
+        &self,
+        read: &Header,
+        settings: &Settings,
+        config: &SupervisorConfig,
+    ) -> std::result::Result<Header, String> {
         let texts = settings.texts(read, self.args).map_err(|e| e.to_string())?;
-        let (program, config_hash) = (env!("CARGO_PKG_VERSION").to_owned(), hash(texts.iter().map(String::as_str)));
-        let LoopConfig { lines, dynamics, .. } = config.tick;
-        Ok(Header { program, config_hash, texts, lines, dynamics, ..read.clone() })
+        let (program, config_hash) = (
+            env!("CARGO_PKG_VERSION").to_owned(),
+            hash(texts.iter().map(String::as_str)),
+        );
+        let LoopConfig {
+            lines, dynamics, ..
+        } = config.tick;
+        Ok(Header {
+            program,
+            config_hash,
+            texts,
+            lines,
+            dynamics,
+            ..read.clone()
+        })
     }
 
     fn reload(&mut self, gains: &str, lines: [Line; 3]) -> std::result::Result<(), String> {
-        let (Some(supervisor), Some((settings, config))) = (&mut self.supervisor, &mut self.machine) else { return Ok(()) };
+        let (Some(supervisor), Some((settings, config))) =
+            (&mut self.supervisor, &mut self.machine)
+        else {
+            return Ok(());
+        };
         let gains: Gains = text(gains)?;
         config.tick.lines = lines;
         *config = with_gains(config, &settings.board, &settings.calibration, &gains);
@@ -276,9 +340,21 @@ impl Replay<'_> {
             compare(&mut self.changes, t_s, &output, &other);
             output = other;
         }
-        let Some(file) = &mut self.out else { return Ok(()) };
-        let written = file.write(&Logged { number, events: take(&mut self.events), output });
-        let flushed = written.and_then(|()| if number.is_multiple_of(CHUNK) { file.flush(false) } else { Ok(()) });
+        let Some(file) = &mut self.out else {
+            return Ok(());
+        };
+        let written = file.write(&Logged {
+            number,
+            events: take(&mut self.events),
+            output,
+        });
+        let flushed = written.and_then(|()| {
+            if number.is_multiple_of(CHUNK) {
+                file.flush(false)
+            } else {
+                Ok(())
+            }
+        });
         flushed.map_err(|e| format!("--out: {}", io_error(e)))
     }
 }
@@ -286,14 +362,25 @@ impl Replay<'_> {
 /// How much a quantity differs between two runs: sum of squares, largest difference, and its time in s.
 type Change = (f64, f64, f64);
 
-const QUANTITIES: [&str; 5] = ["set-point, °", "estimated bend, °", "predicted bend, °", "feedback, °", "piston targets, mm"];
+const QUANTITIES: [&str; 5] = [
+    "set-point, °",
+    "estimated bend, °",
+    "predicted bend, °",
+    "feedback, °",
+    "piston targets, mm",
+];
 
 fn compare(changes: &mut [Change], t_s: f64, run: &CycleOutput, other: &CycleOutput) {
     let (a, b) = (&run.frame, &other.frame);
     let setpoint = a.setpoint.bend.0 - b.setpoint.bend.0;
     let estimates = a.estimate.zip(b.estimate);
     let estimate = estimates.map_or(Vector2::zeros(), |(a, b)| a.bend.0 - b.bend.0);
-    let angles = [setpoint, estimate, a.predicted - b.predicted, a.feedback - b.feedback];
+    let angles = [
+        setpoint,
+        estimate,
+        a.predicted - b.predicted,
+        a.feedback - b.feedback,
+    ];
     let angles = angles.map(|v| v.norm().to_degrees());
     let pistons = (a.piston_target_mm - b.piston_target_mm).amax();
     let all = angles.into_iter().chain([pistons]);
@@ -306,12 +393,17 @@ fn compare(changes: &mut [Change], t_s: f64, run: &CycleOutput, other: &CycleOut
 }
 
 fn show(changes: &[Change], cycles: u64) {
-    println!("\nWith the other settings, on the same input. This is speculation: the recorded machine did not follow them.");
+    println!(
+        "\nWith the other settings, on the same input. This is speculation: the recorded machine did not follow them."
+    );
     let row = |(name, (squares, largest, at_s)): (&&str, &Change)| {
         let rms = (squares / cycles as f64).sqrt();
         let [rms, largest] = [rms, *largest].map(|x| format!("{x:.4}"));
         vec![(*name).to_owned(), rms, largest, format!("{at_s:.3}")]
     };
     let header = ["difference", "RMS", "largest", "at, s"];
-    println!("{}", output::table(&header, 1..4, QUANTITIES.iter().zip(changes).map(row)));
+    println!(
+        "{}",
+        output::table(&header, 1..4, QUANTITIES.iter().zip(changes).map(row))
+    );
 }

@@ -68,7 +68,10 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let _logging = logging::start();
     let foreign = args.plant.is_some();
-    let path = args.board.clone().or_else(|| inputs::own_board().filter(|_| !foreign));
+    let path = args
+        .board
+        .clone()
+        .or_else(|| inputs::own_board().filter(|_| !foreign));
     let own = Path::new(if foreign { "sim" } else { "demo" });
     let mut board = inputs::board(Some(path.as_deref().unwrap_or(own)))?;
     let shown = path.as_ref().map(|p| p.display().to_string());
@@ -77,13 +80,22 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let calibration = inputs::calibration(args.calib.as_deref())?;
     let tip = check_tip(args, &calibration)?;
     if args.fast.is_some() && !foreign && board.plant.is_none() {
-        bail!("--fast: only a simulation can run faster than real time; give --plant, or a board with a [plant] table");
+        bail!(
+            "--fast: only a simulation can run faster than real time; give --plant, or a board with a [plant] table"
+        );
     }
     tracing::info!(event = "board", "board: {shown}");
-    let mut texts = vec![show::compact(&board), show::compact(&gains), show::compact(&calibration)];
+    let mut texts = vec![
+        show::compact(&board),
+        show::compact(&gains),
+        show::compact(&calibration),
+    ];
     let given = args.feedforward.as_deref();
     let feedforward = inputs::feedforward(given, args.calib.as_deref(), &calibration);
-    let described = feedforward.as_deref().map(|path| inputs::described(path, &board)).transpose()?;
+    let described = feedforward
+        .as_deref()
+        .map(|path| inputs::described(path, &board))
+        .transpose()?;
     if let Some(path) = &feedforward {
         texts.push(source::text_of(path)?);
     }
@@ -118,23 +130,41 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         tip,
     };
     let (pace, record) = (args.fast, args.record.clone());
-    serve(claim, Setup { machine, config, pace, record }).map_err(report)?;
+    serve(
+        claim,
+        Setup {
+            machine,
+            config,
+            pace,
+            record,
+        },
+    )
+    .map_err(report)?;
     Ok(CommandOutcome::Good)
 }
 
 fn report(error: ServiceError) -> miette::Report {
     match error {
-        ServiceError::Machine(_) | ServiceError::LoopPanicked => Unreachable::report("the machine", error),
+        ServiceError::Machine(_) | ServiceError::LoopPanicked => {
+            Unreachable::report("the machine", error)
+        }
         _ => miette!("{error}"),
     }
 }
 
 /// Refuses a recording whose files exist already or cannot be written.
 fn check_record(path: &Path, bounds: &ServiceSection) -> Result<()> {
-    let refused = |e| miette!("--record {}: {e}; give a new name in a folder that this user may write to", path.display());
+    let refused = |e| {
+        miette!(
+            "--record {}: {e}; give a new name in a folder that this user may write to",
+            path.display()
+        )
+    };
     make_room(path, bounds).map_err(refused)?;
     for file in [path, &flight_path(path)] {
-        File::create_new(file).and_then(|_| std::fs::remove_file(file)).map_err(refused)?;
+        File::create_new(file)
+            .and_then(|_| std::fs::remove_file(file))
+            .map_err(refused)?;
     }
     Ok(())
 }
@@ -142,12 +172,16 @@ fn check_record(path: &Path, bounds: &ServiceSection) -> Result<()> {
 /// The mounted tip. A calibration file of another tip is refused unless it is accepted explicitly.
 fn check_tip(args: &Args, calibration: &Calibration) -> Result<String> {
     let made_on = &calibration.transmission.tip;
-    let Some(tip) = &args.tip else { return Ok(made_on.clone()) };
+    let Some(tip) = &args.tip else {
+        return Ok(made_on.clone());
+    };
     match &args.calib {
-        Some(path) if !made_on.is_empty() && made_on != tip && !args.foreign_calibration => Err(miette!(
-            "{}: this calibration was made on tip `{made_on}`, but tip `{tip}` is mounted; calibrate this tip (`retroflex calibrate transmission`), or give --foreign-calibration to use it anyway",
-            path.display()
-        )),
+        Some(path) if !made_on.is_empty() && made_on != tip && !args.foreign_calibration => {
+            Err(miette!(
+                "{}: this calibration was made on tip `{made_on}`, but tip `{tip}` is mounted; calibrate this tip (`retroflex calibrate transmission`), or give --foreign-calibration to use it anyway",
+                path.display()
+            ))
+        }
         _ => Ok(tip.clone()),
     }
 }
@@ -162,7 +196,9 @@ fn open(args: &Args, path: Option<&Path>, board: &Board) -> Result<Box<dyn Machi
     if let Some(config) = board.hardware() {
         let path = path.unwrap_or(Path::new("the built-in board"));
         let hardware = Hardware::open(&config);
-        return Ok(Box::new(hardware.map_err(|e| manual_motion::hardware_error(path, e))?));
+        return Ok(Box::new(
+            hardware.map_err(|e| manual_motion::hardware_error(path, e))?,
+        ));
     }
     let section = board.plant.clone().ok_or_else(|| {
         miette!("this board has neither [pins] nor [plant], so there is no machine to run; give --plant, or a board that describes one")

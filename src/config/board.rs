@@ -2,7 +2,10 @@
 
 use crate::config::ServiceSection;
 use crate::config::power::PowerSection;
-use crate::config::sections::{BusBackend, DriveSection, GeometrySection, HomingSection, ImuSection, LimitsSection, MachineSection};
+use crate::config::sections::{
+    BusBackend, DriveSection, GeometrySection, HomingSection, ImuSection, LimitsSection,
+    MachineSection,
+};
 use crate::config::service::SafetySection;
 use crate::control::ActuatorLimits;
 use crate::hardware::machine::{GaugeConfig, MachineConfig, SensorConfig};
@@ -61,12 +64,18 @@ pub type PlantSection = PlantConfig;
 impl Board {
     /// Motion of one piston within this board's limits.
     pub fn motion_config(&self) -> MotionConfig {
-        MotionConfig { travel_max_mm: self.limits.travel_mm, ..self.motion }
+        MotionConfig {
+            travel_max_mm: self.limits.travel_mm,
+            ..self.motion
+        }
     }
 
     /// How the drive moves the pistons.
     pub fn drive_limits(&self) -> DriveLimits {
-        DriveLimits { limits: MotionLimits::of_checked(&self.motion_config()), lead_s: self.stepper.lead_ms * 1e-3 }
+        DriveLimits {
+            limits: MotionLimits::of_checked(&self.motion_config()),
+            lead_s: self.stepper.lead_ms * 1e-3,
+        }
     }
 
     /// The static limits of this board.

@@ -60,7 +60,13 @@ parameters! {
 impl DynamicsSection {
     /// For the control law.
     pub fn law(&self) -> DynamicsPrior {
-        DynamicsPrior { expected: Dynamics { lag_s: self.lag_s, delay_s: self.delay_s }, uncertainty_s: self.uncertainty_s }
+        DynamicsPrior {
+            expected: Dynamics {
+                lag_s: self.lag_s,
+                delay_s: self.delay_s,
+            },
+            uncertainty_s: self.uncertainty_s,
+        }
     }
 }
 
@@ -73,13 +79,18 @@ impl Calibration {
     /// As the prior of a new tip's calibration.
     pub fn prior(&self) -> [Prior; 3] {
         let (t, lines) = (&self.transmission, self.lines());
-        std::array::from_fn(|i| Prior { line: lines[i], k_epsilon_sigma: t.k_epsilon_sigma[i], k_lambda_sigma_mm: t.k_lambda_sigma_mm[i] })
+        std::array::from_fn(|i| Prior {
+            line: lines[i],
+            k_epsilon_sigma: t.k_epsilon_sigma[i],
+            k_lambda_sigma_mm: t.k_lambda_sigma_mm[i],
+        })
     }
 }
 
 impl Check for Calibration {
     const TABLE: Option<&'static Table> = Some(<Self as Parameters>::TABLE);
-    const REMEDY: &'static str = "`retroflex board show --calib` prints every key with its meaning, unit and range";
+    const REMEDY: &'static str =
+        "`retroflex board show --calib` prints every key with its meaning, unit and range";
 
     /// Nothing relates two values of a calibration.
     fn check(&self, _: &mut Checker) {}

@@ -49,11 +49,17 @@ parameters! {
 impl PaceSection {
     /// For the bend set-point, rad.
     pub fn bend(&self) -> Pace {
-        Pace { speed: self.bend_speed_deg_s.to_radians(), acceleration: self.bend_acceleration_deg_s2.to_radians() }
+        Pace {
+            speed: self.bend_speed_deg_s.to_radians(),
+            acceleration: self.bend_acceleration_deg_s2.to_radians(),
+        }
     }
     /// For the centre length, mm.
     pub fn length(&self) -> Pace {
-        Pace { speed: self.length_speed_mm_s, acceleration: self.length_acceleration_mm_s2 }
+        Pace {
+            speed: self.length_speed_mm_s,
+            acceleration: self.length_acceleration_mm_s2,
+        }
     }
 }
 
@@ -73,25 +79,39 @@ impl Gains {
     /// How the backlash compensation changes sides.
     pub fn side(&self) -> Side {
         if self.backlash.smooth_rate_mm_s > 0.0 {
-            Side::Smooth { rate_mm_s: self.backlash.smooth_rate_mm_s }
+            Side::Smooth {
+                rate_mm_s: self.backlash.smooth_rate_mm_s,
+            }
         } else {
-            Side::Band { band_mm: self.backlash.band_mm }
+            Side::Band {
+                band_mm: self.backlash.band_mm,
+            }
         }
     }
 
     /// The outer loop with its detectors.
     pub fn feedback(&self) -> FeedbackConfig {
-        FeedbackConfig { calm: self.calm, standstill: self.standstill, obstruction: self.obstruction, ..self.outer }
+        FeedbackConfig {
+            calm: self.calm,
+            standstill: self.standstill,
+            obstruction: self.obstruction,
+            ..self.outer
+        }
     }
 }
 
 impl Check for Gains {
     const TABLE: Option<&'static Table> = Some(<Self as Parameters>::TABLE);
-    const REMEDY: &'static str = "`retroflex board show --gains` prints every key with its meaning, unit and range";
+    const REMEDY: &'static str =
+        "`retroflex board show --gains` prints every key with its meaning, unit and range";
 
     fn check(&self, to: &mut Checker) {
         to.at("standstill.open_deg")
-            .range(self.standstill.open_deg, self.standstill.close_deg..=20.0, "deg")
+            .range(
+                self.standstill.open_deg,
+                self.standstill.close_deg..=20.0,
+                "deg",
+            )
             .hint("it must not be below standstill.close_deg");
         let watch = &self.fuse.watch;
         to.at("fuse.watch.onset_deg")
@@ -100,7 +120,9 @@ impl Check for Gains {
         for cause in HealthCause::ALL {
             if let Policy::CoastOnGyro { for_s } = self.fuse.health.policy.of(cause) {
                 let key = format!("fuse.health.policy.{}.for_s", cause.name());
-                to.at(&key).range(for_s, 1e-3..=60.0, "s").hint("5 lets a knock pass");
+                to.at(&key)
+                    .range(for_s, 1e-3..=60.0, "s")
+                    .hint("5 lets a knock pass");
             }
         }
     }

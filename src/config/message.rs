@@ -8,15 +8,28 @@ const LISTED_MAX: usize = 9;
 /// A message of serde about `key`, whose row, if it is a parameter, gives range and unit.
 pub fn plain(message: &str, key: &str, row: Option<&Row>) -> String {
     // a list of tables begins where its first table begins
-    let key =
-        if message.starts_with("invalid length") { key.trim_end_matches(|c: char| "[]".contains(c) || c.is_ascii_digit()) } else { key };
+    let key = if message.starts_with("invalid length") {
+        key.trim_end_matches(|c: char| "[]".contains(c) || c.is_ascii_digit())
+    } else {
+        key
+    };
     let text = match quoted(message) {
-        [Some(name), ..] if message.starts_with("unknown field") => return format!("`{key}` is not a known key{}", instead(name, message)),
-        [Some(name), ..] if message.starts_with("unknown variant") => format!("`{name}` is not a known value{}", instead(name, message)),
-        [Some(name), ..] if message.starts_with("missing field") => format!("the key `{name}` is missing"),
+        [Some(name), ..] if message.starts_with("unknown field") => {
+            return format!("`{key}` is not a known key{}", instead(name, message));
+        }
+        [Some(name), ..] if message.starts_with("unknown variant") => {
+            format!("`{name}` is not a known value{}", instead(name, message))
+        }
+        [Some(name), ..] if message.starts_with("missing field") => {
+            format!("the key `{name}` is missing")
+        }
         _ => typed(message, row),
     };
-    if key.is_empty() { text } else { format!("{key}: {text}") }
+    if key.is_empty() {
+        text
+    } else {
+        format!("{key}: {text}")
+    }
 }
 
 /// The first two texts between backticks.
@@ -33,14 +46,18 @@ fn instead(name: &str, message: &str) -> String {
     }
     match known.split_last() {
         Some((last, [])) => format!("; expected `{last}`"),
-        Some((last, rest)) if rest.len() < LISTED_MAX => format!("; expected `{}` or `{last}`", rest.join("`, `")),
+        Some((last, rest)) if rest.len() < LISTED_MAX => {
+            format!("; expected `{}` or `{last}`", rest.join("`, `"))
+        }
         _ => String::new(),
     }
 }
 
 /// The name that is most similar to a misspelt one.
 pub fn near<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
-    let scored = known.map(|k| (strsim::jaro_winkler(name, k), k)).filter(|(score, _)| *score > 0.8);
+    let scored = known
+        .map(|k| (strsim::jaro_winkler(name, k), k))
+        .filter(|(score, _)| *score > 0.8);
     scored.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, k)| k)
 }
 
@@ -58,17 +75,30 @@ fn typed(message: &str, row: Option<&Row>) -> String {
         ("invalid length ", "a list of length "),
         ("duplicate key", "this key is stated twice"),
     ];
-    let text = VALUES.iter().fold(message.to_owned(), |m, (from, to)| m.replace(from, to));
-    let Some((found, expected)) = text.split_once(", expected ") else { return text };
+    let text = VALUES
+        .iter()
+        .fold(message.to_owned(), |m, (from, to)| m.replace(from, to));
+    let Some((found, expected)) = text.split_once(", expected ") else {
+        return text;
+    };
     let limits = match row.map(|r| (r.allowed, r.unit)) {
         None | Some((Allowed::Any, _)) => String::new(),
-        Some((Allowed::OneOf(_), _)) => row.map_or_else(String::new, |r| format!(", {}", r.allowed)),
+        Some((Allowed::OneOf(_), _)) => {
+            row.map_or_else(String::new, |r| format!(", {}", r.allowed))
+        }
         Some((allowed, unit)) => format!(" from {allowed} {unit}").trim_end().to_owned(),
     };
     let expected = match expected {
         "f64" => format!("a number{limits}"),
         "i32" => format!("a whole number{limits}"),
-        "u8" | "u16" | "u32" | "u64" | "usize" => format!("a whole number{}", if limits.is_empty() { ", not negative" } else { &limits }),
+        "u8" | "u16" | "u32" | "u64" | "usize" => format!(
+            "a whole number{}",
+            if limits.is_empty() {
+                ", not negative"
+            } else {
+                &limits
+            }
+        ),
         "a string" | "path string" => "a text in quotes".to_owned(),
         "a boolean" => "true or false".to_owned(),
         other if other.starts_with("struct ") => "a table".to_owned(),

@@ -34,7 +34,9 @@ pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> Loop
         geometry: board.geometry.law(),
         drive: board.drive.law(),
         lines: calibration.lines(),
-        line_sigmas: calibration.prior().map(|p| [p.k_epsilon_sigma, p.k_lambda_sigma_mm]),
+        line_sigmas: calibration
+            .prior()
+            .map(|p| [p.k_epsilon_sigma, p.k_lambda_sigma_mm]),
         dynamics: calibration.dynamics.law(),
         side: gains.side(),
         bend_pace: gains.pace.bend(),

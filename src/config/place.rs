@@ -6,7 +6,10 @@ use toml::de::{DeTable, DeValue};
 
 /// The dotted key of the innermost key or value that covers a place; empty if none does.
 pub fn key_at(text: &str, at: &Range<usize>) -> String {
-    DeTable::parse(text).ok().and_then(|table| in_table(table.get_ref(), "", at)).unwrap_or_default()
+    DeTable::parse(text)
+        .ok()
+        .and_then(|table| in_table(table.get_ref(), "", at))
+        .unwrap_or_default()
 }
 
 fn covers(outer: &Range<usize>, inner: &Range<usize>) -> bool {
@@ -19,7 +22,8 @@ fn in_table(table: &DeTable<'_>, above: &str, at: &Range<usize>) -> Option<Strin
         if covers(&key.span(), at) {
             Some(name)
         } else {
-            in_value(value.get_ref(), &name, at).or_else(|| covers(&value.span(), at).then_some(name))
+            in_value(value.get_ref(), &name, at)
+                .or_else(|| covers(&value.span(), at).then_some(name))
         }
     })
 }
@@ -29,7 +33,8 @@ fn in_value(value: &DeValue<'_>, name: &str, at: &Range<usize>) -> Option<String
         DeValue::Table(table) => in_table(table, name, at),
         DeValue::Array(list) => list.iter().enumerate().find_map(|(i, entry)| {
             let name = join(name, &i.to_string());
-            in_value(entry.get_ref(), &name, at).or_else(|| covers(&entry.span(), at).then_some(name))
+            in_value(entry.get_ref(), &name, at)
+                .or_else(|| covers(&entry.span(), at).then_some(name))
         }),
         _ => None,
     }
@@ -77,9 +82,20 @@ mod tests {
     #[test]
     fn the_key_at_a_place_is_the_innermost_one() {
         let text = "[a]\nx = 1\nmany = [1.0, 2.0]\n[[c]]\nn = 1\n[[c]]\nn = 27\n";
-        for (part, key) in [("x = 1", "a.x"), ("2.0", "a.many.1"), ("27", "c.1.n"), ("many", "a.many")] {
+        for (part, key) in [
+            ("x = 1", "a.x"),
+            ("2.0", "a.many.1"),
+            ("27", "c.1.n"),
+            ("many", "a.many"),
+        ] {
             let start = text.find(part).unwrap();
-            assert_eq!(key_at(text, &(start..start + part.split(' ').next().unwrap().len())), key);
+            assert_eq!(
+                key_at(
+                    text,
+                    &(start..start + part.split(' ').next().unwrap().len())
+                ),
+                key
+            );
         }
         assert_eq!(key_at("[a", &(0..1)), "");
     }
@@ -87,8 +103,14 @@ mod tests {
     #[test]
     fn a_value_is_replaced_in_place_and_only_if_it_is_there() {
         let text = "[a]\n# why\nx_mm = 0.5 # so\n[[c]]\nn = 1\n[[c]]\nn = 2\n";
-        assert_eq!(replace(text, "a.x_mm", "0.25").unwrap(), text.replace("0.5", "0.25"));
-        assert_eq!(replace(text, "c.1.n", "7").unwrap(), text.replace("n = 2", "n = 7"));
+        assert_eq!(
+            replace(text, "a.x_mm", "0.25").unwrap(),
+            text.replace("0.5", "0.25")
+        );
+        assert_eq!(
+            replace(text, "c.1.n", "7").unwrap(),
+            text.replace("n = 2", "n = 7")
+        );
         assert_eq!(replace(text, "a.y_mm", "1"), None);
         assert_eq!(replace(text, "c.1.m", "1"), None);
     }

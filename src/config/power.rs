@@ -49,7 +49,11 @@ mod tests {
     #[test]
     fn trapped_pressure_turns_the_motor_as_computed_by_hand() {
         let p = PowerSection::default();
-        assert!((p.torque_n_mm(41.3, 30.0) - 124.5).abs() < 0.1, "{}", p.torque_n_mm(41.3, 30.0));
+        assert!(
+            (p.torque_n_mm(41.3, 30.0) - 124.5).abs() < 0.1,
+            "{}",
+            p.torque_n_mm(41.3, 30.0)
+        );
         assert!((p.stall_kpa(30.0) - 86.24).abs() < 0.01);
         assert!((p.kept_kpa(30.0) - 4.975).abs() < 0.01);
         assert!((p.kept_kpa(30.0) / 41.3 - 0.1205).abs() < 1e-3);

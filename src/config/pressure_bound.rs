@@ -47,10 +47,16 @@ impl PressureBound {
         let limit_kpa = board.safety.pressure_max_kpa;
         match board.safety.relief_valve_kpa {
             _ if board.pins.is_none() => Self::Simulated,
-            _ if stall_kpa <= limit_kpa => Self::Motor { stall_kpa, limit_kpa },
+            _ if stall_kpa <= limit_kpa => Self::Motor {
+                stall_kpa,
+                limit_kpa,
+            },
             Some(opens_kpa) => Self::ReliefValve { opens_kpa },
             None if board.pressure.is_some() => Self::Sensors { limit_kpa },
-            None => Self::Nothing { stall_kpa, limit_kpa },
+            None => Self::Nothing {
+                stall_kpa,
+                limit_kpa,
+            },
         }
     }
 
@@ -64,12 +70,26 @@ impl std::fmt::Display for PressureBound {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Simulated => f.write_str("the machine is simulated"),
-            Self::Motor { stall_kpa, limit_kpa } => {
-                write!(f, "bounded by the motor, which makes {stall_kpa:.1} kPa of safety.pressure_max_kpa = {limit_kpa} kPa")
+            Self::Motor {
+                stall_kpa,
+                limit_kpa,
+            } => {
+                write!(
+                    f,
+                    "bounded by the motor, which makes {stall_kpa:.1} kPa of safety.pressure_max_kpa = {limit_kpa} kPa"
+                )
             }
-            Self::ReliefValve { opens_kpa } => write!(f, "bounded by relief valves that open at {opens_kpa} kPa"),
-            Self::Sensors { limit_kpa } => write!(f, "watched by pressure sensors, which trip the gate at {limit_kpa} kPa"),
-            Self::Nothing { stall_kpa, limit_kpa } => write!(
+            Self::ReliefValve { opens_kpa } => {
+                write!(f, "bounded by relief valves that open at {opens_kpa} kPa")
+            }
+            Self::Sensors { limit_kpa } => write!(
+                f,
+                "watched by pressure sensors, which trip the gate at {limit_kpa} kPa"
+            ),
+            Self::Nothing {
+                stall_kpa,
+                limit_kpa,
+            } => write!(
                 f,
                 "the motor makes {stall_kpa:.0} kPa, more than safety.pressure_max_kpa = {limit_kpa} kPa, and only the counted position prevents it"
             ),

@@ -16,10 +16,17 @@ impl Check for Board {
     fn check(&self, to: &mut Checker) {
         let g = &self.geometry;
         let at_rest = "compare it with geometry.rest_length_mm";
-        to.at("geometry.bellow_min_mm").range(g.bellow_min_mm, 1.0..=g.rest_length_mm, "mm").hint(at_rest);
-        to.at("geometry.bellow_max_mm").range(g.bellow_max_mm, g.rest_length_mm..=200.0, "mm").hint(at_rest);
-        let same = self.service.socket.is_some() && self.service.socket == self.service.status_socket;
-        to.at("service.status_socket").holds(!same, "the status socket is the command socket").hint("give each its own path");
+        to.at("geometry.bellow_min_mm")
+            .range(g.bellow_min_mm, 1.0..=g.rest_length_mm, "mm")
+            .hint(at_rest);
+        to.at("geometry.bellow_max_mm")
+            .range(g.bellow_max_mm, g.rest_length_mm..=200.0, "mm")
+            .hint(at_rest);
+        let same =
+            self.service.socket.is_some() && self.service.socket == self.service.status_socket;
+        to.at("service.status_socket")
+            .holds(!same, "the status socket is the command socket")
+            .hint("give each its own path");
         priorities(self, to);
         power(self, to);
         motion(self, to);
@@ -43,7 +50,10 @@ fn pass_on(verdict: Result<(), Invalid>, to: &mut Checker) {
 
 fn priorities(board: &Board, to: &mut Checker) {
     let steps = board.stepper.priority;
-    for (key, value) in [("service.priority", board.service.priority), ("machine.imu_priority", board.machine.imu_priority)] {
+    for (key, value) in [
+        ("service.priority", board.service.priority),
+        ("machine.imu_priority", board.machine.imu_priority),
+    ] {
         let problem = format!("{value} is not below stepper.priority = {steps}");
         to.at(key)
             .holds(value == 0 || steps == 0 || value < steps, &problem)
@@ -52,31 +62,65 @@ fn priorities(board: &Board, to: &mut Checker) {
 }
 
 fn power(board: &Board, to: &mut Checker) {
-    let (have, pressure) = (board.power.holding_torque_n_mm, board.limits.pressure_max_kpa);
-    let needed = board.power.torque_n_mm(pressure, board.drive.pinion_pitch_diameter_mm);
-    let problem = format!("{have} N·mm do not hold limits.pressure_max_kpa = {pressure} kPa, which turns the motor with {needed:.0} N·mm");
-    to.at("power.holding_torque_n_mm").holds(have > needed, &problem).hint("lower limits.pressure_max_kpa or use a stronger motor");
+    let (have, pressure) = (
+        board.power.holding_torque_n_mm,
+        board.limits.pressure_max_kpa,
+    );
+    let needed = board
+        .power
+        .torque_n_mm(pressure, board.drive.pinion_pitch_diameter_mm);
+    let problem = format!(
+        "{have} N·mm do not hold limits.pressure_max_kpa = {pressure} kPa, which turns the motor with {needed:.0} N·mm"
+    );
+    to.at("power.holding_torque_n_mm")
+        .holds(have > needed, &problem)
+        .hint("lower limits.pressure_max_kpa or use a stronger motor");
     if let Some(valve) = board.safety.relief_valve_kpa {
-        let problem = format!("a valve that opens at {valve} kPa leaks below limits.pressure_max_kpa = {pressure} kPa");
-        to.at("safety.relief_valve_kpa").holds(valve > pressure, &problem).hint("use a stiffer valve or lower limits.pressure_max_kpa");
+        let problem = format!(
+            "a valve that opens at {valve} kPa leaks below limits.pressure_max_kpa = {pressure} kPa"
+        );
+        to.at("safety.relief_valve_kpa")
+            .holds(valve > pressure, &problem)
+            .hint("use a stiffer valve or lower limits.pressure_max_kpa");
         let stall = board.power.stall_kpa(board.drive.pinion_pitch_diameter_mm);
-        let problem = format!("a valve that opens at {valve} kPa never opens: the motor makes {stall:.0} kPa at most");
-        to.at("safety.relief_valve_kpa").holds(valve < stall, &problem).hint("use a softer valve");
+        let problem = format!(
+            "a valve that opens at {valve} kPa never opens: the motor makes {stall:.0} kPa at most"
+        );
+        to.at("safety.relief_valve_kpa")
+            .holds(valve < stall, &problem)
+            .hint("use a softer valve");
     }
 }
 
 /// Motion and pulses, each alone and together.
 fn motion(board: &Board, to: &mut Checker) {
-    let (motion, stepper, period_s) = (board.motion_config(), &board.stepper, board.machine.period_s);
+    let (motion, stepper, period_s) = (
+        board.motion_config(),
+        &board.stepper,
+        board.machine.period_s,
+    );
     pass_on(stepper.validate(), to);
     if board.pins.is_some() {
-        pass_on(stepper.validate_rate(&motion, board.drive.law().step_mm), to);
-        let problem = format!("{} ms is less than one turn of the loop, {} ms", stepper.lead_ms, period_s * 1e3);
-        to.at("stepper.lead_ms").holds(stepper.lead_ms * 1e-3 >= period_s, &problem).hint("two turns of machine.period_s are a good lead");
+        pass_on(
+            stepper.validate_rate(&motion, board.drive.law().step_mm),
+            to,
+        );
+        let problem = format!(
+            "{} ms is less than one turn of the loop, {} ms",
+            stepper.lead_ms,
+            period_s * 1e3
+        );
+        to.at("stepper.lead_ms")
+            .holds(stepper.lead_ms * 1e-3 >= period_s, &problem)
+            .hint("two turns of machine.period_s are a good lead");
     }
-    let Ok(limits) = MotionLimits::try_from(&motion) else { return };
+    let Ok(limits) = MotionLimits::try_from(&motion) else {
+        return;
+    };
     let (stop_mm, travel_mm) = (longest_stop_mm(&limits), board.limits.travel_mm);
-    let problem = format!("a stop from full speed takes {stop_mm:.2} mm, more than the travel of {travel_mm} mm");
+    let problem = format!(
+        "a stop from full speed takes {stop_mm:.2} mm, more than the travel of {travel_mm} mm"
+    );
     to.at("limits.travel_mm")
         .holds(stop_mm < travel_mm, &problem)
         .hint("lower motion.speed_max_mm_s or raise motion.acceleration_max_mm_s2");
@@ -85,22 +129,37 @@ fn motion(board: &Board, to: &mut Checker) {
 fn homing(board: &Board, to: &mut Checker) {
     let (h, travel) = (&board.homing, board.limits.travel_mm);
     let fastest = board.motion.speed_max_mm_s.min(10.0);
-    to.at("homing.speed_mm_s").range(h.speed_mm_s, 0.1..=fastest, "mm/s").hint("not faster than motion.speed_max_mm_s");
-    to.at("homing.back_off_mm").range(h.back_off_mm, 0.1..=travel, "mm").hint("within limits.travel_mm");
-    to.at("homing.repeat_max_mm").range(h.repeat_max_mm, board.drive.law().step_mm..=1.0, "mm").hint("at least one microstep");
-    to.at("homing.at_mm").ranges(&h.at_mm, -travel..=travel, "mm").hint("where the switch closes, within limits.travel_mm");
+    to.at("homing.speed_mm_s")
+        .range(h.speed_mm_s, 0.1..=fastest, "mm/s")
+        .hint("not faster than motion.speed_max_mm_s");
+    to.at("homing.back_off_mm")
+        .range(h.back_off_mm, 0.1..=travel, "mm")
+        .hint("within limits.travel_mm");
+    to.at("homing.repeat_max_mm")
+        .range(h.repeat_max_mm, board.drive.law().step_mm..=1.0, "mm")
+        .hint("at least one microstep");
+    to.at("homing.at_mm")
+        .ranges(&h.at_mm, -travel..=travel, "mm")
+        .hint("where the switch closes, within limits.travel_mm");
     if h.method == HomingMethod::Operator {
         return;
     }
-    let missing = board.pins.as_ref().map(|p| p.channels.iter().position(|c| c.home.is_none()));
+    let missing = board
+        .pins
+        .as_ref()
+        .map(|p| p.channels.iter().position(|c| c.home.is_none()));
     let problem = match missing {
         None => "switches are selected, but the board has no [pins]".to_owned(),
         Some(Some(i)) => format!("switches are selected, but channel {} has none", i + 1),
         Some(None) => String::new(),
     };
-    to.at("homing.method").holds(problem.is_empty(), &problem).hint("give every channel a `home` line, or write \"operator\"");
+    to.at("homing.method")
+        .holds(problem.is_empty(), &problem)
+        .hint("give every channel a `home` line, or write \"operator\"");
     let sided = h.at_mm.iter().all(|p| *p != 0.0);
-    to.at("homing.at_mm").holds(sided, "a switch at rest has no side to search on").hint("write the position with its sign");
+    to.at("homing.at_mm")
+        .holds(sided, "a switch at rest has no side to search on")
+        .hint("write the position with its sign");
 }
 
 fn sensors(board: &Board, to: &mut Checker) {
@@ -108,24 +167,48 @@ fn sensors(board: &Board, to: &mut Checker) {
         if let Some(imu) = imu {
             let bus = format!("{table}.bus");
             to.at(&bus)
-                .holds(imu.bus.starts_with('/'), &format!("`{}` is not a device file", imu.bus))
+                .holds(
+                    imu.bus.starts_with('/'),
+                    &format!("`{}` is not a device file", imu.bus),
+                )
                 .hint("`ls /dev/i2c-*` lists the buses");
             for (i, line) in imu.bus_lines.iter().flatten().enumerate() {
-                let uses = board.pins.iter().flat_map(PinsConfig::uses).find(|u| u.pin == *line);
-                let problem = uses.map(|u| format!("line {line} is already {}", shown(&format!("pins.{}", u.key))));
+                let uses = board
+                    .pins
+                    .iter()
+                    .flat_map(PinsConfig::uses)
+                    .find(|u| u.pin == *line);
+                let problem = uses.map(|u| {
+                    format!(
+                        "line {line} is already {}",
+                        shown(&format!("pins.{}", u.key))
+                    )
+                });
                 to.at(&format!("{table}.bus_lines.{i}"))
                     .holds(problem.is_none(), &problem.unwrap_or_default())
                     .hint("write SDA and SCL of the bus");
             }
-            pass_on(imu.chip.check().map_err(|e| Invalid { key: e.key.replacen("imu", table, 1), ..e }), to);
+            pass_on(
+                imu.chip.check().map_err(|e| Invalid {
+                    key: e.key.replacen("imu", table, 1),
+                    ..e
+                }),
+                to,
+            );
         }
     }
     pressure_sensors(board, to);
     if let (Some(tip), Some(base)) = (&board.imu, &board.base_imu) {
         let place = |imu: &ImuSection| (imu.bus.clone(), imu.chip.address());
-        let problem = format!("{:#04x} on {} is already the tip's IMU", base.chip.address(), base.bus);
+        let problem = format!(
+            "{:#04x} on {} is already the tip's IMU",
+            base.chip.address(),
+            base.bus
+        );
         let hint = "pull the address pin of one sensor the other way, or use another bus";
-        to.at("base_imu.chip.address").holds(place(tip) != place(base), &problem).hint(hint);
+        to.at("base_imu.chip.address")
+            .holds(place(tip) != place(base), &problem)
+            .hint(hint);
     }
 }
 
@@ -134,8 +217,14 @@ fn pressure_sensors(board: &Board, to: &mut Checker) {
     let Some(p) = &board.pressure else { return };
     let imus = [("imu", &board.imu), ("base_imu", &board.base_imu)];
     for (i, address) in p.addresses.iter().enumerate() {
-        let imu = imus.iter().find(|(_, imu)| imu.as_ref().is_some_and(|imu| imu.bus == p.bus && imu.chip.address() == *address));
-        let twin = p.addresses[..i].iter().position(|a| a == address).map(|k| shown(&format!("pressure.addresses.{k}")));
+        let imu = imus.iter().find(|(_, imu)| {
+            imu.as_ref()
+                .is_some_and(|imu| imu.bus == p.bus && imu.chip.address() == *address)
+        });
+        let twin = p.addresses[..i]
+            .iter()
+            .position(|a| a == address)
+            .map(|k| shown(&format!("pressure.addresses.{k}")));
         let other = twin.or(imu.map(|(table, _)| format!("{table}.chip.address")));
         let problem = other.map(|o| format!("{address:#04x} on {} is already {o}", p.bus));
         to.at(&format!("pressure.addresses.{i}"))
@@ -143,14 +232,19 @@ fn pressure_sensors(board: &Board, to: &mut Checker) {
             .hint("order the part with another address");
     }
     let (limit, low, high) = (board.safety.pressure_max_kpa, p.low_kpa, p.high_kpa);
-    let problem = format!("{low} to {high} kPa does not contain ±safety.pressure_max_kpa = ±{limit} kPa");
-    to.at("pressure.high_kpa").holds(high > limit && low < -limit, &problem).hint("use a differential part with a larger range");
+    let problem =
+        format!("{low} to {high} kPa does not contain ±safety.pressure_max_kpa = ±{limit} kPa");
+    to.at("pressure.high_kpa")
+        .holds(high > limit && low < -limit, &problem)
+        .hint("use a differential part with a larger range");
 }
 
 /// The wiring against the header: every line exists, has one use, and no other task.
 fn wiring(board: &Board, pins: &PinsConfig, to: &mut Checker) {
     let chip = format!("`{}` is not a device file", pins.chip);
-    to.at("pins.chip").holds(pins.chip.starts_with('/'), &chip).hint("`ls /dev/gpiochip*` lists the chips");
+    to.at("pins.chip")
+        .holds(pins.chip.starts_with('/'), &chip)
+        .hint("`ls /dev/gpiochip*` lists the chips");
     for u in pins.uses() {
         header_line(board, pins.backend, &format!("pins.{}", u.key), u.pin, to);
     }
@@ -161,14 +255,27 @@ fn wiring(board: &Board, pins: &PinsConfig, to: &mut Checker) {
 /// A line of the header, or why not.
 fn header_line(board: &Board, backend: Backend, key: &str, pin: u32, to: &mut Checker) {
     if board.machine.header == Header::Any && backend != Backend::Rppal {
-        to.at(key).range(f64::from(pin), 0.0..=511.0, "").hint("`gpioinfo` lists the lines of a chip");
+        to.at(key)
+            .range(f64::from(pin), 0.0..=511.0, "")
+            .hint("`gpioinfo` lists the lines of a chip");
         return;
     }
     let numbers = "the header has GPIO 2 to 27 (Broadcom numbers, not positions on the header)";
-    let on_bus_1 = [&board.imu, &board.base_imu].into_iter().flatten().any(|imu| imu.bus == "/dev/i2c-1");
+    let on_bus_1 = [&board.imu, &board.base_imu]
+        .into_iter()
+        .flatten()
+        .any(|imu| imu.bus == "/dev/i2c-1");
     match pin {
-        0 | 1 => to.refuse(key, format!("GPIO {pin} reads the identification EEPROM of an add-on board"), numbers),
-        2 | 3 if on_bus_1 => to.refuse(key, format!("GPIO {pin} is SDA or SCL of /dev/i2c-1, where the IMU is"), "choose another line"),
+        0 | 1 => to.refuse(
+            key,
+            format!("GPIO {pin} reads the identification EEPROM of an add-on board"),
+            numbers,
+        ),
+        2 | 3 if on_bus_1 => to.refuse(
+            key,
+            format!("GPIO {pin} is SDA or SCL of /dev/i2c-1, where the IMU is"),
+            "choose another line",
+        ),
         2..=27 => {}
         _ => to.refuse(key, format!("the header has no GPIO {pin}"), numbers),
     }
@@ -176,10 +283,18 @@ fn header_line(board: &Board, backend: Backend, key: &str, pin: u32, to: &mut Ch
 
 /// Reports what the built-in plant refuses; it counts channels from 1, keys count from 0.
 fn plant(section: &PlantSection, to: &mut Checker) {
-    to.at("plant.period_s").range(section.period_s, 1e-4..=0.01, "s").hint("0.001 is a loop at 1 kHz");
+    to.at("plant.period_s")
+        .range(section.period_s, 1e-4..=0.01, "s")
+        .hint("0.001 is a loop at 1 kHz");
     match section.validate() {
         Ok(()) => {}
-        Err(PlantError::Range(Invalid { key, problem, hint })) => to.refuse(&format!("plant.{key}"), problem, &hint),
-        Err(other) => to.refuse("plant", other.to_string(), "see the tables of boards/sim.toml"),
+        Err(PlantError::Range(Invalid { key, problem, hint })) => {
+            to.refuse(&format!("plant.{key}"), problem, &hint)
+        }
+        Err(other) => to.refuse(
+            "plant",
+            other.to_string(),
+            "see the tables of boards/sim.toml",
+        ),
     }
 }

@@ -48,7 +48,10 @@ parameters! {
 impl GeometrySection {
     /// The kinematic law of this section.
     pub fn law(&self) -> Geometry {
-        Geometry { r_mm: self.triangle_side_mm / 3f64.sqrt(), rest_length_mm: self.rest_length_mm }
+        Geometry {
+            r_mm: self.triangle_side_mm / 3f64.sqrt(),
+            rest_length_mm: self.rest_length_mm,
+        }
     }
 }
 
@@ -69,7 +72,11 @@ parameters! {
 impl DriveSection {
     /// The drive law of this section.
     pub fn law(&self) -> Drive {
-        Drive::rack_and_pinion(self.pinion_pitch_diameter_mm, self.full_steps, self.microsteps)
+        Drive::rack_and_pinion(
+            self.pinion_pitch_diameter_mm,
+            self.full_steps,
+            self.microsteps,
+        )
     }
 }
 

@@ -104,7 +104,12 @@ parameters! {
 
 impl SafetySection {
     /// The gate's limits for a loop of this period.
-    pub fn gate(&self, config: &LoopConfig, limits: &limits::ActuatorLimits, period_s: f64) -> GateLimits {
+    pub fn gate(
+        &self,
+        config: &LoopConfig,
+        limits: &limits::ActuatorLimits,
+        period_s: f64,
+    ) -> GateLimits {
         let motion = &config.motion.limits;
         GateLimits {
             step_mm: config.drive.step_mm,

@@ -17,12 +17,18 @@ pub const BOARDS: [(&str, &str); 7] = [
     ("pi4", include_str!("../../boards/pi4.toml")),
     ("pi5", include_str!("../../boards/pi5.toml")),
     ("pi-zero2w", include_str!("../../boards/pi-zero2w.toml")),
-    ("linux-gpiochip", include_str!("../../boards/linux-gpiochip.toml")),
+    (
+        "linux-gpiochip",
+        include_str!("../../boards/linux-gpiochip.toml"),
+    ),
 ];
 
 /// The text of a board.
 pub fn board(name: &str) -> Option<&'static str> {
-    BOARDS.iter().find(|(n, _)| *n == name).map(|(_, text)| *text)
+    BOARDS
+        .iter()
+        .find(|(n, _)| *n == name)
+        .map(|(_, text)| *text)
 }
 
 /// Their names, for messages.

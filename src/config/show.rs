@@ -44,15 +44,30 @@ impl Page {
             }
         }
         for row in table.rows.iter().filter(|r| is_table(&r.shape)) {
-            self.sub_table(row, &row.shape, &join(at, row.key), values.get(row.key), defaults.get(row.key));
+            self.sub_table(
+                row,
+                &row.shape,
+                &join(at, row.key),
+                values.get(row.key),
+                defaults.get(row.key),
+            );
         }
     }
 
-    fn sub_table(&mut self, row: &Row, shape: &Shape, at: &str, value: Option<&Value>, default: Option<&Value>) {
+    fn sub_table(
+        &mut self,
+        row: &Row,
+        shape: &Shape,
+        at: &str,
+        value: Option<&Value>,
+        default: Option<&Value>,
+    ) {
         let none = Values::new();
         let default = default.and_then(Value::as_table).unwrap_or(&none);
         match (shape, value) {
-            (Shape::Optional(inner), Some(_)) => self.sub_table(row, inner, at, value, Some(&Value::Table(default.clone()))),
+            (Shape::Optional(inner), Some(_)) => {
+                self.sub_table(row, inner, at, value, Some(&Value::Table(default.clone())))
+            }
             (Shape::List(Shape::Table(table)), Some(Value::Array(list))) => {
                 for (n, values) in list.iter().filter_map(Value::as_table).enumerate() {
                     self.line("");
@@ -63,10 +78,14 @@ impl Page {
                     self.rows(table, at, values, &none);
                 }
             }
-            (Shape::Table(table), Some(Value::Table(values))) => self.table(row, table, at, values, default),
+            (Shape::Table(table), Some(Value::Table(values))) => {
+                self.table(row, table, at, values, default)
+            }
             (Shape::Tagged(tag, alternatives), Some(Value::Table(values))) => {
                 let word = values.get(*tag).and_then(Value::as_str);
-                if let Some((word, table)) = alternatives.iter().find(|(name, _)| Some(*name) == word) {
+                if let Some((word, table)) =
+                    alternatives.iter().find(|(name, _)| Some(*name) == word)
+                {
                     self.line("");
                     self.comment(row.paragraph);
                     self.line(&format!("[{at}]"));
@@ -80,7 +99,9 @@ impl Page {
                 self.line("");
                 self.comment(row.paragraph);
                 let nested = Values::from_iter([(at.to_owned(), Value::Table(values.clone()))]);
-                let text = toml::to_string(&nested).unwrap_or_default().replace(&format!("\"{at}\""), at);
+                let text = toml::to_string(&nested)
+                    .unwrap_or_default()
+                    .replace(&format!("\"{at}\""), at);
                 self.0.push_str(&text);
             }
             _ => {
@@ -109,7 +130,11 @@ fn is_table(shape: &Shape) -> bool {
 
 /// Default and accepted values, as a sentence: `Default 0.1 s; 0.01 to 10.`
 fn limits(row: &Row, default: Option<&Value>) -> String {
-    let unit = if row.unit.is_empty() || row.unit == OCTAL { String::new() } else { format!(" {}", row.unit) };
+    let unit = if row.unit.is_empty() || row.unit == OCTAL {
+        String::new()
+    } else {
+        format!(" {}", row.unit)
+    };
     let default = match default {
         _ if row.required => "Required".to_owned(),
         Some(value) => format!("Default {}{unit}", written(row, value)),
@@ -119,7 +144,10 @@ fn limits(row: &Row, default: Option<&Value>) -> String {
         (Shape::Choice(words), _) => format!("{default}; one of {}.", words.join(", ")),
         (_, Allowed::Any) => format!("{default}."),
         (_, Allowed::Range(..)) if row.unit == OCTAL => format!("{default}."),
-        (_, allowed) => format!("{default}; {allowed}{}.", if row.required { unit } else { String::new() }),
+        (_, allowed) => format!(
+            "{default}; {allowed}{}.",
+            if row.required { unit } else { String::new() }
+        ),
     }
 }
 

@@ -3,7 +3,10 @@
 //! A file may build on another: `base = "pi4"` takes everything from that board, and the file states only what
 //! differs. Tables are merged key by key; lists and values replace those of the base.
 
-#![allow(clippy::result_large_err, reason = "an error is made at most once a run, on the way out")]
+#![allow(
+    clippy::result_large_err,
+    reason = "an error is made at most once a run, on the way out"
+)]
 
 use crate::config::message::plain;
 use crate::config::place::{key_at, span_of};
@@ -63,7 +66,10 @@ pub fn read<T: DeserializeOwned + Check>(path: &Path) -> Result<T, ConfigError> 
 /// # Errors
 /// [`ConfigError::Unreadable`].
 pub fn text_of(path: &Path) -> Result<String, ConfigError> {
-    text(path).map_err(|e| ConfigError::Unreadable { path: path.display().to_string(), problem: why_unreadable(path, &e) })
+    text(path).map_err(|e| ConfigError::Unreadable {
+        path: path.display().to_string(),
+        problem: why_unreadable(path, &e),
+    })
 }
 
 /// Parses and checks a text; `name` stands for it in errors.
@@ -83,16 +89,29 @@ pub fn parse<T: DeserializeOwned + Check>(name: &str, text: &str) -> Result<T, C
     }
     // what is wrong only in the whole is shown where it is written: in the file, else in its base
     let own = &layers[0];
-    let refused = |e: Invalid| layers.iter().find(|l| states(&l.values, &e.key)).unwrap_or(own).refused(&e);
+    let refused = |e: Invalid| {
+        layers
+            .iter()
+            .find(|l| states(&l.values, &e.key))
+            .unwrap_or(own)
+            .refused(&e)
+    };
     let mut values = Table::new();
-    layers.iter().for_each(|layer| fill(&mut values, &layer.values));
+    layers
+        .iter()
+        .for_each(|layer| fill(&mut values, &layer.values));
     let mut checker = Checker::default();
     if let Some(table) = T::TABLE {
         table.check(&values, "", &mut checker);
     }
     checker.done().map_err(refused)?;
-    let value =
-        T::deserialize(values).map_err(|e| own.wrong(0..0, plain(e.message(), "", None), "the file and its base contradict each other"))?;
+    let value = T::deserialize(values).map_err(|e| {
+        own.wrong(
+            0..0,
+            plain(e.message(), "", None),
+            "the file and its base contradict each other",
+        )
+    })?;
     let mut checker = Checker::default();
     value.check(&mut checker);
     checker.done().map_err(refused)?;
@@ -108,9 +127,17 @@ struct Layer {
 
 impl Layer {
     fn new(name: &str, text: &str) -> Result<Self, ConfigError> {
-        let mut layer = Self { name: name.to_owned(), text: text.to_owned(), values: Table::new() };
+        let mut layer = Self {
+            name: name.to_owned(),
+            text: text.to_owned(),
+            values: Table::new(),
+        };
         layer.values = toml::from_str(text).map_err(|e| {
-            layer.wrong(e.span().unwrap_or(0..0), plain(e.message(), "", None), "see https://toml.io for the form of a TOML file")
+            layer.wrong(
+                e.span().unwrap_or(0..0),
+                plain(e.message(), "", None),
+                "see https://toml.io for the form of a TOML file",
+            )
         })?;
         Ok(layer)
     }
@@ -118,9 +145,16 @@ impl Layer {
     /// A key that is not known, or a value that its type does not accept.
     fn mistyped<T: Check>(&self, e: &toml::de::Error) -> ConfigError {
         let span = e.span().unwrap_or(0..0);
-        let key = if span.is_empty() { String::new() } else { key_at(&self.text, &span) };
+        let key = if span.is_empty() {
+            String::new()
+        } else {
+            key_at(&self.text, &span)
+        };
         let row = T::TABLE.and_then(|table| table.row(&key));
-        let hint = row.map(|r| r.hint).filter(|h| !h.is_empty()).unwrap_or(T::REMEDY);
+        let hint = row
+            .map(|r| r.hint)
+            .filter(|h| !h.is_empty())
+            .unwrap_or(T::REMEDY);
         self.wrong(span, plain(e.message(), &shown(&key), row), hint)
     }
 
@@ -130,7 +164,10 @@ impl Layer {
     }
 
     fn wrong(&self, span: Range<usize>, problem: String, hint: &str) -> ConfigError {
-        let line = self.text[..span.start.min(self.text.len())].matches('\n').count() + 1;
+        let line = self.text[..span.start.min(self.text.len())]
+            .matches('\n')
+            .count()
+            + 1;
         ConfigError::Wrong {
             path: self.name.clone(),
             line,
@@ -149,10 +186,18 @@ const BASES_MAX: usize = 8;
 /// the program, `base = "mine.toml"` a file beside the one that names it.
 fn layers(name: &str, text: &str) -> Result<Vec<Layer>, ConfigError> {
     let mut layers = vec![Layer::new(name, text)?];
-    while let Some((layer, base)) = layers.last().and_then(|l| Some((l, l.values.get("base")?.as_str()?))) {
-        let wrong = |problem: String, hint: &str| layer.wrong(span_of(&layer.text, "base").unwrap_or(0..0), problem, hint);
+    while let Some((layer, base)) = layers
+        .last()
+        .and_then(|l| Some((l, l.values.get("base")?.as_str()?)))
+    {
+        let wrong = |problem: String, hint: &str| {
+            layer.wrong(span_of(&layer.text, "base").unwrap_or(0..0), problem, hint)
+        };
         if layers.len() > BASES_MAX {
-            return Err(wrong(format!("base: `{base}` builds on itself"), "a base must not name a file that builds on it"));
+            return Err(wrong(
+                format!("base: `{base}` builds on itself"),
+                "a base must not name a file that builds on it",
+            ));
         }
         let next = match shipped::board(base) {
             Some(text) => Layer::new(&format!("boards/{base}.toml"), text)?,
@@ -215,7 +260,9 @@ mod tests {
     }
     impl Check for File {
         fn check(&self, to: &mut Checker) {
-            to.at("a.x_mm").range(self.a.x_mm, 0.0..=1.0, "mm").hint("measure it again");
+            to.at("a.x_mm")
+                .range(self.a.x_mm, 0.0..=1.0, "mm")
+                .hint("measure it again");
             to.at("a.many").ranges(&self.a.many, 0.0..=1.0, "").hint("");
         }
     }
@@ -230,17 +277,34 @@ mod tests {
     #[test]
     fn errors_name_file_line_key_value_and_range() {
         assert_eq!(why("[a]\nx_mm = 0.5\nmany = [1.0]\n"), "");
-        assert_eq!(why("[a]\nmany = []\nx_mm = 7.5\n"), "f.toml, line 3: a.x_mm: 7.5 mm is outside 0 to 1 mm");
-        assert_eq!(why("[a]\nmany = []\nx_mm = nan\n"), "f.toml, line 3: a.x_mm: NaN mm is outside 0 to 1 mm");
-        assert_eq!(why("[a]\nx_mm = 1\nmany = [\n1.0,\n2.0]\n"), "f.toml, line 5: a.many[2]: 2 is outside 0 to 1");
-        assert!(why("[a]\nx_mm = 1\nmany = []\ny = 2\n").contains("line 4: `a.y` is not a known key; expected `x_mm` or `many`"));
-        assert!(why("[a]\nx_mm = \"1 mm\"\nmany = []\n").contains("line 2: a.x_mm: the text \"1 mm\": expected a number"));
+        assert_eq!(
+            why("[a]\nmany = []\nx_mm = 7.5\n"),
+            "f.toml, line 3: a.x_mm: 7.5 mm is outside 0 to 1 mm"
+        );
+        assert_eq!(
+            why("[a]\nmany = []\nx_mm = nan\n"),
+            "f.toml, line 3: a.x_mm: NaN mm is outside 0 to 1 mm"
+        );
+        assert_eq!(
+            why("[a]\nx_mm = 1\nmany = [\n1.0,\n2.0]\n"),
+            "f.toml, line 5: a.many[2]: 2 is outside 0 to 1"
+        );
+        assert!(
+            why("[a]\nx_mm = 1\nmany = []\ny = 2\n")
+                .contains("line 4: `a.y` is not a known key; expected `x_mm` or `many`")
+        );
+        assert!(
+            why("[a]\nx_mm = \"1 mm\"\nmany = []\n")
+                .contains("line 2: a.x_mm: the text \"1 mm\": expected a number")
+        );
         assert!(why("[a\n").contains("line 1"));
     }
 
     #[test]
     fn a_missing_file_is_named() {
-        let e = read::<File>(Path::new("/nowhere/x.toml")).unwrap_err().to_string();
+        let e = read::<File>(Path::new("/nowhere/x.toml"))
+            .unwrap_err()
+            .to_string();
         assert!(e.starts_with("/nowhere/x.toml: "), "{e}");
     }
 }

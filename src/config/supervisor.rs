@@ -5,10 +5,17 @@ use crate::model::Drive;
 use crate::supervisor::{MachineInfo, SupervisorConfig};
 
 /// Board, calibration and gains for a machine.
-pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains, info: &MachineInfo) -> SupervisorConfig {
+pub fn assemble(
+    board: &Board,
+    calibration: &Calibration,
+    gains: &Gains,
+    info: &MachineInfo,
+) -> SupervisorConfig {
     let mut tick = super::assemble(board, calibration, gains);
     // the machine's own step and rest length take the board's place
-    tick.drive = Drive { step_mm: info.step_mm };
+    tick.drive = Drive {
+        step_mm: info.step_mm,
+    };
     tick.geometry.rest_length_mm = info.rest_length_mm;
     let gate = board.safety.gate(&tick, &tick.limits, info.period_s);
     SupervisorConfig {

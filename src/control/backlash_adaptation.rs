@@ -48,7 +48,9 @@ pub struct BacklashAdaptation {
 
 impl Default for BacklashAdaptation {
     fn default() -> Self {
-        Self { channels: [Channel::of_share(SHARE_INITIAL); 3] }
+        Self {
+            channels: [Channel::of_share(SHARE_INITIAL); 3],
+        }
     }
 }
 
@@ -60,9 +62,17 @@ impl BacklashAdaptation {
 
     /// One tick at a resting set-point with the pistons that `reversed` and the error that the feedback can correct, rad.
     /// Returns the further share of its backlash that each channel crosses now.
-    pub fn step(&mut self, reversed: [bool; 3], error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> [f64; 3] {
+    pub fn step(
+        &mut self,
+        reversed: [bool; 3],
+        error: &Vector2<f64>,
+        patience: &Patience,
+        dt_s: f64,
+    ) -> [f64; 3] {
         let mut increments = [0.0; 3];
-        for ((channel, reversed), increment) in self.channels.iter_mut().zip(reversed).zip(&mut increments) {
+        for ((channel, reversed), increment) in
+            self.channels.iter_mut().zip(reversed).zip(&mut increments)
+        {
             *increment = channel.step(reversed, error, patience, dt_s);
         }
         increments
@@ -78,14 +88,29 @@ impl BacklashAdaptation {
 
 impl Channel {
     fn of_share(share: f64) -> Self {
-        Self { share, since_reversal_s: f64::INFINITY, reversed_at: Vector2::zeros(), observed: None }
+        Self {
+            share,
+            since_reversal_s: f64::INFINITY,
+            reversed_at: Vector2::zeros(),
+            observed: None,
+        }
     }
 
-    fn step(&mut self, reversed: bool, error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> f64 {
-        let &Patience { answer_s, worth_rad } = patience;
+    fn step(
+        &mut self,
+        reversed: bool,
+        error: &Vector2<f64>,
+        patience: &Patience,
+        dt_s: f64,
+    ) -> f64 {
+        let &Patience {
+            answer_s,
+            worth_rad,
+        } = patience;
         self.since_reversal_s += dt_s;
         if reversed {
-            let hunting = self.since_reversal_s < HUNTING_S + answer_s && error.dot(&self.reversed_at) <= 0.0;
+            let hunting =
+                self.since_reversal_s < HUNTING_S + answer_s && error.dot(&self.reversed_at) <= 0.0;
             (self.since_reversal_s, self.reversed_at) = (0.0, *error);
             self.observed = if hunting { None } else { Some((*error, 0.0)) };
             if hunting {
@@ -113,7 +138,10 @@ impl Channel {
 mod tests {
     use super::*;
 
-    const PATIENT: Patience = Patience { answer_s: 0.1, worth_rad: 0.005 };
+    const PATIENT: Patience = Patience {
+        answer_s: 0.1,
+        worth_rad: 0.005,
+    };
     const QUIET: [bool; 3] = [false; 3];
     const REVERSAL: [bool; 3] = [false, true, false];
 
@@ -123,10 +151,19 @@ mod tests {
             let mut r = BacklashAdaptation::default();
             for k in 0..1000 {
                 let side = if k / period % 2 == 0 { 0.01 } else { -0.01 };
-                r.step(if k % period == 0 { REVERSAL } else { QUIET }, &Vector2::new(side, 0.0), &PATIENT, 0.01);
+                r.step(
+                    if k % period == 0 { REVERSAL } else { QUIET },
+                    &Vector2::new(side, 0.0),
+                    &PATIENT,
+                    0.01,
+                );
             }
             assert!(r.share(1) < 0.1, "{period} {}", r.share(1));
-            assert_eq!([r.share(0), r.share(2)], [SHARE_INITIAL; 2], "the other channels keep their shares");
+            assert_eq!(
+                [r.share(0), r.share(2)],
+                [SHARE_INITIAL; 2],
+                "the other channels keep their shares"
+            );
         }
     }
 
@@ -141,7 +178,10 @@ mod tests {
         }
         // four or five response times fit into that time
         assert!(r.share(1) > 0.5 + 3.5 * INCREMENT && r.share(1) <= SHARE_INITIAL);
-        assert!((r.share(1) - 0.5 - crossed).abs() < 1e-12, "the next reversal crosses what this one crossed in total");
+        assert!(
+            (r.share(1) - 0.5 - crossed).abs() < 1e-12,
+            "the next reversal crosses what this one crossed in total"
+        );
     }
 
     #[test]
@@ -158,7 +198,12 @@ mod tests {
     fn without_an_error_that_can_be_corrected_the_share_only_shrinks() {
         let mut r = BacklashAdaptation::default();
         for k in 0..100 {
-            r.step(if k % 20 == 0 { REVERSAL } else { QUIET }, &Vector2::zeros(), &PATIENT, 0.01);
+            r.step(
+                if k % 20 == 0 { REVERSAL } else { QUIET },
+                &Vector2::zeros(),
+                &PATIENT,
+                0.01,
+            );
         }
         assert!(r.share(1) < 0.2, "{}", r.share(1));
     }

@@ -42,7 +42,8 @@ impl CalmCorrection {
     /// Largest speed of the tip that a piston may cause at an error, rad/s; `None` while there is no bound.
     pub fn speed(&self, config: &CalmConfig, error_rad: f64) -> Option<f64> {
         let beyond_rad = (error_rad - config.large_deg.to_radians()).max(0.0);
-        self.is_calm(config).then(|| config.speed_deg_s.to_radians() + GAIN_1_S * beyond_rad)
+        self.is_calm(config)
+            .then(|| config.speed_deg_s.to_radians() + GAIN_1_S * beyond_rad)
     }
 }
 
@@ -53,7 +54,9 @@ mod tests {
     #[test]
     fn a_set_point_that_has_rested_is_corrected_slowly_unless_the_error_is_large() {
         let (config, mut calm) = (CalmConfig::default(), CalmCorrection::default());
-        let rest = |calm: &mut CalmCorrection, seconds: f64| (0..(seconds * 100.0) as usize).for_each(|_| calm.step(false, 0.01));
+        let rest = |calm: &mut CalmCorrection, seconds: f64| {
+            (0..(seconds * 100.0) as usize).for_each(|_| calm.step(false, 0.01))
+        };
         rest(&mut calm, 0.7);
         assert_eq!(calm.speed(&config, 0.01), None);
         rest(&mut calm, 0.1);

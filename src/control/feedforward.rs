@@ -65,7 +65,9 @@ impl FeedforwardState {
         };
         state.zero(machine, machine.rest.up);
         let response = HORIZONS_S.map(|horizon_s| state.response(machine, horizon_s));
-        let enough = response.iter().position(|r| *r >= RESPONSE_MIN * response[HORIZONS_S.len() - 1]);
+        let enough = response
+            .iter()
+            .position(|r| *r >= RESPONSE_MIN * response[HORIZONS_S.len() - 1]);
         state.horizon_s = HORIZONS_S[enough.unwrap_or(HORIZONS_S.len() - 1)];
         state
     }
@@ -75,7 +77,10 @@ impl FeedforwardState {
         let chain = machine.chain();
         let at = self.moment(&chain, horizon_s);
         self.trial.clone_from(&self.memory);
-        shape(&chain, &mut self.trial, &at, &self.rest, &PROBE_MM).bend.0.norm()
+        shape(&chain, &mut self.trial, &at, &self.rest, &PROBE_MM)
+            .bend
+            .0
+            .norm()
     }
 
     /// Defines zero for a base in which `up` is up.
@@ -91,11 +96,19 @@ impl FeedforwardState {
     }
 
     fn moment(&self, chain: &Laws<'_>, dt_s: f64) -> Moment {
-        Moment { t_s: self.t_s + dt_s, ..chain.moment(self.up_base, dt_s) }
+        Moment {
+            t_s: self.t_s + dt_s,
+            ..chain.moment(self.up_base, dt_s)
+        }
     }
 
     /// Advances the effects by `dt_s` with the play outputs at `play_output_mm`; returns the shape there.
-    pub fn advance(&mut self, machine: &DescribedMachine, play_output_mm: &Vector3<f64>, dt_s: f64) -> Shape {
+    pub fn advance(
+        &mut self,
+        machine: &DescribedMachine,
+        play_output_mm: &Vector3<f64>,
+        dt_s: f64,
+    ) -> Shape {
         let chain = machine.chain();
         let at = self.moment(&chain, dt_s);
         self.t_s += dt_s;
@@ -109,8 +122,15 @@ impl FeedforwardState {
         let mut before: Option<(Vector3<f64>, Vector3<f64>)> = None;
         for _ in 0..ROUNDS {
             self.trial.clone_from(&self.memory);
-            let play_output_mm = Vector3::from_fn(|i, _| chain.lines[i].play_output_mm(self.solution_mm[i]));
-            let reached = chain.geometry.lengths(&shape(&chain, &mut self.trial, &at, &self.rest, &play_output_mm));
+            let play_output_mm =
+                Vector3::from_fn(|i, _| chain.lines[i].play_output_mm(self.solution_mm[i]));
+            let reached = chain.geometry.lengths(&shape(
+                &chain,
+                &mut self.trial,
+                &at,
+                &self.rest,
+                &play_output_mm,
+            ));
             if let Some((solution, shape)) = before {
                 self.learn_slope(&(self.solution_mm - solution), &(reached - shape));
             }
@@ -121,9 +141,14 @@ impl FeedforwardState {
             before = Some((self.solution_mm, reached));
             let step = self.slope * missing;
             let size = step.amax();
-            let share = if size > CHANGE_MAX_MM { CHANGE_MAX_MM / size } else { 1.0 };
+            let share = if size > CHANGE_MAX_MM {
+                CHANGE_MAX_MM / size
+            } else {
+                1.0
+            };
             let next = self.solution_mm + step * share;
-            self.solution_mm = wanted_mm + (next - wanted_mm).map(|d| d.clamp(-CORRECTION_MAX_MM, CORRECTION_MAX_MM));
+            self.solution_mm = wanted_mm
+                + (next - wanted_mm).map(|d| d.clamp(-CORRECTION_MAX_MM, CORRECTION_MAX_MM));
         }
         self.solution_mm
     }
@@ -140,7 +165,11 @@ impl FeedforwardState {
     }
 
     /// Counted pistons that put the true pistons at `piston_mm`.
-    pub fn counted(&mut self, machine: &DescribedMachine, piston_mm: &Vector3<f64>) -> Vector3<f64> {
+    pub fn counted(
+        &mut self,
+        machine: &DescribedMachine,
+        piston_mm: &Vector3<f64>,
+    ) -> Vector3<f64> {
         let chain = machine.chain();
         let at = self.moment(&chain, 0.0);
         let mut counted = *piston_mm;
@@ -152,7 +181,11 @@ impl FeedforwardState {
     }
 
     /// True pistons for counted ones.
-    pub fn pistons(&mut self, machine: &DescribedMachine, counted_mm: &Vector3<f64>) -> Vector3<f64> {
+    pub fn pistons(
+        &mut self,
+        machine: &DescribedMachine,
+        counted_mm: &Vector3<f64>,
+    ) -> Vector3<f64> {
         let chain = machine.chain();
         let at = self.moment(&chain, 0.0);
         chain.pistons(&mut self.memory, &at, counted_mm)
@@ -160,11 +193,20 @@ impl FeedforwardState {
 }
 
 /// Shape relative to rest, at play outputs.
-fn shape(chain: &Laws<'_>, memory: &mut [Memory], at: &Moment, rest: &UnitQuaternion<f64>, play_output_mm: &Vector3<f64>) -> Shape {
+fn shape(
+    chain: &Laws<'_>,
+    memory: &mut [Memory],
+    at: &Moment,
+    rest: &UnitQuaternion<f64>,
+    play_output_mm: &Vector3<f64>,
+) -> Shape {
     let bellow_mm = chain.bellows(memory, at, play_output_mm);
     let pose = chain.pose(memory, at, &bellow_mm);
     let tip = rest.inverse() * orientation(&pose);
-    Shape { bend: Bend::nearest(&Rotation::assert_frames(tip)), length: Mm(chain.geometry.rest_length_mm + bellow_mm.sum() / 3.0) }
+    Shape {
+        bend: Bend::nearest(&Rotation::assert_frames(tip)),
+        length: Mm(chain.geometry.rest_length_mm + bellow_mm.sum() / 3.0),
+    }
 }
 
 #[cfg(test)]
@@ -179,10 +221,24 @@ mod tests {
     const DT_S: f64 = 0.005;
 
     fn machine(causes: &[(&str, &[f64])]) -> DescribedMachine {
-        let rest = RestReadings { up: Vector3::new(0.6, -0.3, 0.742).normalize(), ..RestReadings::default() };
-        let lines = [2.1, 2.5, 2.3].map(|k_epsilon| Line { k_epsilon, k_lambda_mm: 0.9 });
-        let causes = causes.iter().map(|(name, p)| (by_name(name).unwrap(), p.to_vec())).collect();
-        DescribedMachine::new(Geometry::default(), rest, &nominal_theta(&lines, 0.02), causes)
+        let rest = RestReadings {
+            up: Vector3::new(0.6, -0.3, 0.742).normalize(),
+            ..RestReadings::default()
+        };
+        let lines = [2.1, 2.5, 2.3].map(|k_epsilon| Line {
+            k_epsilon,
+            k_lambda_mm: 0.9,
+        });
+        let causes = causes
+            .iter()
+            .map(|(name, p)| (by_name(name).unwrap(), p.to_vec()))
+            .collect();
+        DescribedMachine::new(
+            Geometry::default(),
+            rest,
+            &nominal_theta(&lines, 0.02),
+            causes,
+        )
     }
 
     /// Bends held one after the other: the largest error at the ends of the holds, degrees, with and without the inverse.
@@ -191,13 +247,28 @@ mod tests {
         [true, false].map(|inverted| {
             let mut state = FeedforwardState::new(machine);
             let mut worst: f64 = 0.0;
-            for (bend_deg, dir_deg) in [(40.0, 20.0), (70.0, 20.0), (30.0, 200.0), (0.0, 0.0), (60.0, 300.0), (55.0, 120.0)] {
+            for (bend_deg, dir_deg) in [
+                (40.0, 20.0),
+                (70.0, 20.0),
+                (30.0, 200.0),
+                (0.0, 0.0),
+                (60.0, 300.0),
+                (55.0, 120.0),
+            ] {
                 let wanted = Bend::from_deg(bend_deg, dir_deg);
-                let wanted_mm = chain.geometry.lengths(&Shape { bend: wanted, length: Mm(chain.geometry.rest_length_mm) });
+                let wanted_mm = chain.geometry.lengths(&Shape {
+                    bend: wanted,
+                    length: Mm(chain.geometry.rest_length_mm),
+                });
                 let mut reached = Bend::STRAIGHT;
                 for _ in 0..500 {
-                    let bellow_mm = if inverted { state.invert(machine, &wanted_mm) } else { wanted_mm };
-                    let play_output_mm = Vector3::from_fn(|i, _| chain.lines[i].play_output_mm(bellow_mm[i]));
+                    let bellow_mm = if inverted {
+                        state.invert(machine, &wanted_mm)
+                    } else {
+                        wanted_mm
+                    };
+                    let play_output_mm =
+                        Vector3::from_fn(|i, _| chain.lines[i].play_output_mm(bellow_mm[i]));
                     reached = state.advance(machine, &play_output_mm, DT_S).bend;
                 }
                 worst = worst.max((reached.0 - wanted.0).norm().to_degrees());
@@ -210,14 +281,26 @@ mod tests {
     fn the_inverse_reaches_the_wanted_shape_through_every_kind_of_law() {
         let all: [&[(&str, &[f64])]; 4] = [
             &[("curvature", &[0.3, 0.2]), ("gravity", &[0.08, 0.8])],
-            &[("hysteresis", &[0.2, 0.2, 0.1, 0.1, 0.0, 0.1, -0.1]), ("creep", &[0.1, 0.1, 2.0])],
-            &[("leak", &[0.01, 0.004, 0.008, 0.5]), ("asymmetry", &[0.2, 0.1, 0.15])],
-            &[("line_lag", &[0.5, 0.4, 0.6, 0.1]), ("clocking", &[0.1, -0.05, 0.08])],
+            &[
+                ("hysteresis", &[0.2, 0.2, 0.1, 0.1, 0.0, 0.1, -0.1]),
+                ("creep", &[0.1, 0.1, 2.0]),
+            ],
+            &[
+                ("leak", &[0.01, 0.004, 0.008, 0.5]),
+                ("asymmetry", &[0.2, 0.1, 0.15]),
+            ],
+            &[
+                ("line_lag", &[0.5, 0.4, 0.6, 0.1]),
+                ("clocking", &[0.1, -0.05, 0.08]),
+            ],
         ];
         for causes in all {
             let [inverted, nominal] = errors(&machine(causes));
             assert!(nominal > 1.0, "{causes:?} disturbs by {nominal}°");
-            assert!(inverted < 0.1, "{causes:?}: {inverted}° with the inverse, {nominal}° without");
+            assert!(
+                inverted < 0.1,
+                "{causes:?}: {inverted}° with the inverse, {nominal}° without"
+            );
         }
     }
 
@@ -239,7 +322,10 @@ mod tests {
         for k in 0..40 {
             let wanted = Vector3::new(0.3, -0.2, 0.4) * f64::from(k);
             let counted = state.counted(&machine, &wanted);
-            assert!((state.pistons(&machine, &counted) - wanted).amax() < 0.02, "{k}");
+            assert!(
+                (state.pistons(&machine, &counted) - wanted).amax() < 0.02,
+                "{k}"
+            );
         }
     }
 }

@@ -27,7 +27,10 @@ pub struct Follower<const D: usize> {
 impl<const D: usize> Follower<D> {
     /// At rest at `at`.
     pub fn resting(at: SVector<f64, D>) -> Self {
-        Self { at, velocity: SVector::zeros() }
+        Self {
+            at,
+            velocity: SVector::zeros(),
+        }
     }
 
     /// One tick towards `target`; returns the new position.
@@ -43,7 +46,11 @@ impl<const D: usize> Follower<D> {
         let braking = (2.0 * pace.acceleration * distance).sqrt() - 0.5 * change_max;
         let speed = braking.max(0.0).min(pace.speed).min(distance / dt_s);
         // exactly at the target with a velocity there is no direction to the target: brake
-        let wanted = if distance > 0.0 { to_go * (speed / distance) } else { SVector::zeros() };
+        let wanted = if distance > 0.0 {
+            to_go * (speed / distance)
+        } else {
+            SVector::zeros()
+        };
         let mut change = wanted - self.velocity;
         let size = change.norm();
         if size > change_max {
@@ -94,14 +101,27 @@ mod tests {
 
     #[test]
     fn passing_over_the_target_does_not_divide_by_zero() {
-        let mut f = Follower::<1> { at: nalgebra::Vector1::new(1.0), velocity: nalgebra::Vector1::new(0.5) };
-        f.step(&nalgebra::Vector1::new(1.0), &Pace { speed: 1.0, acceleration: 10.0 }, 0.001);
+        let mut f = Follower::<1> {
+            at: nalgebra::Vector1::new(1.0),
+            velocity: nalgebra::Vector1::new(0.5),
+        };
+        f.step(
+            &nalgebra::Vector1::new(1.0),
+            &Pace {
+                speed: 1.0,
+                acceleration: 10.0,
+            },
+            0.001,
+        );
         assert!(f.at.x.is_finite() && f.velocity.x < 0.5);
     }
 
     #[test]
     fn takes_the_time_of_a_trapezoidal_profile() {
-        let pace = Pace { speed: 1.0, acceleration: 10.0 };
+        let pace = Pace {
+            speed: 1.0,
+            acceleration: 10.0,
+        };
         let mut f = Follower::<1>::resting(nalgebra::Vector1::zeros());
         let target = nalgebra::Vector1::new(1.0);
         let ticks = (1..)

@@ -61,18 +61,36 @@ impl HuntingDetector {
     /// A detector whose loop is slower by the factor `caution`, as remembered.
     pub fn new(caution: f64) -> Self {
         let caution = caution.clamp(1.0, CAUTION_MAX);
-        Self { caution, band_rad: 0.0, hunting: false, extreme: None, swings: 0, smallest_rad: f64::INFINITY }
+        Self {
+            caution,
+            band_rad: 0.0,
+            hunting: false,
+            extreme: None,
+            swings: 0,
+            smallest_rad: f64::INFINITY,
+        }
     }
 
     /// A new target.
     pub fn new_target(&mut self) {
-        *self = Self { band_rad: if self.band_rad > SWING_RAD { self.band_rad / 2.0 } else { 0.0 }, ..Self::new(self.caution) };
+        *self = Self {
+            band_rad: if self.band_rad > SWING_RAD {
+                self.band_rad / 2.0
+            } else {
+                0.0
+            },
+            ..Self::new(self.caution)
+        };
     }
 
     /// One tick at a resting set-point: target minus estimated bend, and the bend that the model predicts, rad.
     pub fn step(&mut self, error: Vector2<f64>, predicted: Vector2<f64>) {
         let Some(extreme) = &mut self.extreme else {
-            self.extreme = Some(Extreme { error, predicted, before: None });
+            self.extreme = Some(Extreme {
+                error,
+                predicted,
+                before: None,
+            });
             return;
         };
         if error.dot(&extreme.error) >= 0.0 {
@@ -83,9 +101,17 @@ impl HuntingDetector {
         }
         // the error has changed sides: the extreme is complete
         let (ended, size) = (*extreme, extreme.error.norm());
-        self.extreme = Some(Extreme { error, predicted, before: Some((ended.error, ended.predicted)) });
+        self.extreme = Some(Extreme {
+            error,
+            predicted,
+            before: Some((ended.error, ended.predicted)),
+        });
         self.smallest_rad = self.smallest_rad.min(size.max(SWING_RAD / 2.0));
-        self.swings = if ended.counts(size) { self.swings + 1 } else { 0 };
+        self.swings = if ended.counts(size) {
+            self.swings + 1
+        } else {
+            0
+        };
         if self.swings >= SWINGS {
             self.hunting = true;
             self.swings = 0;
@@ -98,7 +124,9 @@ impl HuntingDetector {
 impl Extreme {
     /// True if the swing that ends at this extreme of the given size is large, lasting and the loop's own.
     fn counts(&self, size: f64) -> bool {
-        let Some((error, predicted)) = self.before else { return size > SWING_RAD };
+        let Some((error, predicted)) = self.before else {
+            return size > SWING_RAD;
+        };
         let (moved, modelled) = (error - self.error, self.predicted - predicted);
         let own = modelled.dot(&moved) > OWN_SHARE * moved.norm_squared();
         size > SWING_RAD && size > DECAYS * error.norm() && own
@@ -124,12 +152,20 @@ mod tests {
     #[test]
     fn hunting_is_detected_within_two_periods_and_slows_the_loop_down() {
         let d = after(4, 0.05, 1.0, 1.0);
-        assert!(d.hunting && d.caution == SLOWER && d.band_rad > 0.05, "{d:?}");
+        assert!(
+            d.hunting && d.caution == SLOWER && d.band_rad > 0.05,
+            "{d:?}"
+        );
     }
 
     #[test]
     fn decaying_small_and_foreign_swings_are_not_hunting() {
-        for d in [after(8, 0.05, 0.4, 1.0), after(8, 0.005, 1.0, 1.0), after(8, 0.05, 1.0, -1.0), after(8, 0.05, 1.0, 0.0)] {
+        for d in [
+            after(8, 0.05, 0.4, 1.0),
+            after(8, 0.005, 1.0, 1.0),
+            after(8, 0.05, 1.0, -1.0),
+            after(8, 0.05, 1.0, 0.0),
+        ] {
             assert!(!d.hunting && d.caution == 1.0 && d.band_rad == 0.0, "{d:?}");
         }
     }

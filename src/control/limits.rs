@@ -38,12 +38,23 @@ pub enum Cut {
 impl ActuatorLimits {
     /// Scales the length changes q (mm) towards zero until every bellow is within its range.
     pub fn bellows(&self, q_mm: &Vector3<f64>, rest_length_mm: f64) -> (Vector3<f64>, Cut) {
-        let (shortest, longest) = (self.bellow_min_mm - rest_length_mm, self.bellow_max_mm - rest_length_mm);
+        let (shortest, longest) = (
+            self.bellow_min_mm - rest_length_mm,
+            self.bellow_max_mm - rest_length_mm,
+        );
         let scale = q_mm.iter().fold(1.0f64, |s, &q| {
             let bound = if q < 0.0 { shortest } else { longest };
-            if q == 0.0 { s } else { s.min((bound / q).max(0.0)) }
+            if q == 0.0 {
+                s
+            } else {
+                s.min((bound / q).max(0.0))
+            }
         });
-        if scale < 1.0 { (q_mm * scale, Cut::Bellow) } else { (*q_mm, Cut::None) }
+        if scale < 1.0 {
+            (q_mm * scale, Cut::Bellow)
+        } else {
+            (*q_mm, Cut::None)
+        }
     }
 
     /// Length to add to all bellows (mm) so that no piston exceeds its travel. Bending depends on differences only, so the
@@ -55,16 +66,27 @@ impl ActuatorLimits {
             low = low.max(-room - q_mm[i]);
             high = high.min(room - q_mm[i]);
         }
-        if low > high { (low + high) / 2.0 } else { 0.0f64.clamp(low, high) }
+        if low > high {
+            (low + high) / 2.0
+        } else {
+            0.0f64.clamp(low, high)
+        }
     }
 
     /// Share of the bend of `shape`, at most 1, that these lines can hold at its length.
     pub fn largest_share(&self, geometry: &Geometry, lines: &[Line; 3], shape: &Shape) -> f64 {
         let holds = |share: f64| {
-            let q_mm = geometry.lengths(&Shape { bend: Bend(shape.bend.0 * share), ..*shape });
+            let q_mm = geometry.lengths(&Shape {
+                bend: Bend(shape.bend.0 * share),
+                ..*shape
+            });
             let relieved = q_mm.add_scalar(self.relief(&q_mm, lines));
-            let piston_mm = Vector3::from_fn(|i, _| lines[i].piston_mm(relieved[i], relieved[i].signum()));
-            let within = self.bellows(&(q_mm * (1.0 - 1e-9)), geometry.rest_length_mm).1 == Cut::None;
+            let piston_mm =
+                Vector3::from_fn(|i, _| lines[i].piston_mm(relieved[i], relieved[i].signum()));
+            let within = self
+                .bellows(&(q_mm * (1.0 - 1e-9)), geometry.rest_length_mm)
+                .1
+                == Cut::None;
             within && self.pistons(&(piston_mm * (1.0 - 1e-9)), &relieved).1 == Cut::None
         };
         if holds(1.0) {
@@ -73,7 +95,11 @@ impl ActuatorLimits {
         let (mut low, mut high) = (0.0, 1.0);
         for _ in 0..20 {
             let middle = (low + high) / 2.0;
-            if holds(middle) { low = middle } else { high = middle }
+            if holds(middle) {
+                low = middle
+            } else {
+                high = middle
+            }
         }
         low
     }
@@ -84,7 +110,8 @@ impl ActuatorLimits {
         let mut cut = Cut::None;
         let squeeze_max_mm = self.pressure_max_kpa / self.pressure_kpa_per_mm;
         let bounded = Vector3::from_fn(|i, _| {
-            let by_pressure = piston_mm[i].clamp(q_mm[i] - squeeze_max_mm, q_mm[i] + squeeze_max_mm);
+            let by_pressure =
+                piston_mm[i].clamp(q_mm[i] - squeeze_max_mm, q_mm[i] + squeeze_max_mm);
             let by_travel = by_pressure.clamp(-self.travel_mm, self.travel_mm);
             if by_travel != by_pressure {
                 cut = Cut::Travel;
@@ -102,8 +129,13 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const LIMITS: ActuatorLimits =
-        ActuatorLimits { travel_mm: 30.0, pressure_kpa_per_mm: 2.0, pressure_max_kpa: 41.0, bellow_min_mm: 14.0, bellow_max_mm: 29.0 };
+    const LIMITS: ActuatorLimits = ActuatorLimits {
+        travel_mm: 30.0,
+        pressure_kpa_per_mm: 2.0,
+        pressure_max_kpa: 41.0,
+        bellow_min_mm: 14.0,
+        bellow_max_mm: 29.0,
+    };
 
     proptest! {
         #[test]
@@ -124,7 +156,10 @@ mod tests {
 
     #[test]
     fn the_other_channels_relieve_one_at_its_limit() {
-        let lossy = |k_epsilon| Line { k_epsilon, k_lambda_mm: 1.0 };
+        let lossy = |k_epsilon| Line {
+            k_epsilon,
+            k_lambda_mm: 1.0,
+        };
         let lines = [lossy(2.2), lossy(5.0), lossy(2.2)];
         let q = Vector3::new(-2.65, 5.29, -2.65);
         let s = LIMITS.relief(&q, &lines);
@@ -137,19 +172,38 @@ mod tests {
 
     #[test]
     fn the_largest_bend_is_that_at_which_a_bellow_is_shortest() {
-        let (geometry, lines) = (Geometry::default(), [Line { k_epsilon: 2.2, k_lambda_mm: 0.9 }; 3]);
+        let (geometry, lines) = (
+            Geometry::default(),
+            [Line {
+                k_epsilon: 2.2,
+                k_lambda_mm: 0.9,
+            }; 3],
+        );
         let share = |bend_deg: f64, dir_deg: f64| {
-            let shape = Shape { bend: Bend::from_deg(bend_deg, dir_deg), length: crate::primitives::units::Mm(20.0) };
+            let shape = Shape {
+                bend: Bend::from_deg(bend_deg, dir_deg),
+                length: crate::primitives::units::Mm(20.0),
+            };
             LIMITS.largest_share(&geometry, &lines, &shape)
         };
         assert_eq!(share(75.0, 80.0), 1.0);
         // at dir 0 the first bellow is shortened by r β
         let limit_deg = (6.0 / geometry.r_mm).to_degrees();
-        assert!((share(120.0, 0.0) * 120.0 - limit_deg).abs() < 0.01, "{}", share(120.0, 0.0) * 120.0);
+        assert!(
+            (share(120.0, 0.0) * 120.0 - limit_deg).abs() < 0.01,
+            "{}",
+            share(120.0, 0.0) * 120.0
+        );
         assert_eq!(share(limit_deg - 0.01, 0.0), 1.0);
         // weak lines reach the pressure limit first
-        let weak = [Line { k_epsilon: 6.0, k_lambda_mm: 0.9 }; 3];
-        let shape = Shape { bend: Bend::from_deg(80.0, 0.0), length: crate::primitives::units::Mm(20.0) };
+        let weak = [Line {
+            k_epsilon: 6.0,
+            k_lambda_mm: 0.9,
+        }; 3];
+        let shape = Shape {
+            bend: Bend::from_deg(80.0, 0.0),
+            length: crate::primitives::units::Mm(20.0),
+        };
         assert!(LIMITS.largest_share(&geometry, &weak, &shape) < 0.7);
     }
 

@@ -20,4 +20,7 @@ pub use limits::ActuatorLimits;
 pub use path::Path;
 pub use pi::{Dynamics, DynamicsPrior};
 pub use standstill::StandstillConfig;
-pub use tick::{Command, FeedbackConfig, Frame, Input, LoopConfig, LoopState, Reference, RestartRest, RestartState, TickPhase};
+pub use tick::{
+    Command, FeedbackConfig, Frame, Input, LoopConfig, LoopState, Reference, RestartRest,
+    RestartState, TickPhase,
+};

@@ -57,7 +57,9 @@ impl ObstructionDetector {
         let size = push.norm();
         if (estimate - estimate0).dot(&push) < -size * BACK_RAD {
             self.start = Some((*feedback, *estimate));
-        } else if size > config.push_deg.to_radians() && error.norm() > config.error_deg.to_radians() {
+        } else if size > config.push_deg.to_radians()
+            && error.norm() > config.error_deg.to_radians()
+        {
             let followed = (estimate - estimate0).dot(&push) / (size * size);
             self.blocked |= followed < config.follow_min;
         } else if error.norm() < config.error_deg.to_radians() {
@@ -73,14 +75,25 @@ const BACK_RAD: f64 = 0.0035;
 mod tests {
     use super::*;
 
-    const CONFIG: ObstructionConfig = ObstructionConfig { push_deg: 8.0, follow_min: 0.25, error_deg: 1.0, press_kpa: 12.0 };
+    const CONFIG: ObstructionConfig = ObstructionConfig {
+        push_deg: 8.0,
+        follow_min: 0.25,
+        error_deg: 1.0,
+        press_kpa: 12.0,
+    };
 
     fn push(compliance: f64) -> bool {
         let mut s = ObstructionDetector::default();
         for i in 0..100 {
             let f = Vector2::new(0.005 * f64::from(i), 0.0);
             let estimate = f * compliance;
-            s.step(&CONFIG, false, &f, &estimate, &(Vector2::new(0.4, 0.0) - estimate));
+            s.step(
+                &CONFIG,
+                false,
+                &f,
+                &estimate,
+                &(Vector2::new(0.4, 0.0) - estimate),
+            );
         }
         s.blocked
     }
@@ -100,7 +113,13 @@ mod tests {
                 let f = Vector2::new(0.005 * f64::from(i), 0.0);
                 let sunk = Vector2::new(-0.005 * f64::from(i.min(70)), 0.0);
                 let estimate = sunk + f.map(|f| (f - 0.35).max(0.0) * compliance);
-                s.step(&CONFIG, false, &f, &estimate, &(Vector2::new(0.4, 0.0) - estimate));
+                s.step(
+                    &CONFIG,
+                    false,
+                    &f,
+                    &estimate,
+                    &(Vector2::new(0.4, 0.0) - estimate),
+                );
             }
             s.blocked
         };
@@ -110,8 +129,17 @@ mod tests {
 
     #[test]
     fn a_new_target_restarts_the_detection() {
-        let mut s = ObstructionDetector { blocked: true, ..ObstructionDetector::default() };
-        s.step(&CONFIG, true, &Vector2::zeros(), &Vector2::zeros(), &Vector2::zeros());
+        let mut s = ObstructionDetector {
+            blocked: true,
+            ..ObstructionDetector::default()
+        };
+        s.step(
+            &CONFIG,
+            true,
+            &Vector2::zeros(),
+            &Vector2::zeros(),
+            &Vector2::zeros(),
+        );
         assert!(!s.blocked);
     }
 }

@@ -68,7 +68,8 @@ impl Path {
         let (y, m) = (&self.rows[k..], &self.second[k..]);
         reference([
             y[0] * a + y[1] * b + (m[0] * (a.powi(3) - a) + m[1] * (b.powi(3) - b)) * (h * h / 6.0),
-            (y[1] - y[0]) / h + (m[1] * (3.0 * b * b - 1.0) - m[0] * (3.0 * a * a - 1.0)) * (h / 6.0),
+            (y[1] - y[0]) / h
+                + (m[1] * (3.0 * b * b - 1.0) - m[0] * (3.0 * a * a - 1.0)) * (h / 6.0),
             m[0] * a + m[1] * b,
         ])
     }
@@ -81,7 +82,12 @@ impl Path {
             // the stream has ended
             return reference([self.rows[known - 1], Vector3::zeros(), Vector3::zeros()]);
         }
-        expected(&self.t_s[..known], &self.rows[..known], now_s + ahead_s, pace)
+        expected(
+            &self.t_s[..known],
+            &self.rows[..known],
+            now_s + ahead_s,
+            pace,
+        )
     }
 
     /// Largest speed and acceleration that the path asks of the pistons, as the factor by which its time must be stretched
@@ -89,17 +95,33 @@ impl Path {
     pub fn demand(&self, geometry: &Geometry, lines: &[Line; 3], limits: &MotionLimits) -> f64 {
         let scans = (self.duration_s() / SCAN_S).ceil() as usize;
         let pistons = |v: Vector2<f64>| {
-            let q = geometry.lengths(&Shape { bend: Bend(v), length: Mm(geometry.rest_length_mm) });
-            (0..3).map(|i| lines[i].play_output_mm(q[i]).abs()).fold(0.0, f64::max)
+            let q = geometry.lengths(&Shape {
+                bend: Bend(v),
+                length: Mm(geometry.rest_length_mm),
+            });
+            (0..3)
+                .map(|i| lines[i].play_output_mm(q[i]).abs())
+                .fold(0.0, f64::max)
         };
-        let (speed_max, acceleration_max) = (USABLE * limits.speed_max_mm_s, USABLE * limits.acceleration_max_mm_s2);
+        let (speed_max, acceleration_max) = (
+            USABLE * limits.speed_max_mm_s,
+            USABLE * limits.acceleration_max_mm_s2,
+        );
         (0..=scans)
             .map(|k| self.at(k as f64 * SCAN_S))
-            .fold(0.0, |most, at| most.max(pistons(at.rate) / speed_max).max((pistons(at.acceleration) / acceleration_max).sqrt()))
+            .fold(0.0, |most, at| {
+                most.max(pistons(at.rate) / speed_max)
+                    .max((pistons(at.acceleration) / acceleration_max).sqrt())
+            })
     }
 
     /// The first row with a bend that these lines cannot hold, and what is expected instead.
-    pub fn out_of_reach(&self, limits: &ActuatorLimits, geometry: &Geometry, lines: &[Line; 3]) -> Option<(usize, String)> {
+    pub fn out_of_reach(
+        &self,
+        limits: &ActuatorLimits,
+        geometry: &Geometry,
+        lines: &[Line; 3],
+    ) -> Option<(usize, String)> {
         self.rows.iter().enumerate().find_map(|(k, row)| {
             let bend = Bend(row.xy());
             let share = limits.largest_share(geometry, lines, &Shape { bend, length: Mm(row.z) });
@@ -112,7 +134,11 @@ impl Path {
     pub fn slowed(&self, factor: f64) -> Self {
         let t_s = self.t_s.iter().map(|t| t * factor).collect();
         let second = self.second.iter().map(|m| m / (factor * factor)).collect();
-        Self { t_s, second, rows: self.rows.clone() }
+        Self {
+            t_s,
+            second,
+            rows: self.rows.clone(),
+        }
     }
 }
 
@@ -120,13 +146,18 @@ impl Path {
 /// the speed and acceleration of `pace` at most. Times in s, bend vectors in rad and lengths in mm.
 pub fn expected(t_s: &[f64], rows: &[Vector3<f64>], wanted_s: f64, pace: &Pace) -> Reference {
     let newest_s = t_s[t_s.len() - 1];
-    let from = t_s.partition_point(|&row| row < newest_s - WINDOW_S).min(t_s.len().saturating_sub(3));
+    let from = t_s
+        .partition_point(|&row| row < newest_s - WINDOW_S)
+        .min(t_s.len().saturating_sub(3));
     let [at, rate, acceleration] = parabola(&t_s[from..], &rows[from..]);
     let capped = |v: Vector3<f64>, most: f64| {
         let bend = v.xy().cap_magnitude(most);
         Vector3::new(bend.x, bend.y, v.z)
     };
-    let (rate, acceleration) = (capped(rate, pace.speed), capped(acceleration, pace.acceleration));
+    let (rate, acceleration) = (
+        capped(rate, pace.speed),
+        capped(acceleration, pace.acceleration),
+    );
     let h = (wanted_s - newest_s).min(EXTRAPOLATE_S);
     let ahead = at + rate * h + acceleration * (h * h / 2.0);
     if wanted_s - newest_s > h {
@@ -136,7 +167,14 @@ pub fn expected(t_s: &[f64], rows: &[Vector3<f64>], wanted_s: f64, pace: &Pace) 
 }
 
 fn reference([at, rate, acceleration]: [Vector3<f64>; 3]) -> Reference {
-    Reference { shape: Shape { bend: Bend(at.xy()), length: Mm(at.z) }, rate: rate.xy(), acceleration: acceleration.xy() }
+    Reference {
+        shape: Shape {
+            bend: Bend(at.xy()),
+            length: Mm(at.z),
+        },
+        rate: rate.xy(),
+        acceleration: acceleration.xy(),
+    }
 }
 
 /// Second derivatives of the natural cubic spline at its rows (Thomas' algorithm).
@@ -175,7 +213,11 @@ fn parabola(t: &[f64], y: &[Vector3<f64>]) -> [Vector3<f64>; 3] {
         (2, _) => [y[1], (y[1] - y[0]) / (t[1] - t[0]), Vector3::zeros()],
         (_, Some(inverse)) => {
             let fit = inverse * right;
-            [fit.row(0).transpose(), fit.row(1).transpose() / scale, fit.row(2).transpose() * (2.0 / (scale * scale))]
+            [
+                fit.row(0).transpose(),
+                fit.row(1).transpose() / scale,
+                fit.row(2).transpose() * (2.0 / (scale * scale)),
+            ]
         }
         (0, None) => last,
     }
@@ -188,7 +230,11 @@ mod tests {
     /// A circle of 20° in 2 s, with a row every 50 ms.
     fn circle() -> Path {
         let row = |k: u32| Bend::from_deg(20.0, f64::from(k * 9 % 360)).0.push(20.0);
-        Path::new((0..=40).map(|k| f64::from(k) * 0.05).collect(), (0..=40).map(row).collect()).unwrap()
+        Path::new(
+            (0..=40).map(|k| f64::from(k) * 0.05).collect(),
+            (0..=40).map(row).collect(),
+        )
+        .unwrap()
     }
 
     fn on_circle(t: f64) -> Vector2<f64> {
@@ -202,17 +248,39 @@ mod tests {
             let t = f64::from(k) * 0.005;
             let (at, after) = (p.at(t), p.at(t + 1e-5));
             let inner = (0.3..1.7).contains(&t);
-            assert!((at.shape.bend.0 - on_circle(t)).norm().to_degrees() < if inner { 1e-3 } else { 0.05 }, "{t}");
-            assert!((after.shape.bend.0 - at.shape.bend.0 - at.rate * 1e-5).norm() < 1e-8, "{t}");
-            assert!((after.rate - at.rate - at.acceleration * 1e-5).norm() < 1e-7, "{t}");
+            assert!(
+                (at.shape.bend.0 - on_circle(t)).norm().to_degrees()
+                    < if inner { 1e-3 } else { 0.05 },
+                "{t}"
+            );
+            assert!(
+                (after.shape.bend.0 - at.shape.bend.0 - at.rate * 1e-5).norm() < 1e-8,
+                "{t}"
+            );
+            assert!(
+                (after.rate - at.rate - at.acceleration * 1e-5).norm() < 1e-7,
+                "{t}"
+            );
         }
-        assert_eq!((p.at(-1.0).rate, p.at(3.0).rate), (Vector2::zeros(), Vector2::zeros()));
+        assert_eq!(
+            (p.at(-1.0).rate, p.at(3.0).rate),
+            (Vector2::zeros(), Vector2::zeros())
+        );
         assert!((p.at(3.0).shape.bend.0 - on_circle(2.0)).norm() < 1e-12);
     }
 
     #[test]
     fn a_live_path_is_predicted_from_its_past_alone() {
-        let ahead_of = |p: &Path, t: f64| p.expected(t, 0.06, &Pace { speed: 1.6, acceleration: 10.0 });
+        let ahead_of = |p: &Path, t: f64| {
+            p.expected(
+                t,
+                0.06,
+                &Pace {
+                    speed: 1.6,
+                    acceleration: 10.0,
+                },
+            )
+        };
         let p = circle();
         let mut other = p.clone();
         for row in &mut other.rows[21..] {
@@ -221,18 +289,37 @@ mod tests {
         for k in 4..20 {
             let t = f64::from(k) * 0.05 + 0.01;
             let ahead = ahead_of(&p, t);
-            assert!((ahead.shape.bend.0 - on_circle(t + 0.06)).norm().to_degrees() < 0.2, "{t}");
+            assert!(
+                (ahead.shape.bend.0 - on_circle(t + 0.06))
+                    .norm()
+                    .to_degrees()
+                    < 0.2,
+                "{t}"
+            );
             assert_eq!(ahead, ahead_of(&other, t), "{t}");
         }
     }
 
     #[test]
     fn paths_that_are_too_fast_are_recognised() {
-        let (geometry, lines) = (Geometry::default(), [Line { k_epsilon: 2.2, k_lambda_mm: 0.9 }; 3]);
+        let (geometry, lines) = (
+            Geometry::default(),
+            [Line {
+                k_epsilon: 2.2,
+                k_lambda_mm: 0.9,
+            }; 3],
+        );
         let motion = MotionLimits::of_checked(&crate::motion::config::MotionConfig::default());
         let demand = circle().demand(&geometry, &lines, &motion);
-        assert!((circle().slowed(2.0).demand(&geometry, &lines, &motion) - demand / 2.0).abs() < 0.01 * demand, "{demand}");
+        assert!(
+            (circle().slowed(2.0).demand(&geometry, &lines, &motion) - demand / 2.0).abs()
+                < 0.01 * demand,
+            "{demand}"
+        );
         let row = Vector3::zeros();
-        assert!(Path::new(vec![0.0], vec![row]).is_none() && Path::new(vec![1.0, 1.0], vec![row; 2]).is_none());
+        assert!(
+            Path::new(vec![0.0], vec![row]).is_none()
+                && Path::new(vec![1.0, 1.0], vec![row; 2]).is_none()
+        );
     }
 }

@@ -56,13 +56,17 @@ pub struct DynamicsPrior {
 impl DynamicsPrior {
     /// What a calibration has measured.
     pub fn calibrated(expected: Dynamics) -> Self {
-        Self { expected, uncertainty_s: UNCERTAINTY_MIN_S }
+        Self {
+            expected,
+            uncertainty_s: UNCERTAINTY_MIN_S,
+        }
     }
 
     /// Squared distance of a candidate from the expectation in standard deviations.
     pub fn distance_squared(&self, candidate: &Dynamics) -> f64 {
         let Dynamics { lag_s, delay_s } = self.expected;
-        ((candidate.lag_s - lag_s).powi(2) + (candidate.delay_s - delay_s).powi(2)) / self.uncertainty_s.powi(2)
+        ((candidate.lag_s - lag_s).powi(2) + (candidate.delay_s - delay_s).powi(2))
+            / self.uncertainty_s.powi(2)
     }
 
     /// The range of three standard deviations.
@@ -96,13 +100,18 @@ pub struct DynamicsRange {
 impl DynamicsRange {
     /// What a later start takes as its prior.
     pub fn prior(&self) -> DynamicsPrior {
-        DynamicsPrior { expected: self.best, uncertainty_s: (self.error_max_s() / 3.0).max(UNCERTAINTY_MIN_S) }
+        DynamicsPrior {
+            expected: self.best,
+            uncertainty_s: (self.error_max_s() / 3.0).max(UNCERTAINTY_MIN_S),
+        }
     }
 
     /// Largest plausible error of the response time, s.
     pub fn error_max_s(&self) -> f64 {
         let response_s = self.best.response_s();
-        (self.response_max_s - response_s).max(response_s - self.response_min_s).max(0.0)
+        (self.response_max_s - response_s)
+            .max(response_s - self.response_min_s)
+            .max(0.0)
     }
 }
 
@@ -125,7 +134,8 @@ impl Dynamics {
     /// Smallest integral time with which a loop whose model these dynamics are is stable on the line `truth`, s.
     pub fn integral_min_s(&self, truth: &Self) -> f64 {
         let longest_s = self.lag_s.max(truth.lag_s);
-        let [lag_off_s, delay_off_s] = [self.lag_s - truth.lag_s, self.delay_s - truth.delay_s].map(f64::abs);
+        let [lag_off_s, delay_off_s] =
+            [self.lag_s - truth.lag_s, self.delay_s - truth.delay_s].map(f64::abs);
         let half = (MARGIN * (lag_off_s + delay_off_s) - longest_s) / 2.0;
         half + (half * half + MARGIN * delay_off_s * longest_s).sqrt()
     }
@@ -140,8 +150,15 @@ impl PiGains {
     /// Gains for the closed-loop time constant `tau_c_s`, stable for every plausible line. The proportional gain is
     /// bounded by `kp_max`, because it amplifies the noise of the estimate. `caution` ≥ 1 slows the loop down.
     pub fn new(range: &DynamicsRange, tau_c_s: f64, kp_max: f64, caution: f64) -> Self {
-        let integral_s = tau_c_s.max(range.best.delay_s).max(range.integral_min_s).max(range.lag_min_s / kp_max) * caution;
-        Self { integral_s, lag_s: range.lag_min_s.min(kp_max * integral_s) }
+        let integral_s = tau_c_s
+            .max(range.best.delay_s)
+            .max(range.integral_min_s)
+            .max(range.lag_min_s / kp_max)
+            * caution;
+        Self {
+            integral_s,
+            lag_s: range.lag_min_s.min(kp_max * integral_s),
+        }
     }
 
     /// Quicker gains for a reference that moves. What the model does not explain then changes with the bend, and every
@@ -149,7 +166,10 @@ impl PiGains {
     /// a proportional gain below 0.5 the loop is stable for every plausible line, as with [`PiGains::new`].
     pub fn following(range: &DynamicsRange, tau_c_s: f64, kp_max: f64, caution: f64) -> Self {
         let integral_s = (FOLLOWING_SHARE * tau_c_s).max(range.integral_min_s) * caution;
-        Self { integral_s, lag_s: FOLLOWING_KP.min(kp_max) * integral_s }
+        Self {
+            integral_s,
+            lag_s: FOLLOWING_KP.min(kp_max) * integral_s,
+        }
     }
 }
 
@@ -166,14 +186,22 @@ pub struct ReferenceModel {
 
 impl Default for ReferenceModel {
     fn default() -> Self {
-        Self { line: [Vector2::zeros(); LINE], head: 0, lagged: Vector2::zeros() }
+        Self {
+            line: [Vector2::zeros(); LINE],
+            head: 0,
+            lagged: Vector2::zeros(),
+        }
     }
 }
 
 impl ReferenceModel {
     /// A model that has rested at `at`, rad.
     pub fn resting(at: Vector2<f64>) -> Self {
-        Self { line: [at; LINE], head: 0, lagged: at }
+        Self {
+            line: [at; LINE],
+            head: 0,
+            lagged: at,
+        }
     }
 
     /// The last prediction, rad.
@@ -188,7 +216,12 @@ impl ReferenceModel {
     }
 
     /// One tick with the present bend from the pistons, rad; returns the predicted bend, rad.
-    pub fn step(&mut self, commanded: Vector2<f64>, dynamics: &Dynamics, dt_s: f64) -> Vector2<f64> {
+    pub fn step(
+        &mut self,
+        commanded: Vector2<f64>,
+        dynamics: &Dynamics,
+        dt_s: f64,
+    ) -> Vector2<f64> {
         self.head = (self.head + 1) % LINE;
         self.line[self.head] = commanded;
         let back = ((dynamics.delay_s / dt_s).round() as usize).min(LINE - 1);
@@ -212,7 +245,14 @@ pub struct PiState {
 impl PiState {
     /// One tick with the unexplained bend d, rad. While the prediction moves, an error of its timing makes part of d: what
     /// `timing`, rad, explains of a change is left out. `integral_max` bounds |I|, rad; returns true if the bound is reached.
-    pub fn step(&mut self, unexplained: Vector2<f64>, timing: f64, gains: &PiGains, integral_max: f64, dt_s: f64) -> bool {
+    pub fn step(
+        &mut self,
+        unexplained: Vector2<f64>,
+        timing: f64,
+        gains: &PiGains,
+        integral_max: f64,
+        dt_s: f64,
+    ) -> bool {
         let change = unexplained - self.integral;
         let change = change * (1.0 - timing / change.norm().max(timing).max(f64::MIN_POSITIVE));
         self.integral += change * (1.0 - (-dt_s / gains.integral_s).exp());
@@ -250,10 +290,22 @@ mod tests {
 
     /// Largest error over the last second after `seconds` on gain·e^{−Ts}/(1+τs) + offset.
     fn closed_loop_error(truth: Dynamics, range: DynamicsRange, gain: f64, seconds: f64) -> f64 {
-        closed_loop_error_with(PiGains::new(&range, 0.1, 3.0, 1.0), truth, range, gain, seconds)
+        closed_loop_error_with(
+            PiGains::new(&range, 0.1, 3.0, 1.0),
+            truth,
+            range,
+            gain,
+            seconds,
+        )
     }
 
-    fn closed_loop_error_with(gains: PiGains, truth: Dynamics, range: DynamicsRange, gain: f64, seconds: f64) -> f64 {
+    fn closed_loop_error_with(
+        gains: PiGains,
+        truth: Dynamics,
+        range: DynamicsRange,
+        gain: f64,
+        seconds: f64,
+    ) -> f64 {
         let dt_s = 0.002;
         let (mut model, mut pi) = (ReferenceModel::default(), PiState::default());
         let mut plant = ReferenceModel::default();
@@ -263,7 +315,13 @@ mod tests {
         let mut largest: f64 = 0.0;
         for k in 0..ticks {
             let command = target + pi.feedback;
-            pi.step(model.step(command, &range.best, dt_s) - estimate, 0.0, &gains, 2.0, dt_s);
+            pi.step(
+                model.step(command, &range.best, dt_s) - estimate,
+                0.0,
+                &gains,
+                2.0,
+                dt_s,
+            );
             estimate = plant.step(command, &truth, dt_s) * gain + Vector2::new(0.05, 0.02);
             if k + (1.0 / dt_s) as usize > ticks {
                 largest = largest.max((estimate - target).norm());
@@ -295,21 +353,39 @@ mod tests {
 
     #[test]
     fn the_gain_margin_is_two() {
-        let d = Dynamics { lag_s: 0.03, delay_s: 0.1 };
+        let d = Dynamics {
+            lag_s: 0.03,
+            delay_s: 0.1,
+        };
         assert!(closed_loop_error(d, within(d, 0.02), 1.9, 30.0) < 0.01);
     }
 
     #[test]
     fn a_gain_change_does_not_change_the_feedback() {
-        let mut pi = PiState { integral: Vector2::new(0.1, 0.0), feedback: Vector2::new(0.1, 0.0) };
-        pi.step(Vector2::new(0.1, 0.0), 0.0, &PiGains { integral_s: 0.02, lag_s: 0.1 }, 1.0, 0.001);
+        let mut pi = PiState {
+            integral: Vector2::new(0.1, 0.0),
+            feedback: Vector2::new(0.1, 0.0),
+        };
+        pi.step(
+            Vector2::new(0.1, 0.0),
+            0.0,
+            &PiGains {
+                integral_s: 0.02,
+                lag_s: 0.1,
+            },
+            1.0,
+            0.001,
+        );
         assert_eq!(pi.feedback, Vector2::new(0.1, 0.0));
     }
 
     #[test]
     fn the_integral_is_bounded_and_reports_the_bound() {
         let mut pi = PiState::default();
-        let gains = PiGains { integral_s: 0.1, lag_s: 0.0 };
+        let gains = PiGains {
+            integral_s: 0.1,
+            lag_s: 0.0,
+        };
         assert!((0..1000).any(|_| pi.step(Vector2::new(0.3, 0.0), 0.0, &gains, 0.2, 0.01)));
         assert!(pi.integral.norm() <= 0.2 + 1e-12);
     }

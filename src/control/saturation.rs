@@ -63,7 +63,11 @@ impl SaturationMonitor {
             Cut::None | Cut::Bellow if full => Saturation::Feedback,
             Cut::None | Cut::Bellow => Saturation::No,
         };
-        self.present_s = if present == self.present { self.present_s + dt_s } else { 0.0 };
+        self.present_s = if present == self.present {
+            self.present_s + dt_s
+        } else {
+            0.0
+        };
         self.present = present;
         if present == Saturation::No || self.present_s >= REPORT_AFTER_S {
             self.reported = present;
@@ -90,15 +94,32 @@ mod tests {
 
     #[test]
     fn saturation_is_reported_after_a_second_if_the_tip_is_off_target() {
-        assert_eq!(after(1.1, false, true, true, Cut::None), Saturation::Feedback);
+        assert_eq!(
+            after(1.1, false, true, true, Cut::None),
+            Saturation::Feedback
+        );
         assert_eq!(after(0.9, false, true, true, Cut::None), Saturation::No);
-        assert_eq!(after(1.1, false, true, true, Cut::Travel), Saturation::Travel);
-        assert_eq!(after(1.1, false, true, false, Cut::Pressure), Saturation::Pressure);
+        assert_eq!(
+            after(1.1, false, true, true, Cut::Travel),
+            Saturation::Travel
+        );
+        assert_eq!(
+            after(1.1, false, true, false, Cut::Pressure),
+            Saturation::Pressure
+        );
         assert_eq!(after(3.0, true, true, true, Cut::None), Saturation::No);
         assert_eq!(after(3.0, false, false, true, Cut::Travel), Saturation::No);
         assert_eq!(after(3.0, false, true, false, Cut::None), Saturation::No);
-        for saturation in [Saturation::Feedback, Saturation::Travel, Saturation::Pressure] {
-            assert!(saturation.words().is_some_and(|w| w.contains("still off target")));
+        for saturation in [
+            Saturation::Feedback,
+            Saturation::Travel,
+            Saturation::Pressure,
+        ] {
+            assert!(
+                saturation
+                    .words()
+                    .is_some_and(|w| w.contains("still off target"))
+            );
         }
     }
 }

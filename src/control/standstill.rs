@@ -31,17 +31,34 @@ pub struct StandstillLatch {
 
 impl StandstillLatch {
     /// One tick with the error and the widening of both bands, rad. `moving` is true while the set-point itself moves.
-    pub fn step(&mut self, config: &StandstillConfig, wider_rad: f64, error: nalgebra::Vector2<f64>, moving: bool, dt_s: f64) {
+    pub fn step(
+        &mut self,
+        config: &StandstillConfig,
+        wider_rad: f64,
+        error: nalgebra::Vector2<f64>,
+        moving: bool,
+        dt_s: f64,
+    ) {
         let k = 1.0 - (-dt_s / config.smooth_s).exp();
         self.smoothed += (error - self.smoothed) * k;
         if moving {
-            *self = Self { smoothed: error, ..Self::default() };
+            *self = Self {
+                smoothed: error,
+                ..Self::default()
+            };
             return;
         }
         let size = self.smoothed.norm();
-        self.inside_s = if size < config.close_deg.to_radians().max(wider_rad) { self.inside_s + dt_s } else { 0.0 };
-        self.closed =
-            if self.closed { size < config.open_deg.to_radians() + 1.5 * wider_rad } else { self.inside_s >= config.close_after_s };
+        self.inside_s = if size < config.close_deg.to_radians().max(wider_rad) {
+            self.inside_s + dt_s
+        } else {
+            0.0
+        };
+        self.closed = if self.closed {
+            size < config.open_deg.to_radians() + 1.5 * wider_rad
+        } else {
+            self.inside_s >= config.close_after_s
+        };
     }
 }
 
@@ -51,7 +68,12 @@ mod tests {
     use nalgebra::Vector2;
 
     /// Bands of 0.002 and 0.005 rad.
-    const CONFIG: StandstillConfig = StandstillConfig { close_deg: 0.1146, close_after_s: 0.05, open_deg: 0.2865, smooth_s: 0.03 };
+    const CONFIG: StandstillConfig = StandstillConfig {
+        close_deg: 0.1146,
+        close_after_s: 0.05,
+        open_deg: 0.2865,
+        smooth_s: 0.03,
+    };
 
     #[test]
     fn closes_inside_the_inner_band_and_opens_outside_the_outer() {
@@ -76,7 +98,10 @@ mod tests {
 
     #[test]
     fn a_moving_target_opens_it() {
-        let mut s = StandstillLatch { closed: true, ..StandstillLatch::default() };
+        let mut s = StandstillLatch {
+            closed: true,
+            ..StandstillLatch::default()
+        };
         s.step(&CONFIG, 0.0, Vector2::zeros(), true, 0.001);
         assert!(!s.closed);
     }

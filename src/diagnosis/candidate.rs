@@ -21,12 +21,20 @@ pub struct Candidate {
 impl Candidate {
     /// The candidate of a fit.
     pub fn new(fit: &BaseFit<'_>) -> Self {
-        let BaseFit { problem, point, tangent } = fit;
+        let BaseFit {
+            problem,
+            point,
+            tangent,
+        } = fit;
         Self {
             names: problem.model.names(),
             fitted: Fitted::new(problem, point, tangent),
             held_out: leave_out(problem, point, tangent),
-            unusual: problem.model.each(&point.theta).map(|(e, p)| e.unusual(p)).sum(),
+            unusual: problem
+                .model
+                .each(&point.theta)
+                .map(|(e, p)| e.unusual(p))
+                .sum(),
         }
     }
 }

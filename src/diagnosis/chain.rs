@@ -27,12 +27,19 @@ pub struct Model<'a> {
 impl<'a> Model<'a> {
     /// The nominal model with these effects.
     pub fn new(effects: &[&'a dyn Effect]) -> Self {
-        Self { effects: effects.to_vec(), at: places(effects) }
+        Self {
+            effects: effects.to_vec(),
+            at: places(effects),
+        }
     }
 
     /// The nominal model with the named effects of a catalogue.
     pub fn named(catalogue: &'a [Box<dyn Effect>], names: &[&str]) -> Self {
-        let effects: Vec<&dyn Effect> = catalogue.iter().map(AsRef::as_ref).filter(|e| names.contains(&e.name())).collect();
+        let effects: Vec<&dyn Effect> = catalogue
+            .iter()
+            .map(AsRef::as_ref)
+            .filter(|e| names.contains(&e.name()))
+            .collect();
         Self::new(&effects)
     }
 
@@ -47,12 +54,23 @@ impl<'a> Model<'a> {
     }
 
     /// Effects with their parameters.
-    pub fn each<'p>(&'p self, theta: &'p [f64]) -> impl Iterator<Item = (&'a dyn Effect, &'p [f64])> {
-        self.effects.iter().enumerate().map(move |(i, e)| (*e, self.of(theta, i)))
+    pub fn each<'p>(
+        &'p self,
+        theta: &'p [f64],
+    ) -> impl Iterator<Item = (&'a dyn Effect, &'p [f64])> {
+        self.effects
+            .iter()
+            .enumerate()
+            .map(move |(i, e)| (*e, self.of(theta, i)))
     }
 
     /// Parameters of this model from those of another one: shared effects keep theirs, a new effect takes those of `fresh`.
-    pub fn extended(&self, from: &Model<'_>, theta: &[f64], fresh: impl Fn(&dyn Effect) -> Vec<f64>) -> Vec<f64> {
+    pub fn extended(
+        &self,
+        from: &Model<'_>,
+        theta: &[f64],
+        fresh: impl Fn(&dyn Effect) -> Vec<f64>,
+    ) -> Vec<f64> {
         let mut out = theta[..NOMINAL].to_vec();
         for e in &self.effects {
             match from.effects.iter().position(|x| x.name() == e.name()) {
@@ -75,13 +93,20 @@ impl<'a> Model<'a> {
         let size = e.params().len() / events.max(1);
         (0..events).map(move |k| {
             let from = first + k * size;
-            Event { time: from, lasting: (size > 4).then_some(from + 1), offsets: std::array::from_fn(|i| from + size - 3 + i) }
+            Event {
+                time: from,
+                lasting: (size > 4).then_some(from + 1),
+                offsets: std::array::from_fn(|i| from + size - 3 + i),
+            }
         })
     }
 
     /// Whether parameter `j` changes only the readings, not the motion.
     pub fn sensing_only(&self, j: usize) -> bool {
-        j >= NOMINAL && (0..self.effects.len()).any(|i| (self.at[i]..self.at[i + 1]).contains(&j) && self.effects[i].sensing_only())
+        j >= NOMINAL
+            && (0..self.effects.len()).any(|i| {
+                (self.at[i]..self.at[i + 1]).contains(&j) && self.effects[i].sensing_only()
+            })
     }
 }
 
@@ -100,14 +125,24 @@ pub struct Event {
 }
 
 /// Parameters as a segment has them: the times of its own events count from its start, and other segments' events are absent.
-pub fn parameters<'p>(log: &Observed, segment: &Segment, model: &Model<'_>, theta: &'p [f64]) -> Cow<'p, [f64]> {
+pub fn parameters<'p>(
+    log: &Observed,
+    segment: &Segment,
+    model: &Model<'_>,
+    theta: &'p [f64],
+) -> Cow<'p, [f64]> {
     if log.segments.len() == 1 {
         return Cow::Borrowed(theta);
     }
     let mut own = theta.to_vec();
     for event in model.all_events() {
         let at_s = log.start_s() + theta[event.time];
-        let of = log.segments.iter().rev().find(|s| s.start_s <= at_s).unwrap_or(&log.segments[0]);
+        let of = log
+            .segments
+            .iter()
+            .rev()
+            .find(|s| s.start_s <= at_s)
+            .unwrap_or(&log.segments[0]);
         if of == segment {
             own[event.time] = at_s - segment.start_s;
         } else {
@@ -121,14 +156,26 @@ pub fn parameters<'p>(log: &Observed, segment: &Segment, model: &Model<'_>, thet
 pub fn run(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Motion {
     let mut out = Vec::with_capacity(log.t_s.len());
     for segment in &log.segments {
-        run_segment(log, segment, model, &parameters(log, segment, model, theta), &mut out);
+        run_segment(
+            log,
+            segment,
+            model,
+            &parameters(log, segment, model, theta),
+            &mut out,
+        );
         from_rest(&mut out[segment.instants.clone()]);
     }
     out
 }
 
 /// Appends the motion of one segment, which starts at rest.
-fn run_segment(log: &Observed, segment: &Segment, model: &Model<'_>, theta: &[f64], out: &mut Motion) {
+fn run_segment(
+    log: &Observed,
+    segment: &Segment,
+    model: &Model<'_>,
+    theta: &[f64],
+    out: &mut Motion,
+) {
     let lag_s = theta[6].max(1e-3);
     let behind_s: f64 = model.each(theta).map(|(e, p)| e.transport_s(p)).sum();
     // a late sensor also samples between the middles of bins
@@ -136,12 +183,25 @@ fn run_segment(log: &Observed, segment: &Segment, model: &Model<'_>, theta: &[f6
     let chain = Chain::new(log.rig.geometry, &model.effects, &model.at, theta);
     let mut memory = vec![Memory::default(); model.effects.len()];
     let mut at = chain.moment(segment.up_base, FIRST_STEP_S);
-    let mut delayed = Delayed { log, behind_s, at: segment.rows.start };
+    let mut delayed = Delayed {
+        log,
+        behind_s,
+        at: segment.rows.start,
+    };
     let (mut w, mut lagged, mut before) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
     let (mut keep, mut keep_dt) = (0.0, -1.0);
     for k in segment.instants.clone() {
-        let dt_s = if k == segment.instants.start { FIRST_STEP_S } else { log.t_s[k] - log.t_s[k - 1] };
-        (at.t_s, at.dt_s, at.counted_mm, at.idle_s) = (log.t_s[k] - segment.start_s, dt_s, delayed.piston(k), log.idle_s[k]);
+        let dt_s = if k == segment.instants.start {
+            FIRST_STEP_S
+        } else {
+            log.t_s[k] - log.t_s[k - 1]
+        };
+        (at.t_s, at.dt_s, at.counted_mm, at.idle_s) = (
+            log.t_s[k] - segment.start_s,
+            dt_s,
+            delayed.piston(k),
+            log.idle_s[k],
+        );
         if (dt_s - keep_dt).abs() > 1e-7 {
             (keep, keep_dt) = ((-dt_s / lag_s).exp(), dt_s);
         }
@@ -151,14 +211,20 @@ fn run_segment(log: &Observed, segment: &Segment, model: &Model<'_>, theta: &[f6
         let behind = (q - before) * (lag_s / dt_s);
         lagged = q - behind + (lagged - before + behind) * keep;
         before = q;
-        out.push(if every || log.middle[k] { orientation(&chain.pose(&mut memory, &at, &lagged)) } else { Matrix3::zeros() });
+        out.push(if every || log.middle[k] {
+            orientation(&chain.pose(&mut memory, &at, &lagged))
+        } else {
+            Matrix3::zeros()
+        });
     }
 }
 
 /// Expresses the motion relative to its first orientation: the initial rest *defines* zero bend and the base frame,
 /// also for a tip that sags before anything moves.
 fn from_rest(motion: &mut [Matrix3<f64>]) {
-    let Some(back) = motion.first().map(Matrix3::transpose) else { return };
+    let Some(back) = motion.first().map(Matrix3::transpose) else {
+        return;
+    };
     if back != Matrix3::identity() {
         for r in motion.iter_mut() {
             *r = back * *r;
@@ -180,7 +246,11 @@ fn orientation(pose: &Pose) -> Matrix3<f64> {
 fn rotation(bend: &Bend) -> Matrix3<f64> {
     let beta2 = bend.0.norm_squared();
     let beta = beta2.sqrt();
-    let (s, v) = if beta < 1e-6 { (1.0, 0.5) } else { (beta.sin() / beta, (1.0 - beta.cos()) / beta2) };
+    let (s, v) = if beta < 1e-6 {
+        (1.0, 0.5)
+    } else {
+        (beta.sin() / beta, (1.0 - beta.cos()) / beta2)
+    };
     let (x, y) = (bend.0.y, bend.0.x);
     let first = [1.0 - v * y * y, v * x * y, -s * y];
     let second = [v * x * y, 1.0 - v * x * x, s * x];

@@ -4,12 +4,16 @@ use crate::model::effects::by_name;
 
 /// Pairs that no motion separates (the tip IMU observes only the sum of the two delays), and whether a tracker separates them. Displaced bellows multiply the bend by a
 /// constant matrix, and so does an anisotropic stiffness.
-const INSEPARABLE_BY_MOTION: [([&str; 2], bool); 2] =
-    [(["transport_delay", "sensor_latency"], true), (["clocking", "cable_stiffness"], false)];
+const INSEPARABLE_BY_MOTION: [([&str; 2], bool); 2] = [
+    (["transport_delay", "sensor_latency"], true),
+    (["clocking", "cable_stiffness"], false),
+];
 
 /// Whether motion can separate two effects, given a tracker or not.
 pub fn separable(a: &str, b: &str, tracker: bool) -> bool {
-    !INSEPARABLE_BY_MOTION.iter().any(|(pair, by_tracker)| a != b && pair.contains(&a) && pair.contains(&b) && !(*by_tracker && tracker))
+    !INSEPARABLE_BY_MOTION.iter().any(|(pair, by_tracker)| {
+        a != b && pair.contains(&a) && pair.contains(&b) && !(*by_tracker && tracker)
+    })
 }
 
 /// Names of the effects with a signature similar to that of `name`; empty for an unknown name.

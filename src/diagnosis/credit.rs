@@ -20,28 +20,51 @@ pub struct StageShare {
 }
 
 /// Part of the gap (deg²) that each effect of the set closes.
-pub fn credits(found: &Candidates<Candidate>, chosen: &Candidate, gap: f64) -> Vec<(&'static str, f64)> {
+pub fn credits(
+    found: &Candidates<Candidate>,
+    chosen: &Candidate,
+    gap: f64,
+) -> Vec<(&'static str, f64)> {
     let (nominal, all) = (found.nominal.energy(), chosen.energy());
     let energy = |c: Option<&Candidate>| c.map_or(nominal, Candidate::energy);
     let share = |name: &&'static str| {
-        let closed = 0.5 * ((nominal - energy(found.single(name))) + (energy(found.without(chosen, name)) - all));
+        let closed = 0.5
+            * ((nominal - energy(found.single(name)))
+                + (energy(found.without(chosen, name)) - all));
         (*name, (closed / gap).clamp(0.0, 1.0))
     };
     chosen.names.iter().map(share).collect()
 }
 
 /// Shares of the seven stages, the largest first.
-pub fn stages(catalogue: &[Box<dyn Effect>], credits: &[(&'static str, f64)], probabilities: &[(&'static str, f64)]) -> Vec<StageShare> {
+pub fn stages(
+    catalogue: &[Box<dyn Effect>],
+    credits: &[(&'static str, f64)],
+    probabilities: &[(&'static str, f64)],
+) -> Vec<StageShare> {
     let of = |list: &[(&'static str, f64)], stage: Stage| -> f64 {
-        let here = |name: &str| catalogue.iter().any(|e| e.name() == name && e.stage() == stage);
-        list.iter().filter(|(name, _)| here(name)).map(|(_, share)| share).sum()
+        let here = |name: &str| {
+            catalogue
+                .iter()
+                .any(|e| e.name() == name && e.stage() == stage)
+        };
+        list.iter()
+            .filter(|(name, _)| here(name))
+            .map(|(_, share)| share)
+            .sum()
     };
-    let (credited, probable) =
-        (credits.iter().map(|c| c.1).sum::<f64>().max(1e-9), probabilities.iter().map(|b| b.1).sum::<f64>().max(1e-9));
+    let (credited, probable) = (
+        credits.iter().map(|c| c.1).sum::<f64>().max(1e-9),
+        probabilities.iter().map(|b| b.1).sum::<f64>().max(1e-9),
+    );
     let known = credited.min(1.0);
     let mut out: Vec<StageShare> = Stage::ALL
         .iter()
-        .map(|&s| StageShare { name: s.name(), share: known * of(credits, s) / credited + (1.0 - known) * of(probabilities, s) / probable })
+        .map(|&s| StageShare {
+            name: s.name(),
+            share: known * of(credits, s) / credited
+                + (1.0 - known) * of(probabilities, s) / probable,
+        })
         .collect();
     let total: f64 = out.iter().map(|s| s.share).sum::<f64>().max(1e-12);
     out.iter_mut().for_each(|s| s.share /= total);
@@ -56,11 +79,18 @@ mod tests {
 
     #[test]
     fn the_seven_shares_add_up_to_one() {
-        let shares = stages(&catalogue(), &[("leak", 0.6), ("gravity", 0.3)], &[("leak", 0.9), ("torsion", 0.1)]);
+        let shares = stages(
+            &catalogue(),
+            &[("leak", 0.6), ("gravity", 0.3)],
+            &[("leak", 0.9), ("torsion", 0.1)],
+        );
         assert_eq!(shares.len(), 7);
         assert!((shares.iter().map(|s| s.share).sum::<f64>() - 1.0).abs() < 1e-12);
         assert_eq!((shares[0].name, shares[1].name), ("transmission", "shape"));
-        assert!((shares[0].share - 0.69).abs() < 1e-9, "0.6 closed and nine tenths of the remainder");
+        assert!(
+            (shares[0].share - 0.69).abs() < 1e-9,
+            "0.6 closed and nine tenths of the remainder"
+        );
     }
 
     #[test]

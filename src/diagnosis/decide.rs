@@ -52,36 +52,76 @@ pub struct Verdict {
 }
 
 /// Decides; `claimable` is the part of a set that may be claimed.
-pub fn decide(posterior: &Posterior, claimable: impl Fn(&[&'static str]) -> Vec<&'static str>) -> Verdict {
+pub fn decide(
+    posterior: &Posterior,
+    claimable: impl Fn(&[&'static str]) -> Vec<&'static str>,
+) -> Verdict {
     let mut sets: Vec<(Vec<&'static str>, f64)> = Vec::new();
-    for (names, p) in posterior.ranked.iter().filter_map(|(s, p)| s.as_deref().map(|names| (claimable(names), p))) {
+    for (names, p) in posterior
+        .ranked
+        .iter()
+        .filter_map(|(s, p)| s.as_deref().map(|names| (claimable(names), p)))
+    {
         match sets.iter_mut().find(|(known, _)| *known == names) {
             Some((_, sum)) => *sum += p,
             None => sets.push((names, *p)),
         }
     }
     let doubt = posterior.unknown();
-    let none = sets.iter().filter(|(names, _)| names.is_empty()).map(|s| s.1).sum::<f64>();
+    let none = sets
+        .iter()
+        .filter(|(names, _)| names.is_empty())
+        .map(|s| s.1)
+        .sum::<f64>();
     let effects = 1.0 - doubt - none;
-    let best = sets.into_iter().filter(|(names, _)| !names.is_empty()).max_by(|a, b| a.1.total_cmp(&b.1));
+    let best = sets
+        .into_iter()
+        .filter(|(names, _)| !names.is_empty())
+        .max_by(|a, b| a.1.total_cmp(&b.1));
     // of an unknown cause, a part may be explained
-    let names = best.filter(|_| effects > none).map_or(vec![], |best| best.0);
+    let names = best
+        .filter(|_| effects > none)
+        .map_or(vec![], |best| best.0);
     let kind = VerdictKind::new(names.is_empty(), doubt > effects.max(none));
-    let equivalent = if kind == VerdictKind::Effects { groups(posterior, &names) } else { vec![] };
-    Verdict { kind, names, doubt, equivalent }
+    let equivalent = if kind == VerdictKind::Effects {
+        groups(posterior, &names)
+    } else {
+        vec![]
+    };
+    Verdict {
+        kind,
+        names,
+        doubt,
+        equivalent,
+    }
 }
 
 /// For each effect of the chosen set, it and those that could stand in its place.
 fn groups(posterior: &Posterior, chosen: &[&'static str]) -> Vec<Vec<&'static str>> {
     let least = posterior.set(chosen) / UNDECIDED;
     let of = |name: &&'static str| {
-        let rest = |names: &[&str]| chosen.iter().filter(|n| *n != name).all(|n| names.contains(n));
-        let others = posterior.ranked.iter().filter(|(_, p)| *p >= least).filter_map(|(s, _)| s.as_deref());
-        let others = others.filter(|names| names.len() == chosen.len() && !names.contains(name) && rest(names));
-        let stand_in = others.flat_map(|names| names.iter().copied().filter(|n| !chosen.contains(n)));
+        let rest = |names: &[&str]| {
+            chosen
+                .iter()
+                .filter(|n| *n != name)
+                .all(|n| names.contains(n))
+        };
+        let others = posterior
+            .ranked
+            .iter()
+            .filter(|(_, p)| *p >= least)
+            .filter_map(|(s, _)| s.as_deref());
+        let others = others
+            .filter(|names| names.len() == chosen.len() && !names.contains(name) && rest(names));
+        let stand_in =
+            others.flat_map(|names| names.iter().copied().filter(|n| !chosen.contains(n)));
         std::iter::once(*name).chain(stand_in).collect::<Vec<_>>()
     };
-    chosen.iter().map(of).filter(|group| group.len() > 1).collect()
+    chosen
+        .iter()
+        .map(of)
+        .filter(|group| group.len() > 1)
+        .collect()
 }
 
 #[cfg(test)]
@@ -89,9 +129,18 @@ mod tests {
     use super::*;
 
     fn verdict(ranked: &[(Option<&[&'static str]>, f64)]) -> Verdict {
-        let ranked = ranked.iter().map(|(s, p)| (s.map(<[_]>::to_vec), *p)).collect();
+        let ranked = ranked
+            .iter()
+            .map(|(s, p)| (s.map(<[_]>::to_vec), *p))
+            .collect();
         // "faint" is below the bar
-        decide(&Posterior { ranked, conformal: 1 }, |names| names.iter().copied().filter(|n| *n != "faint").collect())
+        decide(
+            &Posterior {
+                ranked,
+                conformal: 1,
+            },
+            |names| names.iter().copied().filter(|n| *n != "faint").collect(),
+        )
     }
 
     #[test]
@@ -99,14 +148,31 @@ mod tests {
         let v = verdict(&[(Some(&["faint"]), 0.5), (None, 0.3), (Some(&["leak"]), 0.2)]);
         assert_eq!((v.kind, v.names.len()), (VerdictKind::None, 0));
         let v = verdict(&[(None, 0.5), (Some(&["leak"]), 0.4), (Some(&[]), 0.1)]);
-        assert_eq!((v.kind, v.names, v.equivalent.len()), (VerdictKind::Unknown, vec!["leak"], 0), "a part is explained");
-        let v = verdict(&[(Some(&["leak", "faint"]), 0.4), (None, 0.35), (Some(&["leak"]), 0.25)]);
-        assert_eq!((v.kind, v.names), (VerdictKind::Effects, vec!["leak"]), "both say the same of what may be claimed");
+        assert_eq!(
+            (v.kind, v.names, v.equivalent.len()),
+            (VerdictKind::Unknown, vec!["leak"], 0),
+            "a part is explained"
+        );
+        let v = verdict(&[
+            (Some(&["leak", "faint"]), 0.4),
+            (None, 0.35),
+            (Some(&["leak"]), 0.25),
+        ]);
+        assert_eq!(
+            (v.kind, v.names),
+            (VerdictKind::Effects, vec!["leak"]),
+            "both say the same of what may be claimed"
+        );
     }
 
     #[test]
     fn what_could_stand_in_the_place_of_an_effect_is_in_its_group() {
-        let v = verdict(&[(Some(&["leak", "creep"]), 0.4), (Some(&["play", "creep"]), 0.3), (Some(&["leak", "lag"]), 0.1), (None, 0.2)]);
+        let v = verdict(&[
+            (Some(&["leak", "creep"]), 0.4),
+            (Some(&["play", "creep"]), 0.3),
+            (Some(&["leak", "lag"]), 0.1),
+            (None, 0.2),
+        ]);
         assert_eq!(v.equivalent, [vec!["leak", "play"]]);
     }
 }

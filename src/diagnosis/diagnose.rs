@@ -7,7 +7,8 @@ use crate::diagnosis::credit::{credits, stages};
 use crate::diagnosis::decide::{Verdict, decide};
 use crate::diagnosis::dependence::dependences;
 use crate::diagnosis::document::{
-    DependenceEntry, Diagnosis, EffectEntry, Gap, Location, LogEntry, ParamValue, Rival, StatementEntry, UnknownEntry, VerdictEntry,
+    DependenceEntry, Diagnosis, EffectEntry, Gap, Location, LogEntry, ParamValue, Rival,
+    StatementEntry, UnknownEntry, VerdictEntry,
 };
 use crate::diagnosis::features::{HEAD, statements};
 use crate::diagnosis::holdout::{HeldOut, score};
@@ -38,18 +39,41 @@ pub struct Diagnosed {
 
 /// Diagnoses a log against a catalogue; `lines` is the calibration the log was driven with, `seed` that of the
 /// bootstrap.
-pub fn diagnose(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3], seed: u64) -> Diagnosed {
+pub fn diagnose(
+    log: &Observed,
+    catalogue: &[Box<dyn Effect>],
+    lines: &[Line; 3],
+    seed: u64,
+) -> Diagnosed {
     let found = search(log, catalogue, lines);
     let posterior = Posterior::new(&HEAD, statements(log, &found));
     let set = |names: &[&str]| found.set(names).unwrap_or(&found.nominal);
-    let verdict = decide(&posterior, |names| found.claimable(set(names)).names.clone());
+    let verdict = decide(&posterior, |names| {
+        found.claimable(set(names)).names.clone()
+    });
     let chosen = set(&verdict.names);
-    let probabilities: Vec<_> = found.singles.iter().map(|s| (s.names[0], posterior.effect(s.names[0]))).collect();
+    let probabilities: Vec<_> = found
+        .singles
+        .iter()
+        .map(|s| (s.names[0], posterior.effect(s.names[0])))
+        .collect();
     let conformal = StatementEntry::conformal(&posterior);
-    let assembly = Assembly { log, catalogue, found: &found, chosen, probabilities: &probabilities, conformal, seed };
+    let assembly = Assembly {
+        log,
+        catalogue,
+        found: &found,
+        chosen,
+        probabilities: &probabilities,
+        conformal,
+        seed,
+    };
     let document = assembly.document(verdict, lines);
     let chosen = chosen.clone();
-    Diagnosed { document, found, chosen }
+    Diagnosed {
+        document,
+        found,
+        chosen,
+    }
 }
 
 /// What the remainder depends on.
@@ -57,7 +81,12 @@ fn goes_with(log: &Observed, left: &HeldOut) -> Vec<DependenceEntry> {
     let mut told = dependences(log, &left.residual).to_vec();
     told.retain(|d| d.gain > 0.0 && d.share >= TOLD);
     told.sort_by(|a, b| b.gain.total_cmp(&a.gain));
-    told.into_iter().map(|d| DependenceEntry { name: d.on.name(), share: d.share }).collect()
+    told.into_iter()
+        .map(|d| DependenceEntry {
+            name: d.on.name(),
+            share: d.share,
+        })
+        .collect()
 }
 
 /// What a document is assembled from.
@@ -74,9 +103,21 @@ struct Assembly<'a> {
 impl Assembly<'_> {
     fn document(&self, verdict: Verdict, lines: &[Line; 3]) -> Diagnosis {
         let (log, found, chosen) = (self.log, self.found, self.chosen);
-        let mut effects: Vec<EffectEntry> = self.catalogue.iter().map(|e| self.entry(e.as_ref())).collect();
-        effects.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(b.closed.total_cmp(&a.closed)));
-        let place = BeforeAfter { log, before: &found.nominal.held_out, after: &chosen.held_out };
+        let mut effects: Vec<EffectEntry> = self
+            .catalogue
+            .iter()
+            .map(|e| self.entry(e.as_ref()))
+            .collect();
+        effects.sort_by(|a, b| {
+            b.probability
+                .total_cmp(&a.probability)
+                .then(b.closed.total_cmp(&a.closed))
+        });
+        let place = BeforeAfter {
+            log,
+            before: &found.nominal.held_out,
+            after: &chosen.held_out,
+        };
         Diagnosis {
             schema: 1,
             gap: Gap {
@@ -86,7 +127,11 @@ impl Assembly<'_> {
                 noise_floor_deg: log.rms_deg(log.noise_energy()),
             },
             location: Location {
-                stages: stages(self.catalogue, &credits(found, chosen, gap(log, found)), self.probabilities),
+                stages: stages(
+                    self.catalogue,
+                    &credits(found, chosen, gap(log, found)),
+                    self.probabilities,
+                ),
                 merged: self.merged(&verdict.equivalent),
                 regions: place.regions(),
                 when: place.when(),
@@ -112,10 +157,16 @@ impl Assembly<'_> {
     /// Each log's part of the gap; the parts of all logs are in the ratio of their left-out residuals.
     fn logs(&self) -> Vec<LogEntry> {
         let deg = |of: &HeldOut, part: &Segment| {
-            let energy = |used: &dyn Fn(usize) -> bool| score(self.log, of.residual.clone(), used).energy();
-            let scored = |k: usize| self.log.quantities().any(|q| of.residual[q][k] != Vector3::zeros());
+            let energy =
+                |used: &dyn Fn(usize) -> bool| score(self.log, of.residual.clone(), used).energy();
+            let scored = |k: usize| {
+                self.log
+                    .quantities()
+                    .any(|q| of.residual[q][k] != Vector3::zeros())
+            };
             let all = energy(&scored).max(f64::MIN_POSITIVE);
-            self.log.rms_deg(of.energy() * energy(&|k| part.bins.contains(&k) && scored(k)) / all)
+            self.log
+                .rms_deg(of.energy() * energy(&|k| part.bins.contains(&k) && scored(k)) / all)
         };
         let entry = |part: &Segment| LogEntry {
             file: part.file.clone(),
@@ -130,17 +181,29 @@ impl Assembly<'_> {
         let nominal = &found.nominal;
         // one of several effects is credited with what returns when it is taken out
         let (before, after) = if chosen.names.contains(&e.name()) {
-            (found.without(chosen, e.name()).unwrap_or(nominal), Some(chosen))
+            (
+                found.without(chosen, e.name()).unwrap_or(nominal),
+                Some(chosen),
+            )
         } else {
             (nominal, found.single(e.name()))
         };
         let with = after.unwrap_or(nominal);
         let closed = ((before.energy() - with.energy()) / gap(log, found)).clamp(-1.0, 1.0);
-        let compared = Compared { before: &before.held_out, after: &with.held_out, nominal: &nominal.held_out, floor: log.noise_energy() };
+        let compared = Compared {
+            before: &before.held_out,
+            after: &with.held_out,
+            nominal: &nominal.held_out,
+            floor: log.noise_energy(),
+        };
         EffectEntry {
             name: e.name(),
             stage: e.stage().name(),
-            probability: self.probabilities.iter().find(|p| p.0 == e.name()).map_or(0.0, |p| p.1),
+            probability: self
+                .probabilities
+                .iter()
+                .find(|p| p.0 == e.name())
+                .map_or(0.0, |p| p.1),
             gap_before_deg: log.rms_deg(before.energy()),
             gap_after_deg: log.rms_deg(with.energy()),
             closed,
@@ -153,21 +216,34 @@ impl Assembly<'_> {
     fn params(&self, e: &dyn Effect, c: &Candidate) -> Vec<ParamValue> {
         let log = self.log;
         let model = Model::named(self.catalogue, &c.names);
-        let Some(i) = model.effects.iter().position(|x| x.name() == e.name()) else { return vec![] };
+        let Some(i) = model.effects.iter().position(|x| x.name() == e.name()) else {
+            return vec![];
+        };
         let independent = (log.duration_s() / CORRELATED_S).max(10.0);
-        let variance = c.fitted.cost / (independent * 3.0 * log.quantities().count() as f64) / (log.bins.len() as f64 / independent);
+        let variance = c.fitted.cost
+            / (independent * 3.0 * log.quantities().count() as f64)
+            / (log.bins.len() as f64 / independent);
         let inflation = variance * log.bins.len() as f64 / independent;
         let mut values = model.of(&c.fitted.theta, i).to_vec();
-        e.canonical(&mut values, &Vector3::from(lines(&c.fitted.theta).map(|l| l.k_epsilon)));
+        e.canonical(
+            &mut values,
+            &Vector3::from(lines(&c.fitted.theta).map(|l| l.k_epsilon)),
+        );
         let one = |(k, p): (usize, &crate::model::effects::Param)| {
             let at = model.at[i] + k;
-            let (value, half) = (values[k], 1.96 * (c.fitted.covariance[(at, at)].max(0.0) * inflation).sqrt());
+            let (value, half) = (
+                values[k],
+                1.96 * (c.fitted.covariance[(at, at)].max(0.0) * inflation).sqrt(),
+            );
             let shown = |x: f64| p.shown(x).0;
             ParamValue {
                 name: p.name,
                 unit: p.shown(value).1,
                 value: shown(value),
-                ci95: [shown((value - half).max(p.low)), shown((value + half).min(p.high))],
+                ci95: [
+                    shown((value - half).max(p.low)),
+                    shown((value + half).min(p.high)),
+                ],
                 channel: p.channel,
             }
         };
@@ -176,7 +252,12 @@ impl Assembly<'_> {
 
     /// Stages of each group that spans more than one.
     fn merged(&self, groups: &[Vec<&'static str>]) -> Vec<Vec<&'static str>> {
-        let stage = |name: &str| self.catalogue.iter().find(|e| e.name() == name).map_or("", |e| e.stage().name());
+        let stage = |name: &str| {
+            self.catalogue
+                .iter()
+                .find(|e| e.name() == name)
+                .map_or("", |e| e.stage().name())
+        };
         let of = |group: &Vec<&'static str>| {
             let mut stages: Vec<&'static str> = group.iter().map(|n| stage(n)).collect();
             stages.dedup();
@@ -192,8 +273,18 @@ fn gap(log: &Observed, found: &Candidates<Candidate>) -> f64 {
 }
 
 fn rivals(found: &Candidates<Candidate>) -> Vec<Rival> {
-    let of = |c: &Candidate| Rival { names: c.names.clone(), energy_deg2: c.energy(), rmse_deg: c.held_out.rmse_deg, cost: c.fitted.cost };
-    let shown = found.singles.iter().take(RIVALS).chain(found.larger.iter().take(RIVALS)).chain([&found.nominal]);
+    let of = |c: &Candidate| Rival {
+        names: c.names.clone(),
+        energy_deg2: c.energy(),
+        rmse_deg: c.held_out.rmse_deg,
+        cost: c.fitted.cost,
+    };
+    let shown = found
+        .singles
+        .iter()
+        .take(RIVALS)
+        .chain(found.larger.iter().take(RIVALS))
+        .chain([&found.nominal]);
     let mut out: Vec<Rival> = shown.map(of).collect();
     out.sort_by(|a, b| a.energy_deg2.total_cmp(&b.energy_deg2));
     out
@@ -202,5 +293,10 @@ fn rivals(found: &Candidates<Candidate>) -> Vec<Rival> {
 /// Energy with the calibration as given, deg²; only gravity, field and gyroscope bias are solved.
 fn as_configured(log: &Observed, lines: &[Line; 3]) -> f64 {
     let (model, theta) = (Model::new(&[]), nominal_theta(lines, log.rig.prior_lag_s));
-    score(log, sense(log, &model, &theta, &run(log, &model, &theta), every_bin), every_bin).energy()
+    score(
+        log,
+        sense(log, &model, &theta, &run(log, &model, &theta), every_bin),
+        every_bin,
+    )
+    .energy()
 }

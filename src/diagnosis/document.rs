@@ -135,11 +135,18 @@ impl StatementEntry {
     /// The statements of which one is true with 95 %.
     pub fn conformal(posterior: &Posterior) -> Vec<Self> {
         let entry = |(names, probability): &(Option<Vec<&'static str>>, f64)| Self {
-            kind: names.as_ref().map_or(VerdictKind::Unknown, |names| VerdictKind::new(names.is_empty(), false)),
+            kind: names.as_ref().map_or(VerdictKind::Unknown, |names| {
+                VerdictKind::new(names.is_empty(), false)
+            }),
             names: names.clone().unwrap_or_default(),
             probability: *probability,
         };
-        posterior.ranked.iter().take(posterior.conformal).map(entry).collect()
+        posterior
+            .ranked
+            .iter()
+            .take(posterior.conformal)
+            .map(entry)
+            .collect()
     }
 }
 

@@ -41,41 +41,109 @@ const NAMES: [&str; 13] = [
 ];
 
 /// All features.
-static LAYOUT: LazyLock<Layout> = LazyLock::new(|| Layout { common: &NAMES, effects: catalogue().iter().map(|e| e.name()).collect() });
+static LAYOUT: LazyLock<Layout> = LazyLock::new(|| Layout {
+    common: &NAMES,
+    effects: catalogue().iter().map(|e| e.name()).collect(),
+});
 
 /// The weights that diagnoses use.
-pub static HEAD: LazyLock<Head> = LazyLock::new(|| Head::built_in(include_str!("posterior.toml"), &LAYOUT));
+pub static HEAD: LazyLock<Head> =
+    LazyLock::new(|| Head::built_in(include_str!("posterior.toml"), &LAYOUT));
 
 /// All statements about a log: each set, the nominal model, `unknown`.
 pub fn statements(log: &Observed, found: &Candidates<Candidate>) -> Vec<Statement> {
     let nominal = &found.nominal;
     let [long, short] = [0, 1].map(|k| move |c: &Candidate| log.mean(&c.held_out.density[k]));
     let merit = |c: &&Candidate| long(c) + short(c) + 2.0 * PER_EFFECT * c.names.len() as f64;
-    let best = found.sets().min_by(|a, b| merit(a).total_cmp(&merit(b))).unwrap_or(nominal);
-    let density = |c: &Candidate| [-short(c), if log.has[Quantity::Gyro] { -c.held_out.density[1][Quantity::Gyro] } else { 0.0 }];
+    let best = found
+        .sets()
+        .min_by(|a, b| merit(a).total_cmp(&merit(b)))
+        .unwrap_or(nominal);
+    let density = |c: &Candidate| {
+        [
+            -short(c),
+            if log.has[Quantity::Gyro] {
+                -c.held_out.density[1][Quantity::Gyro]
+            } else {
+                0.0
+            },
+        ]
+    };
     let of_set = |c: &Candidate| {
         let information = (c.fitted.information - nominal.fitted.information) / 10.0;
         let [claim, second_claim] = found.claims(c);
-        let own = [c.names.len() as f64 - 1.0, information, claim, second_claim, c.unusual];
-        Statement { names: Some(c.names.clone()), features: features(density(c), own, 0.0, [0.0; 5], &[]) }
+        let own = [
+            c.names.len() as f64 - 1.0,
+            information,
+            claim,
+            second_claim,
+            c.unusual,
+        ];
+        Statement {
+            names: Some(c.names.clone()),
+            features: features(density(c), own, 0.0, [0.0; 5], &[]),
+        }
     };
-    let none = features(density(nominal), [0.0; 5], worst_deg(log, &nominal.held_out).ln(), [0.0; 5], &[]);
-    let share = dependences(log, &best.held_out.residual).iter().map(|d| d.share).fold(0.0, f64::max);
-    let single = short(best) - found.singles.iter().map(short).fold(f64::INFINITY, f64::min).min(short(nominal));
-    let own = [worst_deg(log, &best.held_out).ln(), long(best), short(nominal), share, single];
+    let none = features(
+        density(nominal),
+        [0.0; 5],
+        worst_deg(log, &nominal.held_out).ln(),
+        [0.0; 5],
+        &[],
+    );
+    let share = dependences(log, &best.held_out.residual)
+        .iter()
+        .map(|d| d.share)
+        .fold(0.0, f64::max);
+    let single = short(best)
+        - found
+            .singles
+            .iter()
+            .map(short)
+            .fold(f64::INFINITY, f64::min)
+            .min(short(nominal));
+    let own = [
+        worst_deg(log, &best.held_out).ln(),
+        long(best),
+        short(nominal),
+        share,
+        single,
+    ];
     let unknown = features(density(best), [0.0; 5], 0.0, own, &best.names);
-    let others = [Statement { names: Some(vec![]), features: none }, Statement { names: None, features: unknown }];
+    let others = [
+        Statement {
+            names: Some(vec![]),
+            features: none,
+        },
+        Statement {
+            names: None,
+            features: unknown,
+        },
+    ];
     found.sets().map(of_set).chain(others).collect()
 }
 
 /// Features of a statement: the densities, those of a set, of `none`, and of `unknown` with the effects of the best set.
-fn features(density: [f64; 2], set: [f64; 5], none: f64, unknown: [f64; 5], best: &[&str]) -> Vec<f64> {
-    LAYOUT.features(density.into_iter().chain(set).chain([none]).chain(unknown), best)
+fn features(
+    density: [f64; 2],
+    set: [f64; 5],
+    none: f64,
+    unknown: [f64; 5],
+    best: &[&str],
+) -> Vec<f64> {
+    LAYOUT.features(
+        density.into_iter().chain(set).chain([none]).chain(unknown),
+        best,
+    )
 }
 
 /// Largest RMS of a sensor above the noise, degrees or °/s.
 fn worst_deg(log: &Observed, h: &HeldOut) -> f64 {
-    let above = |q| (h.rmse_deg[q].powi(2) - 3.0 * log.noise_deg[q].powi(2)).max(0.0).sqrt();
+    let above = |q| {
+        (h.rmse_deg[q].powi(2) - 3.0 * log.noise_deg[q].powi(2))
+            .max(0.0)
+            .sqrt()
+    };
     log.quantities().map(above).fold(0.05, f64::max)
 }
 
@@ -86,6 +154,9 @@ mod tests {
     #[test]
     fn the_weights_in_the_program_can_be_read() {
         let head = &*HEAD;
-        assert!(head.weights[0] > 0.0 && (0.5..1.0).contains(&head.conformal), "{head:?}");
+        assert!(
+            head.weights[0] > 0.0 && (0.5..1.0).contains(&head.conformal),
+            "{head:?}"
+        );
     }
 }

@@ -36,11 +36,25 @@ impl Fitted {
     pub fn new(problem: &Problem<'_>, point: &Point, tangent: &Tangent) -> Self {
         let n = problem.bounds.len();
         let normal = tangent.sums(problem, point).normal;
-        let inverse = normal.clone().try_inverse().unwrap_or_else(|| DMatrix::identity(n, n));
-        let information = normal.cholesky().map_or(0.0, |c| c.l().diagonal().iter().map(|d| (d / PRIOR_SLOPE).ln()).sum());
+        let inverse = normal
+            .clone()
+            .try_inverse()
+            .unwrap_or_else(|| DMatrix::identity(n, n));
+        let information = normal.cholesky().map_or(0.0, |c| {
+            c.l()
+                .diagonal()
+                .iter()
+                .map(|d| (d / PRIOR_SLOPE).ln())
+                .sum()
+        });
         let scale = |i: usize| problem.bounds[i].scale;
         let covariance = DMatrix::from_fn(n, n, |a, b| inverse[(a, b)] * scale(a) * scale(b));
-        Self { theta: point.theta.clone(), cost: point.data(), covariance, information }
+        Self {
+            theta: point.theta.clone(),
+            cost: point.data(),
+            covariance,
+            information,
+        }
     }
 }
 
@@ -52,10 +66,13 @@ pub fn fit(problem: &Problem<'_>, start: &[f64], rounds: usize) -> (Point, Tange
     for _ in 0..rounds {
         let tangent = Tangent::new(problem, &point);
         let mut sums = tangent.sums(problem, &point);
-        let Some(mut next) = downhill(problem, &point, &sums, &mut damping) else { return (point, tangent) };
+        let Some(mut next) = downhill(problem, &point, &sums, &mut damping) else {
+            return (point, tangent);
+        };
         if next.total() < (1.0 - SECOND_STEP) * point.total() {
             sums.gradient = tangent.gradient(problem, &next.theta, &next.residual);
-            let further = step(&next.theta, &problem.bounds, &sums, damping).map(|theta| problem.at(theta));
+            let further =
+                step(&next.theta, &problem.bounds, &sums, damping).map(|theta| problem.at(theta));
             next = further.filter(|f| f.total() < next.total()).unwrap_or(next);
         }
         let gained = 1.0 - next.total() / point.total();
@@ -98,14 +115,25 @@ pub fn step(theta: &[f64], bounds: &[Bound], sums: &Sums, damping: f64) -> Optio
             }
         }
         let step: DVector<f64> = damped.cholesky()?.solve(&gradient);
-        let target: Vec<f64> = theta.iter().zip(bounds).zip(step.iter()).map(|((t, b), s)| t - s * b.scale).collect();
+        let target: Vec<f64> = theta
+            .iter()
+            .zip(bounds)
+            .zip(step.iter())
+            .map(|((t, b), s)| t - s * b.scale)
+            .collect();
         let stuck = |i: usize| {
             let (t, b) = (theta[i], &bounds[i]);
             (t <= b.low && target[i] < b.low) || (t >= b.high && target[i] > b.high)
         };
         let held: Vec<usize> = (0..theta.len()).filter(|&i| free[i] && stuck(i)).collect();
         if held.is_empty() {
-            return Some(target.iter().zip(bounds).map(|(t, b)| t.clamp(b.low, b.high)).collect());
+            return Some(
+                target
+                    .iter()
+                    .zip(bounds)
+                    .map(|(t, b)| t.clamp(b.low, b.high))
+                    .collect(),
+            );
         }
         held.into_iter().for_each(|i| free[i] = false);
     }

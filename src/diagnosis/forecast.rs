@@ -35,67 +35,128 @@ const WALD_MIN: f64 = 2.0 * 40.0;
 const WORSE_MAX: f64 = 1.02;
 
 /// The model that leaves the least on unseen blocks, among those between `nominal` and the whole catalogue.
-pub fn best_predicting(log: &Observed, catalogue: &[Box<dyn Effect>], nominal: &Candidate, chosen: &Candidate) -> Candidate {
-    let named: Vec<&dyn Effect> =
-        catalogue.iter().map(AsRef::as_ref).filter(|e| is_steady(*e) || chosen.names.contains(&e.name())).collect();
+pub fn best_predicting(
+    log: &Observed,
+    catalogue: &[Box<dyn Effect>],
+    nominal: &Candidate,
+    chosen: &Candidate,
+) -> Candidate {
+    let named: Vec<&dyn Effect> = catalogue
+        .iter()
+        .map(AsRef::as_ref)
+        .filter(|e| is_steady(*e) || chosen.names.contains(&e.name()))
+        .collect();
     let mut base = fitted(log, &named, &start(&named, catalogue, chosen));
     let mut all = vec![Candidate::new(&base)];
     for _ in 0..ADDED_MAX {
-        let Some((effects, start)) = promising(log, catalogue, &base) else { break };
+        let Some((effects, start)) = promising(log, catalogue, &base) else {
+            break;
+        };
         base = fitted(log, &effects, &start.theta);
         all.push(Candidate::new(&base));
     }
-    let least = |all: Vec<Candidate>| all.into_iter().min_by(|a, b| a.energy().total_cmp(&b.energy()));
+    let least = |all: Vec<Candidate>| {
+        all.into_iter()
+            .min_by(|a, b| a.energy().total_cmp(&b.energy()))
+    };
     let whole = least(all).unwrap_or_else(|| chosen.clone());
-    let spared = if whole.names == base.problem.model.names() { weak(&base) } else { vec![] };
-    let kept: Vec<&dyn Effect> =
-        Model::named(catalogue, &whole.names).effects.into_iter().filter(|e| !spared.contains(&e.name())).collect();
+    let spared = if whole.names == base.problem.model.names() {
+        weak(&base)
+    } else {
+        vec![]
+    };
+    let kept: Vec<&dyn Effect> = Model::named(catalogue, &whole.names)
+        .effects
+        .into_iter()
+        .filter(|e| !spared.contains(&e.name()))
+        .collect();
     let reduced = Candidate::new(&fitted(log, &kept, &start(&kept, catalogue, &whole)));
-    let best = if reduced.energy() <= WORSE_MAX * whole.energy() { reduced } else { whole };
-    [nominal, chosen].into_iter().fold(best, |best, other| if other.energy() < best.energy() { other.clone() } else { best })
+    let best = if reduced.energy() <= WORSE_MAX * whole.energy() {
+        reduced
+    } else {
+        whole
+    };
+    [nominal, chosen].into_iter().fold(best, |best, other| {
+        if other.energy() < best.energy() {
+            other.clone()
+        } else {
+            best
+        }
+    })
 }
 
 /// Whether an effect acts all the time, can be fed forward or disturbs the readings, and has few valleys.
 fn is_steady(e: &dyn Effect) -> bool {
     let info = e.info();
-    let steady = !info.is_event() && !matches!(info.stage, Stage::Timing | Stage::Base) && e.starts().len() <= STARTS_MAX;
+    let steady = !info.is_event()
+        && !matches!(info.stage, Stage::Timing | Stage::Base)
+        && e.starts().len() <= STARTS_MAX;
     steady && (info.stage != Stage::Sensor || info.params.len() <= PARAMETERS_MAX)
 }
 
 /// The effects of `base` with the one more that promises most, and its starting point.
-fn promising<'a>(log: &'a Observed, catalogue: &'a [Box<dyn Effect>], base: &BaseFit<'a>) -> Option<(Vec<&'a dyn Effect>, Start)> {
+fn promising<'a>(
+    log: &'a Observed,
+    catalogue: &'a [Box<dyn Effect>],
+    base: &BaseFit<'a>,
+) -> Option<(Vec<&'a dyn Effect>, Start)> {
     let known = base.problem.model.names();
     let tried = |e: &'a dyn Effect| {
         let names: Vec<&str> = known.iter().copied().chain([e.name()]).collect();
         let to = Problem::new(log, Model::named(catalogue, &names));
         best_start(base, &to, e).map(|s| (to.model.effects, s))
     };
-    let fresh = catalogue.par_iter().map(Box::as_ref).filter(|e| !known.contains(&e.name()));
-    let best = fresh.filter_map(tried).min_by(|a, b| a.1.predicted.total_cmp(&b.1.predicted))?;
+    let fresh = catalogue
+        .par_iter()
+        .map(Box::as_ref)
+        .filter(|e| !known.contains(&e.name()));
+    let best = fresh
+        .filter_map(tried)
+        .min_by(|a, b| a.1.predicted.total_cmp(&b.1.predicted))?;
     (best.1.predicted < PROMISE * base.point.total()).then_some(best)
 }
 
 /// Parameters at which the fit of `effects` starts: those of `from`, and the vanishing point of every other effect.
 fn start(effects: &[&dyn Effect], catalogue: &[Box<dyn Effect>], from: &Candidate) -> Vec<f64> {
-    Model::new(effects).extended(&Model::named(catalogue, &from.names), &from.fitted.theta, vanishing)
+    Model::new(effects).extended(
+        &Model::named(catalogue, &from.names),
+        &from.fitted.theta,
+        vanishing,
+    )
 }
 
 fn fitted<'a>(log: &'a Observed, effects: &[&'a dyn Effect], start: &[f64]) -> BaseFit<'a> {
     let problem = Problem::new(log, Model::new(effects));
     let (point, tangent) = fit(&problem, start, ROUNDS);
-    BaseFit { problem, point, tangent }
+    BaseFit {
+        problem,
+        point,
+        tangent,
+    }
 }
 
 /// Effects whose parameters the log does not separate from their vanishing point.
 fn weak(base: &BaseFit<'_>) -> Vec<&'static str> {
-    let BaseFit { problem, point, tangent } = base;
-    let Some(covariance) = Tangent::sums(tangent, problem, point).normal.try_inverse() else { return vec![] };
+    let BaseFit {
+        problem,
+        point,
+        tangent,
+    } = base;
+    let Some(covariance) = Tangent::sums(tangent, problem, point).normal.try_inverse() else {
+        return vec![];
+    };
     let model = &problem.model;
     let spared = |&i: &usize| {
         let (from, n) = (model.at[i], model.at[i + 1] - model.at[i]);
-        let away = DVector::from_fn(n, |k, _| (point.theta[from + k] - problem.bounds[from + k].start) / problem.bounds[from + k].scale);
+        let away = DVector::from_fn(n, |k, _| {
+            (point.theta[from + k] - problem.bounds[from + k].start)
+                / problem.bounds[from + k].scale
+        });
         let own = covariance.view((from, from), (n, n)).into_owned();
         own.cholesky().map_or(0.0, |c| away.dot(&c.solve(&away))) < WALD_MIN * n as f64
     };
-    (0..model.effects.len()).filter(spared).map(|i| model.effects[i].name()).collect()
+    (0..model.effects.len())
+        .filter(spared)
+        .map(|i| model.effects[i].name())
+        .collect()
 }

@@ -57,7 +57,12 @@ impl HeldOut {
 
     /// Largest reduction of any quantity's RMSE from these scores to others, degrees or °/s.
     pub fn gain(&self, to: &Self) -> f64 {
-        self.rmse_deg.0.iter().zip(&to.rmse_deg.0).map(|(a, b)| a - b).fold(f64::NEG_INFINITY, f64::max)
+        self.rmse_deg
+            .0
+            .iter()
+            .zip(&to.rmse_deg.0)
+            .map(|(a, b)| a - b)
+            .fold(f64::NEG_INFINITY, f64::max)
     }
 }
 
@@ -65,7 +70,11 @@ impl HeldOut {
 pub fn leave_out(problem: &Problem<'_>, point: &Point, tangent: &Tangent) -> HeldOut {
     let [mut long, short] = BLOCKS_S.map(|length_s| {
         let folds = folds(problem.log, length_s);
-        score(problem.log, predicted(problem, point, tangent, &folds), |k| folds[k].is_some())
+        score(
+            problem.log,
+            predicted(problem, point, tangent, &folds),
+            |k| folds[k].is_some(),
+        )
     });
     long.density[1] = density(problem.log, &short.residual, BLOCKS_S[1]);
     for (a, b) in long.rmse_deg.0.iter_mut().zip(short.rmse_deg.0) {
@@ -83,20 +92,29 @@ fn folds(log: &Observed, length_s: f64) -> Vec<Option<usize>> {
     let of = |t_s: f64| {
         let phase = (t_s - log.start_s()) / length_s;
         let within = phase.fract() * length_s;
-        (MARGIN_S..=length_s - MARGIN_S).contains(&within).then_some(phase.floor() as usize % 2)
+        (MARGIN_S..=length_s - MARGIN_S)
+            .contains(&within)
+            .then_some(phase.floor() as usize % 2)
     };
     log.bins.iter().map(|b| of(b.t_s)).collect()
 }
 
 /// Residuals of each bin as predicted by the fit that has not seen it.
-fn predicted(problem: &Problem<'_>, point: &Point, tangent: &Tangent, folds: &[Option<usize>]) -> Residuals {
+fn predicted(
+    problem: &Problem<'_>,
+    point: &Point,
+    tangent: &Tangent,
+    folds: &[Option<usize>],
+) -> Residuals {
     let log = problem.log;
     let parts = tangent.parts(point, log.bins.len(), 2, |k| folds[k]);
     let mut residual = Residuals::from_fn(|_| vec![Vector3::zeros(); log.bins.len()]);
     for fold in 0..2 {
         let mut sums = parts[1 - fold].clone();
         sums.add_prior(problem, &point.theta);
-        let refitted = refitted(problem, point, tangent, sums, &|k| folds[k] == Some(1 - fold));
+        let refitted = refitted(problem, point, tangent, sums, &|k| {
+            folds[k] == Some(1 - fold)
+        });
         for (k, _) in folds.iter().enumerate().filter(|(_, f)| **f == Some(fold)) {
             for (all, these) in residual.0.iter_mut().zip(&refitted.0) {
                 all[k] = these[k];
@@ -108,7 +126,13 @@ fn predicted(problem: &Problem<'_>, point: &Point, tangent: &Tangent, folds: &[O
 
 /// Residuals of the fit without a fold, which starts at `point` with `sums` over the other fold. Nothing but the bins around an event
 /// tells its time, so the dates of the whole log are kept.
-fn refitted(problem: &Problem<'_>, point: &Point, tangent: &Tangent, mut sums: Sums, mask: &impl Fn(usize) -> bool) -> Residuals {
+fn refitted(
+    problem: &Problem<'_>,
+    point: &Point,
+    tangent: &Tangent,
+    mut sums: Sums,
+    mask: &impl Fn(usize) -> bool,
+) -> Residuals {
     let log = problem.log;
     let mut bounds = problem.bounds.clone();
     for i in dates(problem) {
@@ -117,7 +141,9 @@ fn refitted(problem: &Problem<'_>, point: &Point, tangent: &Tangent, mut sums: S
     let at = |theta: Vec<f64>, motion: &Motion| Refit::new(problem, theta, motion, mask);
     let mut here = at(point.theta.clone(), &point.motion);
     for _ in 0..STEPS {
-        let Some(mut theta) = step(&here.theta, &bounds, &sums, DAMPING) else { break };
+        let Some(mut theta) = step(&here.theta, &bounds, &sums, DAMPING) else {
+            break;
+        };
         let mut next = None;
         for _ in 0..ATTEMPTS {
             let motion = run(log, &problem.model, &theta);
@@ -125,7 +151,10 @@ fn refitted(problem: &Problem<'_>, point: &Point, tangent: &Tangent, mut sums: S
             if next.is_some() {
                 break;
             }
-            theta.iter_mut().zip(&here.theta).for_each(|(t, p)| *t = p + (*t - p) * SHORTER);
+            theta
+                .iter_mut()
+                .zip(&here.theta)
+                .for_each(|(t, p)| *t = p + (*t - p) * SHORTER);
         }
         let Some(next) = next else { break };
         let gained = 1.0 - next.cost / here.cost;
@@ -150,14 +179,28 @@ struct Refit {
 }
 
 impl Refit {
-    fn new(problem: &Problem<'_>, theta: Vec<f64>, motion: &Motion, mask: &impl Fn(usize) -> bool) -> Self {
+    fn new(
+        problem: &Problem<'_>,
+        theta: Vec<f64>,
+        motion: &Motion,
+        mask: &impl Fn(usize) -> bool,
+    ) -> Self {
         let log = problem.log;
         let residual = sense(log, &problem.model, &theta, motion, mask);
         let mut fitted = weighted(log, &residual);
         let rows = 3 * log.quantities().count();
-        fitted.chunks_exact_mut(rows).enumerate().filter(|(k, _)| !mask(*k)).for_each(|(_, r)| r.fill(0.0));
+        fitted
+            .chunks_exact_mut(rows)
+            .enumerate()
+            .filter(|(k, _)| !mask(*k))
+            .for_each(|(_, r)| r.fill(0.0));
         let cost = fitted.iter().map(|r| r * r).sum::<f64>() + problem.prior(&theta);
-        Self { theta, residual, fitted, cost }
+        Self {
+            theta,
+            residual,
+            fitted,
+            cost,
+        }
     }
 }
 
@@ -167,12 +210,25 @@ impl Refit {
 pub fn density(log: &Observed, residual: &Residuals, block_s: f64) -> PerQuantity<f64> {
     let of = |q: Quantity| {
         let mut blocks: BTreeMap<usize, (f64, f64)> = BTreeMap::new();
-        let scored = log.bins.iter().zip(&residual[q]).filter(|(b, r)| b.weight[q] > 0.0 && **r != Vector3::zeros());
+        let scored = log
+            .bins
+            .iter()
+            .zip(&residual[q])
+            .filter(|(b, r)| b.weight[q] > 0.0 && **r != Vector3::zeros());
         for (bin, r) in scored {
-            let sum = blocks.entry(((bin.t_s - log.start_s()) / block_s) as usize).or_default();
-            *sum = (sum.0 + bin.weight[q].powi(2) * r.norm_squared(), sum.1 + 3.0 * bin.lasting_s / BIN_S);
+            let sum = blocks
+                .entry(((bin.t_s - log.start_s()) / block_s) as usize)
+                .or_default();
+            *sum = (
+                sum.0 + bin.weight[q].powi(2) * r.norm_squared(),
+                sum.1 + 3.0 * bin.lasting_s / BIN_S,
+            );
         }
-        blocks.values().map(|(square, n)| (square / n + FLOOR).ln()).sum::<f64>() / blocks.len().max(1) as f64
+        blocks
+            .values()
+            .map(|(square, n)| (square / n + FLOOR).ln())
+            .sum::<f64>()
+            / blocks.len().max(1) as f64
     };
     PerQuantity::from_fn(of)
 }
@@ -194,9 +250,26 @@ pub fn score(log: &Observed, residual: Residuals, used: impl Fn(usize) -> bool) 
     let square = 1f64.to_degrees().powi(2);
     let rmse_deg = PerQuantity::from_fn(|q| {
         let e: f64 = sums.iter().map(|b| b[q].0).sum();
-        if total[q] > 0.0 { (e / total[q] * square).sqrt() } else { 0.0 }
+        if total[q] > 0.0 {
+            (e / total[q] * square).sqrt()
+        } else {
+            0.0
+        }
     });
-    let blocks = sums.iter().map(|b| log.quantities().filter(|&q| total[q] > 0.0).map(|q| b[q].0 / total[q] * square).sum()).collect();
+    let blocks = sums
+        .iter()
+        .map(|b| {
+            log.quantities()
+                .filter(|&q| total[q] > 0.0)
+                .map(|q| b[q].0 / total[q] * square)
+                .sum()
+        })
+        .collect();
     let density = [density(log, &residual, BLOCKS_S[0]), PerQuantity::default()];
-    HeldOut { rmse_deg, blocks, residual, density }
+    HeldOut {
+        rmse_deg,
+        blocks,
+        residual,
+        density,
+    }
 }

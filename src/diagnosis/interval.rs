@@ -32,7 +32,12 @@ pub struct Compared<'a> {
 
 /// The interval around `value`, the closed part on the whole log.
 pub fn closed_ci95(c: &Compared<'_>, value: f64, seed: u64) -> [f64; 2] {
-    let n = c.before.blocks.len().min(c.after.blocks.len()).min(c.nominal.blocks.len());
+    let n = c
+        .before
+        .blocks
+        .len()
+        .min(c.after.blocks.len())
+        .min(c.nominal.blocks.len());
     if n == 0 {
         return [value, value];
     }
@@ -47,7 +52,11 @@ pub fn closed_ci95(c: &Compared<'_>, value: f64, seed: u64) -> [f64; 2] {
                 after += c.after.blocks[i];
                 gap += c.nominal.blocks[i];
             }
-            let closed = if gap > 0.0 { (before - after) / gap } else { value };
+            let closed = if gap > 0.0 {
+                (before - after) / gap
+            } else {
+                value
+            };
             ((1.0 - closed).max(LEFT_MIN) / left).ln().powi(2)
         })
         .sum();
@@ -55,7 +64,14 @@ pub fn closed_ci95(c: &Compared<'_>, value: f64, seed: u64) -> [f64; 2] {
     let between = BETWEEN_LOGS * value.clamp(0.0, 1.0);
     let half = 1.96 * (square / DRAWS as f64 + between * between).sqrt();
     let least = left * (-half).exp();
-    [(1.0 - left * half.exp()).max(-1.0), if least < LEFT_MIN { 1.0 } else { (1.0 - least).max(value).min(1.0) }]
+    [
+        (1.0 - left * half.exp()).max(-1.0),
+        if least < LEFT_MIN {
+            1.0
+        } else {
+            (1.0 - least).max(value).min(1.0)
+        },
+    ]
 }
 
 #[cfg(test)]
@@ -63,14 +79,32 @@ mod tests {
     use super::*;
 
     fn held(blocks: &[f64]) -> HeldOut {
-        HeldOut { rmse_deg: Default::default(), blocks: blocks.to_vec(), residual: Default::default(), density: Default::default() }
+        HeldOut {
+            rmse_deg: Default::default(),
+            blocks: blocks.to_vec(),
+            residual: Default::default(),
+            density: Default::default(),
+        }
     }
 
     #[test]
     fn the_interval_contains_the_value_and_uneven_blocks_widen_it() {
         let (even, after) = (held(&[1.0; 20]), held(&[0.1; 20]));
-        let uneven = held(&std::array::from_fn::<f64, 20, _>(|i| if i % 5 == 0 { 0.5 } else { 0.0 }));
-        let ci = |after: &HeldOut| closed_ci95(&Compared { before: &even, after, nominal: &even, floor: 0.0 }, 0.9, 1);
+        let uneven = held(&std::array::from_fn::<f64, 20, _>(|i| {
+            if i % 5 == 0 { 0.5 } else { 0.0 }
+        }));
+        let ci = |after: &HeldOut| {
+            closed_ci95(
+                &Compared {
+                    before: &even,
+                    after,
+                    nominal: &even,
+                    floor: 0.0,
+                },
+                0.9,
+                1,
+            )
+        };
         let (a, b) = (ci(&after), ci(&uneven));
         assert!(a[0] < 0.9 && a[1] > 0.9 && a[1] <= 1.0, "{a:?}");
         assert!(b[0] < a[0], "{b:?} {a:?}");
@@ -79,7 +113,16 @@ mod tests {
     #[test]
     fn an_effect_that_closes_nothing_has_an_interval_of_zero_width() {
         let even = held(&[1.0; 20]);
-        let ci = closed_ci95(&Compared { before: &even, after: &even, nominal: &even, floor: 0.0 }, 0.0, 1);
+        let ci = closed_ci95(
+            &Compared {
+                before: &even,
+                after: &even,
+                nominal: &even,
+                floor: 0.0,
+            },
+            0.0,
+            1,
+        );
         assert!(ci[0].abs() < 1e-9 && ci[1].abs() < 1e-9, "{ci:?}");
     }
 }

@@ -29,12 +29,18 @@ pub struct BeforeAfter<'a> {
 /// Bend vector of bin `k` as commanded: the counted pistons through the gains of `lines`, without play.
 pub fn commanded_bend(log: &Observed, lines: &[Line; 3], k: usize) -> Bend {
     let u = log.piston_mm[log.bins[k].at];
-    log.rig.geometry.shape(&Vector3::from_fn(|i, _| lines[i].bellow_mm(u[i]))).bend
+    log.rig
+        .geometry
+        .shape(&Vector3::from_fn(|i, _| lines[i].bellow_mm(u[i])))
+        .bend
 }
 
 /// Bend and direction, degrees; direction in 0..360.
 pub fn polar_deg(bend: &Bend) -> (f64, f64) {
-    (bend.beta().to_degrees(), bend.delta().to_degrees().rem_euclid(360.0))
+    (
+        bend.beta().to_degrees(),
+        bend.delta().to_degrees().rem_euclid(360.0),
+    )
 }
 
 impl BeforeAfter<'_> {
@@ -43,8 +49,13 @@ impl BeforeAfter<'_> {
         let deg2 = 1f64.to_degrees().powi(2);
         let (mut before, mut after, mut n) = (0.0, 0.0, 0.0);
         for k in (0..self.log.bins.len()).filter(|&k| pick(k)) {
-            let angles = || Quantity::ANGLES.into_iter().filter(|&q| self.log.bins[k].weight[q] > 0.0);
-            let squares = |h: &HeldOut| angles().fold(0.0, |s, q| s + h.residual[q][k].norm_squared() * deg2);
+            let angles = || {
+                Quantity::ANGLES
+                    .into_iter()
+                    .filter(|&q| self.log.bins[k].weight[q] > 0.0)
+            };
+            let squares =
+                |h: &HeldOut| angles().fold(0.0, |s, q| s + h.residual[q][k].norm_squared() * deg2);
             before += squares(self.before);
             after += squares(self.after);
             n += angles().count() as f64;
@@ -55,32 +66,57 @@ impl BeforeAfter<'_> {
     /// Errors by bend and direction.
     pub fn regions(&self) -> Vec<Region> {
         let lines = [self.log.rig.prior; 3];
-        let poses: Vec<(f64, f64)> = (0..self.log.bins.len()).map(|k| polar_deg(&commanded_bend(self.log, &lines, k))).collect();
+        let poses: Vec<(f64, f64)> = (0..self.log.bins.len())
+            .map(|k| polar_deg(&commanded_bend(self.log, &lines, k)))
+            .collect();
         let span = |k: u32, width: f64| [f64::from(k) * width, f64::from(k + 1) * width];
-        let cells = (0..REGIONS.0).flat_map(|b| (0..REGIONS.1).map(move |d| (span(b, RING_DEG), span(d, SECTOR_DEG))));
+        let cells = (0..REGIONS.0)
+            .flat_map(|b| (0..REGIONS.1).map(move |d| (span(b, RING_DEG), span(d, SECTOR_DEG))));
         cells
             .filter_map(|(bend_deg, dir_deg)| {
-                let inside = |k: usize| (bend_deg[0]..bend_deg[1]).contains(&poses[k].0) && (dir_deg[0]..dir_deg[1]).contains(&poses[k].1);
-                self.pooled(inside).map(|(rmse_deg, explained_deg)| Region { bend_deg, dir_deg, rmse_deg, explained_deg })
+                let inside = |k: usize| {
+                    (bend_deg[0]..bend_deg[1]).contains(&poses[k].0)
+                        && (dir_deg[0]..dir_deg[1]).contains(&poses[k].1)
+                };
+                self.pooled(inside).map(|(rmse_deg, explained_deg)| Region {
+                    bend_deg,
+                    dir_deg,
+                    rmse_deg,
+                    explained_deg,
+                })
             })
             .collect()
     }
 
     /// Errors by time.
     pub fn when(&self) -> Vec<When> {
-        let (start_s, length_s) = (self.log.start_s(), self.log.duration_s() / f64::from(STRETCHES));
+        let (start_s, length_s) = (
+            self.log.start_s(),
+            self.log.duration_s() / f64::from(STRETCHES),
+        );
         let stretch = |k: u32| {
-            let (from_s, to_s) = (start_s + length_s * f64::from(k), start_s + length_s * f64::from(k + 1));
+            let (from_s, to_s) = (
+                start_s + length_s * f64::from(k),
+                start_s + length_s * f64::from(k + 1),
+            );
             let rmse = self.pooled(|k| (from_s..to_s).contains(&self.log.bins[k].t_s));
-            rmse.map(|(rmse_deg, explained_deg)| When { from_s, to_s, rmse_deg, explained_deg })
+            rmse.map(|(rmse_deg, explained_deg)| When {
+                from_s,
+                to_s,
+                rmse_deg,
+                explained_deg,
+            })
         };
         (0..STRETCHES).filter_map(stretch).collect()
     }
 
     /// Errors by quantity.
     pub fn quantities(&self) -> Vec<QuantityShare> {
-        let share =
-            |q: Quantity| QuantityShare { name: q.name(), rmse_deg: self.before.rmse_deg[q], explained_deg: self.after.rmse_deg[q] };
+        let share = |q: Quantity| QuantityShare {
+            name: q.name(),
+            rmse_deg: self.before.rmse_deg[q],
+            explained_deg: self.after.rmse_deg[q],
+        };
         self.log.quantities().map(share).collect()
     }
 }

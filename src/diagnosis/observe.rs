@@ -87,7 +87,11 @@ pub struct Observed {
 /// Tells the bins how far the base has turned, if there is an IMU on it. `up` is the vertical in the axes of the tip's IMU at rest.
 fn follow_base(bins: &mut [Bin], log: &BendLog, up: &Vector3<f64>) {
     let Some(imu) = &log.base else { return };
-    let (config, align, mut base) = (BaseConfig::default(), AlignConfig::default(), BaseTracker::default());
+    let (config, align, mut base) = (
+        BaseConfig::default(),
+        AlignConfig::default(),
+        BaseTracker::default(),
+    );
     let turn = |sample| {
         base.update(&config, &align, &sample, Some(up));
         base.turn().r_rest_now.to_rotation_matrix().into_inner()
@@ -102,22 +106,53 @@ fn follow_base(bins: &mut [Bin], log: &BendLog, up: &Vector3<f64>) {
 impl Observed {
     /// Readings of the tip IMU at the initial rest of the first log.
     pub fn rest(&self) -> RestReadings {
-        let still = self.bins.iter().take_while(|b| b.speed_mm_s == 0.0).map(|b| b.gyr);
-        let Segment { up_base: up, field_base_ut: field_ut, .. } = self.segments[0];
-        RestReadings { up, field_ut, gyro_bias_rad_s: mean(still).unwrap_or_default() }
+        let still = self
+            .bins
+            .iter()
+            .take_while(|b| b.speed_mm_s == 0.0)
+            .map(|b| b.gyr);
+        let Segment {
+            up_base: up,
+            field_base_ut: field_ut,
+            ..
+        } = self.segments[0];
+        RestReadings {
+            up,
+            field_ut,
+            gyro_bias_rad_s: mean(still).unwrap_or_default(),
+        }
     }
 
     /// Appends another log of the same machine.
     pub fn append(&mut self, mut other: Self) {
         let quantity = |q| {
-            let [(a, n), (b, m)] = [&*self, &other].map(|o| (o.noise_deg[q], if o.has[q] { o.bins.len() as f64 } else { 0.0 }));
-            if n + m > 0.0 { ((n * a * a + m * b * b) / (n + m)).sqrt() } else { 0.0 }
+            let [(a, n), (b, m)] = [&*self, &other].map(|o| {
+                (
+                    o.noise_deg[q],
+                    if o.has[q] { o.bins.len() as f64 } else { 0.0 },
+                )
+            });
+            if n + m > 0.0 {
+                ((n * a * a + m * b * b) / (n + m)).sqrt()
+            } else {
+                0.0
+            }
         };
         self.noise_deg = PerQuantity::from_fn(quantity);
         self.has = PerQuantity::from_fn(|q| self.has[q] || other.has[q]);
         let start_s = self.start_s() + ((self.duration_s() / APART_S).ceil() + 1.0) * APART_S;
-        let (later_s, rows, instants, bins) = (start_s - other.start_s(), self.rows.t_s.len(), self.t_s.len(), self.bins.len());
-        for t_s in other.t_s.iter_mut().chain(&mut other.rows.t_s).chain(other.segments.iter_mut().map(|s| &mut s.start_s)) {
+        let (later_s, rows, instants, bins) = (
+            start_s - other.start_s(),
+            self.rows.t_s.len(),
+            self.t_s.len(),
+            self.bins.len(),
+        );
+        for t_s in other
+            .t_s
+            .iter_mut()
+            .chain(&mut other.rows.t_s)
+            .chain(other.segments.iter_mut().map(|s| &mut s.start_s))
+        {
             *t_s += later_s;
         }
         for bin in &mut other.bins {
@@ -149,15 +184,34 @@ impl Observed {
         let log = &*thinned(log);
         let rows = Rows::new(log);
         let mut bins = bins(log, &rows);
-        let rest = bins.iter().position(|b| b.speed_mm_s > 0.0).unwrap_or(bins.len()).max(1);
-        let up_base = mean(bins[..rest].iter().map(|b| b.acc)).map_or(Vector3::z(), |v| v.normalize());
+        let rest = bins
+            .iter()
+            .position(|b| b.speed_mm_s > 0.0)
+            .unwrap_or(bins.len())
+            .max(1);
+        let up_base =
+            mean(bins[..rest].iter().map(|b| b.acc)).map_or(Vector3::z(), |v| v.normalize());
         let field_base_ut = mean(bins[..rest].iter().map(|b| b.mag)).unwrap_or_default();
         follow_base(&mut bins, log, &up_base);
         let noise_deg = noise(&bins, field_base_ut.norm().max(1.0));
-        let mut o = Self { rig: *rig, rows, bins: compared(bins), noise_deg, ..Self::default() };
+        let mut o = Self {
+            rig: *rig,
+            rows,
+            bins: compared(bins),
+            noise_deg,
+            ..Self::default()
+        };
         o.place_instants();
         let (rows, instants, bins) = (0..o.rows.t_s.len(), 0..o.t_s.len(), 0..o.bins.len());
-        o.segments.push(Segment { file: log.file.clone(), start_s: o.start_s(), rows, instants, bins, up_base, field_base_ut });
+        o.segments.push(Segment {
+            file: log.file.clone(),
+            start_s: o.start_s(),
+            rows,
+            instants,
+            bins,
+            up_base,
+            field_base_ut,
+        });
         o.weigh();
         if o.quantities().next().is_none() {
             return Err(ObserveError::Blind);
@@ -175,8 +229,15 @@ impl Observed {
             let skipped = k > 0 && bin.rows.0 > self.bins[k - 1].rows.1;
             if self.rows.idle_s[row] < self.rows.t_s[row] - self.rows.t_s[before] {
                 for between in before + 1..row {
-                    let (t_s, last_s) = (self.rows.t_s[between], self.t_s.last().copied().unwrap_or(f64::NEG_INFINITY));
-                    if !skipped || bin.t_s - t_s < AHEAD_S || t_s - last_s >= SPARSE_S || self.rows.turns(between) {
+                    let (t_s, last_s) = (
+                        self.rows.t_s[between],
+                        self.t_s.last().copied().unwrap_or(f64::NEG_INFINITY),
+                    );
+                    if !skipped
+                        || bin.t_s - t_s < AHEAD_S
+                        || t_s - last_s >= SPARSE_S
+                        || self.rows.turns(between)
+                    {
                         self.push_instant(t_s, self.rows.piston_mm[between], between, false);
                     }
                 }
@@ -198,8 +259,13 @@ impl Observed {
     fn weigh(&mut self) {
         let noise_rad = PerQuantity::from_fn(|q| self.noise_deg[q].to_radians());
         for b in &mut self.bins {
-            let turning = if b.gyr.x.is_nan() { TURN_PER_MM * b.speed_mm_s } else { b.gyr.norm() };
-            let present = PerQuantity([b.reference[(0, 0)], b.acc.x, b.mag.x, b.gyr.x].map(|x| !x.is_nan()));
+            let turning = if b.gyr.x.is_nan() {
+                TURN_PER_MM * b.speed_mm_s
+            } else {
+                b.gyr.norm()
+            };
+            let present =
+                PerQuantity([b.reference[(0, 0)], b.acc.x, b.mag.x, b.gyr.x].map(|x| !x.is_nan()));
             let long = (b.lasting_s / BIN_S).sqrt();
             for q in Quantity::ALL {
                 let (floor, motion) = match q {
@@ -207,7 +273,8 @@ impl Observed {
                     Quantity::Acc => (ANGLE_FLOOR_RAD, ACC_MOTION),
                     Quantity::Reference | Quantity::Mag => (ANGLE_FLOOR_RAD, ANGLE_MOTION),
                 };
-                let sigma = (noise_rad[q].powi(2) + floor.powi(2) + (motion * turning).powi(2)).sqrt();
+                let sigma =
+                    (noise_rad[q].powi(2) + floor.powi(2) + (motion * turning).powi(2)).sqrt();
                 b.weight[q] = if present[q] { 1.0 / sigma * long } else { 0.0 };
                 self.has[q] |= present[q];
             }
@@ -232,7 +299,9 @@ impl Observed {
 
     /// Energy of white noise alone, deg², summed over the quantities and their three components.
     pub fn noise_energy(&self) -> f64 {
-        self.quantities().map(|q| 3.0 * self.noise_deg[q].powi(2)).sum()
+        self.quantities()
+            .map(|q| 3.0 * self.noise_deg[q].powi(2))
+            .sum()
     }
 
     /// Time from the first row of the first log to the last row of the last, s.
@@ -258,7 +327,8 @@ mod tests {
     /// Half an hour of random moves and holds at 50 Hz with the bins that `keep` leaves.
     fn long_log(keep: impl Fn(Vec<Bin>) -> Vec<Bin>) -> Observed {
         let mut rng = StdRng::seed_from_u64(3);
-        let (mut log, mut at, mut target) = (BendLog::default(), Vector3::zeros(), Vector3::zeros());
+        let (mut log, mut at, mut target) =
+            (BendLog::default(), Vector3::zeros(), Vector3::zeros());
         let mut hold = 200;
         for k in 0..90_000 {
             let to_go: Vector3<f64> = target - at;
@@ -267,17 +337,32 @@ mod tests {
             } else if hold > 0 {
                 hold -= 1;
             } else {
-                (target, hold) = (Vector3::from_fn(|_, _| rng.random_range(-12.0..12.0)), rng.random_range(10..100));
+                (target, hold) = (
+                    Vector3::from_fn(|_, _| rng.random_range(-12.0..12.0)),
+                    rng.random_range(10..100),
+                );
             }
             log.t_s.push(f64::from(k) * 0.02);
             log.piston_mm.push(at);
         }
         let rows = Rows::new(&log);
-        let mut o = Observed { bins: keep(bins(&log, &rows)), rows, ..Observed::default() };
+        let mut o = Observed {
+            bins: keep(bins(&log, &rows)),
+            rows,
+            ..Observed::default()
+        };
         o.place_instants();
         let (rows, instants, bins) = (0..o.rows.t_s.len(), 0..o.t_s.len(), 0..o.bins.len());
         let (up_base, field_base_ut) = (Vector3::z(), Vector3::x());
-        o.segments.push(Segment { file: String::new(), start_s: 0.0, rows, instants, bins, up_base, field_base_ut });
+        o.segments.push(Segment {
+            file: String::new(),
+            start_s: 0.0,
+            rows,
+            instants,
+            bins,
+            up_base,
+            field_base_ut,
+        });
         o
     }
 
@@ -285,19 +370,50 @@ mod tests {
     #[test]
     fn the_model_runs_through_what_is_not_compared() {
         let (part, whole, all) = (long_log(compared), long_log(|bins| bins), catalogue());
-        assert!(part.t_s.len() < whole.t_s.len() / 2, "{} of {}", part.t_s.len(), whole.t_s.len());
-        let nominal = nominal_theta(&[Line { k_epsilon: 2.2, k_lambda_mm: 0.8 }; 3], 0.02);
+        assert!(
+            part.t_s.len() < whole.t_s.len() / 2,
+            "{} of {}",
+            part.t_s.len(),
+            whole.t_s.len()
+        );
+        let nominal = nominal_theta(
+            &[Line {
+                k_epsilon: 2.2,
+                k_lambda_mm: 0.8,
+            }; 3],
+            0.02,
+        );
         // a law with a rate of its own integrates it from instant to instant, so its state depends a little on how far apart they are
-        for (names, bound_deg) in [(&[][..], 1e-6), (&["hysteresis"], 1e-6), (&["leak"], 0.05), (&["creep"], 0.05), (&["line_lag"], 0.15)] {
+        for (names, bound_deg) in [
+            (&[][..], 1e-6),
+            (&["hysteresis"], 1e-6),
+            (&["leak"], 0.05),
+            (&["creep"], 0.05),
+            (&["line_lag"], 0.15),
+        ] {
             let model = Model::named(&all, names);
-            let fresh = |e: &dyn Effect| e.params().iter().map(|p| (p.start + 0.5 * p.scale).clamp(p.low, p.high)).collect::<Vec<f64>>();
+            let fresh = |e: &dyn Effect| {
+                e.params()
+                    .iter()
+                    .map(|p| (p.start + 0.5 * p.scale).clamp(p.low, p.high))
+                    .collect::<Vec<f64>>()
+            };
             let theta = model.extended(&Model::new(&[]), &nominal, fresh);
             let (of_part, of_whole) = (run(&part, &model, &theta), run(&whole, &model, &theta));
-            let same = |a: &&Bin| part.bins.binary_search_by(|b| b.t_s.total_cmp(&a.t_s)).ok().map(|k| part.bins[k].at);
-            let apart = |a: &Bin| same(&a).map(|at| (of_part[at] - of_whole[a.at]).amax().to_degrees());
+            let same = |a: &&Bin| {
+                part.bins
+                    .binary_search_by(|b| b.t_s.total_cmp(&a.t_s))
+                    .ok()
+                    .map(|k| part.bins[k].at)
+            };
+            let apart =
+                |a: &Bin| same(&a).map(|at| (of_part[at] - of_whole[a.at]).amax().to_degrees());
             let apart: Vec<f64> = whole.bins.iter().filter_map(apart).collect();
             let furthest = apart.iter().copied().fold(0.0, f64::max);
-            assert!(apart.len() == part.bins.len() && furthest < bound_deg, "{names:?}: {furthest}°");
+            assert!(
+                apart.len() == part.bins.len() && furthest < bound_deg,
+                "{names:?}: {furthest}°"
+            );
         }
     }
 }

@@ -35,7 +35,14 @@ impl Head {
         let HeadFile { conformal, weight } = toml::from_str(text).map_err(|e| e.to_string())?;
         match weight.keys().find(|k| !names.contains(k)) {
             Some(other) => Err(format!("`{other}` is no feature")),
-            None => Ok(Self { weights: names.iter().map(|n| weight.get(n).copied().unwrap_or(0.0)).collect(), names, conformal }),
+            None => Ok(Self {
+                weights: names
+                    .iter()
+                    .map(|n| weight.get(n).copied().unwrap_or(0.0))
+                    .collect(),
+                names,
+                conformal,
+            }),
         }
     }
 
@@ -43,7 +50,10 @@ impl Head {
     ///
     /// # Panics
     /// On a text that [`Head::read`] refuses; a test reads each.
-    #[expect(clippy::expect_used, reason = "the text is a part of the program, and a test reads it")]
+    #[expect(
+        clippy::expect_used,
+        reason = "the text is a part of the program, and a test reads it"
+    )]
     pub fn built_in(text: &str, layout: &Layout) -> Self {
         Self::read(text, layout.names()).expect("a test reads the weights of the program")
     }
@@ -53,8 +63,16 @@ impl Head {
     /// # Errors
     /// Values that TOML cannot hold.
     pub fn text(&self) -> Result<String, toml::ser::Error> {
-        let weight = self.names.iter().cloned().zip(self.weights.iter().copied()).collect();
-        toml::to_string(&HeadFile { conformal: self.conformal, weight })
+        let weight = self
+            .names
+            .iter()
+            .cloned()
+            .zip(self.weights.iter().copied())
+            .collect();
+        toml::to_string(&HeadFile {
+            conformal: self.conformal,
+            weight,
+        })
     }
 }
 
@@ -70,12 +88,23 @@ pub struct Layout {
 impl Layout {
     /// Names of all features.
     pub fn names(&self) -> Vec<String> {
-        self.common.iter().map(|n| (*n).to_owned()).chain(self.effects.iter().map(|n| format!("form_{n}"))).collect()
+        self.common
+            .iter()
+            .map(|n| (*n).to_owned())
+            .chain(self.effects.iter().map(|n| format!("form_{n}")))
+            .collect()
     }
 
     /// All features: the common ones and those of the effects in `best`.
     pub fn features(&self, common: impl IntoIterator<Item = f64>, best: &[&str]) -> Vec<f64> {
-        common.into_iter().chain(self.effects.iter().map(|name| f64::from(u8::from(best.contains(name))))).collect()
+        common
+            .into_iter()
+            .chain(
+                self.effects
+                    .iter()
+                    .map(|name| f64::from(u8::from(best.contains(name)))),
+            )
+            .collect()
     }
 }
 
@@ -90,7 +119,9 @@ pub struct Statement {
 
 /// Probabilities of statements with these features.
 pub fn probabilities<'a>(features: impl Iterator<Item = &'a [f64]>, weights: &[f64]) -> Vec<f64> {
-    let scores: Vec<f64> = features.map(|x| x.iter().zip(weights).map(|(x, w)| x * w).sum()).collect();
+    let scores: Vec<f64> = features
+        .map(|x| x.iter().zip(weights).map(|(x, w)| x * w).sum())
+        .collect();
     let best = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let total: f64 = scores.iter().map(|s| (s - best).exp()).sum();
     scores.iter().map(|s| (s - best).exp() / total).collect()
@@ -121,7 +152,10 @@ pub struct Posterior {
 impl Posterior {
     /// The posterior of these statements.
     pub fn new(head: &Head, statements: Vec<Statement>) -> Self {
-        let p = probabilities(statements.iter().map(|s| s.features.as_slice()), &head.weights);
+        let p = probabilities(
+            statements.iter().map(|s| s.features.as_slice()),
+            &head.weights,
+        );
         let conformal = conformal_set(&p, head.conformal).len();
         let mut ranked: Vec<_> = statements.into_iter().map(|s| s.names).zip(p).collect();
         ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -130,7 +164,11 @@ impl Posterior {
 
     /// Probability that a statement for which `of` holds is true.
     fn sum(&self, of: impl Fn(Option<&[&'static str]>) -> bool) -> f64 {
-        self.ranked.iter().filter(|(s, _)| of(s.as_deref())).map(|(_, p)| p).sum()
+        self.ranked
+            .iter()
+            .filter(|(s, _)| of(s.as_deref()))
+            .map(|(_, p)| p)
+            .sum()
     }
 
     /// Probability that these effects, and no others, explain the log.
@@ -156,16 +194,31 @@ mod tests {
     #[test]
     fn a_head_is_written_and_read_and_another_feature_is_refused() {
         let names = || vec!["density".to_owned(), "claim".to_owned()];
-        let head = Head { names: names(), weights: vec![3.5, -1.0], conformal: 0.9 };
+        let head = Head {
+            names: names(),
+            weights: vec![3.5, -1.0],
+            conformal: 0.9,
+        };
         let text = head.text().unwrap();
         assert_eq!(Head::read(&text, names()).unwrap(), head);
-        assert_eq!(Head::read(&text, vec!["density".to_owned()]).unwrap_err(), "`claim` is no feature");
+        assert_eq!(
+            Head::read(&text, vec!["density".to_owned()]).unwrap_err(),
+            "`claim` is no feature"
+        );
     }
 
     #[test]
     fn equal_statements_share_the_probability_and_a_conformal_set_has_both() {
-        let p = probabilities([[1.0, 4.0], [4.0, 1.0], [-3.0, 0.0]].iter().map(<[f64; 2]>::as_slice), &[1.0; 2]);
-        assert!((p[0] - 0.5).abs() < 1e-3 && (p.iter().sum::<f64>() - 1.0).abs() < 1e-12, "{p:?}");
+        let p = probabilities(
+            [[1.0, 4.0], [4.0, 1.0], [-3.0, 0.0]]
+                .iter()
+                .map(<[f64; 2]>::as_slice),
+            &[1.0; 2],
+        );
+        assert!(
+            (p[0] - 0.5).abs() < 1e-3 && (p.iter().sum::<f64>() - 1.0).abs() < 1e-12,
+            "{p:?}"
+        );
         let mut set = conformal_set(&p, 0.95);
         set.sort_unstable();
         assert_eq!(set, [0, 1]);

@@ -23,7 +23,12 @@ pub struct Bound {
 
 impl Bound {
     fn new(start: f64, scale: f64, low: f64, high: f64) -> Self {
-        Self { start, scale, low, high }
+        Self {
+            start,
+            scale,
+            low,
+            high,
+        }
     }
 }
 
@@ -71,7 +76,11 @@ impl<'a> Problem<'a> {
         bounds.extend([Bound::new(prior.k_lambda_mm, 0.4, 0.0, 3.0); 3]);
         bounds.push(Bound::new(log.rig.prior_lag_s, 0.015, 0.002, LAG_MAX_S));
         for e in &model.effects {
-            bounds.extend(e.params().iter().map(|p| Bound::new(p.start, p.scale, p.low, p.high)));
+            bounds.extend(
+                e.params()
+                    .iter()
+                    .map(|p| Bound::new(p.start, p.scale, p.low, p.high)),
+            );
         }
         // one of several logs has the event
         for event in model.all_events() {
@@ -85,31 +94,53 @@ impl<'a> Problem<'a> {
         let motion = run(self.log, &self.model, &theta);
         let residual = self.residual(&theta, &motion);
         let prior = self.prior(&theta);
-        Point { theta, motion, residual, prior }
+        Point {
+            theta,
+            motion,
+            residual,
+            prior,
+        }
     }
 
     /// Runs the model at `theta` moved into the limits.
     pub fn at_clamped(&self, theta: &[f64]) -> Point {
-        self.at(theta.iter().zip(&self.bounds).map(|(t, b)| t.clamp(b.low, b.high)).collect())
+        self.at(theta
+            .iter()
+            .zip(&self.bounds)
+            .map(|(t, b)| t.clamp(b.low, b.high))
+            .collect())
     }
 
     /// Weighted residuals of a motion.
     pub fn residual(&self, theta: &[f64], motion: &Motion) -> Vec<f64> {
-        weighted(self.log, &sense(self.log, &self.model, theta, motion, every_bin))
+        weighted(
+            self.log,
+            &sense(self.log, &self.model, theta, motion, every_bin),
+        )
     }
 
     /// Weighted residuals at `theta`; gravity, field and gyroscope bias of each log are solved on its rest, until `until_s` after its
     /// start.
     pub fn residual_from_rest(&self, theta: &[f64], until_s: f64) -> Vec<f64> {
         let (log, motion) = (self.log, run(self.log, &self.model, theta));
-        let of = |k: usize| log.segments.iter().rev().find(|s| s.bins.start <= k).map_or((0, log.start_s()), |s| (s.bins.start, s.start_s));
+        let of = |k: usize| {
+            log.segments
+                .iter()
+                .rev()
+                .find(|s| s.bins.start <= k)
+                .map_or((0, log.start_s()), |s| (s.bins.start, s.start_s))
+        };
         let resting = |k: usize| of(k).0 == k || log.bins[k].t_s - of(k).1 < until_s;
         weighted(log, &sense(log, &self.model, theta, &motion, resting))
     }
 
     /// Sum of squares of the priors.
     pub fn prior(&self, theta: &[f64]) -> f64 {
-        theta.iter().zip(&self.bounds).map(|(t, b)| (PRIOR_SLOPE * (t - b.start) / b.scale).powi(2)).sum()
+        theta
+            .iter()
+            .zip(&self.bounds)
+            .map(|(t, b)| (PRIOR_SLOPE * (t - b.start) / b.scale).powi(2))
+            .sum()
     }
 }
 

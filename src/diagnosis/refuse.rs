@@ -29,7 +29,9 @@ pub enum ObserveError {
     )]
     Motionless(f64),
     /// No sensor is logged.
-    #[error("the log has neither a tip IMU (acc_*, gyr_*) nor a reference (ref_q*) with values in it: record at least one of them")]
+    #[error(
+        "the log has neither a tip IMU (acc_*, gyr_*) nor a reference (ref_q*) with values in it: record at least one of them"
+    )]
     Blind,
     /// The log does not start at rest.
     #[error(
@@ -52,11 +54,19 @@ pub fn refuse(log: &BendLog) -> Result<(), ObserveError> {
     if duration < LENGTH_MIN_S {
         return Err(ObserveError::Short(duration));
     }
-    let path: f64 = log.piston_mm.windows(2).map(|w| (w[1] - w[0]).abs().sum()).sum();
+    let path: f64 = log
+        .piston_mm
+        .windows(2)
+        .map(|w| (w[1] - w[0]).abs().sum())
+        .sum();
     if path < PATH_MIN_MM {
         return Err(ObserveError::Motionless(path));
     }
-    let moves = log.piston_mm.iter().position(|p| (p - log.piston_mm[0]).amax() > 1e-9).unwrap_or(0);
+    let moves = log
+        .piston_mm
+        .iter()
+        .position(|p| (p - log.piston_mm[0]).amax() > 1e-9)
+        .unwrap_or(0);
     let rest_s = log.t_s[moves] - log.t_s[0];
     if rest_s < REST_MIN_S {
         return Err(ObserveError::NoRest(rest_s));
@@ -68,12 +78,27 @@ pub fn refuse(log: &BendLog) -> Result<(), ObserveError> {
     Ok(())
 }
 
-fn refuse_clipped(name: &'static str, values: &[Vector3<f64>], log: &BendLog) -> Result<(), ObserveError> {
-    let moving: Vec<usize> = (1..log.piston_mm.len()).filter(|&k| log.piston_mm[k] != log.piston_mm[k - 1]).collect();
+fn refuse_clipped(
+    name: &'static str,
+    values: &[Vector3<f64>],
+    log: &BendLog,
+) -> Result<(), ObserveError> {
+    let moving: Vec<usize> = (1..log.piston_mm.len())
+        .filter(|&k| log.piston_mm[k] != log.piston_mm[k - 1])
+        .collect();
     for axis in 0..3 {
-        let column = || moving.iter().filter_map(|&k| values.get(k)).map(|v| v[axis]).filter(|v| !v.is_nan());
+        let column = || {
+            moving
+                .iter()
+                .filter_map(|&k| values.get(k))
+                .map(|v| v[axis])
+                .filter(|v| !v.is_nan())
+        };
         let n = column().count();
-        for extreme in [column().fold(f64::NEG_INFINITY, f64::max), column().fold(f64::INFINITY, f64::min)] {
+        for extreme in [
+            column().fold(f64::NEG_INFINITY, f64::max),
+            column().fold(f64::INFINITY, f64::min),
+        ] {
             let share = column().filter(|&v| v == extreme).count() as f64 / n.max(1) as f64;
             if n > CLIPPED_ROWS_MIN && share > CLIPPED_SHARE {
                 return Err(ObserveError::Clipped(name, extreme, share * 100.0));

@@ -24,7 +24,10 @@ impl Default for Rig {
     fn default() -> Self {
         Self {
             geometry: Geometry::default(),
-            prior: Line { k_epsilon: 2.2, k_lambda_mm: 0.87 },
+            prior: Line {
+                k_epsilon: 2.2,
+                k_lambda_mm: 0.87,
+            },
             prior_lag_s: 0.025,
             bellow_mm: [14.0, 29.0],
             travel_mm: 30.0,

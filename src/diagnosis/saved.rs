@@ -103,7 +103,11 @@ pub struct Checked {
 impl SavedGains {
     fn new(theta: &[f64]) -> Self {
         let lines = lines(theta);
-        Self { k_epsilon: lines.map(|l| l.k_epsilon), k_lambda_mm: lines.map(|l| l.k_lambda_mm), lag_s: theta[6] }
+        Self {
+            k_epsilon: lines.map(|l| l.k_epsilon),
+            k_lambda_mm: lines.map(|l| l.k_lambda_mm),
+            lag_s: theta[6],
+        }
     }
 
     /// The gains as lines.
@@ -113,7 +117,11 @@ impl SavedGains {
 }
 
 fn key(p: &Param) -> String {
-    if p.channel == 0 { p.name.to_owned() } else { format!("{}@{}", p.name, p.channel) }
+    if p.channel == 0 {
+        p.name.to_owned()
+    } else {
+        format!("{}@{}", p.name, p.channel)
+    }
 }
 
 /// The effects of a candidate with their values.
@@ -122,13 +130,22 @@ fn saved_effects(catalogue: &[Box<dyn Effect>], from: &Candidate) -> Vec<SavedEf
         name: e.name().to_owned(),
         params: e.params().iter().map(key).zip(p.iter().copied()).collect(),
     };
-    Model::named(catalogue, &from.names).each(&from.fitted.theta).map(one).collect()
+    Model::named(catalogue, &from.names)
+        .each(&from.fitted.theta)
+        .map(one)
+        .collect()
 }
 
 /// Parameters of an effect among saved ones, in catalogue order.
 fn params_of(saved: &[SavedEffect], effect: &dyn Effect) -> Option<Vec<f64>> {
     let saved = saved.iter().find(|s| s.name == effect.name())?;
-    Some(effect.params().iter().map(|p| saved.params.get(&key(p)).copied().unwrap_or(p.start)).collect())
+    Some(
+        effect
+            .params()
+            .iter()
+            .map(|p| saved.params.get(&key(p)).copied().unwrap_or(p.start))
+            .collect(),
+    )
 }
 
 impl SavedModel {
@@ -149,24 +166,44 @@ impl SavedModel {
 
     /// Adds the model that predicts the log best.
     #[must_use]
-    pub fn with_forecast(self, log: &Observed, catalogue: &[Box<dyn Effect>], done: &Diagnosed) -> Self {
+    pub fn with_forecast(
+        self,
+        log: &Observed,
+        catalogue: &[Box<dyn Effect>],
+        done: &Diagnosed,
+    ) -> Self {
         let best = best_predicting(log, catalogue, &done.found.nominal, &done.chosen);
         let rest = log.rest();
         Self {
-            rest: Some(SavedRest { up: rest.up.into(), field_ut: rest.field_ut.into(), gyro_bias_rad_s: rest.gyro_bias_rad_s.into() }),
-            forecast: Some(SavedForecast { gains: SavedGains::new(&best.fitted.theta), effect: saved_effects(catalogue, &best) }),
+            rest: Some(SavedRest {
+                up: rest.up.into(),
+                field_ut: rest.field_ut.into(),
+                gyro_bias_rad_s: rest.gyro_bias_rad_s.into(),
+            }),
+            forecast: Some(SavedForecast {
+                gains: SavedGains::new(&best.fitted.theta),
+                effect: saved_effects(catalogue, &best),
+            }),
             ..self
         }
     }
 
     /// The machine that this model describes: the forecast if there is one, otherwise the verdict's set.
     pub fn described(&self, geometry: Geometry) -> DescribedMachine {
-        let (gains, effects) = self.forecast.as_ref().map_or((&self.with_effects, &self.effect), |f| (&f.gains, &f.effect));
-        let rest = self.rest.as_ref().map_or_else(RestReadings::default, |r| RestReadings {
-            up: Vector3::from(r.up).normalize(),
-            field_ut: r.field_ut.into(),
-            gyro_bias_rad_s: r.gyro_bias_rad_s.into(),
-        });
+        let (gains, effects) = self
+            .forecast
+            .as_ref()
+            .map_or((&self.with_effects, &self.effect), |f| {
+                (&f.gains, &f.effect)
+            });
+        let rest = self
+            .rest
+            .as_ref()
+            .map_or_else(RestReadings::default, |r| RestReadings {
+                up: Vector3::from(r.up).normalize(),
+                field_ut: r.field_ut.into(),
+                gyro_bias_rad_s: r.gyro_bias_rad_s.into(),
+            });
         let cause = |e: Box<dyn Effect>| params_of(effects, e.as_ref()).map(|p| (e, p));
         DescribedMachine::new(
             geometry,
@@ -188,7 +225,11 @@ impl SavedModel {
             return self.equivalent.concat();
         }
         let names = self.effect.iter().map(|e| e.name.clone());
-        let similar = self.effect.iter().flat_map(|e| confused_with(&e.name)).map(|n| (*n).to_owned());
+        let similar = self
+            .effect
+            .iter()
+            .flat_map(|e| confused_with(&e.name))
+            .map(|n| (*n).to_owned());
         names.chain(similar).collect()
     }
 
@@ -198,30 +239,72 @@ impl SavedModel {
         let energy = |gains: &SavedGains, names: &[&str]| {
             let model = Model::named(catalogue, names);
             let mut theta = nominal_theta(&gains.lines(), gains.lag_s);
-            theta.extend(model.effects.iter().filter_map(|e| self.params_of(*e)).flatten());
-            score(log, sense(log, &model, &theta, &run(log, &model, &theta), every_bin), every_bin).energy()
+            theta.extend(
+                model
+                    .effects
+                    .iter()
+                    .filter_map(|e| self.params_of(*e))
+                    .flatten(),
+            );
+            score(
+                log,
+                sense(log, &model, &theta, &run(log, &model, &theta), every_bin),
+                every_bin,
+            )
+            .energy()
         };
-        let known = Model::named(catalogue, &self.effect.iter().map(|e| e.name.as_str()).collect::<Vec<_>>());
-        let (events, lasting): (Vec<&dyn Effect>, Vec<&dyn Effect>) = known.effects.iter().copied().partition(|e| e.info().is_event());
+        let known = Model::named(
+            catalogue,
+            &self
+                .effect
+                .iter()
+                .map(|e| e.name.as_str())
+                .collect::<Vec<_>>(),
+        );
+        let (events, lasting): (Vec<&dyn Effect>, Vec<&dyn Effect>) = known
+            .effects
+            .iter()
+            .copied()
+            .partition(|e| e.info().is_event());
         let names: Vec<&'static str> = lasting.iter().map(|e| e.name()).collect();
-        let (before, after) = (energy(&self.nominal, &[]), energy(&self.with_effects, &names));
+        let (before, after) = (
+            energy(&self.nominal, &[]),
+            energy(&self.with_effects, &names),
+        );
         let closed = ((before - after) / (before - log.noise_energy()).max(1e-9)).min(1.0);
         let left_out = events.iter().map(|e| e.name()).collect();
-        Checked { before_deg: log.rms_deg(before), after_deg: log.rms_deg(after), closed, left_out }
+        Checked {
+            before_deg: log.rms_deg(before),
+            after_deg: log.rms_deg(after),
+            closed,
+            left_out,
+        }
     }
 
     /// The first effect or parameter that the catalogue does not have, as a problem; `None` if there is none.
     pub fn unknown_names(&self, catalogue: &[Box<dyn Effect>]) -> Option<String> {
-        for s in self.effect.iter().chain(self.forecast.iter().flat_map(|f| &f.effect)) {
+        for s in self
+            .effect
+            .iter()
+            .chain(self.forecast.iter().flat_map(|f| &f.effect))
+        {
             let Some(e) = catalogue.iter().find(|e| e.name() == s.name) else {
                 return Some(format!("effect `{}` is not in the catalogue", s.name));
             };
             let keys: Vec<String> = e.params().iter().map(key).collect();
             if let Some(stray) = s.params.keys().find(|k| !keys.contains(k)) {
-                return Some(format!("effect `{}` has no parameter `{stray}`; it has {}", s.name, keys.join(", ")));
+                return Some(format!(
+                    "effect `{}` has no parameter `{stray}`; it has {}",
+                    s.name,
+                    keys.join(", ")
+                ));
             }
         }
-        let stray = self.equivalent.iter().flatten().find(|n| !catalogue.iter().any(|e| e.name() == n.as_str()));
+        let stray = self
+            .equivalent
+            .iter()
+            .flatten()
+            .find(|n| !catalogue.iter().any(|e| e.name() == n.as_str()));
         stray.map(|n| format!("equivalent: effect `{n}` is not in the catalogue"))
     }
 }
@@ -230,22 +313,54 @@ impl Check for SavedModel {
     const REMEDY: &'static str = AGAIN;
 
     fn check(&self, to: &mut Checker) {
-        to.at("schema").range(f64::from(self.schema), 1.0..=1.0, "").hint("made by another version: diagnose the log again with --save");
+        to.at("schema")
+            .range(f64::from(self.schema), 1.0..=1.0, "")
+            .hint("made by another version: diagnose the log again with --save");
         let forecast = self.forecast.as_ref().map(|f| ("forecast.gains", &f.gains));
-        for (at, g) in [("nominal", &self.nominal), ("with_effects", &self.with_effects)].into_iter().chain(forecast) {
-            to.at(&format!("{at}.k_epsilon")).ranges(&g.k_epsilon, 0.0..=10.0, "").hint(AGAIN);
-            to.at(&format!("{at}.k_lambda_mm")).ranges(&g.k_lambda_mm, 0.0..=3.0, "mm").hint(AGAIN);
-            to.at(&format!("{at}.lag_s")).range(g.lag_s, 0.0..=LAG_MAX_S + 1e-9, "s").hint(AGAIN);
+        for (at, g) in [
+            ("nominal", &self.nominal),
+            ("with_effects", &self.with_effects),
+        ]
+        .into_iter()
+        .chain(forecast)
+        {
+            to.at(&format!("{at}.k_epsilon"))
+                .ranges(&g.k_epsilon, 0.0..=10.0, "")
+                .hint(AGAIN);
+            to.at(&format!("{at}.k_lambda_mm"))
+                .ranges(&g.k_lambda_mm, 0.0..=3.0, "mm")
+                .hint(AGAIN);
+            to.at(&format!("{at}.lag_s"))
+                .range(g.lag_s, 0.0..=LAG_MAX_S + 1e-9, "s")
+                .hint(AGAIN);
         }
         if let Some(rest) = &self.rest {
-            to.at("rest.up").ranges(&rest.up, -1.0..=1.0, "").hint(AGAIN);
-            to.at("rest.up").holds(Vector3::from(rest.up).norm() > 0.5, "the direction of up has no length").hint(AGAIN);
-            to.at("rest.field_ut").ranges(&rest.field_ut, -1000.0..=1000.0, "µT").hint(AGAIN);
-            to.at("rest.gyro_bias_rad_s").ranges(&rest.gyro_bias_rad_s, -1.0..=1.0, "rad/s").hint(AGAIN);
+            to.at("rest.up")
+                .ranges(&rest.up, -1.0..=1.0, "")
+                .hint(AGAIN);
+            to.at("rest.up")
+                .holds(
+                    Vector3::from(rest.up).norm() > 0.5,
+                    "the direction of up has no length",
+                )
+                .hint(AGAIN);
+            to.at("rest.field_ut")
+                .ranges(&rest.field_ut, -1000.0..=1000.0, "µT")
+                .hint(AGAIN);
+            to.at("rest.gyro_bias_rad_s")
+                .ranges(&rest.gyro_bias_rad_s, -1.0..=1.0, "rad/s")
+                .hint(AGAIN);
         }
-        for (i, e) in self.effect.iter().chain(self.forecast.iter().flat_map(|f| &f.effect)).enumerate() {
+        for (i, e) in self
+            .effect
+            .iter()
+            .chain(self.forecast.iter().flat_map(|f| &f.effect))
+            .enumerate()
+        {
             let finite = e.params.values().all(|v| v.is_finite());
-            to.at(&format!("effect.{i}.params")).holds(finite, "a parameter is not a finite number").hint(AGAIN);
+            to.at(&format!("effect.{i}.params"))
+                .holds(finite, "a parameter is not a finite number")
+                .hint(AGAIN);
         }
     }
 }

@@ -26,7 +26,13 @@ impl Alone {
     /// The fit of one effect beside that of the nominal model.
     pub fn new(nominal: &BaseFit<'_>, fit: BaseFit<'_>) -> Self {
         let candidate = Candidate::new(&fit);
-        let change = fit.point.residual.iter().zip(&nominal.point.residual).map(|(r, r0)| (r - r0) as f32).collect();
+        let change = fit
+            .point
+            .residual
+            .iter()
+            .zip(&nominal.point.residual)
+            .map(|(r, r0)| (r - r0) as f32)
+            .collect();
         let mut columns = fit.tangent.after(NOMINAL);
         columns.push(change);
         Self { candidate, columns }
@@ -40,14 +46,20 @@ pub fn schwarz(log: &Observed, squares: f64, params: usize) -> f64 {
 }
 
 /// All pairs, the most promising first, with parameters from where a fit starts.
-pub fn screen(nominal: &BaseFit<'_>, catalogue: &[Box<dyn Effect>], alone: &[Alone]) -> Vec<([&'static str; 2], Vec<f64>)> {
+pub fn screen(
+    nominal: &BaseFit<'_>,
+    catalogue: &[Box<dyn Effect>],
+    alone: &[Alone],
+) -> Vec<([&'static str; 2], Vec<f64>)> {
     let gram = Gram::new(nominal, alone);
     let mut out: Vec<([&'static str; 2], f64, Start)> = Vec::new();
     for a in 0..alone.len() {
         out.extend((0..a).filter_map(|b| gram.pair(nominal, catalogue, alone, [a, b])));
     }
     out.sort_by(|a, b| a.1.total_cmp(&b.1));
-    out.into_iter().map(|(names, _, start)| (names, start.theta)).collect()
+    out.into_iter()
+        .map(|(names, _, start)| (names, start.theta))
+        .collect()
 }
 
 /// Products of all columns with each other and with the residuals of the nominal model.
@@ -64,7 +76,14 @@ impl Gram {
             columns.append(a.columns.clone(), 0);
             at.push(columns.width());
         }
-        Self { sums: columns.parts(&nominal.point, nominal.problem.log.bins.len(), 1, |_| Some(0)).swap_remove(0), at }
+        Self {
+            sums: columns
+                .parts(&nominal.point, nominal.problem.log.bins.len(), 1, |_| {
+                    Some(0)
+                })
+                .swap_remove(0),
+            at,
+        }
     }
 
     /// Names, [`schwarz`], and the start of a fit of two singles.
@@ -76,19 +95,33 @@ impl Gram {
         of: [usize; 2],
     ) -> Option<([&'static str; 2], f64, Start)> {
         let log = nominal.problem.log;
-        let problem = Problem::new(log, Model::named(catalogue, &of.map(|k| alone[k].candidate.names[0])));
+        let problem = Problem::new(
+            log,
+            Model::named(catalogue, &of.map(|k| alone[k].candidate.names[0])),
+        );
         let names: [&'static str; 2] = problem.model.names().try_into().ok()?;
-        let of = if alone[of[0]].candidate.names[0] == names[0] { of } else { [of[1], of[0]] };
+        let of = if alone[of[0]].candidate.names[0] == names[0] {
+            of
+        } else {
+            [of[1], of[0]]
+        };
         let changes = of.map(|k| self.at[k + 1] - 1);
-        let used: Vec<usize> = (0..NOMINAL).chain(of.into_iter().flat_map(|k| self.at[k]..self.at[k + 1] - 1)).collect();
+        let used: Vec<usize> = (0..NOMINAL)
+            .chain(of.into_iter().flat_map(|k| self.at[k]..self.at[k + 1] - 1))
+            .collect();
         let Sums { normal, gradient } = &self.sums;
         // the residuals are those of the nominal model and both changes
         let along = |i: usize| gradient[i] + changes.iter().map(|&c| normal[(i, c)]).sum::<f64>();
-        let squares = nominal.point.data() + changes.iter().map(|&c| gradient[c] + along(c)).sum::<f64>();
+        let squares =
+            nominal.point.data() + changes.iter().map(|&c| gradient[c] + along(c)).sum::<f64>();
         let thetas = of.map(|k| &alone[k].candidate.fitted.theta);
         let theta: Vec<f64> = (0..NOMINAL)
             .map(|i| thetas[0][i] + thetas[1][i] - nominal.point.theta[i])
-            .chain(thetas.into_iter().flat_map(|t| t[NOMINAL..].iter().copied()))
+            .chain(
+                thetas
+                    .into_iter()
+                    .flat_map(|t| t[NOMINAL..].iter().copied()),
+            )
             .zip(&problem.bounds)
             .map(|(t, b)| t.clamp(b.low, b.high))
             .collect();
@@ -98,7 +131,13 @@ impl Gram {
             gradient: DVector::from_fn(n, |a, _| along(used[a])),
         };
         sums.add_prior(&problem, &theta);
-        let start = stepped(&problem, &theta, squares + problem.prior(&theta), &sums, nominal)?;
+        let start = stepped(
+            &problem,
+            &theta,
+            squares + problem.prior(&theta),
+            &sums,
+            nominal,
+        )?;
         Some((names, schwarz(log, start.predicted, n), start))
     }
 }

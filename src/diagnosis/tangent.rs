@@ -43,7 +43,11 @@ pub struct BaseFit<'a> {
 fn column(problem: &Problem<'_>, point: &Point, c: usize) -> Vec<f32> {
     let (mut moved, b) = (point.theta.clone(), &problem.bounds[c]);
     // away from the upper limit
-    let h = if moved[c] + STEP * b.scale > b.high { -STEP * b.scale } else { STEP * b.scale };
+    let h = if moved[c] + STEP * b.scale > b.high {
+        -STEP * b.scale
+    } else {
+        STEP * b.scale
+    };
     moved[c] += h;
     let residual = if problem.model.sensing_only(c) {
         problem.residual(&moved, &point.motion)
@@ -51,13 +55,22 @@ fn column(problem: &Problem<'_>, point: &Point, c: usize) -> Vec<f32> {
         problem.residual(&moved, &run(problem.log, &problem.model, &moved))
     };
     let per_scale = b.scale / h;
-    residual.iter().zip(&point.residual).map(|(x, r)| ((x - r) * per_scale) as f32).collect()
+    residual
+        .iter()
+        .zip(&point.residual)
+        .map(|(x, r)| ((x - r) * per_scale) as f32)
+        .collect()
 }
 
 impl Tangent {
     /// The tangent at a point.
     pub fn new(problem: &Problem<'_>, point: &Point) -> Self {
-        Self { columns: (0..problem.bounds.len()).into_par_iter().map(|c| column(problem, point, c)).collect() }
+        Self {
+            columns: (0..problem.bounds.len())
+                .into_par_iter()
+                .map(|c| column(problem, point, c))
+                .collect(),
+        }
     }
 
     /// The tangent at a point that adds a small effect to a base fit: only the columns of that effect are computed.
@@ -66,8 +79,11 @@ impl Tangent {
         let mut columns = base.tangent.columns[..NOMINAL].to_vec();
         for (i, e) in model.effects.iter().enumerate() {
             match known.effects.iter().position(|x| x.name() == e.name()) {
-                Some(k) => columns.extend_from_slice(&base.tangent.columns[known.at[k]..known.at[k + 1]]),
-                None => columns.extend((model.at[i]..model.at[i + 1]).map(|c| column(problem, point, c))),
+                Some(k) => {
+                    columns.extend_from_slice(&base.tangent.columns[known.at[k]..known.at[k + 1]])
+                }
+                None => columns
+                    .extend((model.at[i]..model.at[i + 1]).map(|c| column(problem, point, c))),
             }
         }
         Self { columns }
@@ -86,7 +102,9 @@ impl Tangent {
     /// The columns from `from` on.
     #[must_use]
     pub fn after(self, from: usize) -> Self {
-        Self { columns: self.columns.into_iter().skip(from).collect() }
+        Self {
+            columns: self.columns.into_iter().skip(from).collect(),
+        }
     }
 
     /// Appends a column.
@@ -96,7 +114,9 @@ impl Tangent {
 
     /// Sums over all bins, including the priors.
     pub fn sums(&self, problem: &Problem<'_>, point: &Point) -> Sums {
-        let mut sums = self.parts(point, problem.log.bins.len(), 1, |_| Some(0)).swap_remove(0);
+        let mut sums = self
+            .parts(point, problem.log.bins.len(), 1, |_| Some(0))
+            .swap_remove(0);
         sums.add_prior(problem, &point.theta);
         sums
     }
@@ -104,16 +124,31 @@ impl Tangent {
     /// `Jᵀr` with the residuals of other parameters, including the priors.
     pub fn gradient(&self, problem: &Problem<'_>, theta: &[f64], residual: &[f64]) -> DVector<f64> {
         let residual: Vec<f32> = residual.iter().map(|r| *r as f32).collect();
-        let mut gradient = DVector::from_iterator(self.columns.len(), self.columns.iter().map(|c| dot(c, &residual)));
+        let mut gradient = DVector::from_iterator(
+            self.columns.len(),
+            self.columns.iter().map(|c| dot(c, &residual)),
+        );
         add_prior_gradient(&mut gradient, problem, theta);
         gradient
     }
 
     /// Sums over groups of bins without the priors; `group` gives the group of a bin.
-    pub fn parts(&self, point: &Point, bins: usize, groups: usize, group: impl Fn(usize) -> Option<usize>) -> Vec<Sums> {
+    pub fn parts(
+        &self,
+        point: &Point,
+        bins: usize,
+        groups: usize,
+        group: impl Fn(usize) -> Option<usize>,
+    ) -> Vec<Sums> {
         let (n, stride) = (self.columns.len(), point.residual.len() / bins.max(1));
         let residual: Vec<f32> = point.residual.iter().map(|r| *r as f32).collect();
-        let mut out = vec![Sums { normal: DMatrix::zeros(n, n), gradient: DVector::zeros(n) }; groups];
+        let mut out = vec![
+            Sums {
+                normal: DMatrix::zeros(n, n),
+                gradient: DVector::zeros(n)
+            };
+            groups
+        ];
         let mut from = 0;
         while from < bins {
             let of = group(from);
@@ -133,7 +168,8 @@ impl Tangent {
             }
             from = to;
         }
-        out.iter_mut().for_each(|sums| sums.normal.fill_upper_triangle_with_lower_triangle());
+        out.iter_mut()
+            .for_each(|sums| sums.normal.fill_upper_triangle_with_lower_triangle());
         out
     }
 }
@@ -159,7 +195,12 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
     const LANES: usize = 16;
     let mut lanes = [0.0f32; LANES];
     let (a16, b16) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
-    let rest: f32 = a16.remainder().iter().zip(b16.remainder()).map(|(x, y)| x * y).sum();
+    let rest: f32 = a16
+        .remainder()
+        .iter()
+        .zip(b16.remainder())
+        .map(|(x, y)| x * y)
+        .sum();
     for (x, y) in a16.zip(b16) {
         for i in 0..LANES {
             lanes[i] += x[i] * y[i];

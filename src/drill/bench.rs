@@ -11,7 +11,10 @@ use crate::primitives::{Base, Mm, Rotation, Seconds, Steps, Tip};
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::plant::{Channel, InjectedFault, PlantError};
 use crate::simulation::sim::Sim;
-use crate::supervisor::{Alarm, CycleOutput, Machine, MachineError, MachineInfo, Order, Runner, Sensed, Supervisor, SupervisorConfig};
+use crate::supervisor::{
+    Alarm, CycleOutput, Machine, MachineError, MachineInfo, Order, Runner, Sensed, Supervisor,
+    SupervisorConfig,
+};
 
 /// A simulated machine with fault injection.
 #[derive(Debug)]
@@ -30,7 +33,13 @@ pub struct FaultyMachine {
 impl FaultyMachine {
     /// A machine without faults.
     pub fn new(sim: Sim, motion: &DriveLimits) -> Self {
-        Self { inner: Lockstep::new(sim, motion), bus: None, stamp_offset_s: 0.0, emergency_stop: false, alarm: None }
+        Self {
+            inner: Lockstep::new(sim, motion),
+            bus: None,
+            stamp_offset_s: 0.0,
+            emergency_stop: false,
+            alarm: None,
+        }
     }
 
     /// Injects a fault into the plant.
@@ -43,11 +52,19 @@ impl FaultyMachine {
     pub fn restore_racks(&mut self) {
         self.inner.world.plant_mut().vent();
         let step_mm = self.info().step_mm;
-        let Some(out) = self.inner.world.last() else { return };
-        let lost = out.truth.play_output_mm.map(|mm| (mm / step_mm).round() as i32);
+        let Some(out) = self.inner.world.last() else {
+            return;
+        };
+        let lost = out
+            .truth
+            .play_output_mm
+            .map(|mm| (mm / step_mm).round() as i32);
         for channel in Channel::ALL {
             let microsteps = lost[channel.index()];
-            self.inject(InjectedFault::StepLoss { channel, microsteps });
+            self.inject(InjectedFault::StepLoss {
+                channel,
+                microsteps,
+            });
         }
     }
 
@@ -67,7 +84,10 @@ impl Machine for FaultyMachine {
         if self.alarm.is_some_and(|alarm| alarm.is_of_steps()) {
             self.inner.fail();
         }
-        self.inner.inputs = Inputs { emergency_stop: self.emergency_stop, ..Inputs::default() };
+        self.inner.inputs = Inputs {
+            emergency_stop: self.emergency_stop,
+            ..Inputs::default()
+        };
         let mut sensed = self.inner.turn(now, wanted)?;
         if let (Some(fault), ImuReading::Sample(..)) = (self.bus, sensed.imu) {
             sensed.imu = ImuReading::Failed(fault);
@@ -148,11 +168,22 @@ impl BenchConfig {
     }
 
     /// A bench with an existing machine, as after a restart.
-    pub fn bench_on(&self, machine: FaultyMachine, restart: Option<RestartState>, now_s: f64) -> Bench {
+    pub fn bench_on(
+        &self,
+        machine: FaultyMachine,
+        restart: Option<RestartState>,
+        now_s: f64,
+    ) -> Bench {
         let config = self.supervisor(machine.info());
         let period_s = machine.info().period_s;
         let runner = Runner::new(machine, Supervisor::new(config, restart));
-        Bench { runner, now_s, period_s, straight: None, truth: None }
+        Bench {
+            runner,
+            now_s,
+            period_s,
+            straight: None,
+            truth: None,
+        }
     }
 }
 
@@ -189,7 +220,11 @@ impl Bench {
     ///
     /// # Errors
     /// [`MachineError`].
-    pub fn until(&mut self, seconds: f64, holds: impl Fn(&CycleOutput) -> bool) -> Result<bool, MachineError> {
+    pub fn until(
+        &mut self,
+        seconds: f64,
+        holds: impl Fn(&CycleOutput) -> bool,
+    ) -> Result<bool, MachineError> {
         for _ in 0..(seconds / self.period_s).round() as u64 {
             if holds(&self.turn(None)?) {
                 return Ok(true);

@@ -22,11 +22,24 @@ const ANY: &[&str] = &["holding", "tracking", "faulted"];
 
 /// Every fault in flight.
 pub fn specs() -> Vec<Spec> {
-    let own = [sensor_faults(), plant_faults(), timing_faults(), base_imu_faults()];
-    own.into_iter().chain([order_faults(), stops(), environment_faults()]).flatten().collect()
+    let own = [
+        sensor_faults(),
+        plant_faults(),
+        timing_faults(),
+        base_imu_faults(),
+    ];
+    own.into_iter()
+        .chain([order_faults(), stops(), environment_faults()])
+        .flatten()
+        .collect()
 }
 
-fn sensor(name: &'static str, injection: Injection, causes: &'static [HealthCause], bound: Bound) -> Spec {
+fn sensor(
+    name: &'static str,
+    injection: Injection,
+    causes: &'static [HealthCause],
+    bound: Bound,
+) -> Spec {
     let states = if bound == Holds { HELD } else { MOVING };
     Spec::new(name, injection, Detector::Sensor(causes), bound, states)
 }
@@ -67,8 +80,14 @@ fn sensor_faults() -> Vec<Spec> {
 fn plant_faults() -> Vec<Spec> {
     use SuspicionKind::{Burst, Contact, Inverted, Leak, LostSteps, NoResponse, Strong, Weak};
     let channel = CHANNEL;
-    let loss = Fault::StepLoss { channel, microsteps: 160 };
-    let leak = Fault::Leak { channel, rate_per_s: 0.1 };
+    let loss = Fault::StepLoss {
+        channel,
+        microsteps: 160,
+    };
+    let leak = Fault::Leak {
+        channel,
+        rate_per_s: 0.1,
+    };
     let (inverted, blocked) = (Fault::Inverted { channel }, Fault::Blocked { channel });
     let stop = |at_mm| Fault::EndStop { channel, at_mm };
     let bubble = |factor| Fault::AirBubble { channel, factor };
@@ -132,7 +151,9 @@ fn order_faults() -> Vec<Spec> {
         Spec {
             bound: Copes,
             states: &["relaxing", "disarmed"],
-            ..refused("command_contradictory", contradictory, |r| matches!(r, Refusal::Mode(_)))
+            ..refused("command_contradictory", contradictory, |r| {
+                matches!(r, Refusal::Mode(_))
+            })
         },
         Spec::new("emergency_stop", stop, stopped, Freezes, FAULTED).then_zero(),
         alarm("step_thread_underrun", Alarm::Underrun, steps, Holds),
@@ -140,7 +161,10 @@ fn order_faults() -> Vec<Spec> {
         line("line_overpressure", 45.0),
         line("pressure_sensor_silent", f64::NAN),
         alarm("tip_hot", Alarm::Hot { temp_c }, &[Temperature], Holds),
-        refused("command_unreachable", unreachable, |r| matches!(r, Refusal::Unreachable(_))).within(0.002),
+        refused("command_unreachable", unreachable, |r| {
+            matches!(r, Refusal::Unreachable(_))
+        })
+        .within(0.002),
     ]
 }
 
@@ -165,14 +189,30 @@ fn base_imu_faults() -> Vec<Spec> {
     use Fault::{FrozenSample, NanSample, Saturation};
     use HealthCause::{FieldDisturbed, Frozen, NotFinite, Saturated, Spike, StaleTimestamp};
     let row = |name, fault: &'static Fault, lasts_s, causes| {
-        let (injection, detector) = (Injection::Plant(Fault::OfBaseImu(fault), lasts_s), Detector::BaseImu(causes));
+        let (injection, detector) = (
+            Injection::Plant(Fault::OfBaseImu(fault), lasts_s),
+            Detector::BaseImu(causes),
+        );
         let spec = Spec::new(name, injection, detector, Continues, MOVING);
-        Spec { base_sway_deg: Some(5.0), ..spec.within(0.05) }
+        Spec {
+            base_sway_deg: Some(5.0),
+            ..spec.within(0.05)
+        }
     };
     let (late, loud): (&[HealthCause], &[HealthCause]) = (&[StaleTimestamp], &[Saturated, Spike]);
-    let spike = &Fault::Spike { gyro_deg_s: 400.0, acc_g: 2.0 };
-    let magnet = &Fault::HardIron { field_ut: [50.0, -40.0, 30.0] };
-    let out = row("base_imu_cable_out_in_turn", &Fault::SILENT, LASTING_S, late);
+    let spike = &Fault::Spike {
+        gyro_deg_s: 400.0,
+        acc_g: 2.0,
+    };
+    let magnet = &Fault::HardIron {
+        field_ut: [50.0, -40.0, 30.0],
+    };
+    let out = row(
+        "base_imu_cable_out_in_turn",
+        &Fault::SILENT,
+        LASTING_S,
+        late,
+    );
     vec![
         row("base_imu_silent", &Fault::SILENT, LASTING_S, late),
         row("base_imu_dropout", &Fault::SILENT, 0.3, late),
@@ -180,10 +220,20 @@ fn base_imu_faults() -> Vec<Spec> {
         row("base_imu_spike", spike, 0.05, loud),
         row("base_imu_nan", &NanSample, LASTING_S, &[NotFinite]),
         row("base_imu_saturated", &Saturation, LASTING_S, loud),
-        row("base_imu_slow", &Fault::Slow { one_in: 50 }, LASTING_S, late),
+        row(
+            "base_imu_slow",
+            &Fault::Slow { one_in: 50 },
+            LASTING_S,
+            late,
+        ),
         row("base_imu_magnet", magnet, LASTING_S, &[FieldDisturbed]).within(0.1),
         // the base stands before and after the turn, and is aligned again
-        Spec { injection: Injection::CableOutInTurn, base_sway_deg: Some(0.0), bound: Copes, ..out.then_zero() },
+        Spec {
+            injection: Injection::CableOutInTurn,
+            base_sway_deg: Some(0.0),
+            bound: Copes,
+            ..out.then_zero()
+        },
     ]
 }
 
@@ -197,7 +247,11 @@ fn environment_faults() -> Vec<Spec> {
     let magnet = lasting(Fault::Magnet { field_ut });
     // about an axis that is neither the tip's nor perpendicular to it
     let base = |name, angle_deg| {
-        let turn = Fault::BaseTurn { axis: [0.3, 0.2, 1.0], angle_deg, over_s: 0.6 };
+        let turn = Fault::BaseTurn {
+            axis: [0.3, 0.2, 1.0],
+            angle_deg,
+            over_s: 0.6,
+        };
         Spec::new(name, lasting(turn), Detector::Base, Copes, ANY).then_zero()
     };
     let wall = against(48.0, 80.0);

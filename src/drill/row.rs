@@ -32,13 +32,21 @@ pub struct Row {
 impl Row {
     /// A row without a failure, and what it requires.
     pub fn new(fault: &str, requires: impl Into<String>) -> Self {
-        Self { fault: fault.to_owned(), requires: requires.into(), ok: true, ..Self::default() }
+        Self {
+            fault: fault.to_owned(),
+            requires: requires.into(),
+            ok: true,
+            ..Self::default()
+        }
     }
 
     /// With its final state.
     #[must_use]
     pub fn ending(self, state: &str) -> Self {
-        Self { state: state.to_owned(), ..self }
+        Self {
+            state: state.to_owned(),
+            ..self
+        }
     }
 
     /// Adds a failure.

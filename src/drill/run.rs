@@ -51,7 +51,11 @@ impl Allowance {
         let braking = steps(motion.braking_mm() + blind_mm);
         let mut moving = 0;
         let Some(mut last) = take_off(&mut bench)? else {
-            return Ok(Self { stopping, braking, moving });
+            return Ok(Self {
+                stopping,
+                braking,
+                moving,
+            });
         };
         bench.turn(Some(bend(TO.0, TO.1)))?;
         for _ in 0..(OBSERVED_S / bench.period_s()) as usize {
@@ -60,7 +64,11 @@ impl Allowance {
             last = output;
         }
         moving = 2 * moving + (3.0 * gate.travel_mm / gate.step_mm) as i64;
-        Ok(Self { stopping, braking, moving })
+        Ok(Self {
+            stopping,
+            braking,
+            moving,
+        })
     }
 
     /// Microsteps that braking from full speed needs.
@@ -80,7 +88,9 @@ impl Allowance {
 
 fn emitted(before: &CycleOutput, after: &CycleOutput) -> i64 {
     let pairs = after.counted.0.into_iter().zip(before.counted.0);
-    pairs.map(|(now, then)| (i64::from(now) - i64::from(then)).abs()).sum()
+    pairs
+        .map(|(now, then)| (i64::from(now) - i64::from(then)).abs())
+        .sum()
 }
 
 /// Aligns, arms and moves to the first pose; `None` if the alignment fails.
@@ -118,23 +128,31 @@ pub fn fly(config: &BenchConfig, spec: &Spec, allowance: &Allowance) -> Result<R
     }
     let before = enter(&mut bench, spec)?;
     let mode = before.mode;
-    row.require(mode == spec.situation.mode(), |_| format!("injected in mode {mode}"));
+    row.require(mode == spec.situation.mode(), |_| {
+        format!("injected in mode {mode}")
+    });
     let last = observe(&mut bench, spec, before, &mut row)?;
     let (after_s, steps) = (row.detected_s, row.steps_after);
     row.require(after_s.is_some(), |_| "not detected");
     let in_time = after_s.is_none_or(|s| s <= spec.within_s);
     row.require(in_time, |_| format!("detected after {after_s:?} s"));
-    row.require(steps <= steps_allowed, |_| format!("{steps} microsteps after the detection"));
+    row.require(steps <= steps_allowed, |_| {
+        format!("{steps} microsteps after the detection")
+    });
     let ends = spec.states.contains(&row.state.as_str());
     row.require(ends, |row| format!("final state {}", row.state));
     let named = last.suspicion.map_or_else(String::new, |s| s.to_string());
-    row.require(spec.detector.accepts(&last), |_| format!("diagnosed as `{named}`"));
+    row.require(spec.detector.accepts(&last), |_| {
+        format!("diagnosed as `{named}`")
+    });
     let error = recover(&mut bench, spec, &mut row)?;
     row.error_deg_after = error;
     let estimate = bench.runner.supervisor.state().fusion.estimate();
     let estimate = estimate.map_or(0.0, |f| f.bend.beta().to_degrees());
     let truth = bench.true_bend().beta().to_degrees();
-    row.require(error <= AFTER_MAX_DEG, |_| format!("error {error:.1}° after the repair (estimate {estimate:.1}°, truth {truth:.1}°)"));
+    row.require(error <= AFTER_MAX_DEG, |_| {
+        format!("error {error:.1}° after the repair (estimate {estimate:.1}°, truth {truth:.1}°)")
+    });
     Ok(row)
 }
 
@@ -160,7 +178,12 @@ fn enter(bench: &mut Bench, spec: &Spec) -> Result<CycleOutput, MachineError> {
 }
 
 /// Injects the fault and observes its effect.
-fn observe(bench: &mut Bench, spec: &Spec, before: CycleOutput, row: &mut Row) -> Result<CycleOutput, MachineError> {
+fn observe(
+    bench: &mut Bench,
+    spec: &Spec,
+    before: CycleOutput,
+    row: &mut Row,
+) -> Result<CycleOutput, MachineError> {
     let start_s = bench.now_s;
     let [mut order, mut next] = spec.injection.apply(bench);
     let mut last = before;
@@ -172,7 +195,11 @@ fn observe(bench: &mut Bench, spec: &Spec, before: CycleOutput, row: &mut Row) -
         let output = bench.turn(order.take())?;
         order = next.take();
         let elapsed_s = bench.now_s - start_s;
-        if matches!(spec.detector, Detector::Residual(_)) && row.detected_s.is_none() && !moved_further && elapsed_s > FURTHER_S {
+        if matches!(spec.detector, Detector::Residual(_))
+            && row.detected_s.is_none()
+            && !moved_further
+            && elapsed_s > FURTHER_S
+        {
             moved_further = true;
             order = Some(bend(FURTHER.0, FURTHER.1));
         }
@@ -214,7 +241,15 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, Machine
     }
     let mut stays = !spec.zero && bench.runner.supervisor.mode().moves();
     let mut zero = spec.zero;
-    if stays || matches!(spec.injection, Injection::EmergencyStop | Injection::Alarm(_) | Injection::Bus(..) | Injection::ClockJump(..)) {
+    if stays
+        || matches!(
+            spec.injection,
+            Injection::EmergencyStop
+                | Injection::Alarm(_)
+                | Injection::Bus(..)
+                | Injection::ClockJump(..)
+        )
+    {
         bench.runner.machine.clear_faults();
         // a tip that is released jumps, which can look like a moved base: then a new alignment is needed
         bench.until(20.0, |t| t.frame.senses.in_force.is_empty())?;
@@ -247,7 +282,9 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, Machine
     order(bench, bend(AFTER.0, AFTER.1), row)?;
     let output = bench.run(3.5)?;
     let mode = output.mode;
-    row.require(mode == Mode::Holding, |_| format!("mode {mode} after the repair"));
+    row.require(mode == Mode::Holding, |_| {
+        format!("mode {mode} after the repair")
+    });
     let (mut sum, n) = (0.0, (0.3 / bench.period_s()) as u32);
     for _ in 0..n {
         bench.turn(None)?;
@@ -256,7 +293,12 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, Machine
     Ok(sum / f64::from(n))
 }
 
-fn return_to_rest(bench: &mut Bench, spec: &Spec, zero: bool, row: &mut Row) -> Result<(), MachineError> {
+fn return_to_rest(
+    bench: &mut Bench,
+    spec: &Spec,
+    zero: bool,
+    row: &mut Row,
+) -> Result<(), MachineError> {
     let supervisor = &bench.runner.supervisor;
     if supervisor.mode() != Mode::Relaxing && supervisor.keep().steps.0 != [0; 3] {
         order(bench, Order::Relax, row)?;

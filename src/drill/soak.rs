@@ -42,11 +42,22 @@ const FAULT_SHARE: f64 = 0.15;
 ///
 /// # Errors
 /// [`MachineError`].
-pub fn run(config: &BenchConfig, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) -> Result<Soak, MachineError> {
+pub fn run(
+    config: &BenchConfig,
+    hours: f64,
+    seed: u64,
+    progress: &mut dyn FnMut(f64),
+) -> Result<Soak, MachineError> {
     let mut rng = StdRng::seed_from_u64(seed);
-    let specs: Vec<Spec> = specs().into_iter().filter(|spec| spec.base_sway_deg.is_none()).collect();
+    let specs: Vec<Spec> = specs()
+        .into_iter()
+        .filter(|spec| spec.base_sway_deg.is_none())
+        .collect();
     let prior = config.calibration.transmission.k_epsilon;
-    let mut soak = Soak { gain_allowed: config.gains.refine.range, ..Soak::default() };
+    let mut soak = Soak {
+        gain_allowed: config.gains.refine.range,
+        ..Soak::default()
+    };
     let mut errors: Vec<f64> = Vec::new();
     let (mut elapsed_s, mut session) = (0.0, 0);
     while elapsed_s < hours * 3600.0 {
@@ -55,7 +66,8 @@ pub fn run(config: &BenchConfig, hours: f64, seed: u64, progress: &mut dyn FnMut
         while bench.now_s < SESSION_S {
             if !to_armed(&mut bench)? {
                 let mode = bench.runner.supervisor.mode();
-                soak.why.push(format!("session {session}: stuck in mode {mode}"));
+                soak.why
+                    .push(format!("session {session}: stuck in mode {mode}"));
                 break;
             }
             soak.poses += 1;
@@ -84,7 +96,12 @@ pub fn run(config: &BenchConfig, hours: f64, seed: u64, progress: &mut dyn FnMut
 }
 
 /// One random move, sometimes with a fault. Returns the error of the held pose where it can be assessed, degrees.
-fn one_move(bench: &mut Bench, specs: &[Spec], rng: &mut StdRng, soak: &mut Soak) -> Result<Option<f64>, MachineError> {
+fn one_move(
+    bench: &mut Bench,
+    specs: &[Spec],
+    rng: &mut StdRng,
+    soak: &mut Soak,
+) -> Result<Option<f64>, MachineError> {
     let angle = 75.0 * rng.random::<f64>().sqrt();
     let dir = 360.0 * rng.random::<f64>();
     bench.turn(Some(bend(angle, dir)))?;
@@ -119,10 +136,13 @@ fn one_move(bench: &mut Bench, specs: &[Spec], rng: &mut StdRng, soak: &mut Soak
 fn assess(soak: &mut Soak) {
     let (range, allowed, [early, late]) = (soak.gain_range, soak.gain_allowed, soak.rss_kib);
     if range > allowed + 1e-9 {
-        soak.why.push(format!("a learned gain changed by {range:.2}, allowed is {allowed:.2}"));
+        soak.why.push(format!(
+            "a learned gain changed by {range:.2}, allowed is {allowed:.2}"
+        ));
     }
     if late > early + early / 10 + 2048 {
-        soak.why.push(format!("memory grew from {early} to {late} KiB"));
+        soak.why
+            .push(format!("memory grew from {early} to {late} KiB"));
     }
     soak.ok = soak.why.is_empty();
 }

@@ -133,11 +133,29 @@ pub struct Spec {
 
 impl Spec {
     /// A fault in the middle of the standard move.
-    pub fn new(name: &'static str, injection: Injection, detector: Detector, bound: Bound, states: &'static [&'static str]) -> Self {
+    pub fn new(
+        name: &'static str,
+        injection: Injection,
+        detector: Detector,
+        bound: Bound,
+        states: &'static [&'static str],
+    ) -> Self {
         let (zero, by_hand, within_s) = (false, false, WITHIN_S);
         let (target, situation) = ((68.0, 80.0), Situation::Moving);
         let base_sway_deg = None;
-        Self { name, injection, detector, bound, states, zero, by_hand, target, situation, within_s, base_sway_deg }
+        Self {
+            name,
+            injection,
+            detector,
+            bound,
+            states,
+            zero,
+            by_hand,
+            target,
+            situation,
+            within_s,
+            base_sway_deg,
+        }
     }
 
     /// With a bound of its own on the time until the detection, s.
@@ -150,7 +168,9 @@ impl Spec {
     pub fn words(&self, steps: i64, after_deg: f64) -> String {
         let states = self.states.join(" or ");
         let (within_s, bound) = (self.within_s, self.bound.name());
-        format!("detected within {within_s} s; then {bound}, at most {steps} microsteps; ends {states}; next pose within {after_deg}°")
+        format!(
+            "detected within {within_s} s; then {bound}, at most {steps} microsteps; ends {states}; next pose within {after_deg}°"
+        )
     }
 
     /// With a new alignment before the next pose.
@@ -162,7 +182,10 @@ impl Spec {
     /// With another bend and direction of the move, degrees.
     #[must_use]
     pub fn toward(self, bend_deg: f64, dir_deg: f64) -> Self {
-        Self { target: (bend_deg, dir_deg), ..self }
+        Self {
+            target: (bend_deg, dir_deg),
+            ..self
+        }
     }
 
     /// With another situation.
@@ -174,7 +197,10 @@ impl Spec {
     /// With a rack put back by hand.
     #[must_use]
     pub fn by_hand(self) -> Self {
-        Self { by_hand: true, ..self }
+        Self {
+            by_hand: true,
+            ..self
+        }
     }
 }
 
@@ -186,7 +212,11 @@ impl Injection {
             Self::Bus(fault, _) => machine.bus = Some(fault),
             Self::Plant(fault, _) => machine.inject(fault),
             Self::CableOutInTurn => {
-                machine.inject(InjectedFault::BaseTurn { axis: [0.3, 0.2, 1.0], angle_deg: 25.0, over_s: 0.6 });
+                machine.inject(InjectedFault::BaseTurn {
+                    axis: [0.3, 0.2, 1.0],
+                    angle_deg: 25.0,
+                    over_s: 0.6,
+                });
                 machine.inject(InjectedFault::OfBaseImu(&InjectedFault::SILENT));
             }
             Self::Stall(seconds) => bench.stall(seconds),
@@ -225,7 +255,10 @@ impl Detector {
             }
             Self::Residual(_) => suspicion().or_else(|| trip(&[])).or_else(|| {
                 let shaken = HealthCause::AccelDisturbed;
-                output.raised.contains(shaken).then(|| shaken.advice().to_owned())
+                output
+                    .raised
+                    .contains(shaken)
+                    .then(|| shaken.advice().to_owned())
             }),
             Self::BaseImu(causes) => {
                 let found = causes.iter().find(|c| output.base_raised.contains(**c))?;
@@ -241,11 +274,19 @@ impl Detector {
                 let refusal = output.answer?.err().filter(|refusal| expected(*refusal))?;
                 Some(refusal.to_string())
             }
-            Self::Bias if output.bias_moved => said(true, "the gyroscope bias has changed since the alignment: `zero` when convenient"),
-            Self::Bias if output.frame.senses.disagrees => said(true, "the two orientation filters disagree"),
+            Self::Bias if output.bias_moved => said(
+                true,
+                "the gyroscope bias has changed since the alignment: `zero` when convenient",
+            ),
+            Self::Bias if output.frame.senses.disagrees => {
+                said(true, "the two orientation filters disagree")
+            }
             Self::Bias => (!output.raised.is_empty()).then(|| output.raised.to_string()),
             Self::Base => {
-                let turned = said(output.frame.base_moved, "the base has turned: relax, then zero");
+                let turned = said(
+                    output.frame.base_moved,
+                    "the base has turned: relax, then zero",
+                );
                 turned.or_else(suspicion).or_else(|| trip(&[]))
             }
         }

@@ -56,7 +56,9 @@ pub enum ScoreError {
     #[error(transparent)]
     Read(#[from] ReadError),
     /// A recording has no moving sample with a reference.
-    #[error("{file}: no row has both moving = 1 and a reference (ref_qw … ref_qz), so there is nothing to compare with")]
+    #[error(
+        "{file}: no row has both moving = 1 and a reference (ref_qw … ref_qz), so there is nothing to compare with"
+    )]
     NoTruth {
         /// Name of the file.
         file: String,
@@ -64,7 +66,10 @@ pub enum ScoreError {
 }
 
 /// Total, heading and inclination error of an estimate, rad.
-pub fn error_angles(estimate: &Rotation<World, Sensor>, truth: &Rotation<World, Sensor>) -> [f64; 3] {
+pub fn error_angles(
+    estimate: &Rotation<World, Sensor>,
+    truth: &Rotation<World, Sensor>,
+) -> [f64; 3] {
     let e = (estimate.quat() * truth.quat().inverse()).into_inner();
     let total = 2.0 * e.w.abs().min(1.0).acos();
     let heading = 2.0 * e.k.abs().atan2(e.w.abs());
@@ -77,7 +82,10 @@ pub fn error_angles(estimate: &Rotation<World, Sensor>, truth: &Rotation<World, 
 /// # Errors
 /// [`ScoreError::NoTruth`] if no row is both moving and referenced.
 pub fn score(recording: &Recording, filter: FilterName) -> Result<Score, ScoreError> {
-    let periods = Periods { imu_s: recording.period_s(), mag_s: recording.mag_period_s() };
+    let periods = Periods {
+        imu_s: recording.period_s(),
+        mag_s: recording.mag_period_s(),
+    };
     score_with(recording, &mut *filter.build(periods))
 }
 
@@ -85,15 +93,23 @@ pub fn score(recording: &Recording, filter: FilterName) -> Result<Score, ScoreEr
 ///
 /// # Errors
 /// [`ScoreError::NoTruth`] if no row is both moving and referenced.
-pub fn score_with(recording: &Recording, filter: &mut dyn OrientationFilter) -> Result<Score, ScoreError> {
+pub fn score_with(
+    recording: &Recording,
+    filter: &mut dyn OrientationFilter,
+) -> Result<Score, ScoreError> {
     let period_s = recording.period_s();
     let (mut squares, mut count) = ([0.0; 3], 0usize);
     let mut before_s = None;
     for row in &recording.rows {
         let t_s = row.sample.t.0;
-        filter.update(&row.sample, before_s.map_or(period_s, |before_s| t_s - before_s));
+        filter.update(
+            &row.sample,
+            before_s.map_or(period_s, |before_s| t_s - before_s),
+        );
         before_s = Some(t_s);
-        let Some(truth) = row.reference.filter(|_| row.moving) else { continue };
+        let Some(truth) = row.reference.filter(|_| row.moving) else {
+            continue;
+        };
         let angles = error_angles(&filter.orientation(), &truth);
         for (sum, angle) in squares.iter_mut().zip(angles) {
             *sum += angle * angle;
@@ -101,10 +117,17 @@ pub fn score_with(recording: &Recording, filter: &mut dyn OrientationFilter) -> 
         count += 1;
     }
     if count == 0 {
-        return Err(ScoreError::NoTruth { file: recording.name.clone() });
+        return Err(ScoreError::NoTruth {
+            file: recording.name.clone(),
+        });
     }
-    let [total_deg, heading_deg, inclination_deg] = squares.map(|s| (s / count as f64).sqrt().to_degrees());
-    Ok(Score { total_deg, heading_deg, inclination_deg })
+    let [total_deg, heading_deg, inclination_deg] =
+        squares.map(|s| (s / count as f64).sqrt().to_degrees());
+    Ok(Score {
+        total_deg,
+        heading_deg,
+        inclination_deg,
+    })
 }
 
 /// Scores files, in parallel: with `all` every filter, else `filter`, else [`DEFAULT_FILTER`].
@@ -113,7 +136,11 @@ pub fn score_with(recording: &Recording, filter: &mut dyn OrientationFilter) -> 
 ///
 /// # Errors
 /// The first file, in the order given, that cannot be read or scored.
-pub fn run(files: &[PathBuf], filter: Option<FilterName>, all: bool) -> Result<Vec<Row>, ScoreError> {
+pub fn run(
+    files: &[PathBuf],
+    filter: Option<FilterName>,
+    all: bool,
+) -> Result<Vec<Row>, ScoreError> {
     if files.is_empty() {
         return Err(ScoreError::NoFiles);
     }
@@ -124,7 +151,16 @@ pub fn run(files: &[PathBuf], filter: Option<FilterName>, all: bool) -> Result<V
         .map(|file| {
             let recording = recording::read(file)?;
             let file = || recording.name.clone();
-            filters.iter().map(|&filter| Ok(Row { file: file(), filter, score: score(&recording, filter)? })).collect()
+            filters
+                .iter()
+                .map(|&filter| {
+                    Ok(Row {
+                        file: file(),
+                        filter,
+                        score: score(&recording, filter)?,
+                    })
+                })
+                .collect()
         })
         .collect();
     let rows: Vec<Vec<Row>> = scored.into_iter().collect::<Result<_, _>>()?;
@@ -133,8 +169,13 @@ pub fn run(files: &[PathBuf], filter: Option<FilterName>, all: bool) -> Result<V
 
 /// Mean of one filter over the recordings; `None` if it has no row.
 pub fn mean(rows: &[Row], filter: FilterName) -> Option<Score> {
-    let of: Vec<&Score> = rows.iter().filter(|r| r.filter == filter).map(|r| &r.score).collect();
-    let over = |value: fn(&Score) -> f64| of.iter().map(|s| value(s)).sum::<f64>() / of.len() as f64;
+    let of: Vec<&Score> = rows
+        .iter()
+        .filter(|r| r.filter == filter)
+        .map(|r| &r.score)
+        .collect();
+    let over =
+        |value: fn(&Score) -> f64| of.iter().map(|s| value(s)).sum::<f64>() / of.len() as f64;
     (!of.is_empty()).then(|| Score {
         total_deg: over(|s| s.total_deg),
         heading_deg: over(|s| s.heading_deg),
@@ -144,9 +185,18 @@ pub fn mean(rows: &[Row], filter: FilterName) -> Option<Score> {
 
 /// The rows as a table: one line per file, one column per filter, and the means.
 pub fn table(rows: &[Row]) -> String {
-    let filters: Vec<FilterName> = FilterName::ALL.into_iter().filter(|f| rows.iter().any(|r| r.filter == *f)).collect();
-    let cell =
-        |s: Option<Score>| s.map_or_else(String::new, |s| format!("{:.2} / {:.2} / {:.2}", s.total_deg, s.heading_deg, s.inclination_deg));
+    let filters: Vec<FilterName> = FilterName::ALL
+        .into_iter()
+        .filter(|f| rows.iter().any(|r| r.filter == *f))
+        .collect();
+    let cell = |s: Option<Score>| {
+        s.map_or_else(String::new, |s| {
+            format!(
+                "{:.2} / {:.2} / {:.2}",
+                s.total_deg, s.heading_deg, s.inclination_deg
+            )
+        })
+    };
     let mut files: Vec<&str> = Vec::new();
     for r in rows {
         if !files.contains(&r.file.as_str()) {
@@ -155,12 +205,20 @@ pub fn table(rows: &[Row]) -> String {
     }
     let mut table = Table::new();
     table.load_style(comfy_table::presets::ASCII_MARKDOWN);
-    table.set_header(std::iter::once("total / heading / inclination, ° RMS".to_owned()).chain(filters.iter().map(ToString::to_string)));
+    table.set_header(
+        std::iter::once("total / heading / inclination, ° RMS".to_owned())
+            .chain(filters.iter().map(ToString::to_string)),
+    );
     for file in files {
         let of_file: Vec<Row> = rows.iter().filter(|r| r.file == file).cloned().collect();
-        table.add_row(std::iter::once(file.to_owned()).chain(filters.iter().map(|&f| cell(mean(&of_file, f)))));
+        table.add_row(
+            std::iter::once(file.to_owned())
+                .chain(filters.iter().map(|&f| cell(mean(&of_file, f)))),
+        );
     }
-    table.add_row(std::iter::once("mean".to_owned()).chain(filters.iter().map(|&f| cell(mean(rows, f)))));
+    table.add_row(
+        std::iter::once("mean".to_owned()).chain(filters.iter().map(|&f| cell(mean(rows, f)))),
+    );
     for column in table.column_iter_mut().skip(1) {
         column.set_cell_alignment(CellAlignment::Right);
     }
@@ -188,7 +246,8 @@ mod tests {
     fn a_rotation_about_the_vertical_is_heading_error_only() {
         for yaw in [-170.0, -30.0, 0.0, 1e-6, 45.0, 179.0] {
             let truth = rotation(20.0, -50.0, 130.0);
-            let [total, heading, inclination] = angles_deg(&(rotation_world(0.0, yaw) * truth), &truth);
+            let [total, heading, inclination] =
+                angles_deg(&(rotation_world(0.0, yaw) * truth), &truth);
             assert!((total - f64::abs(yaw)).abs() < 1e-5, "{yaw}: {total}");
             assert!((heading - f64::abs(yaw)).abs() < 1e-5, "{yaw}: {heading}");
             assert!(inclination < 1e-5, "{yaw}: {inclination}");
@@ -198,17 +257,27 @@ mod tests {
     #[test]
     fn a_tilt_is_inclination_error_only() {
         let truth = rotation(20.0, -50.0, 130.0);
-        let [total, heading, inclination] = angles_deg(&(rotation_world(25.0, 0.0) * truth), &truth);
+        let [total, heading, inclination] =
+            angles_deg(&(rotation_world(25.0, 0.0) * truth), &truth);
         assert!((total - 25.0).abs() < 1e-9 && heading < 1e-9 && (inclination - 25.0).abs() < 1e-9);
-        let [total, heading, inclination] = angles_deg(&(rotation_world(25.0, 60.0) * truth), &truth);
-        let both = 2.0 * (12.5_f64.to_radians().cos() * 30.0_f64.to_radians().cos()).acos().to_degrees();
-        assert!((total - both).abs() < 1e-9 && (heading - 60.0).abs() < 1e-9 && (inclination - 25.0).abs() < 1e-9);
+        let [total, heading, inclination] =
+            angles_deg(&(rotation_world(25.0, 60.0) * truth), &truth);
+        let both = 2.0
+            * (12.5_f64.to_radians().cos() * 30.0_f64.to_radians().cos())
+                .acos()
+                .to_degrees();
+        assert!(
+            (total - both).abs() < 1e-9
+                && (heading - 60.0).abs() < 1e-9
+                && (inclination - 25.0).abs() < 1e-9
+        );
     }
 
     #[test]
     fn the_sign_of_a_quaternion_is_irrelevant_and_half_a_turn_is_finite() {
         let truth = rotation(10.0, 20.0, 30.0);
-        let flipped = Rotation::assert_frames(UnitQuaternion::new_unchecked(-truth.quat().into_inner()));
+        let flipped =
+            Rotation::assert_frames(UnitQuaternion::new_unchecked(-truth.quat().into_inner()));
         assert!(angles_deg(&flipped, &truth).iter().all(|a| *a < 1e-5));
         let [total, heading, _] = angles_deg(&(rotation_world(0.0, 180.0) * truth), &truth);
         assert!((total - 180.0).abs() < 1e-5 && (heading - 180.0).abs() < 1e-5);
@@ -222,7 +291,11 @@ mod tests {
     }
 
     /// A still, level sensor facing north whose reference deviates by `yaw_deg` in heading.
-    fn still_recording(yaw_deg: f64, moving: impl Fn(usize) -> bool, referenced: impl Fn(usize) -> bool) -> Recording {
+    fn still_recording(
+        yaw_deg: f64,
+        moving: impl Fn(usize) -> bool,
+        referenced: impl Fn(usize) -> bool,
+    ) -> Recording {
         let reference = rotation(0.0, 0.0, yaw_deg);
         let row = |k: usize| recording::Row {
             sample: ImuSample {
@@ -234,14 +307,20 @@ mod tests {
             reference: referenced(k).then_some(reference),
             moving: moving(k),
         };
-        Recording { name: "still.csv".into(), rows: (0..2000).map(row).collect() }
+        Recording {
+            name: "still.csv".into(),
+            rows: (0..2000).map(row).collect(),
+        }
     }
 
     #[test]
     fn every_filter_reports_a_constant_reference_error() {
         for filter in FilterName::ALL {
             let s = score(&still_recording(7.0, |k| k > 500, |k| k % 3 == 0), filter).unwrap();
-            assert!((s.total_deg - 7.0).abs() < 0.01 && (s.heading_deg - 7.0).abs() < 0.01, "{filter}: {s:?}");
+            assert!(
+                (s.total_deg - 7.0).abs() < 0.01 && (s.heading_deg - 7.0).abs() < 0.01,
+                "{filter}: {s:?}"
+            );
             assert!(s.inclination_deg < 0.01, "{filter}: {s:?}");
         }
     }
@@ -249,7 +328,11 @@ mod tests {
     #[test]
     fn a_recording_without_truth_is_refused() {
         for (moving, referenced) in [(false, true), (true, false)] {
-            let error = score(&still_recording(0.0, |_| moving, |_| referenced), FilterName::Vqf).unwrap_err();
+            let error = score(
+                &still_recording(0.0, |_| moving, |_| referenced),
+                FilterName::Vqf,
+            )
+            .unwrap_err();
             assert!(error.to_string().contains("still.csv"), "{error}");
         }
         assert!(matches!(run(&[], None, true), Err(ScoreError::NoFiles)));
@@ -257,9 +340,20 @@ mod tests {
 
     #[test]
     fn rows_match_the_json_contract_and_the_table_ends_in_means() {
-        let score = |total_deg| Score { total_deg, heading_deg: 1.0, inclination_deg: 0.5 };
-        let row = |file: &str, filter, total_deg| Row { file: file.into(), filter, score: score(total_deg) };
-        let rows = [row("a", FilterName::VqfLong, 1.0), row("b", FilterName::VqfLong, 4.0)];
+        let score = |total_deg| Score {
+            total_deg,
+            heading_deg: 1.0,
+            inclination_deg: 0.5,
+        };
+        let row = |file: &str, filter, total_deg| Row {
+            file: file.into(),
+            filter,
+            score: score(total_deg),
+        };
+        let rows = [
+            row("a", FilterName::VqfLong, 1.0),
+            row("b", FilterName::VqfLong, 4.0),
+        ];
         assert_eq!(
             serde_json::to_string(&rows[0]).unwrap(),
             r#"{"file":"a","filter":"vqf-long","total_deg":1.0,"heading_deg":1.0,"inclination_deg":0.5}"#
@@ -268,6 +362,9 @@ mod tests {
         assert_eq!(mean(&rows, FilterName::Mekf), None);
         let table = table(&rows);
         let last = table.lines().last().unwrap();
-        assert!(last.contains("mean") && last.contains("2.50 / 1.00 / 0.50"), "{table}");
+        assert!(
+            last.contains("mean") && last.contains("2.50 / 1.00 / 0.50"),
+            "{table}"
+        );
     }
 }

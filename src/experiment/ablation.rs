@@ -23,15 +23,29 @@ type Mechanism = (&'static str, fn(&mut LoopConfig));
 pub const MECHANISMS: [Mechanism; 10] = [
     ("nothing", |_| ()),
     ("online k_eps", |c| c.refine.enabled = false),
-    ("learned static error", |c| feedback(c, |f| f.learn_error = false)),
-    ("dynamics bank", |c| feedback(c, |f| f.learn_dynamics = false)),
-    ("backlash share", |c| feedback(c, |f| f.learn_backlash = false)),
+    ("learned static error", |c| {
+        feedback(c, |f| f.learn_error = false)
+    }),
+    ("dynamics bank", |c| {
+        feedback(c, |f| f.learn_dynamics = false)
+    }),
+    ("backlash share", |c| {
+        feedback(c, |f| f.learn_backlash = false)
+    }),
     // the refinement takes its poses from the latch
-    ("standstill latch, online k_eps", |c| feedback(c, |f| f.standstill.close_deg = 0.0)),
-    ("slow corrections", |c| feedback(c, |f| f.calm.after_s = f64::INFINITY)),
+    ("standstill latch, online k_eps", |c| {
+        feedback(c, |f| f.standstill.close_deg = 0.0)
+    }),
+    ("slow corrections", |c| {
+        feedback(c, |f| f.calm.after_s = f64::INFINITY)
+    }),
     ("set-point lead", |c| feedback(c, |f| f.lead = 0.0)),
-    ("bend filter (vqf)", |c| c.fuse.filter = EstimatorName::Generic(FilterName::Vqf)),
-    ("bend filter (madgwick)", |c| c.fuse.filter = EstimatorName::Generic(FilterName::Madgwick)),
+    ("bend filter (vqf)", |c| {
+        c.fuse.filter = EstimatorName::Generic(FilterName::Vqf)
+    }),
+    ("bend filter (madgwick)", |c| {
+        c.fuse.filter = EstimatorName::Generic(FilterName::Madgwick)
+    }),
 ];
 
 fn feedback(config: &mut LoopConfig, change: fn(&mut FeedbackConfig)) {
@@ -61,7 +75,11 @@ pub struct AblationRow {
 ///
 /// # Errors
 /// [`RigError`] from a plant.
-pub fn run(study: &Study, mechanisms: &[Mechanism], progress: &(dyn Fn() + Sync)) -> Result<Vec<AblationRow>, RigError> {
+pub fn run(
+    study: &Study,
+    mechanisms: &[Mechanism],
+    progress: &(dyn Fn() + Sync),
+) -> Result<Vec<AblationRow>, RigError> {
     let row = |&(without, change): &Mechanism| {
         let mut config = study.config.clone();
         change(&mut config);

@@ -98,7 +98,12 @@ const SETTLED_DEG: f64 = 1.0;
 ///
 /// # Errors
 /// [`RigError`] from the world or the alignment, or if there is no reference.
-pub fn run(name: &str, rig: &mut Rig<'_>, poses: &[Pose], progress: &mut dyn FnMut()) -> Result<ArmResult, RigError> {
+pub fn run(
+    name: &str,
+    rig: &mut Rig<'_>,
+    poses: &[Pose],
+    progress: &mut dyn FnMut(),
+) -> Result<ArmResult, RigError> {
     rig.align()?;
     let mut held = Vec::with_capacity(poses.len());
     for pose in poses {
@@ -108,7 +113,10 @@ pub fn run(name: &str, rig: &mut Rig<'_>, poses: &[Pose], progress: &mut dyn FnM
             progress();
         }
     }
-    Ok(ArmResult { sigma_end: rig.state.line_sigmas(), ..summary(name, held, rig.state.lines()) })
+    Ok(ArmResult {
+        sigma_end: rig.state.line_sigmas(),
+        ..summary(name, held, rig.state.lines())
+    })
 }
 
 /// Sums over the scored part of a state.
@@ -124,14 +132,22 @@ struct Score {
 }
 
 impl Score {
-    fn add(&mut self, pose: &Pose, truth: &Rotation<Base, Tip>, error_deg: f64, estimate: Option<Bend>) {
+    fn add(
+        &mut self,
+        pose: &Pose,
+        truth: &Rotation<Base, Tip>,
+        error_deg: f64,
+        estimate: Option<Bend>,
+    ) {
         let want = pose.bend();
         self.samples += 1.0;
         self.error += error_deg;
         self.error_sq += error_deg * error_deg;
         self.orientation_sq += want.rotation().angle_to(truth).to_degrees().powi(2);
         self.floor_sq += floor(&want, truth).to_degrees().powi(2);
-        self.estimate_sq += estimate.map_or(0.0, |b| (b.0 - Bend::nearest(truth).0).norm().to_degrees().powi(2));
+        self.estimate_sq += estimate.map_or(0.0, |b| {
+            (b.0 - Bend::nearest(truth).0).norm().to_degrees().powi(2)
+        });
         let (low, high) = self.low_high.unwrap_or((error_deg, error_deg));
         self.low_high = Some((low.min(error_deg), high.max(error_deg)));
     }
@@ -151,7 +167,10 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
     let dt_s = rig.period_s();
     let ticks = (HOLD_S / dt_s).round() as usize;
     let scored_from = ticks - (SCORED_S / dt_s).round() as usize;
-    let mut command = Some(Command { bend: pose.bend(), length: Mm(rig.config.geometry.rest_length_mm) });
+    let mut command = Some(Command {
+        bend: pose.bend(),
+        length: Mm(rig.config.geometry.rest_length_mm),
+    });
     let (mut score, mut settled_since, mut last) = (Score::default(), 0, None);
     let (mut blocked, mut base_moved, mut stopped, mut hunting) = (false, false, false, false);
     for k in 0..ticks {
@@ -195,7 +214,9 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
 
 /// The root of the mean; 0 if there are no values.
 pub fn root_mean(squares: impl IntoIterator<Item = f64>) -> f64 {
-    let (n, sum) = squares.into_iter().fold((0.0, 0.0), |(n, sum), x| (n + 1.0, sum + x));
+    let (n, sum) = squares
+        .into_iter()
+        .fold((0.0, 0.0), |(n, sum), x| (n + 1.0, sum + x));
     (sum / f64::max(n, 1.0)).sqrt()
 }
 
@@ -204,7 +225,10 @@ pub fn percentile(values: impl IntoIterator<Item = f64>, share: f64) -> f64 {
     let mut sorted: Vec<f64> = values.into_iter().collect();
     sorted.sort_by(f64::total_cmp);
     let last = sorted.len().saturating_sub(1);
-    sorted.get(((share * sorted.len() as f64) as usize).min(last)).copied().unwrap_or(0.0)
+    sorted
+        .get(((share * sorted.len() as f64) as usize).min(last))
+        .copied()
+        .unwrap_or(0.0)
 }
 
 fn summary(name: &str, held: Vec<Held>, lines: &[Line; 3]) -> ArmResult {
@@ -235,12 +259,17 @@ fn summary(name: &str, held: Vec<Held>, lines: &[Line; 3]) -> ArmResult {
 mod tests {
     use super::*;
 
-    const LINES: [Line; 3] = [Line { k_epsilon: 2.2, k_lambda_mm: 0.9 }; 3];
+    const LINES: [Line; 3] = [Line {
+        k_epsilon: 2.2,
+        k_lambda_mm: 0.9,
+    }; 3];
     use crate::primitives::units::Rad;
     use nalgebra::{UnitQuaternion, Vector3};
 
     fn twisted(bend: Bend, twist: f64) -> Rotation<Base, Tip> {
-        Rotation::assert_frames(bend.rotation().quat() * UnitQuaternion::from_scaled_axis(Vector3::z() * twist))
+        Rotation::assert_frames(
+            bend.rotation().quat() * UnitQuaternion::from_scaled_axis(Vector3::z() * twist),
+        )
     }
 
     #[test]
@@ -248,20 +277,35 @@ mod tests {
         for (beta, twist) in [(75.0, 0.2), (15.0, -0.1), (45.0, 0.0), (0.0, 0.3)] {
             let want = Bend::from_deg(beta, 40.0);
             let floor = floor(&want, &twisted(want, twist));
-            let other = |db: f64, dd: f64| Bend::from_polar(Rad(want.beta() + db), Rad(want.delta() + dd));
+            let other =
+                |db: f64, dd: f64| Bend::from_polar(Rad(want.beta() + db), Rad(want.delta() + dd));
             let angle = |db: f64, dd: f64| want.rotation().angle_to(&twisted(other(db, dd), twist));
             let steps = || (-80..=80).map(|k| f64::from(k) * 2.5e-3);
-            let best = steps().flat_map(|db| steps().map(move |dd| (db, dd))).map(|(b, d)| angle(b, d)).fold(f64::INFINITY, f64::min);
-            assert!(best >= floor - 1e-9 && best < floor + 2e-3, "{beta}° {twist}: {best} {floor}");
+            let best = steps()
+                .flat_map(|db| steps().map(move |dd| (db, dd)))
+                .map(|(b, d)| angle(b, d))
+                .fold(f64::INFINITY, f64::min);
+            assert!(
+                best >= floor - 1e-9 && best < floor + 2e-3,
+                "{beta}° {twist}: {best} {floor}"
+            );
         }
     }
 
     #[test]
     fn a_state_that_does_not_settle_is_the_slowest_and_is_counted() {
-        let state = |settle_s| Held { settle_s, ..Held::default() };
-        let of = |times: &[Option<f64>]| summary("closed", times.iter().map(|&t| state(t)).collect(), &LINES);
+        let state = |settle_s| Held {
+            settle_s,
+            ..Held::default()
+        };
+        let of = |times: &[Option<f64>]| {
+            summary("closed", times.iter().map(|&t| state(t)).collect(), &LINES)
+        };
         let r = of(&[Some(0.2), Some(0.4), Some(0.3), None]);
-        assert_eq!((r.settle_s_median, r.settle_s_p95, r.unsettled), (0.4, HOLD_S, 1));
+        assert_eq!(
+            (r.settle_s_median, r.settle_s_p95, r.unsettled),
+            (0.4, HOLD_S, 1)
+        );
         let r = of(&[Some(0.2), None, None]);
         assert_eq!((r.settle_s_median, r.unsettled), (HOLD_S, 2));
     }

@@ -27,15 +27,24 @@ const ROUNDED_S: f64 = 0.12;
 ///
 /// # Errors
 /// [`IdentifyError`] from the world, or if the log cannot be diagnosed.
-pub fn described(config: &LoopConfig, rig: &Rig, world: &mut dyn World) -> Result<DescribedMachine, IdentifyError> {
-    let rig = Rig { geometry: config.geometry, ..*rig };
+pub fn described(
+    config: &LoopConfig,
+    rig: &Rig,
+    world: &mut dyn World,
+) -> Result<DescribedMachine, IdentifyError> {
+    let rig = Rig {
+        geometry: config.geometry,
+        ..*rig
+    };
     let log = record(config, &rig, world).map_err(RigError::from)?;
     let (log, catalogue) = (Observed::new(&log, &rig)?, catalogue());
     let nominal = recalibrated(&log, &config.lines);
     let found = best_predicting(&log, &catalogue, &nominal, &nominal);
     let model = Model::named(&catalogue, &found.names);
     let theta = &found.fitted.theta;
-    let causes = model.each(theta).filter_map(|(e, p)| Some((by_name(e.name())?, p.to_vec())));
+    let causes = model
+        .each(theta)
+        .filter_map(|(e, p)| Some((by_name(e.name())?, p.to_vec())));
     let machine = DescribedMachine::new(rig.geometry, log.rest(), theta, causes.collect());
     Ok(machine.foreseeable())
 }
@@ -44,13 +53,20 @@ pub fn described(config: &LoopConfig, rig: &Rig, world: &mut dyn World) -> Resul
 ///
 /// # Errors
 /// The world's.
-pub fn record(config: &LoopConfig, rig: &Rig, world: &mut dyn World) -> Result<BendLog, MachineError> {
+pub fn record(
+    config: &LoopConfig,
+    rig: &Rig,
+    world: &mut dyn World,
+) -> Result<BendLog, MachineError> {
     let machine = Machine::new(*rig, config.lines);
     let mut rows = standard::rows(&machine);
     rows.retain(|r| machine.reaches(r));
     let period_s = world.info().period_s;
     let of = |time_s: f64| ((time_s / period_s).round() as usize).max(1);
-    let path = machine.drive(&rows, period_s).rounded(of(ROUNDED_S)).piston_mm;
+    let path = machine
+        .drive(&rows, period_s)
+        .rounded(of(ROUNDED_S))
+        .piston_mm;
     let nan = Vector3::repeat(f64::NAN);
     let mut log = BendLog::default();
     let (mut acc, mut gyr, mut mag) = (vec![], vec![], vec![]);
@@ -60,16 +76,28 @@ pub fn record(config: &LoopConfig, rig: &Rig, world: &mut dyn World) -> Result<B
         for at in row {
             let counts = config.drive.steps(at);
             piston += config.drive.piston_mm(&counts);
-            let Some(sample) = world.step(&counts)?.imu else { continue };
+            let Some(sample) = world.step(&counts)?.imu else {
+                continue;
+            };
             let sample = config.imu.apply(&sample);
-            let readings = [Some(sample.acc_m_s2), Some(sample.gyro_rad_s), sample.mag_ut];
+            let readings = [
+                Some(sample.acc_m_s2),
+                Some(sample.gyro_rad_s),
+                sample.mag_ut,
+            ];
             for (k, value) in readings.iter().enumerate() {
                 if let Some(value) = value {
                     (sums[k], samples[k]) = (sums[k] + value, samples[k] + 1.0);
                 }
             }
         }
-        let mean = |k: usize| if samples[k] > 0.0 { sums[k] / samples[k] } else { nan };
+        let mean = |k: usize| {
+            if samples[k] > 0.0 {
+                sums[k] / samples[k]
+            } else {
+                nan
+            }
+        };
         acc.push(mean(0));
         gyr.push(mean(1));
         mag.push(mean(2));

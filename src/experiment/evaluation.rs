@@ -35,7 +35,13 @@ pub enum Arm {
 
 impl Arm {
     /// All, in the order of the paper; the diagnosis comes before the feedback.
-    pub const ALL: [Self; 5] = [Self::None, Self::Extension, Self::Backlash, Self::Diagnosed, Self::Closed];
+    pub const ALL: [Self; 5] = [
+        Self::None,
+        Self::Extension,
+        Self::Backlash,
+        Self::Diagnosed,
+        Self::Closed,
+    ];
     /// Those of the paper.
     pub const PAPER: [Self; 4] = [Self::None, Self::Extension, Self::Backlash, Self::Closed];
 
@@ -53,12 +59,28 @@ impl Arm {
     /// Configuration of this arm, derived from that of the closed loop.
     pub fn config(self, base: &LoopConfig) -> LoopConfig {
         let lines = match self {
-            Self::None => [Line { k_epsilon: 0.0, k_lambda_mm: 0.0 }; 3],
-            Self::Extension => base.lines.map(|l| Line { k_lambda_mm: 0.0, ..l }),
+            Self::None => {
+                [Line {
+                    k_epsilon: 0.0,
+                    k_lambda_mm: 0.0,
+                }; 3]
+            }
+            Self::Extension => base.lines.map(|l| Line {
+                k_lambda_mm: 0.0,
+                ..l
+            }),
             Self::Backlash | Self::Closed | Self::Diagnosed => base.lines,
         };
-        let feedback = if self == Self::Closed { base.feedback } else { None };
-        LoopConfig { lines, feedback, ..base.clone() }
+        let feedback = if self == Self::Closed {
+            base.feedback
+        } else {
+            None
+        };
+        LoopConfig {
+            lines,
+            feedback,
+            ..base.clone()
+        }
     }
 }
 
@@ -193,7 +215,11 @@ impl From<RigError> for EvaluationError {
 ///
 /// # Errors
 /// [`EvaluationError`] from a world, if the data do not determine the gains, or if the path is out of reach.
-pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> Result<Evaluation, EvaluationError> {
+pub fn run(
+    plan: &Plan,
+    open: &mut Open<'_>,
+    progress: &mut dyn FnMut(&str),
+) -> Result<Evaluation, EvaluationError> {
     let mut base = plan.config.clone();
     let mut found = None;
     let mut plant = String::new();
@@ -201,9 +227,11 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
         let mut world = open(Purpose::Identify).map_err(RigError::from)?;
         plant.clone_from(&world.info().name);
         let config = for_world(&base, world.as_ref());
-        let result =
-            identify::algorithm_1(&config, world.as_mut(), &paper(), None, &mut |pass| progress(&format!("identify, pass {pass}")))?;
-        (base.lines, base.dynamics, base.line_sigmas) = (result.lines(), result.dynamics, result.line_sigmas());
+        let result = identify::algorithm_1(&config, world.as_mut(), &paper(), None, &mut |pass| {
+            progress(&format!("identify, pass {pass}"))
+        })?;
+        (base.lines, base.dynamics, base.line_sigmas) =
+            (result.lines(), result.dynamics, result.line_sigmas());
         found = Some(result);
     }
     let mut arms = Vec::with_capacity(plan.arms.len());
@@ -214,7 +242,11 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
                 progress("diagnose");
                 let mut world = open(Purpose::Record).map_err(RigError::from)?;
                 let config = for_world(&base, world.as_ref());
-                Some(Arc::new(diagnosed::described(&config, &plan.rig, world.as_mut())?))
+                Some(Arc::new(diagnosed::described(
+                    &config,
+                    &plan.rig,
+                    world.as_mut(),
+                )?))
             }
             (given, _) => given.clone(),
         };
@@ -227,9 +259,16 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
             None => config,
         };
         let name = format!("arm {}", arm.name());
-        arms.push(arm::run(arm.name(), &mut Rig::new(config, world.as_mut()), &arrivals(DIRECTIONS), &mut || progress(&name))?);
+        arms.push(arm::run(
+            arm.name(),
+            &mut Rig::new(config, world.as_mut()),
+            &arrivals(DIRECTIONS),
+            &mut || progress(&name),
+        )?);
     }
-    let foretold = twin.map_or(Ok(vec![]), |machine| foretell(&base, &machine, plan.seed, &arms))?;
+    let foretold = twin.map_or(Ok(vec![]), |machine| {
+        foretell(&base, &machine, plan.seed, &arms)
+    })?;
     let mut track = None;
     if let Some(Track { path, live }) = &plan.track {
         path.within(&base.limits, &base.geometry, &base.lines)?;
@@ -240,26 +279,55 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
             Some(machine) => config.fed_forward(Arc::clone(machine)),
             None => config,
         };
-        track = Some(track::run(&mut Rig::new(config, world.as_mut()), &path.path, *live, &mut || progress("path"))?);
+        track = Some(track::run(
+            &mut Rig::new(config, world.as_mut()),
+            &path.path,
+            *live,
+            &mut || progress("path"),
+        )?);
     }
-    Ok(Evaluation { track, foretold, ..gather(plan, &base, found.as_ref(), plant, arms) })
+    Ok(Evaluation {
+        track,
+        foretold,
+        ..gather(plan, &base, found.as_ref(), plant, arms)
+    })
 }
 
 /// Runs the open-loop arms on the described machine and on the nominal model.
-fn foretell(base: &LoopConfig, machine: &DescribedMachine, seed: u64, arms: &[ArmResult]) -> Result<Vec<Foretold>, RigError> {
+fn foretell(
+    base: &LoopConfig,
+    machine: &DescribedMachine,
+    seed: u64,
+    arms: &[ArmResult],
+) -> Result<Vec<Foretold>, RigError> {
     let theta = nominal_theta(&base.lines, base.dynamics.expected.lag_s);
     let nominal = DescribedMachine::new(machine.geometry, machine.rest, &theta, vec![]);
     let run = |machine: &DescribedMachine, arm: Arm| -> Result<f64, RigError> {
         let mut world = Described::new(machine.clone(), base.drive.step_mm, seed);
         let config = arm.config(&for_world(base, &world));
-        let result = arm::run(arm.name(), &mut Rig::new(config, &mut world), &arrivals(DIRECTIONS), &mut || ())?;
+        let result = arm::run(
+            arm.name(),
+            &mut Rig::new(config, &mut world),
+            &arrivals(DIRECTIONS),
+            &mut || (),
+        )?;
         Ok(result.bend_rmse_deg)
     };
     let open = [Arm::None, Arm::Extension, Arm::Backlash].into_iter();
-    let ran = open.filter_map(|arm| Some((arm, arms.iter().find(|a| a.name == arm.name())?.bend_rmse_deg)));
+    let ran = open.filter_map(|arm| {
+        Some((
+            arm,
+            arms.iter().find(|a| a.name == arm.name())?.bend_rmse_deg,
+        ))
+    });
     let one = |(arm, machine_deg): (Arm, f64)| {
         let (twin_deg, nominal_deg) = (run(machine, arm)?, run(&nominal, arm)?);
-        Ok(Foretold { name: arm.name().to_owned(), machine_deg, twin_deg, nominal_deg })
+        Ok(Foretold {
+            name: arm.name().to_owned(),
+            machine_deg,
+            twin_deg,
+            nominal_deg,
+        })
     };
     ran.map(one).collect()
 }
@@ -268,12 +336,20 @@ fn foretell(base: &LoopConfig, machine: &DescribedMachine, seed: u64, arms: &[Ar
 pub fn for_world(config: &LoopConfig, world: &dyn World) -> LoopConfig {
     let info = world.info();
     let mut config = config.clone();
-    config.drive = Drive { step_mm: info.step_mm };
+    config.drive = Drive {
+        step_mm: info.step_mm,
+    };
     config.geometry.rest_length_mm = info.rest_length_mm;
     config
 }
 
-fn gather(plan: &Plan, base: &LoopConfig, found: Option<&Identified>, plant: String, arms: Vec<ArmResult>) -> Evaluation {
+fn gather(
+    plan: &Plan,
+    base: &LoopConfig,
+    found: Option<&Identified>,
+    plant: String,
+    arms: Vec<ArmResult>,
+) -> Evaluation {
     Evaluation {
         plant,
         seed: plan.seed,
@@ -286,7 +362,12 @@ fn gather(plan: &Plan, base: &LoopConfig, found: Option<&Identified>, plant: Str
         delay_s: base.dynamics.expected.delay_s,
         iterations: found.map_or(0, |f| f.history.len() - 1),
         converged: found.is_none_or(|f| f.converged),
-        history: found.map_or(Vec::new(), |f| f.history.iter().map(|ls| ls.map(|l| [l.k_epsilon, l.k_lambda_mm])).collect()),
+        history: found.map_or(Vec::new(), |f| {
+            f.history
+                .iter()
+                .map(|ls| ls.map(|l| [l.k_epsilon, l.k_lambda_mm]))
+                .collect()
+        }),
         identified: found.map_or(Vec::new(), |f| f.channels.iter().map(figures).collect()),
     }
 }

@@ -65,8 +65,14 @@ impl Identified {
 
     /// Standard deviations of k_ε and k_λ in mm, per channel, no smaller than a calibration is repeatable.
     pub fn line_sigmas(&self) -> [[f64; 2]; 3] {
-        let sigma = |e: &Estimate, i: usize, least: f64| e.covariance[(i, i)].max(0.0).sqrt().max(least);
-        std::array::from_fn(|i| [sigma(&self.channels[i], 0, 0.05), sigma(&self.channels[i], 1, 0.03)])
+        let sigma =
+            |e: &Estimate, i: usize, least: f64| e.covariance[(i, i)].max(0.0).sqrt().max(least);
+        std::array::from_fn(|i| {
+            [
+                sigma(&self.channels[i], 0, 0.05),
+                sigma(&self.channels[i], 1, 0.03),
+            ]
+        })
     }
 }
 
@@ -83,7 +89,13 @@ pub fn algorithm_1(
     progress: &mut dyn FnMut(usize),
 ) -> Result<Identified, IdentifyError> {
     let mut now = prior.map_or(config.lines, |p| p.map(|p| p.line));
-    let mut rig = Rig::new(LoopConfig { feedback: None, ..config.clone() }, world);
+    let mut rig = Rig::new(
+        LoopConfig {
+            feedback: None,
+            ..config.clone()
+        },
+        world,
+    );
     rig.align()?;
     let mut history = vec![now];
     let mut round = Round::new(config.geometry, poses.to_vec());
@@ -96,7 +108,12 @@ pub fn algorithm_1(
         history.push(now);
         let converged = prior.is_some() || relative_step(&now, &before) < CONVERGED;
         if converged || history.len() > PASSES_MAX {
-            return Ok(Identified { channels, dynamics: round.dynamics(&config.dynamics), history, converged });
+            return Ok(Identified {
+                channels,
+                dynamics: round.dynamics(&config.dynamics),
+                history,
+                converged,
+            });
         }
     }
 }
@@ -107,13 +124,23 @@ pub fn algorithm_1(
 /// [`IdentifyError::Unphysical`].
 pub fn plausible(channels: &[Estimate; 3]) -> Result<[Line; 3], IdentifyError> {
     for (i, e) in channels.iter().enumerate() {
-        let Line { k_epsilon, k_lambda_mm } = e.line;
+        let Line {
+            k_epsilon,
+            k_lambda_mm,
+        } = e.line;
         if !(0.0..=10.0).contains(&k_epsilon) || !(-0.3..=3.0).contains(&k_lambda_mm) {
-            return Err(IdentifyError::Unphysical { channel: i + 1, k_epsilon, k_lambda_mm });
+            return Err(IdentifyError::Unphysical {
+                channel: i + 1,
+                k_epsilon,
+                k_lambda_mm,
+            });
         }
     }
     // noise may make a small backlash slightly negative
-    Ok([0, 1, 2].map(|i: usize| Line { k_lambda_mm: channels[i].line.k_lambda_mm.max(0.0), ..channels[i].line }))
+    Ok([0, 1, 2].map(|i: usize| Line {
+        k_lambda_mm: channels[i].line.k_lambda_mm.max(0.0),
+        ..channels[i].line
+    }))
 }
 
 /// Holds all poses once.
@@ -121,7 +148,11 @@ fn hold(rig: &mut Rig<'_>, round: &mut Round, progress: &mut dyn FnMut()) -> Res
     let mut command = Some(round.command());
     loop {
         let (frame, sensed) = rig.advance(command.take())?;
-        match round.step(&frame, &rig.config.drive.piston_mm(&sensed.counted), rig.period_s()) {
+        match round.step(
+            &frame,
+            &rig.config.drive.piston_mm(&sensed.counted),
+            rig.period_s(),
+        ) {
             Step::Waiting => continue,
             Step::Next => command = Some(round.command()),
             Step::Over => {

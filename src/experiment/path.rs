@@ -51,7 +51,8 @@ impl PathFile {
             Bend::from_deg(bend[k], dir[k]).0.push(length_mm)
         };
         let rows: Vec<_> = (0..t_s.len()).map(row).collect();
-        let path = Path::new(t_s, rows).ok_or_else(|| table.refuse(0, "t_s", "", "two rows with times that increase"))?;
+        let path = Path::new(t_s, rows)
+            .ok_or_else(|| table.refuse(0, "t_s", "", "two rows with times that increase"))?;
         Ok(Self { table, path })
     }
 
@@ -59,14 +60,27 @@ impl PathFile {
     ///
     /// # Errors
     /// [`ReadError::Field`] for the first row out of reach, with the largest bend in its direction.
-    pub fn within(&self, limits: &ActuatorLimits, geometry: &Geometry, lines: &[Line; 3]) -> Result<(), ReadError> {
-        self.path.out_of_reach(limits, geometry, lines).map_or(Ok(()), |(k, expected)| Err(self.refuse(k, &expected)))
+    pub fn within(
+        &self,
+        limits: &ActuatorLimits,
+        geometry: &Geometry,
+        lines: &[Line; 3],
+    ) -> Result<(), ReadError> {
+        self.path
+            .out_of_reach(limits, geometry, lines)
+            .map_or(Ok(()), |(k, expected)| Err(self.refuse(k, &expected)))
     }
 
     /// The refusal of the bend of a row.
     pub fn refuse(&self, row: usize, expected: &str) -> ReadError {
-        let given = self.table.column("bend_deg").and_then(|b| b.get(row)).copied().unwrap_or_default();
-        self.table.refuse(row, "bend_deg", &given.to_string(), expected)
+        let given = self
+            .table
+            .column("bend_deg")
+            .and_then(|b| b.get(row))
+            .copied()
+            .unwrap_or_default();
+        self.table
+            .refuse(row, "bend_deg", &given.to_string(), expected)
     }
 }
 
@@ -76,16 +90,36 @@ mod tests {
 
     #[test]
     fn paths_out_of_reach_are_refused_with_file_line_and_column() {
-        let (geometry, lines) = (Geometry::default(), [Line { k_epsilon: 2.2, k_lambda_mm: 0.9 }; 3]);
-        let limits =
-            ActuatorLimits { travel_mm: 30.0, pressure_kpa_per_mm: 3.2, pressure_max_kpa: 41.0, bellow_min_mm: 14.0, bellow_max_mm: 29.0 };
+        let (geometry, lines) = (
+            Geometry::default(),
+            [Line {
+                k_epsilon: 2.2,
+                k_lambda_mm: 0.9,
+            }; 3],
+        );
+        let limits = ActuatorLimits {
+            travel_mm: 30.0,
+            pressure_kpa_per_mm: 3.2,
+            pressure_max_kpa: 41.0,
+            bellow_min_mm: 14.0,
+            bellow_max_mm: 29.0,
+        };
         let within = |text: &str| {
-            let file = PathFile::parse("path.csv", &format!("t_s,bend_deg,dir_deg\n{text}"), &geometry)?;
+            let file = PathFile::parse(
+                "path.csv",
+                &format!("t_s,bend_deg,dir_deg\n{text}"),
+                &geometry,
+            )?;
             file.within(&limits, &geometry, &lines)
         };
         assert!(within("0,30,0\n1,20,90\n").is_ok());
         let why = within("0,30,0\n1,120,0\n").unwrap_err().to_string();
         assert!(why.starts_with("path.csv, line 3, column bend_deg: `120` is not within reach: the largest bend towards 0°"), "{why}");
-        assert!(within("0,30,0\n0,20,0\n").unwrap_err().to_string().starts_with("path.csv, line 3, column t_s"));
+        assert!(
+            within("0,30,0\n0,20,0\n")
+                .unwrap_err()
+                .to_string()
+                .starts_with("path.csv, line 3, column t_s")
+        );
     }
 }

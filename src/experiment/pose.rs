@@ -58,7 +58,12 @@ pub struct Round {
 impl Round {
     /// A round before its first command.
     pub fn new(geometry: Geometry, poses: Vec<Pose>) -> Self {
-        Self { geometry, data: Vec::with_capacity(poses.len()), poses, ..Self::default() }
+        Self {
+            geometry,
+            data: Vec::with_capacity(poses.len()),
+            poses,
+            ..Self::default()
+        }
     }
     /// Starts again at the first pose. The sides of the pistons stay known.
     pub fn again(&mut self) {
@@ -72,8 +77,15 @@ impl Round {
     }
     /// Command for the present pose, or for the last one when all have ended.
     pub fn command(&self) -> Command {
-        let bend = self.poses.get(self.at).or(self.poses.last()).map_or(Bend(Vector2::zeros()), Pose::bend);
-        Command { bend, length: Mm(self.geometry.rest_length_mm) }
+        let bend = self
+            .poses
+            .get(self.at)
+            .or(self.poses.last())
+            .map_or(Bend(Vector2::zeros()), Pose::bend);
+        Command {
+            bend,
+            length: Mm(self.geometry.rest_length_mm),
+        }
     }
     /// Lag and dead time of this round, with what `before` contributes.
     pub fn dynamics(&self, before: &DynamicsPrior) -> DynamicsPrior {
@@ -88,10 +100,17 @@ impl Round {
         let half_s = 0.5 * dt_s; // tolerance for rounding in the sums of periods
         self.sides.follow(piston_mm);
         self.pose.since_s += dt_s;
-        self.pose.rested_s = if frame.phase == TickPhase::Holding { self.pose.rested_s + dt_s } else { 0.0 };
+        self.pose.rested_s = if frame.phase == TickPhase::Holding {
+            self.pose.rested_s + dt_s
+        } else {
+            0.0
+        };
         if let Some(estimate) = frame.estimate {
-            self.bank.step(frame.bend_from_pistons.0, estimate.bend.0, dt_s);
-            if self.pose.since_s > HOLD_S - SCORED_S + half_s && self.pose.rested_s > RESTED_S + half_s {
+            self.bank
+                .step(frame.bend_from_pistons.0, estimate.bend.0, dt_s);
+            if self.pose.since_s > HOLD_S - SCORED_S + half_s
+                && self.pose.rested_s > RESTED_S + half_s
+            {
                 self.pose.sum += estimate.bend.0;
                 self.pose.samples += 1;
                 self.pose.measured_s += dt_s;
@@ -105,12 +124,24 @@ impl Round {
         }
         self.pose = PoseProgress::default();
         self.at += 1;
-        if self.at < self.poses.len() { Step::Next } else { Step::Over }
+        if self.at < self.poses.len() {
+            Step::Next
+        } else {
+            Step::Over
+        }
     }
     fn measure(&mut self) {
         let bend = Bend(self.pose.sum / f64::from(self.pose.samples.max(1)));
-        let bellow_mm = self.geometry.lengths(&Shape { bend, length: Mm(self.geometry.rest_length_mm) });
+        let bellow_mm = self.geometry.lengths(&Shape {
+            bend,
+            length: Mm(self.geometry.rest_length_mm),
+        });
         let Self { sides, .. } = self;
-        self.data.push(Measurement { piston_mm: sides.piston_mm(), bellow_mm, side: sides.side, weight: sides.weight() });
+        self.data.push(Measurement {
+            piston_mm: sides.piston_mm(),
+            bellow_mm,
+            side: sides.side,
+            weight: sides.weight(),
+        });
     }
 }

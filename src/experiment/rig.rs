@@ -17,7 +17,9 @@ pub enum RigError {
     #[error(transparent)]
     World(#[from] MachineError),
     /// The tip did not come to rest.
-    #[error("the tip was not still within {0} s of the start ({1}); the alignment needs 2 s of rest with the pistons at zero")]
+    #[error(
+        "the tip was not still within {0} s of the start ({1}); the alignment needs 2 s of rest with the pistons at zero"
+    )]
     NotStill(f64, String),
     /// The world has no reference for the score.
     #[error(
@@ -44,10 +46,20 @@ impl<'w> Rig<'w> {
     pub fn new(config: LoopConfig, world: &'w mut dyn World) -> Self {
         let state = LoopState::new(&config);
         let dt_s = world.info().period_s;
-        let input = Input { dt_s, ..Input::default() };
+        let input = Input {
+            dt_s,
+            ..Input::default()
+        };
         let mut machine = Lockstep::new(world, &config.motion);
         machine.energise(true);
-        Self { config, state, reference: None, machine, input, ticks: 0 }
+        Self {
+            config,
+            state,
+            reference: None,
+            machine,
+            input,
+            ticks: 0,
+        }
     }
 
     /// One tick and one period of the world. The true orientation is in [`Sensed::truth`], for scoring.
@@ -61,8 +73,20 @@ impl<'w> Rig<'w> {
         self.ticks += 1;
         let now = Seconds(self.ticks as f64 * self.input.dt_s);
         let sensed = self.machine.turn(now, &frame.steps)?;
-        let Sensed { imu, base_imu, counted, .. } = sensed;
-        self.input = Input { t: now, imu, base_imu, steps: counted, command: None, ..self.input };
+        let Sensed {
+            imu,
+            base_imu,
+            counted,
+            ..
+        } = sensed;
+        self.input = Input {
+            t: now,
+            imu,
+            base_imu,
+            steps: counted,
+            command: None,
+            ..self.input
+        };
         Ok((frame, sensed))
     }
 
@@ -74,7 +98,10 @@ impl<'w> Rig<'w> {
         while self.state.fusion.estimate().is_none() {
             let (frame, _) = self.advance(None)?;
             if frame.t.0 > ALIGN_MAX_S {
-                return Err(RigError::NotStill(ALIGN_MAX_S, self.state.fusion.waiting_for()));
+                return Err(RigError::NotStill(
+                    ALIGN_MAX_S,
+                    self.state.fusion.waiting_for(),
+                ));
             }
         }
         Ok(())

@@ -40,7 +40,10 @@ const VISIT_DEG: f64 = 80.0;
 
 /// The 120 states, as Algorithm 1 measures them.
 pub fn paper() -> Vec<Pose> {
-    arrivals(DIRECTIONS).into_iter().filter(|p| p.scored).collect()
+    arrivals(DIRECTIONS)
+        .into_iter()
+        .filter(|p| p.scored)
+        .collect()
 }
 
 /// Ten states and a visit in each of `directions`, which are evenly spaced from 0°: the schedule of an arm.
@@ -48,7 +51,12 @@ pub fn arrivals(directions: usize) -> Vec<Pose> {
     (0..directions)
         .flat_map(|d| {
             let dir_deg = d as f64 * 360.0 / directions as f64;
-            let pose = move |bend_deg: f64, outward, scored| Pose { bend_deg, dir_deg, outward, scored };
+            let pose = move |bend_deg: f64, outward, scored| Pose {
+                bend_deg,
+                dir_deg,
+                outward,
+                scored,
+            };
             let out = ANGLES_DEG.iter().map(move |&a| pose(a, true, true));
             let back = ANGLES_DEG.iter().rev().map(move |&a| pose(a, false, true));
             out.chain([pose(VISIT_DEG, true, false)]).chain(back)
@@ -61,9 +69,16 @@ pub fn arrivals(directions: usize) -> Vec<Pose> {
 /// directions follow each other, so that a drift does not appear as a gain. The first 12 poses already go around.
 pub fn short(poses: usize) -> Vec<Pose> {
     let directions = [0.0, 180.0, 60.0, 240.0, 120.0, 300.0].map(|d| [d, d + 30.0]);
-    let all = [0, 1].into_iter().flat_map(|k| directions.iter().map(move |d| d[k]));
+    let all = [0, 1]
+        .into_iter()
+        .flat_map(|k| directions.iter().map(move |d| d[k]));
     let both = |dir_deg| {
-        let pose = |bend_deg, outward| Pose { bend_deg, dir_deg, outward, scored: true };
+        let pose = |bend_deg, outward| Pose {
+            bend_deg,
+            dir_deg,
+            outward,
+            scored: true,
+        };
         [pose(75.0, true), pose(50.0, false)]
     };
     all.flat_map(both).take(poses).collect()
@@ -78,8 +93,14 @@ mod tests {
         let all = paper();
         assert_eq!((all.len(), arrivals(DIRECTIONS).len()), (120, 132));
         for a in ANGLES_DEG {
-            assert_eq!(all.iter().filter(|p| p.bend_deg == a && p.outward).count(), 12);
-            assert_eq!(all.iter().filter(|p| p.bend_deg == a && !p.outward).count(), 12);
+            assert_eq!(
+                all.iter().filter(|p| p.bend_deg == a && p.outward).count(),
+                12
+            );
+            assert_eq!(
+                all.iter().filter(|p| p.bend_deg == a && !p.outward).count(),
+                12
+            );
         }
     }
 
@@ -88,7 +109,10 @@ mod tests {
         for all in [arrivals(DIRECTIONS), arrivals(4)] {
             let resting = std::iter::once(Bend::STRAIGHT).chain(all.iter().map(Pose::bend));
             for (before, pose) in resting.zip(&all).filter(|(_, p)| p.scored) {
-                assert!((pose.bend().0 - before.0).norm().to_degrees() > 4.9, "{pose:?} does not move");
+                assert!(
+                    (pose.bend().0 - before.0).norm().to_degrees() > 4.9,
+                    "{pose:?} does not move"
+                );
             }
         }
     }
@@ -98,7 +122,11 @@ mod tests {
         let all = short(24);
         assert_eq!(all.len(), 24);
         for (i, a) in all.iter().enumerate() {
-            assert!(all[i + 1..].iter().all(|b| a.bend_deg != b.bend_deg || a.dir_deg != b.dir_deg));
+            assert!(
+                all[i + 1..]
+                    .iter()
+                    .all(|b| a.bend_deg != b.bend_deg || a.dir_deg != b.dir_deg)
+            );
         }
     }
 }

@@ -42,7 +42,11 @@ impl Condition {
     }
 }
 
-const fn row(name: &'static str, values: &'static [f64], set: fn(&mut PlantConfig, f64, f64)) -> Condition {
+const fn row(
+    name: &'static str,
+    values: &'static [f64],
+    set: fn(&mut PlantConfig, f64, f64),
+) -> Condition {
     Condition { name, values, set }
 }
 
@@ -57,18 +61,26 @@ pub const CONDITIONS: [Condition; 15] = [
         dead_time(p, v / 2.0, turn);
         latency(p, v / 2.0, turn);
     }),
-    row("motor_field_ut", &[0.1, 0.3, 1.0, 3.0, 8.0, 20.0], |p, v, turn| {
-        let motors = p.effects.motor_field.get_or_insert_default();
-        motors.amplitude_ut = [v; 3];
-        motors.azimuth_deg = motors.azimuth_deg.map(|a| (a + turn) % 360.0);
-    }),
+    row(
+        "motor_field_ut",
+        &[0.1, 0.3, 1.0, 3.0, 8.0, 20.0],
+        |p, v, turn| {
+            let motors = p.effects.motor_field.get_or_insert_default();
+            motors.amplitude_ut = [v; 3];
+            motors.azimuth_deg = motors.azimuth_deg.map(|a| (a + turn) % 360.0);
+        },
+    ),
     row("hard_iron_ut", &[5.0, 20.0, 50.0], |p, v, turn| {
         p.effects.hard_iron.get_or_insert_default().offset_ut = askew(v, turn);
     }),
-    row("contact_and_release_deg", &[60.0, 40.0, 20.0], |p, v, turn| {
-        let wall = p.effects.contact.get_or_insert_default();
-        (wall.block, wall.at_deg, wall.direction_deg, wall.until_s) = (1.0, v, turn, RELEASE_S);
-    }),
+    row(
+        "contact_and_release_deg",
+        &[60.0, 40.0, 20.0],
+        |p, v, turn| {
+            let wall = p.effects.contact.get_or_insert_default();
+            (wall.block, wall.at_deg, wall.direction_deg, wall.until_s) = (1.0, v, turn, RELEASE_S);
+        },
+    ),
     row("stick_slip_mm", &[0.5, 1.6, 2.6], |p, v, _| {
         let slip = p.effects.outside.stick_slip.get_or_insert_default();
         slip.breakaway_mm = v;
@@ -163,7 +175,14 @@ impl Study {
     ///
     /// # Errors
     /// [`RigError`] from the plant.
-    pub fn run(&self, config: &LoopConfig, arm: Arm, unit: &PlantConfig, n: u64, directions: usize) -> Result<ArmResult, RigError> {
+    pub fn run(
+        &self,
+        config: &LoopConfig,
+        arm: Arm,
+        unit: &PlantConfig,
+        n: u64,
+        directions: usize,
+    ) -> Result<ArmResult, RigError> {
         let noise = 10 * (self.seed + n) + arm as u64;
         let mut world = Sim::new(unit, 0, noise, self.period_s).map_err(MachineError::from)?;
         let mut rig = Rig::new(arm.config(&for_world(config, &world)), &mut world);
@@ -175,8 +194,14 @@ impl Study {
 ///
 /// # Errors
 /// [`RigError`] from a plant.
-pub fn run(study: &Study, conditions: &[Condition], progress: &(dyn Fn() + Sync)) -> Result<Vec<SweepRow>, RigError> {
-    let all = conditions.iter().flat_map(|c| c.values.iter().map(move |&v| (c, v)));
+pub fn run(
+    study: &Study,
+    conditions: &[Condition],
+    progress: &(dyn Fn() + Sync),
+) -> Result<Vec<SweepRow>, RigError> {
+    let all = conditions
+        .iter()
+        .flat_map(|c| c.values.iter().map(move |&v| (c, v)));
     let rows: Vec<(&Condition, f64)> = all.collect();
     let row = |&(condition, value): &(&Condition, f64)| {
         let unit = |n: u64| {
@@ -206,7 +231,15 @@ fn judge(condition: &'static str, value: f64, units: &[Vec<ArmResult>]) -> Sweep
     let hunts = pairs.map(|(c, o)| c.peak_to_peak_deg - o.peak_to_peak_deg);
     let hunting_deg = hunts.fold(0.0, f64::max);
     let ok = closed_deg <= open_deg.max(GOOD_DEG) && hunting_deg <= HUNTING_MAX_DEG;
-    SweepRow { condition, value, open_deg, closed_deg, p95_deg, hunting_deg, ok }
+    SweepRow {
+        condition,
+        value,
+        open_deg,
+        closed_deg,
+        p95_deg,
+        hunting_deg,
+        ok,
+    }
 }
 
 #[cfg(test)]
@@ -225,21 +258,37 @@ mod tests {
         Arm::PAPER
             .iter()
             .zip(arms)
-            .map(|(a, figures)| ArmResult { name: a.name().to_owned(), held: vec![held(figures)], ..ArmResult::default() })
+            .map(|(a, figures)| ArmResult {
+                name: a.name().to_owned(),
+                held: vec![held(figures)],
+                ..ArmResult::default()
+            })
             .collect()
     }
 
     #[test]
     fn a_row_fails_if_the_loop_is_worse_than_open_or_hunts() {
-        let row = |closed| judge("x", 1.0, &[unit([(30.0, 0.0), (8.0, 0.0), (6.0, 0.2), closed])]);
+        let row = |closed| {
+            judge(
+                "x",
+                1.0,
+                &[unit([(30.0, 0.0), (8.0, 0.0), (6.0, 0.2), closed])],
+            )
+        };
         let good = row((0.4, 0.6));
         assert!(
-            good.ok && (good.open_deg, good.closed_deg, good.p95_deg) == (6.0, 0.4, 0.4) && (good.hunting_deg - 0.4).abs() < 1e-12,
+            good.ok
+                && (good.open_deg, good.closed_deg, good.p95_deg) == (6.0, 0.4, 0.4)
+                && (good.hunting_deg - 0.4).abs() < 1e-12,
             "{good:?}"
         );
         assert!(!row((6.1, 0.2)).ok, "worse than open");
         assert!(!row((0.1, 0.8)).ok, "hunts");
-        let small = judge("x", 1.0, &[unit([(0.2, 0.0), (0.1, 0.0), (0.1, 0.0), (0.29, 0.0)])]);
+        let small = judge(
+            "x",
+            1.0,
+            &[unit([(0.2, 0.0), (0.1, 0.0), (0.1, 0.0), (0.29, 0.0)])],
+        );
         assert!(small.ok, "0.3° is good enough");
     }
 
@@ -249,7 +298,8 @@ mod tests {
             for &value in c.values {
                 let mut unit = PlantConfig::default();
                 c.apply(&mut unit, value, 137.5);
-                unit.validate().unwrap_or_else(|e| panic!("{} = {value}: {e}", c.name));
+                unit.validate()
+                    .unwrap_or_else(|e| panic!("{} = {value}: {e}", c.name));
                 assert_ne!(unit, PlantConfig::default(), "{}", c.name);
             }
         }

@@ -41,14 +41,22 @@ pub struct TrackResult {
 ///
 /// # Errors
 /// [`RigError`] from the world or the alignment, or if there is no reference.
-pub fn run(rig: &mut Rig<'_>, path: &Path, live: bool, progress: &mut dyn FnMut()) -> Result<TrackResult, RigError> {
+pub fn run(
+    rig: &mut Rig<'_>,
+    path: &Path,
+    live: bool,
+    progress: &mut dyn FnMut(),
+) -> Result<TrackResult, RigError> {
     let config = &rig.config;
     let demand = path.demand(&config.geometry, &config.lines, &config.motion.limits);
     let time_scale = if live { 1.0 } else { demand.max(1.0) };
     let path = path.slowed(time_scale);
     rig.align()?;
     let start = path.at(0.0).shape;
-    let mut command = Some(Command { bend: start.bend, length: start.length });
+    let mut command = Some(Command {
+        bend: start.bend,
+        length: start.length,
+    });
     let (from_s, dt_s) = (rig.now().0, rig.period_s());
     loop {
         let (frame, _) = rig.advance(command.take())?;
@@ -63,7 +71,11 @@ pub fn run(rig: &mut Rig<'_>, path: &Path, live: bool, progress: &mut dyn FnMut(
     while samples.len() as f64 * dt_s < duration_s + DELAYS_S.1 {
         let now_s = rig.now().0 - from_s;
         let ahead_s = rig.state.answers_after_s(&rig.config, dt_s);
-        rig.reference = Some(if live { path.expected(now_s, ahead_s, &rig.config.bend_pace) } else { path.at(now_s + ahead_s) });
+        rig.reference = Some(if live {
+            path.expected(now_s, ahead_s, &rig.config.bend_pace)
+        } else {
+            path.at(now_s + ahead_s)
+        });
         let (frame, reply) = rig.advance(None)?;
         let truth = Bend::nearest(&reply.truth.ok_or(RigError::NoReference)?).0;
         samples.push(truth);
@@ -75,20 +87,38 @@ pub fn run(rig: &mut Rig<'_>, path: &Path, live: bool, progress: &mut dyn FnMut(
         }
     }
     let score = score(&path, &samples, dt_s);
-    Ok(TrackResult { estimate_rmse_deg: root_mean(estimate_sq).to_degrees(), duration_s, live, demand, time_scale, ..score })
+    Ok(TrackResult {
+        estimate_rmse_deg: root_mean(estimate_sq).to_degrees(),
+        duration_s,
+        live,
+        demand,
+        time_scale,
+        ..score
+    })
 }
 
 /// Scores the true bends, of which the first is `dt_s` after the beginning of the path.
 fn score(path: &Path, truth: &[Vector2<f64>], dt_s: f64) -> TrackResult {
     let rows = ((path.duration_s() / dt_s + 1e-6) as usize).min(truth.len());
-    let desired: Vec<_> = (1..=rows).map(|k| path.at(k as f64 * dt_s).shape.bend.0).collect();
+    let desired: Vec<_> = (1..=rows)
+        .map(|k| path.at(k as f64 * dt_s).shape.bend.0)
+        .collect();
     let errors = |shift: isize| {
-        let shifted = move |k: usize| usize::try_from(k as isize + shift).ok().and_then(|k| truth.get(k));
-        desired.iter().enumerate().filter_map(move |(k, want)| shifted(k).map(|is| (is - want).norm().to_degrees()))
+        let shifted = move |k: usize| {
+            usize::try_from(k as isize + shift)
+                .ok()
+                .and_then(|k| truth.get(k))
+        };
+        desired
+            .iter()
+            .enumerate()
+            .filter_map(move |(k, want)| shifted(k).map(|is| (is - want).norm().to_degrees()))
     };
     let rmse = |shift: isize| root_mean(errors(shift).map(|e| e * e));
     let ticks = |s: f64| (s / dt_s).round() as isize;
-    let best = (ticks(DELAYS_S.0)..ticks(DELAYS_S.1)).min_by(|&a, &b| rmse(a).total_cmp(&rmse(b))).unwrap_or(0);
+    let best = (ticks(DELAYS_S.0)..ticks(DELAYS_S.1))
+        .min_by(|&a, &b| rmse(a).total_cmp(&rmse(b)))
+        .unwrap_or(0);
     TrackResult {
         rmse_deg: rmse(0),
         p95_deg: percentile(errors(0), 0.95),

@@ -10,7 +10,10 @@ use crate::hardware::rt::{self, RtRequest, RtStatus, monotonic_ns};
 use crate::hardware::stepper::{StartError, Stepper, Summary};
 use crate::motion::Motion;
 use crate::motion::queue::SyncStatus;
-use crate::motion::{EmergencyStop, Histogram, Inputs, Levels, MotionConfig, MotionLimits, StepGenerator, StepperConfig, StepperMode};
+use crate::motion::{
+    EmergencyStop, Histogram, Inputs, Levels, MotionConfig, MotionLimits, StepGenerator,
+    StepperConfig, StepperMode,
+};
 use crate::report::chart::{Axis, Chart, Series, Stroke, sheet};
 use crate::report::svg::Ink;
 use comfy_table::{CellAlignment, Table};
@@ -40,7 +43,10 @@ impl Default for RtBenchConfig {
             duration_s: 10.0,
             tick_s: 2e-3,
             load_threads: 0,
-            stepper: StepperConfig { step_interval_min_us: 50.0, ..StepperConfig::default() },
+            stepper: StepperConfig {
+                step_interval_min_us: 50.0,
+                ..StepperConfig::default()
+            },
         }
     }
 }
@@ -66,7 +72,10 @@ pub struct NoCurrent<P>(pub P);
 
 impl<P: Pins> Pins for NoCurrent<P> {
     fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
-        self.0.write(&Levels { enable: false, ..*levels })
+        self.0.write(&Levels {
+            enable: false,
+            ..*levels
+        })
     }
     fn read(&mut self) -> Result<Inputs, PinError> {
         self.0.read()
@@ -74,7 +83,13 @@ impl<P: Pins> Pins for NoCurrent<P> {
 }
 
 /// Percentiles in the table.
-const QUANTILES: [(&str, f64); 5] = [("50 %", 0.5), ("90 %", 0.9), ("99 %", 0.99), ("99.9 %", 0.999), ("99.99 %", 0.9999)];
+const QUANTILES: [(&str, f64); 5] = [
+    ("50 %", 0.5),
+    ("90 %", 0.9),
+    ("99 %", 0.99),
+    ("99.9 %", 0.999),
+    ("99.99 %", 0.9999),
+];
 
 /// Microstep of the bench, mm. Only the step rate matters, so the value is arbitrary.
 const STEP_MM: f64 = 0.01;
@@ -93,11 +108,20 @@ pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBenc
         retarget_min_mm: 0.0,
     };
     let load = Load::start(config.load_threads);
-    let mut stepper = Stepper::start(pins, &config.stepper, &motion_config, STEP_MM, EmergencyStop::Release)?;
+    let mut stepper = Stepper::start(
+        pins,
+        &config.stepper,
+        &motion_config,
+        STEP_MM,
+        EmergencyStop::Release,
+    )?;
     let status = stepper.status.clone();
     let start_ns = monotonic_ns();
     // The loop runs at a lower priority than the step thread, as in the service.
-    let request = RtRequest { priority: (config.stepper.priority - 10).max(0), cpu: None };
+    let request = RtRequest {
+        priority: (config.stepper.priority - 10).max(0),
+        cpu: None,
+    };
     let tick = std::thread::scope(|scope| {
         let control = scope.spawn(|| {
             let (_status, _guard) = rt::enter(&request);
@@ -108,7 +132,16 @@ pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBenc
     let elapsed_s = (monotonic_ns() - start_ns) as f64 * 1e-9;
     let (steps, pins) = stepper.finish().ok_or(StartError::Died)?;
     drop(load);
-    Ok((RtBench { config: *config, status, elapsed_s, steps, tick }, pins))
+    Ok((
+        RtBench {
+            config: *config,
+            status,
+            elapsed_s,
+            steps,
+            tick,
+        },
+        pins,
+    ))
 }
 
 /// The loop's part: moves between the ends of travel, one tick at a time, at absolute times.
@@ -135,7 +168,9 @@ fn drive<P: Pins + 'static>(
                 continue;
             }
         }
-        if motion.state()[0].is_rest() && motion.state()[0].position_mm.abs() > 0.5 * motion_config.travel_max_mm {
+        if motion.state()[0].is_rest()
+            && motion.state()[0].position_mm.abs() > 0.5 * motion_config.travel_max_mm
+        {
             side = -side;
         }
         let segment = motion.tick([side * motion_config.travel_max_mm; 3], config.tick_s);
@@ -161,7 +196,9 @@ impl Load {
             std::thread::spawn(move || {
                 let mut block = vec![1.0_f64; 1 << 16];
                 while !stop.load(Ordering::Relaxed) {
-                    block.iter_mut().for_each(|x| *x = (*x * 1.000_001).sin() + 1.0);
+                    block
+                        .iter_mut()
+                        .for_each(|x| *x = (*x * 1.000_001).sin() + 1.0);
                     std::hint::black_box(&block);
                 }
             })
@@ -183,7 +220,8 @@ impl Drop for Load {
 impl RtBench {
     /// Whether no step was late enough to be a fault and no underrun occurred.
     pub fn is_good(&self) -> bool {
-        !matches!(self.steps.report.mode, StepperMode::Faulted(_)) && self.steps.report.underruns == 0
+        !matches!(self.steps.report.mode, StepperMode::Faulted(_))
+            && self.steps.report.underruns == 0
     }
 
     fn rows(&self) -> [(&'static str, &Histogram); 4] {
@@ -213,7 +251,10 @@ impl RtBench {
             column.set_cell_alignment(CellAlignment::Right);
         }
         let report = &self.steps.report;
-        let (steps, rate) = (report.lateness.count(), report.lateness.count() as f64 / self.elapsed_s);
+        let (steps, rate) = (
+            report.lateness.count(),
+            report.lateness.count() as f64 / self.elapsed_s,
+        );
         let mut text = format!(
             "{table}\n{steps} steps in {:.1} s on three channels ({rate:.0} per second), {} load threads, {} underruns",
             self.elapsed_s, self.config.load_threads, report.underruns
@@ -230,7 +271,10 @@ impl RtBench {
     /// Histograms of wake-up lateness, step lateness and interval error as one SVG drawing with
     /// logarithmic axes.
     pub fn svg(&self) -> String {
-        let charts: Vec<Chart> = self.rows()[..3].iter().map(|(name, h)| histogram(name, h, self.config.stepper.late_max_us)).collect();
+        let charts: Vec<Chart> = self.rows()[..3]
+            .iter()
+            .map(|(name, h)| histogram(name, h, self.config.stepper.late_max_us))
+            .collect();
         sheet("Lateness of the step thread", &charts, 3)
     }
 }
@@ -242,9 +286,13 @@ fn histogram(name: &str, h: &Histogram, late_max_us: f64) -> Chart {
     let most = h.filled().map(|b| b.2).max().unwrap_or(1).max(10);
     let outline: Vec<(f64, f64)> = h
         .filled()
-        .flat_map(|(from, until, n)| [(from, 0), (from, n), (until, n), (until, 0)].map(|(ns, n)| (x(ns as f64), y(n))))
+        .flat_map(|(from, until, n)| {
+            [(from, 0), (from, n), (until, n), (until, 0)].map(|(ns, n)| (x(ns as f64), y(n)))
+        })
         .collect();
-    let times = ["0.1 µs", "1 µs", "10 µs", "100 µs", "1 ms", "10 ms", "100 ms"];
+    let times = [
+        "0.1 µs", "1 µs", "10 µs", "100 µs", "1 ms", "10 ms", "100 ms",
+    ];
     let counts = (0..9).map(|k| 10u32.pow(k)).take_while(|n| *n <= most);
     let limit = x(late_max_us * 1e3);
     Chart {
@@ -253,13 +301,33 @@ fn histogram(name: &str, h: &Histogram, late_max_us: f64) -> Chart {
             label: "time".to_owned(),
             low: -1.0,
             high: 5.0,
-            ticks: times.iter().enumerate().map(|(k, t)| (k as f64 - 1.0, (*t).to_owned())).collect(),
+            ticks: times
+                .iter()
+                .enumerate()
+                .map(|(k, t)| (k as f64 - 1.0, (*t).to_owned()))
+                .collect(),
         },
-        y: Axis { label: "count".to_owned(), low: 0.0, high: y(most), ticks: counts.map(|n| (y(n), n.to_string())).collect() },
+        y: Axis {
+            label: "count".to_owned(),
+            low: 0.0,
+            high: y(most),
+            ticks: counts.map(|n| (y(n), n.to_string())).collect(),
+        },
         series: vec![
-            Series::band(Ink::BLUE, outline.iter().map(|&(x, y)| (x, 0.0, y)).collect()),
-            Series { name: None, ..Series::line("", Ink::BLUE, Stroke::Solid, outline) },
-            Series::line("limit of a fault", Ink::RED, Stroke::Dashed, vec![(limit, 0.0), (limit, y(most))]),
+            Series::band(
+                Ink::BLUE,
+                outline.iter().map(|&(x, y)| (x, 0.0, y)).collect(),
+            ),
+            Series {
+                name: None,
+                ..Series::line("", Ink::BLUE, Stroke::Solid, outline)
+            },
+            Series::line(
+                "limit of a fault",
+                Ink::RED,
+                Stroke::Dashed,
+                vec![(limit, 0.0), (limit, y(most))],
+            ),
         ],
     }
 }
@@ -286,17 +354,40 @@ mod tests {
     /// A short run without hardware. The test asserts no times.
     #[test]
     fn the_table_and_the_drawing_show_the_steps_that_were_pulsed() {
-        let stepper = StepperConfig { priority: 0, late_max_us: 100_000.0, lead_ms: 60.0, ..RtBenchConfig::default().stepper };
-        let config = RtBenchConfig { rate_hz: 2000.0, duration_s: 0.4, stepper, ..RtBenchConfig::default() };
+        let stepper = StepperConfig {
+            priority: 0,
+            late_max_us: 100_000.0,
+            lead_ms: 60.0,
+            ..RtBenchConfig::default().stepper
+        };
+        let config = RtBenchConfig {
+            rate_hz: 2000.0,
+            duration_s: 0.4,
+            stepper,
+            ..RtBenchConfig::default()
+        };
         let (bench, pins) = run(&config, Counting::default()).unwrap();
         let steps = bench.steps.report.lateness.count();
-        assert!(steps > 300 && !matches!(bench.steps.report.mode, StepperMode::Faulted(_)), "{}", bench.table());
+        assert!(
+            steps > 300 && !matches!(bench.steps.report.mode, StepperMode::Faulted(_)),
+            "{}",
+            bench.table()
+        );
         assert_eq!(pins.1, 2 * steps);
         let table = bench.table();
-        for words in ["step lateness", "99.9 %", "SCHED_FIFO: not requested", &format!("{steps} steps in")] {
+        for words in [
+            "step lateness",
+            "99.9 %",
+            "SCHED_FIFO: not requested",
+            &format!("{steps} steps in"),
+        ] {
             assert!(table.contains(words), "{table}");
         }
         let svg = bench.svg();
-        assert!(svg.starts_with("<svg") && svg.matches("limit of a fault").count() == 3 && !svg.contains("NaN"));
+        assert!(
+            svg.starts_with("<svg")
+                && svg.matches("limit of a fault").count() == 3
+                && !svg.contains("NaN")
+        );
     }
 }

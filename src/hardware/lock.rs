@@ -34,7 +34,9 @@ impl HardwareLock {
     /// The path of a file that another process has locked.
     pub fn of(paths: impl IntoIterator<Item = PathBuf>) -> Result<Self, PathBuf> {
         let lock = |path: &Path| -> io::Result<Option<File>> {
-            let Ok(file) = File::open(path) else { return Ok(None) };
+            let Ok(file) = File::open(path) else {
+                return Ok(None);
+            };
             file.try_lock()?;
             Ok(Some(file))
         };

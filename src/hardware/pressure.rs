@@ -37,10 +37,14 @@ parameters! {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum PressureError {
     /// The transfer failed.
-    #[error("the pressure sensor at {0:#04x} does not answer: check plug, supply and pressure.addresses")]
+    #[error(
+        "the pressure sensor at {0:#04x} does not answer: check plug, supply and pressure.addresses"
+    )]
     Bus(u8),
     /// The status byte reports a fault.
-    #[error("the pressure sensor at {0:#04x} has status {1:#04x} instead of 0x40: cycle its power, and replace it if this persists")]
+    #[error(
+        "the pressure sensor at {0:#04x} has status {1:#04x} instead of 0x40: cycle its power, and replace it if this persists"
+    )]
     Status(u8, u8),
 }
 
@@ -55,7 +59,11 @@ pub struct PressureSensor<I> {
 impl<I: I2c> PressureSensor<I> {
     /// The sensor of a channel from 0.
     pub fn new(bus: I, config: &PressureSection, channel: usize) -> Self {
-        Self { bus, address: config.addresses[channel], range_kpa: [config.low_kpa, config.high_kpa] }
+        Self {
+            bus,
+            address: config.addresses[channel],
+            range_kpa: [config.low_kpa, config.high_kpa],
+        }
     }
 
     /// Starts a conversion.
@@ -63,7 +71,9 @@ impl<I: I2c> PressureSensor<I> {
     /// # Errors
     /// [`PressureError::Bus`].
     pub fn start(&mut self) -> Result<(), PressureError> {
-        self.bus.write(self.address, &MEASURE).map_err(|_| PressureError::Bus(self.address))
+        self.bus
+            .write(self.address, &MEASURE)
+            .map_err(|_| PressureError::Bus(self.address))
     }
 
     /// Reads the result of the conversion, kPa, [`CONVERSION_MS`] after its start.
@@ -72,7 +82,9 @@ impl<I: I2c> PressureSensor<I> {
     /// [`PressureError`]; a conversion that is not complete is an invalid status.
     pub fn fetch(&mut self) -> Result<f64, PressureError> {
         let mut answer = [0; 4];
-        self.bus.read(self.address, &mut answer).map_err(|_| PressureError::Bus(self.address))?;
+        self.bus
+            .read(self.address, &mut answer)
+            .map_err(|_| PressureError::Bus(self.address))?;
         let [status, high, middle, low] = answer;
         if status & STATUS != POWERED {
             return Err(PressureError::Status(self.address, status));

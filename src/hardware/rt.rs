@@ -13,7 +13,10 @@ use std::io::{self, Write};
 
 /// Reading of CLOCK_MONOTONIC, ns.
 pub fn monotonic_ns() -> u64 {
-    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    let mut now = libc::timespec {
+        tv_sec: 0,
+        tv_nsec: 0,
+    };
     // SAFETY: `now` is a live timespec to write to. CLOCK_MONOTONIC exists on every Linux, so the call
     // cannot fail.
     unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &mut now) };
@@ -22,12 +25,21 @@ pub fn monotonic_ns() -> u64 {
 
 /// Sleeps until a reading of CLOCK_MONOTONIC; returns at once if it has passed.
 pub fn sleep_until_ns(deadline_ns: u64) {
-    let deadline =
-        libc::timespec { tv_sec: (deadline_ns / 1_000_000_000) as libc::time_t, tv_nsec: (deadline_ns % 1_000_000_000) as libc::c_long };
+    let deadline = libc::timespec {
+        tv_sec: (deadline_ns / 1_000_000_000) as libc::time_t,
+        tv_nsec: (deadline_ns % 1_000_000_000) as libc::c_long,
+    };
     loop {
         // SAFETY: `deadline` is a valid timespec; with TIMER_ABSTIME the remainder pointer is not used
         // and may be null.
-        let result = unsafe { libc::clock_nanosleep(libc::CLOCK_MONOTONIC, libc::TIMER_ABSTIME, &deadline, std::ptr::null_mut()) };
+        let result = unsafe {
+            libc::clock_nanosleep(
+                libc::CLOCK_MONOTONIC,
+                libc::TIMER_ABSTIME,
+                &deadline,
+                std::ptr::null_mut(),
+            )
+        };
         if result != libc::EINTR {
             return;
         }
@@ -85,7 +97,11 @@ impl Grant {
             return Self::Granted;
         }
         let errno = io::Error::last_os_error().raw_os_error().unwrap_or(0);
-        Self::Denied(Denial { request, errno, remedy })
+        Self::Denied(Denial {
+            request,
+            errno,
+            remedy,
+        })
     }
 }
 
@@ -110,12 +126,28 @@ pub struct IdleGuard {
 /// Applies the real-time settings to the calling thread as far as the kernel grants them.
 pub fn enter(request: &RtRequest) -> (RtStatus, IdleGuard) {
     let real_time = request.priority > 0;
-    let if_real_time = |apply: &dyn Fn() -> Grant| if real_time { apply() } else { Grant::NotRequested };
-    let (idle_states, guard) = if real_time { limit_idle_states() } else { (Grant::NotRequested, IdleGuard { _open: None }) };
+    let if_real_time = |apply: &dyn Fn() -> Grant| {
+        if real_time {
+            apply()
+        } else {
+            Grant::NotRequested
+        }
+    };
+    let (idle_states, guard) = if real_time {
+        limit_idle_states()
+    } else {
+        (Grant::NotRequested, IdleGuard { _open: None })
+    };
     let status = [
-        ("SCHED_FIFO", if_real_time(&|| schedule_fifo(request.priority))),
+        (
+            "SCHED_FIFO",
+            if_real_time(&|| schedule_fifo(request.priority)),
+        ),
         ("locked memory", if_real_time(&lock_memory)),
-        ("own processor", request.cpu.map_or(Grant::NotRequested, set_affinity)),
+        (
+            "own processor",
+            request.cpu.map_or(Grant::NotRequested, set_affinity),
+        ),
         ("exact timers", exact_timers()),
         ("shallow idle", idle_states),
     ];
@@ -124,7 +156,9 @@ pub fn enter(request: &RtRequest) -> (RtStatus, IdleGuard) {
 }
 
 fn schedule_fifo(priority: i32) -> Grant {
-    let parameter = libc::sched_param { sched_priority: priority };
+    let parameter = libc::sched_param {
+        sched_priority: priority,
+    };
     // SAFETY: 0 means the calling thread; `parameter` is a live sched_param that is only read.
     let result = unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &parameter) };
     Grant::from_call(
@@ -146,9 +180,14 @@ fn lock_memory() -> Grant {
 
 fn set_affinity(cpu: usize) -> Grant {
     const REQUEST: &str = "own processor";
-    const REMEDY: &str = "name a processor that exists and is allowed (`nproc`, AllowedCPUs= in the unit)";
+    const REMEDY: &str =
+        "name a processor that exists and is allowed (`nproc`, AllowedCPUs= in the unit)";
     if cpu >= libc::CPU_SETSIZE as usize {
-        return Grant::Denied(Denial { request: REQUEST, errno: libc::EINVAL, remedy: REMEDY });
+        return Grant::Denied(Denial {
+            request: REQUEST,
+            errno: libc::EINVAL,
+            remedy: REMEDY,
+        });
     }
     // SAFETY: all zeros is the empty set.
     let mut set: libc::cpu_set_t = unsafe { std::mem::zeroed() };
@@ -168,15 +207,22 @@ fn exact_timers() -> Grant {
 
 /// Requests a wake-up latency of zero for as long as the guard lives.
 fn limit_idle_states() -> (Grant, IdleGuard) {
-    let opened = File::options().write(true).open("/dev/cpu_dma_latency").and_then(|mut f| {
-        f.write_all(&0_i32.to_ne_bytes())?;
-        Ok(f)
-    });
+    let opened = File::options()
+        .write(true)
+        .open("/dev/cpu_dma_latency")
+        .and_then(|mut f| {
+            f.write_all(&0_i32.to_ne_bytes())?;
+            Ok(f)
+        });
     match opened {
         Ok(f) => (Grant::Granted, IdleGuard { _open: Some(f) }),
         Err(e) => {
             let remedy = "needs write permission for /dev/cpu_dma_latency (a udev rule, or DeviceAllow= in the unit)";
-            let denial = Denial { request: "shallow idle", errno: e.raw_os_error().unwrap_or(0), remedy };
+            let denial = Denial {
+                request: "shallow idle",
+                errno: e.raw_os_error().unwrap_or(0),
+                remedy,
+            };
             (Grant::Denied(denial), IdleGuard { _open: None })
         }
     }
@@ -212,7 +258,11 @@ mod tests {
     fn a_processor_that_does_not_exist_is_denied_with_a_remedy() {
         for cpu in [1000, 100_000] {
             let text = set_affinity(cpu).to_string();
-            assert!(text.contains("own processor denied") && text.contains("name a processor that exists"), "{text}");
+            assert!(
+                text.contains("own processor denied")
+                    && text.contains("name a processor that exists"),
+                "{text}"
+            );
         }
     }
 
@@ -220,7 +270,15 @@ mod tests {
     fn an_empty_request_changes_nothing_but_the_timers() {
         let (status, _guard) = enter(&RtRequest::default());
         for (name, grant) in status {
-            assert_eq!(grant, if name == "exact timers" { Grant::Granted } else { Grant::NotRequested }, "{name}");
+            assert_eq!(
+                grant,
+                if name == "exact timers" {
+                    Grant::Granted
+                } else {
+                    Grant::NotRequested
+                },
+                "{name}"
+            );
         }
     }
 }

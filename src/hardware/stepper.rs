@@ -15,8 +15,8 @@ use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt::{self, RtRequest, RtStatus, monotonic_ns};
 use crate::motion::queue::{self, FeedError, Feeder, SyncStatus, TimedSegment};
 use crate::motion::{
-    EmergencyStop, Histogram, Levels, MotionConfig, MotionLimits, PulseAction, PulseTiming, Segment, StepCore, StepGenerator,
-    StepperConfig, StepperOrder, StepperReport,
+    EmergencyStop, Histogram, Levels, MotionConfig, MotionLimits, PulseAction, PulseTiming,
+    Segment, StepCore, StepGenerator, StepperConfig, StepperOrder, StepperReport,
 };
 use crate::primitives::Invalid;
 use std::sync::{Arc, OnceLock};
@@ -85,7 +85,14 @@ impl<P: Pins> Shell<P> {
         while self.run_once() {}
         let report = self.core.report(monotonic_ns());
         let interval_error = self.core.interval_error;
-        (Summary { report, wake: self.wake, interval_error }, self.pins)
+        (
+            Summary {
+                report,
+                wake: self.wake,
+                interval_error,
+            },
+            self.pins,
+        )
     }
 
     /// One cycle: orders, inputs and one action of the core. Returns false when the core has finished.
@@ -132,7 +139,9 @@ impl<P: Pins> Shell<P> {
         let give_up_ns = monotonic_ns() + ENABLE_SETTLES_NS;
         loop {
             match self.pins.check_enable() {
-                Err(PinError::EnableStuck { .. }) if monotonic_ns() < give_up_ns => std::hint::spin_loop(),
+                Err(PinError::EnableStuck { .. }) if monotonic_ns() < give_up_ns => {
+                    std::hint::spin_loop()
+                }
                 result => return result,
             }
         }
@@ -146,12 +155,18 @@ impl<P: Pins> Shell<P> {
 
     /// Sends a report if one is due. If the ring is full, the report is lost; the next one replaces it.
     fn report(&mut self, now_ns: u64) {
-        let age_ns = self.last_report.as_ref().map_or(u64::MAX, |last| now_ns.saturating_sub(last.t_ns));
+        let age_ns = self
+            .last_report
+            .as_ref()
+            .map_or(u64::MAX, |last| now_ns.saturating_sub(last.t_ns));
         if age_ns < REPORT_NS {
             return;
         }
         let report = self.core.report(now_ns);
-        let changed = self.last_report.as_ref().is_none_or(|last| report.differs_from(last));
+        let changed = self
+            .last_report
+            .as_ref()
+            .is_none_or(|last| report.differs_from(last));
         if (changed || age_ns >= HEARTBEAT_NS) && self.reports.push(report).is_ok() {
             self.last_report = Some(report);
         }
@@ -185,7 +200,10 @@ impl<P: Pins + 'static> Stepper<P> {
         step_mm: f64,
         emergency_stop: EmergencyStop,
     ) -> Result<Self, StartError> {
-        let timing = PulseTiming { emergency_stop, ..PulseTiming::try_from(config)? };
+        let timing = PulseTiming {
+            emergency_stop,
+            ..PulseTiming::try_from(config)?
+        };
         config.validate_rate(motion, step_mm)?;
         let limits = MotionLimits::try_from(motion)?;
         let (feeder, segments) = queue::ring(SEGMENTS, (config.lead_ms * 1e6) as u64);
@@ -195,7 +213,11 @@ impl<P: Pins + 'static> Stepper<P> {
         let energised = pins.found_energised();
         let core = StepCore::new(timing, &limits, step_mm);
         let shell = Shell {
-            core: if energised { core.found_energised(monotonic_ns()) } else { core },
+            core: if energised {
+                core.found_energised(monotonic_ns())
+            } else {
+                core
+            },
             pins,
             spin_ns: (config.spin_us * 1e3) as u64,
             segments,
@@ -208,14 +230,19 @@ impl<P: Pins + 'static> Stepper<P> {
             pin_error_text: pin_error_text.clone(),
             enabled: energised,
         };
-        let request = RtRequest { priority: config.priority, cpu: config.cpu };
+        let request = RtRequest {
+            priority: config.priority,
+            cpu: config.cpu,
+        };
         let (sender, receiver) = std::sync::mpsc::channel();
-        let thread = std::thread::Builder::new().name("steps".into()).spawn(move || {
-            let (status, _guard) = rt::enter(&request);
-            // The receiver waits below, so sending cannot fail.
-            let _ = sender.send(status);
-            shell.run()
-        })?;
+        let thread = std::thread::Builder::new()
+            .name("steps".into())
+            .spawn(move || {
+                let (status, _guard) = rt::enter(&request);
+                // The receiver waits below, so sending cannot fail.
+                let _ = sender.send(status);
+                shell.run()
+            })?;
         let status = receiver.recv().map_err(|_| StartError::Died)?;
         Ok(Self {
             feeder,
@@ -245,11 +272,16 @@ impl<P> StepGenerator for Stepper<P> {
         if self.reports.is_abandoned() {
             return SyncStatus::Dead;
         }
-        let heard_ns = self.latest.as_ref().map_or(self.started_ns, |report| report.t_ns);
+        let heard_ns = self
+            .latest
+            .as_ref()
+            .map_or(self.started_ns, |report| report.t_ns);
         if now_ns.saturating_sub(heard_ns) > SILENT_NS {
             return SyncStatus::Silent;
         }
-        self.latest.as_ref().map_or(SyncStatus::Busy, |report| self.feeder.sync(report, now_ns))
+        self.latest
+            .as_ref()
+            .map_or(SyncStatus::Busy, |report| self.feeder.sync(report, now_ns))
     }
 
     fn feed(&mut self, segment: &Segment, now_ns: u64) -> Result<(), FeedError> {

@@ -15,7 +15,8 @@ const BITS: [(u32, &str); 8] = [
 ];
 
 /// What to do about any of it.
-pub const REMEDY: &str = "use the official power supply, a separate one for the motors, and let the computer cool";
+pub const REMEDY: &str =
+    "use the official power supply, a separate one for the motors, and let the computer cool";
 
 /// What the firmware reports now, worst first; `None` on a computer without such a firmware.
 pub fn troubles() -> Option<Vec<&'static str>> {
@@ -24,7 +25,12 @@ pub fn troubles() -> Option<Vec<&'static str>> {
 
 fn parse(text: &str) -> Option<Vec<&'static str>> {
     let bits = u32::from_str_radix(text.trim().trim_start_matches("0x"), 16).ok()?;
-    Some(BITS.iter().filter(|(bit, _)| bits >> bit & 1 == 1).map(|(_, name)| *name).collect())
+    Some(
+        BITS.iter()
+            .filter(|(bit, _)| bits >> bit & 1 == 1)
+            .map(|(_, name)| *name)
+            .collect(),
+    )
 }
 
 #[cfg(test)]
@@ -36,7 +42,12 @@ mod tests {
         assert_eq!(parse("0\n"), Some(vec![]));
         assert_eq!(
             parse("0x50005\n"),
-            Some(vec!["under-voltage now", "throttled now", "under-voltage since boot", "throttled since boot"])
+            Some(vec![
+                "under-voltage now",
+                "throttled now",
+                "under-voltage since boot",
+                "throttled since boot"
+            ])
         );
         assert_eq!(parse("volts"), None);
     }

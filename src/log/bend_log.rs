@@ -26,7 +26,12 @@ impl ImuColumns {
     pub fn samples<'a>(&'a self, t_s: &'a [f64]) -> impl Iterator<Item = ImuSample> + 'a {
         t_s.iter().enumerate().map(|(k, t)| {
             let mag_ut = Some(self.mag[k]).filter(|m| m.iter().all(|x| x.is_finite()));
-            ImuSample { t: Seconds(*t), gyro_rad_s: self.gyr[k], acc_m_s2: self.acc[k], mag_ut }
+            ImuSample {
+                t: Seconds(*t),
+                gyro_rad_s: self.gyr[k],
+                acc_m_s2: self.acc[k],
+                mag_ut,
+            }
         })
     }
 }
@@ -63,11 +68,19 @@ const ACC: [&str; 3] = ["acc_x_m_s2", "acc_y_m_s2", "acc_z_m_s2"];
 const GYR: [&str; 3] = ["gyr_x_rad_s", "gyr_y_rad_s", "gyr_z_rad_s"];
 const MAG: [&str; 3] = ["mag_x_ut", "mag_y_ut", "mag_z_ut"];
 const REFERENCE: [&str; 4] = ["ref_qw", "ref_qx", "ref_qy", "ref_qz"];
-const SCHEMA: Schema<'_> = Schema { required: &REQUIRED, known: &known, rows_min: 1 };
+const SCHEMA: Schema<'_> = Schema {
+    required: &REQUIRED,
+    known: &known,
+    rows_min: 1,
+};
 
 fn known(name: &str) -> bool {
     let imu = name.strip_prefix("base_").unwrap_or(name);
-    let all = REQUIRED.iter().chain(&OPTIONAL).chain(&PRESSURE).chain(&REFERENCE);
+    let all = REQUIRED
+        .iter()
+        .chain(&OPTIONAL)
+        .chain(&PRESSURE)
+        .chain(&REFERENCE);
     all.into_iter().any(|n| *n == name) || [ACC, GYR, MAG].iter().flatten().any(|n| *n == imu)
 }
 
@@ -88,19 +101,31 @@ pub fn parse(file: &str, text: impl Read) -> Result<BendLog, ReadError> {
 }
 
 fn from_table(file: String, table: &Table) -> Result<BendLog, ReadError> {
-    let piston = [table.complete(REQUIRED[1])?, table.complete(REQUIRED[2])?, table.complete(REQUIRED[3])?];
-    let command = |k: usize| Vector3::from_fn(|i, _| table.column(OPTIONAL[i]).map_or(f64::NAN, |c| c[k]));
+    let piston = [
+        table.complete(REQUIRED[1])?,
+        table.complete(REQUIRED[2])?,
+        table.complete(REQUIRED[3])?,
+    ];
+    let command =
+        |k: usize| Vector3::from_fn(|i, _| table.column(OPTIONAL[i]).map_or(f64::NAN, |c| c[k]));
     Ok(BendLog {
         file,
         t_s: table.clock(REQUIRED[0])?.to_vec(),
         command: (0..table.rows()).map(command).collect(),
-        piston_mm: (0..table.rows()).map(|k| Vector3::from(piston.map(|c| c[k]))).collect(),
+        piston_mm: (0..table.rows())
+            .map(|k| Vector3::from(piston.map(|c| c[k])))
+            .collect(),
         imu: imu(table, "")?,
         base: imu(table, "base_")?,
         reference: table.quaternions(REFERENCE)?,
         pressure_kpa: table.vectors(PRESSURE)?,
         temp_c: table.column(OPTIONAL[3]).map(<[f64]>::to_vec),
-        ignored: table.header().iter().filter(|h| !known(h)).cloned().collect(),
+        ignored: table
+            .header()
+            .iter()
+            .filter(|h| !known(h))
+            .cloned()
+            .collect(),
     })
 }
 
@@ -113,23 +138,35 @@ fn imu(table: &Table, prefix: &str) -> Result<Option<ImuColumns>, ReadError> {
     if acc.is_none() && gyr.is_none() && mag.is_none() {
         return Ok(None);
     }
-    let or_missing = |v: Option<Vec<Vector3<f64>>>| v.unwrap_or_else(|| vec![Vector3::repeat(f64::NAN); table.rows()]);
-    Ok(Some(ImuColumns { acc: or_missing(acc), gyr: or_missing(gyr), mag: or_missing(mag) }))
+    let or_missing = |v: Option<Vec<Vector3<f64>>>| {
+        v.unwrap_or_else(|| vec![Vector3::repeat(f64::NAN); table.rows()])
+    };
+    Ok(Some(ImuColumns {
+        acc: or_missing(acc),
+        gyr: or_missing(gyr),
+        mag: or_missing(mag),
+    }))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const HEAD: &str = "time_s,piston1_mm,piston2_mm,piston3_mm,note,acc_x_m_s2,acc_y_m_s2,acc_z_m_s2\n";
+    const HEAD: &str =
+        "time_s,piston1_mm,piston2_mm,piston3_mm,note,acc_x_m_s2,acc_y_m_s2,acc_z_m_s2\n";
 
     fn error(body: &str) -> String {
-        parse("x.csv", format!("{HEAD}{body}").as_bytes()).map_or_else(|e| e.to_string(), |_| String::new())
+        parse("x.csv", format!("{HEAD}{body}").as_bytes())
+            .map_or_else(|e| e.to_string(), |_| String::new())
     }
 
     #[test]
     fn a_log_is_read_and_unknown_columns_are_listed() {
-        let log = parse("x.csv", format!("{HEAD}0.01,0,0,0,hello,0,0,9.8\n0.02,1,2,3,,,,\n").as_bytes()).unwrap();
+        let log = parse(
+            "x.csv",
+            format!("{HEAD}0.01,0,0,0,hello,0,0,9.8\n0.02,1,2,3,,,,\n").as_bytes(),
+        )
+        .unwrap();
         assert_eq!(log.ignored, ["note"]);
         assert_eq!(log.piston_mm[1], Vector3::new(1.0, 2.0, 3.0));
         assert!(log.imu.unwrap().acc[1].x.is_nan());
@@ -140,8 +177,12 @@ mod tests {
     fn times_and_pistons_must_be_complete() {
         assert!(error("0.01,0,,0,,0,0,9.8\n").contains("line 2, column piston2_mm"));
         assert!(error("0.01,0,nan,0,,0,0,9.8\n").contains("line 2, column piston2_mm"));
-        assert!(error("0.02,0,0,0,,0,0,9.8\n0.02,0,0,0,,0,0,9.8\n").contains("line 3, column time_s"));
-        let e = parse("x.csv", "time_s,piston1_mm\n0,0\n".as_bytes()).unwrap_err().to_string();
+        assert!(
+            error("0.02,0,0,0,,0,0,9.8\n0.02,0,0,0,,0,0,9.8\n").contains("line 3, column time_s")
+        );
+        let e = parse("x.csv", "time_s,piston1_mm\n0,0\n".as_bytes())
+            .unwrap_err()
+            .to_string();
         assert!(e.contains("column piston2_mm: is missing"), "{e}");
     }
 }

@@ -33,7 +33,10 @@ pub fn write<N: AsRef<str>>(table: &[(N, Column)]) -> Result<Vec<u8>> {
         Column::Numbers(_) => format!("optional double {};", name.as_ref()),
         Column::Texts(_) => format!("required binary {} (STRING);", name.as_ref()),
     };
-    let schema = parse_message_type(&format!("message log {{ {} }}", table.iter().map(field).collect::<String>()))?;
+    let schema = parse_message_type(&format!(
+        "message log {{ {} }}",
+        table.iter().map(field).collect::<String>()
+    ))?;
     let zstd = Compression::ZSTD(ZstdLevel::default());
     let properties = Arc::new(WriterProperties::builder().set_compression(zstd).build());
     let mut writer = SerializedFileWriter::new(Vec::new(), Arc::new(schema), properties)?;
@@ -45,17 +48,26 @@ pub fn write<N: AsRef<str>>(table: &[(N, Column)]) -> Result<Vec<u8>> {
         let part = from..rows.min(from + GROUP);
         let mut group = writer.next_row_group()?;
         for (_, column) in table {
-            let Some(mut writer) = group.next_column()? else { break };
+            let Some(mut writer) = group.next_column()? else {
+                break;
+            };
             match column {
                 Column::Numbers(all) => {
                     let mut values = all[part.clone()].to_vec();
                     let present: Vec<i16> = values.iter().map(|x| x.is_finite().into()).collect();
                     values.retain(|x| x.is_finite());
-                    writer.typed::<DoubleType>().write_batch(&values, Some(&present), None)?;
+                    writer
+                        .typed::<DoubleType>()
+                        .write_batch(&values, Some(&present), None)?;
                 }
                 Column::Texts(all) => {
-                    let values: Vec<ByteArray> = all[part.clone()].iter().map(|text| text.as_str().into()).collect();
-                    writer.typed::<ByteArrayType>().write_batch(&values, None, None)?;
+                    let values: Vec<ByteArray> = all[part.clone()]
+                        .iter()
+                        .map(|text| text.as_str().into())
+                        .collect();
+                    writer
+                        .typed::<ByteArrayType>()
+                        .write_batch(&values, None, None)?;
                 }
             }
             writer.close()?;
@@ -75,7 +87,14 @@ pub fn read(file: File) -> Result<Vec<(String, Column)>> {
         Type::BYTE_ARRAY => (of.name().to_owned(), Column::Texts(Vec::new())),
         _ => (of.name().to_owned(), Column::Numbers(Vec::new())),
     };
-    let mut table: Vec<(String, Column)> = reader.metadata().file_metadata().schema_descr().columns().iter().map(column).collect();
+    let mut table: Vec<(String, Column)> = reader
+        .metadata()
+        .file_metadata()
+        .schema_descr()
+        .columns()
+        .iter()
+        .map(column)
+        .collect();
     for row in reader.get_row_iter(None)? {
         for ((_, column), (_, field)) in table.iter_mut().zip(row?.get_column_iter()) {
             match (column, field) {

@@ -11,8 +11,13 @@ pub fn why_unreadable(path: &Path, error: &std::io::Error) -> String {
     match error.kind() {
         _ if path.is_dir() => "this is a folder, not a file; give the name of a file".to_owned(),
         ErrorKind::NotFound => "there is no such file; check the path".to_owned(),
-        ErrorKind::PermissionDenied => "this user has no permission to read the file; change its permissions or its owner".to_owned(),
-        ErrorKind::FileTooLarge => "the file is larger than 1 MiB, so it is another file than is expected here".to_owned(),
+        ErrorKind::PermissionDenied => {
+            "this user has no permission to read the file; change its permissions or its owner"
+                .to_owned()
+        }
+        ErrorKind::FileTooLarge => {
+            "the file is larger than 1 MiB, so it is another file than is expected here".to_owned()
+        }
         ErrorKind::InvalidData => "this is not a text file (not valid UTF-8)".to_owned(),
         _ => format!("the file cannot be read: {error}"),
     }
@@ -47,7 +52,9 @@ pub enum ReadError {
         problem: String,
     },
     /// The file ends early, or its contents contradict its compression or encoding.
-    #[error("{file}, line {line}: cannot be read: {reason}; the file is cut short or damaged, copy it again")]
+    #[error(
+        "{file}, line {line}: cannot be read: {reason}; the file is cut short or damaged, copy it again"
+    )]
     Broken {
         /// File.
         file: String,

@@ -40,16 +40,27 @@ pub struct Row {
     pub moving: bool,
 }
 
-const REQUIRED: [&str; 7] = ["time_s", "acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z"];
+const REQUIRED: [&str; 7] = [
+    "time_s", "acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z",
+];
 const MAG: [&str; 3] = ["mag_x", "mag_y", "mag_z"];
 const REFERENCE: [&str; 4] = ["ref_qw", "ref_qx", "ref_qy", "ref_qz"];
 const MOVING: &str = "moving";
-const SCHEMA: Schema<'_> = Schema { required: &REQUIRED, known: &known, rows_min: 0 };
+const SCHEMA: Schema<'_> = Schema {
+    required: &REQUIRED,
+    known: &known,
+    rows_min: 0,
+};
 /// Rows that a period needs; counted once the columns are known to be complete.
 const ROWS_MIN: usize = 2;
 
 fn known(name: &str) -> bool {
-    name == MOVING || REQUIRED.iter().chain(&MAG).chain(&REFERENCE).any(|n| *n == name)
+    name == MOVING
+        || REQUIRED
+            .iter()
+            .chain(&MAG)
+            .chain(&REFERENCE)
+            .any(|n| *n == name)
 }
 
 /// Reads a recording from a CSV or gzip CSV file.
@@ -65,7 +76,10 @@ pub fn read(path: &Path) -> Result<Recording, ReadError> {
 /// # Errors
 /// [`ReadError`] with file, line and column.
 pub fn parse(path: &Path, text: impl Read) -> Result<Recording, ReadError> {
-    from_table(path, &Table::parse(&path.display().to_string(), text, &SCHEMA)?)
+    from_table(
+        path,
+        &Table::parse(&path.display().to_string(), text, &SCHEMA)?,
+    )
 }
 
 fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
@@ -88,10 +102,22 @@ fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
         reference: reference.as_ref().and_then(|r| r[k]).map(world_from_enu),
         moving: moving.is_none_or(|m| m[k] == 1.0),
     };
-    let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-    let rows: Vec<Row> = ImuColumns { acc, gyr, mag }.samples(t).enumerate().map(row).collect();
+    let name = path
+        .file_name()
+        .unwrap_or(path.as_os_str())
+        .to_string_lossy()
+        .into_owned();
+    let rows: Vec<Row> = ImuColumns { acc, gyr, mag }
+        .samples(t)
+        .enumerate()
+        .map(row)
+        .collect();
     if rows.len() < ROWS_MIN {
-        return Err(ReadError::too_short(&path.display().to_string(), rows.len(), ROWS_MIN));
+        return Err(ReadError::too_short(
+            &path.display().to_string(),
+            rows.len(),
+            ROWS_MIN,
+        ));
     }
     Ok(Recording { name, rows })
 }
@@ -105,7 +131,10 @@ fn world_from_enu(r_enu_sensor: UnitQuaternion<f64>) -> Rotation<World, Sensor> 
 impl Recording {
     /// Median time between rows, s; gaps do not affect it.
     pub fn period_s(&self) -> f64 {
-        let steps = self.rows.windows(2).map(|w| w[1].sample.t.0 - w[0].sample.t.0);
+        let steps = self
+            .rows
+            .windows(2)
+            .map(|w| w[1].sample.t.0 - w[0].sample.t.0);
         let mut steps: Vec<f64> = steps.collect();
         steps.sort_by(f64::total_cmp);
         steps.get(steps.len() / 2).copied().unwrap_or(0.0)
@@ -127,10 +156,14 @@ mod tests {
     use crate::primitives::Seconds;
 
     const HEADER: &str = "time_s,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z,mag_x,mag_y,mag_z,ref_qw,ref_qx,ref_qy,ref_qz,moving";
-    const GOOD: &str = "0.0,0,0,9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,0\n0.01,0,0,9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,1\n";
+    const GOOD: &str =
+        "0.0,0,0,9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,0\n0.01,0,0,9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,1\n";
 
     fn text(lines: &str) -> Result<Recording, ReadError> {
-        parse(Path::new("folder/trial.csv"), format!("{HEADER}\n{lines}").as_bytes())
+        parse(
+            Path::new("folder/trial.csv"),
+            format!("{HEADER}\n{lines}").as_bytes(),
+        )
     }
 
     /// The error message; it must name the file.
@@ -150,44 +183,92 @@ mod tests {
         assert_eq!(row.sample.mag_ut, Some(Vector3::new(16.0, 0.0, -41.0)));
         assert!(row.moving && !r.rows[0].moving);
         let north = row.reference.unwrap().apply(&Vector3::y());
-        assert!((north - Vector3::x()).norm() < 1e-12, "north is y in the file and x in the world: {north}");
+        assert!(
+            (north - Vector3::x()).norm() < 1e-12,
+            "north is y in the file and x in the world: {north}"
+        );
         assert!((r.period_s() - 0.01).abs() < 1e-12);
     }
 
     #[test]
     fn missing_readings_are_not_errors() {
-        let r = text("0,nan,0,9.8,,0,0,,,,nan,nan,nan,nan,0\n1,0,0,9.8,0,0,0,16,nan,-41,1,0,,0,1\n").unwrap();
+        let r =
+            text("0,nan,0,9.8,,0,0,,,,nan,nan,nan,nan,0\n1,0,0,9.8,0,0,0,16,nan,-41,1,0,,0,1\n")
+                .unwrap();
         assert!(r.rows[0].sample.acc_m_s2.x.is_nan() && r.rows[0].sample.gyro_rad_s.x.is_nan());
         for row in &r.rows {
             assert_eq!((row.sample.mag_ut, row.reference), (None, None));
         }
         let bare = "acc_x,acc_y,acc_z,extra,gyr_x,gyr_y,gyr_z,time_s\n0,0,9.8,hello,0,0,0,1\n0,0,9.8,,0,0,0,2\n";
         let r = parse(Path::new("x.csv"), bare.as_bytes()).unwrap();
-        assert!(r.rows.iter().all(|row| row.moving && row.reference.is_none() && row.sample.mag_ut.is_none()));
+        assert!(
+            r.rows
+                .iter()
+                .all(|row| row.moving && row.reference.is_none() && row.sample.mag_ut.is_none())
+        );
         assert_eq!(r.mag_period_s(), 1.0);
     }
 
     #[test]
     fn errors_name_line_column_and_value() {
-        let bad_number = error(&GOOD.replace("9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,1", "9.8,0.1,0.2,0.3,16,0,x1,1,0,0,0,1"));
-        assert!(bad_number.contains("line 3") && bad_number.contains("mag_z") && bad_number.contains("`x1`"), "{bad_number}");
+        let bad_number = error(&GOOD.replace(
+            "9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,1",
+            "9.8,0.1,0.2,0.3,16,0,x1,1,0,0,0,1",
+        ));
+        assert!(
+            bad_number.contains("line 3")
+                && bad_number.contains("mag_z")
+                && bad_number.contains("`x1`"),
+            "{bad_number}"
+        );
         for (lines, parts) in [
-            ("0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n", ["line 3", "time_s"]),
-            ("0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n1,0,0,9.8,0,0,0,16,0,-4\n", ["line 3", "ref_qw"]),
-            ("0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0,7\n", ["line 2", "16 fields"]),
-            ("0,0,0,9.8,0,0,0,16,0,-41,0.5,0,0,0,0\n1,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n", ["line 2", "ref_qw"]),
-            ("0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,yes\n", ["line 2", "moving"]),
-            ("0,0,0,9.8,inf,0,0,16,0,-41,1,0,0,0,1\n", ["line 2", "gyr_x"]),
-            ("nan,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,1\n1,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,1\n", ["line 2", "time_s"]),
+            (
+                "0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n",
+                ["line 3", "time_s"],
+            ),
+            (
+                "0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n1,0,0,9.8,0,0,0,16,0,-4\n",
+                ["line 3", "ref_qw"],
+            ),
+            (
+                "0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0,7\n",
+                ["line 2", "16 fields"],
+            ),
+            (
+                "0,0,0,9.8,0,0,0,16,0,-41,0.5,0,0,0,0\n1,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n",
+                ["line 2", "ref_qw"],
+            ),
+            (
+                "0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,yes\n",
+                ["line 2", "moving"],
+            ),
+            (
+                "0,0,0,9.8,inf,0,0,16,0,-41,1,0,0,0,1\n",
+                ["line 2", "gyr_x"],
+            ),
+            (
+                "nan,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,1\n1,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,1\n",
+                ["line 2", "time_s"],
+            ),
             ("", ["no rows", "header"]),
-            ("0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n", ["1 rows", "at least 2"]),
+            (
+                "0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n",
+                ["1 rows", "at least 2"],
+            ),
         ] {
             let message = error(lines);
             assert!(parts.iter().all(|p| message.contains(p)), "{message}");
         }
-        let headless = parse(Path::new("h.csv"), "time_s,acc_x,acc_y\n".as_bytes()).unwrap_err().to_string();
-        assert!(headless.contains("acc_z") && headless.contains("line 1"), "{headless}");
-        let half = parse(Path::new("h.csv"), HEADER.replace(",mag_y", "").as_bytes()).unwrap_err().to_string();
+        let headless = parse(Path::new("h.csv"), "time_s,acc_x,acc_y\n".as_bytes())
+            .unwrap_err()
+            .to_string();
+        assert!(
+            headless.contains("acc_z") && headless.contains("line 1"),
+            "{headless}"
+        );
+        let half = parse(Path::new("h.csv"), HEADER.replace(",mag_y", "").as_bytes())
+            .unwrap_err()
+            .to_string();
         assert!(half.contains("mag_y"), "{half}");
     }
 }

@@ -25,7 +25,10 @@ const TEXT_MAX: u64 = 1 << 20;
 /// The operating system's, or [`io::ErrorKind::FileTooLarge`] above 1 MiB.
 pub fn text(path: &Path) -> io::Result<String> {
     let mut bytes = Vec::new();
-    match File::open(path)?.take(TEXT_MAX + 1).read_to_end(&mut bytes)? as u64 {
+    match File::open(path)?
+        .take(TEXT_MAX + 1)
+        .read_to_end(&mut bytes)? as u64
+    {
         0..=TEXT_MAX => String::from_utf8(bytes).map_err(|_| io::ErrorKind::InvalidData.into()),
         _ => Err(io::ErrorKind::FileTooLarge.into()),
     }
@@ -42,11 +45,19 @@ impl<R: Read> Read for Bounded<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let n = self.text.read(buffer)?;
         self.all += n as u64;
-        self.line = buffer[..n].iter().rev().position(|b| *b == b'\n').map_or(self.line + n as u64, |k| k as u64);
+        self.line = buffer[..n]
+            .iter()
+            .rev()
+            .position(|b| *b == b'\n')
+            .map_or(self.line + n as u64, |k| k as u64);
         if self.line > BYTES_MAX[0] {
             return Err(io::Error::other("a line is longer than 64 KiB"));
         }
-        if self.all > BYTES_MAX[1] { Err(io::Error::other("the table is larger than 4 GiB")) } else { Ok(n) }
+        if self.all > BYTES_MAX[1] {
+            Err(io::Error::other("the table is larger than 4 GiB"))
+        } else {
+            Ok(n)
+        }
     }
 }
 
@@ -57,7 +68,11 @@ impl<R: Read> Read for Bounded<R> {
 fn reader(path: &Path) -> io::Result<Box<dyn Read>> {
     let mut file = BufReader::new(File::open(path)?);
     let gzip = file.fill_buf()?.starts_with(&GZIP_MAGIC);
-    Ok(if gzip { Box::new(MultiGzDecoder::new(file)) } else { Box::new(file) })
+    Ok(if gzip {
+        Box::new(MultiGzDecoder::new(file))
+    } else {
+        Box::new(file)
+    })
 }
 
 /// What a table must contain.
@@ -100,7 +115,14 @@ impl Table {
     /// [`ReadError`], as for [`Table::open`].
     pub fn parse(file: &str, text: impl Read, schema: &Schema<'_>) -> Result<Self, ReadError> {
         let mut options = csv::ReaderBuilder::new();
-        let mut reader = options.flexible(true).trim(csv::Trim::All).from_reader(Bounded { text, line: 0, all: 0 });
+        let mut reader = options
+            .flexible(true)
+            .trim(csv::Trim::All)
+            .from_reader(Bounded {
+                text,
+                line: 0,
+                all: 0,
+            });
         let broken = |line, e: &csv::Error| {
             let (file, reason) = (file.to_owned(), e.to_string());
             ReadError::Broken { file, line, reason }
@@ -108,7 +130,12 @@ impl Table {
         let header = reader.headers().map_err(|e| broken(1, &e))?;
         let header: Vec<String> = header.iter().map(str::to_owned).collect();
         let (columns, lines) = (vec![vec![]; header.len()], vec![]);
-        let mut table = Self { file: file.to_owned(), header, columns, lines };
+        let mut table = Self {
+            file: file.to_owned(),
+            header,
+            columns,
+            lines,
+        };
         if !table.header.is_empty() {
             let mut names = schema.required.iter();
             names.try_for_each(|name| table.position(name).map(drop))?;
@@ -117,7 +144,10 @@ impl Table {
         let known: Vec<bool> = known.collect();
         let mut record = csv::StringRecord::new();
         let mut line = 1;
-        while reader.read_record(&mut record).map_err(|e| broken(line + 1, &e))? {
+        while reader
+            .read_record(&mut record)
+            .map_err(|e| broken(line + 1, &e))?
+        {
             line = record.position().map_or(line + 1, csv::Position::line);
             table.push(line, &record, &known)?;
         }
@@ -127,18 +157,35 @@ impl Table {
         Ok(table)
     }
 
-    fn push(&mut self, line: u64, record: &csv::StringRecord, known: &[bool]) -> Result<(), ReadError> {
+    fn push(
+        &mut self,
+        line: u64,
+        record: &csv::StringRecord,
+        known: &[bool],
+    ) -> Result<(), ReadError> {
         let (found, expected) = (record.len(), self.header.len());
         if found != expected {
             let column = self.header.get(found).or(self.header.last());
             let (file, column) = (self.file.clone(), column.cloned().unwrap_or_default());
-            return Err(ReadError::Fields { file, line, column, found, expected });
+            return Err(ReadError::Fields {
+                file,
+                line,
+                column,
+                found,
+                expected,
+            });
         }
         self.lines.push(line);
         for (k, field) in record.iter().enumerate().filter(|(k, _)| known[*k]) {
-            match if field.is_empty() { Ok(f64::NAN) } else { field.parse() } {
+            match if field.is_empty() {
+                Ok(f64::NAN)
+            } else {
+                field.parse()
+            } {
                 // the sign tells a field that says `nan` from an empty one
-                Ok(value) if value.is_nan() => self.columns[k].push(value.copysign(if field.is_empty() { 1.0 } else { -1.0 })),
+                Ok(value) if value.is_nan() => {
+                    self.columns[k].push(value.copysign(if field.is_empty() { 1.0 } else { -1.0 }))
+                }
                 Ok(value) if !f64::is_infinite(value) => self.columns[k].push(value),
                 _ => {
                     let (row, column) = (self.rows() - 1, &self.header[k]);
@@ -162,7 +209,11 @@ impl Table {
     fn position(&self, name: &str) -> Result<usize, ReadError> {
         self.header.iter().position(|h| h == name).ok_or_else(|| {
             let (file, column) = (self.file.clone(), name.to_owned());
-            ReadError::Missing { file, column, header: self.header.join(", ") }
+            ReadError::Missing {
+                file,
+                column,
+                header: self.header.join(", "),
+            }
         })
     }
 
@@ -183,7 +234,10 @@ impl Table {
     ///
     /// # Errors
     /// [`ReadError::Missing`] if the header names only some of them.
-    pub fn group<const N: usize>(&self, names: [&str; N]) -> Result<Option<[&[f64]; N]>, ReadError> {
+    pub fn group<const N: usize>(
+        &self,
+        names: [&str; N],
+    ) -> Result<Option<[&[f64]; N]>, ReadError> {
         if names.iter().all(|n| self.column(n).is_none()) {
             return Ok(None);
         }
@@ -199,7 +253,9 @@ impl Table {
     /// # Errors
     /// [`ReadError::Missing`] if the header names only some of them.
     pub fn vectors(&self, names: [&str; 3]) -> Result<Option<Vec<Vector3<f64>>>, ReadError> {
-        let Some([x, y, z]) = self.group(names)? else { return Ok(None) };
+        let Some([x, y, z]) = self.group(names)? else {
+            return Ok(None);
+        };
         let row = |k: usize| Vector3::new(x[k], y[k], z[k]);
         Ok(Some((0..self.rows()).map(row).collect()))
     }
@@ -208,8 +264,13 @@ impl Table {
     ///
     /// # Errors
     /// [`ReadError::Missing`] as for [`Table::vectors`], [`ReadError::Field`] if a norm is not one.
-    pub fn quaternions(&self, names: [&str; 4]) -> Result<Option<Vec<Option<UnitQuaternion<f64>>>>, ReadError> {
-        let Some([w, x, y, z]) = self.group(names)? else { return Ok(None) };
+    pub fn quaternions(
+        &self,
+        names: [&str; 4],
+    ) -> Result<Option<Vec<Option<UnitQuaternion<f64>>>>, ReadError> {
+        let Some([w, x, y, z]) = self.group(names)? else {
+            return Ok(None);
+        };
         let one = |k: usize| {
             let q = Quaternion::new(w[k], x[k], y[k], z[k]);
             if q.norm().is_nan() {
@@ -233,7 +294,11 @@ impl Table {
         let values = self.required(name)?;
         match values.iter().position(|v| v.is_nan()) {
             Some(row) => {
-                let text = if values[row].is_sign_negative() { "nan" } else { "" };
+                let text = if values[row].is_sign_negative() {
+                    "nan"
+                } else {
+                    ""
+                };
                 Err(self.refuse(row, name, text, "a number; this column must not have gaps"))
             }
             None => Ok(values),
@@ -254,14 +319,24 @@ impl Table {
     ///
     /// # Errors
     /// [`ReadError::Clock`], [`ReadError::Missing`].
-    pub fn increasing(&self, name: &str, rows: impl IntoIterator<Item = usize>) -> Result<(), ReadError> {
+    pub fn increasing(
+        &self,
+        name: &str,
+        rows: impl IntoIterator<Item = usize>,
+    ) -> Result<(), ReadError> {
         let t = self.required(name)?;
         let mut before_s = f64::NEG_INFINITY;
         for row in rows {
             if t[row] <= before_s {
                 let (file, line, now_s) = (self.file.clone(), self.lines[row], t[row]);
                 let column = name.to_owned();
-                return Err(ReadError::Clock { file, line, column, now_s, before_s });
+                return Err(ReadError::Clock {
+                    file,
+                    line,
+                    column,
+                    now_s,
+                    before_s,
+                });
             }
             before_s = t[row];
         }
@@ -272,7 +347,13 @@ impl Table {
     pub fn refuse(&self, row: usize, column: &str, value: &str, expected: &str) -> ReadError {
         let (file, line) = (self.file.clone(), self.lines[row]);
         let [column, value, expected] = [column.to_owned(), short(value), expected.to_owned()];
-        ReadError::Field { file, line, column, value, expected }
+        ReadError::Field {
+            file,
+            line,
+            column,
+            value,
+            expected,
+        }
     }
 }
 
@@ -281,14 +362,21 @@ mod tests {
     use super::*;
     use std::io::Write;
 
-    const SCHEMA: Schema<'_> = Schema { required: &["t", "x"], known: &|name| name != "note", rows_min: 1 };
+    const SCHEMA: Schema<'_> = Schema {
+        required: &["t", "x"],
+        known: &|name| name != "note",
+        rows_min: 1,
+    };
 
     fn parse(text: &str) -> Result<Table, ReadError> {
         Table::parse("folder/t.csv", text.as_bytes(), &SCHEMA)
     }
 
     fn error(text: &str) -> String {
-        parse(text).and_then(|t| t.clock("t").map(|_| ())).unwrap_err().to_string()
+        parse(text)
+            .and_then(|t| t.clock("t").map(|_| ()))
+            .unwrap_err()
+            .to_string()
     }
 
     #[test]
@@ -297,7 +385,10 @@ mod tests {
         assert_eq!((t.rows(), t.clock("t").unwrap()), (3, &[0.0, 1.0, 2.0][..]));
         assert!(t.column("x").unwrap()[1].is_nan() && t.column("x").unwrap()[2].is_nan());
         assert!(t.column("y").is_none() && t.vectors(["a", "b", "c"]).unwrap().is_none());
-        assert!(t.vectors(["t", "x", "y"]).is_err(), "a vector needs all its components");
+        assert!(
+            t.vectors(["t", "x", "y"]).is_err(),
+            "a vector needs all its components"
+        );
     }
 
     #[test]
@@ -305,29 +396,60 @@ mod tests {
         for (text, expected) in [
             ("t,x\n", "folder/t.csv: has no rows"),
             ("", "folder/t.csv: has no rows"),
-            ("t,y\n0,0\n", "folder/t.csv, line 1, column x: is missing; the header names t, y"),
-            ("t,x\n0\n", "folder/t.csv, line 2, column x: the line has 1 fields where the header has 2"),
+            (
+                "t,y\n0,0\n",
+                "folder/t.csv, line 1, column x: is missing; the header names t, y",
+            ),
+            (
+                "t,x\n0\n",
+                "folder/t.csv, line 2, column x: the line has 1 fields where the header has 2",
+            ),
             ("t,x\n0,0,0\n", "line 2, column x: the line has 3 fields"),
-            ("t,x\n0,a\n", "folder/t.csv, line 2, column x: `a` is not a finite number"),
+            (
+                "t,x\n0,a\n",
+                "folder/t.csv, line 2, column x: `a` is not a finite number",
+            ),
             ("t,x\n0,inf\n", "line 2, column x: `inf`"),
             ("t,x\n0,0\n,0\n", "line 3, column t: `` is not a number"),
             ("t,x\nNaN,0\n", "line 2, column t: `nan` is not a number"),
-            ("t,x\n1e300,0\n0,0\n", "line 3, column t: 0 s does not come after 1e300 s"),
-            ("t,x\n0,0\n0,0\n", "folder/t.csv, line 3, column t: 0 s does not come after 0 s"),
+            (
+                "t,x\n1e300,0\n0,0\n",
+                "line 3, column t: 0 s does not come after 1e300 s",
+            ),
+            (
+                "t,x\n0,0\n0,0\n",
+                "folder/t.csv, line 3, column t: 0 s does not come after 0 s",
+            ),
         ] {
             let message = error(text);
-            assert!(message.starts_with("folder/t.csv") && message.contains(expected), "{message}");
+            assert!(
+                message.starts_with("folder/t.csv") && message.contains(expected),
+                "{message}"
+            );
         }
     }
 
     #[test]
     fn endless_text_is_refused() {
-        let zeros = Table::parse("zeros.csv", io::repeat(0), &SCHEMA).unwrap_err().to_string();
-        assert!(zeros.starts_with("zeros.csv, line 1: ") && zeros.contains("longer than 64 KiB"), "{zeros}");
+        let zeros = Table::parse("zeros.csv", io::repeat(0), &SCHEMA)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            zeros.starts_with("zeros.csv, line 1: ") && zeros.contains("longer than 64 KiB"),
+            "{zeros}"
+        );
         let late = io::Cursor::new("t,x\n0,0\n").chain(io::repeat(b'1'));
-        let late = Table::parse("late.csv", late, &SCHEMA).unwrap_err().to_string();
-        assert!(late.starts_with("late.csv, line 3: ") && late.contains("longer than 64 KiB"), "{late}");
-        assert_eq!(text(Path::new("/dev/zero")).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
+        let late = Table::parse("late.csv", late, &SCHEMA)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            late.starts_with("late.csv, line 3: ") && late.contains("longer than 64 KiB"),
+            "{late}"
+        );
+        assert_eq!(
+            text(Path::new("/dev/zero")).unwrap_err().kind(),
+            io::ErrorKind::FileTooLarge
+        );
     }
 
     #[test]
@@ -335,14 +457,22 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("plain_name.csv");
         let mut gz = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-        let rows: String = (0..5000).map(|k| format!("{k},{}\n", k * 7919 % 1000)).collect();
+        let rows: String = (0..5000)
+            .map(|k| format!("{k},{}\n", k * 7919 % 1000))
+            .collect();
         gz.write_all(format!("t,x\n{rows}").as_bytes()).unwrap();
         let bytes = gz.finish().unwrap();
         std::fs::write(&path, &bytes).unwrap();
         assert_eq!(Table::open(&path, &SCHEMA).unwrap().rows(), 5000);
         std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
         let message = Table::open(&path, &SCHEMA).unwrap_err().to_string();
-        assert!(message.contains("cut short") && message.contains("line "), "{message}");
-        assert!(matches!(Table::open(&folder.path().join("none.csv"), &SCHEMA), Err(ReadError::Open { .. })));
+        assert!(
+            message.contains("cut short") && message.contains("line "),
+            "{message}"
+        );
+        assert!(matches!(
+            Table::open(&folder.path().join("none.csv"), &SCHEMA),
+            Err(ReadError::Open { .. })
+        ));
     }
 }

@@ -24,7 +24,10 @@ pub struct Geometry {
 
 impl Default for Geometry {
     fn default() -> Self {
-        Self { r_mm: 7.0 / 3f64.sqrt(), rest_length_mm: 20.0 }
+        Self {
+            r_mm: 7.0 / 3f64.sqrt(),
+            rest_length_mm: 20.0,
+        }
     }
 }
 
@@ -59,7 +62,10 @@ impl Geometry {
     /// Inverse of [`Geometry::lengths`]: the three lengths fix bend and centre length exactly.
     pub fn shape(&self, q_mm: &Vector3<f64>) -> Shape {
         let sum = (0..3).fold(Vector2::zeros(), |a, i| a + Self::spoke(i) * q_mm[i]);
-        Shape { bend: Bend(sum * (-2.0 / (3.0 * self.r_mm))), length: Mm(self.rest_length_mm + q_mm.sum() / 3.0) }
+        Shape {
+            bend: Bend(sum * (-2.0 / (3.0 * self.r_mm))),
+            length: Mm(self.rest_length_mm + q_mm.sum() / 3.0),
+        }
     }
 
     /// Eq. 6: tip position in the base frame, mm.
@@ -67,7 +73,11 @@ impl Geometry {
         let beta = shape.bend.beta();
         let l = shape.length.0;
         let across = l * versine_over(beta);
-        Vector3::new(across * shape.bend.0.x, -across * shape.bend.0.y, l * sinc(beta))
+        Vector3::new(
+            across * shape.bend.0.x,
+            -across * shape.bend.0.y,
+            l * sinc(beta),
+        )
     }
 
     /// ∂x/∂(b_x, b_y, l) of Eq. 6, mm per rad and mm per mm.
@@ -92,7 +102,11 @@ impl Geometry {
 
 /// sin β / β.
 fn sinc(beta: f64) -> f64 {
-    if beta.abs() < 1e-4 { 1.0 - beta * beta / 6.0 } else { beta.sin() / beta }
+    if beta.abs() < 1e-4 {
+        1.0 - beta * beta / 6.0
+    } else {
+        beta.sin() / beta
+    }
 }
 
 /// (1 − cos β) / β².
@@ -103,12 +117,20 @@ fn versine_over(beta: f64) -> f64 {
 
 /// (d/dβ sinc) / β.
 fn sinc_slope(beta: f64) -> f64 {
-    if beta.abs() < 1e-2 { -1.0 / 3.0 + beta * beta / 30.0 } else { (beta.cos() - sinc(beta)) / (beta * beta) }
+    if beta.abs() < 1e-2 {
+        -1.0 / 3.0 + beta * beta / 30.0
+    } else {
+        (beta.cos() - sinc(beta)) / (beta * beta)
+    }
 }
 
 /// (d/dβ (1 − cos β)/β²) / β.
 fn versine_over_slope(beta: f64) -> f64 {
-    if beta.abs() < 1e-2 { -1.0 / 12.0 + beta * beta / 180.0 } else { (sinc(beta) - 2.0 * versine_over(beta)) / (beta * beta) }
+    if beta.abs() < 1e-2 {
+        -1.0 / 12.0 + beta * beta / 180.0
+    } else {
+        (sinc(beta) - 2.0 * versine_over(beta)) / (beta * beta)
+    }
 }
 
 #[cfg(test)]
@@ -118,7 +140,10 @@ mod tests {
     use proptest::prelude::*;
 
     fn shapes() -> impl Strategy<Value = Shape> {
-        (-1.8..1.8f64, -1.8..1.8f64, 14.0..29.0f64).prop_map(|(x, y, l)| Shape { bend: Bend(Vector2::new(x, y)), length: Mm(l) })
+        (-1.8..1.8f64, -1.8..1.8f64, 14.0..29.0f64).prop_map(|(x, y, l)| Shape {
+            bend: Bend(Vector2::new(x, y)),
+            length: Mm(l),
+        })
     }
 
     proptest! {
@@ -178,8 +203,19 @@ mod tests {
     #[test]
     fn straight_tip_points_along_z() {
         let g = Geometry::default();
-        let x = g.position(&Shape { bend: Bend::STRAIGHT, length: Mm(20.0) });
+        let x = g.position(&Shape {
+            bend: Bend::STRAIGHT,
+            length: Mm(20.0),
+        });
         assert!((x - Vector3::new(0.0, 0.0, 20.0)).norm() < 1e-12);
-        assert!((g.position_jacobian(&Shape { bend: Bend::STRAIGHT, length: Mm(20.0) })[(0, 0)] - 10.0).abs() < 1e-9);
+        assert!(
+            (g.position_jacobian(&Shape {
+                bend: Bend::STRAIGHT,
+                length: Mm(20.0)
+            })[(0, 0)]
+                - 10.0)
+                .abs()
+                < 1e-9
+        );
     }
 }

@@ -49,7 +49,11 @@ impl Bend {
     /// direction is (y, x).
     pub fn nearest(r: &Rotation<Base, Tip>) -> Self {
         let q = r.quat();
-        let q = if q.w < 0.0 { -q.into_inner() } else { q.into_inner() };
+        let q = if q.w < 0.0 {
+            -q.into_inner()
+        } else {
+            q.into_inner()
+        };
         let across = q.i.hypot(q.j);
         let beta = 2.0 * across.atan2(q.w.hypot(q.k));
         let scale = if across > 1e-9 { beta / across } else { 2.0 };
@@ -61,7 +65,11 @@ impl Bend {
         let sin_beta = axis.x.hypot(axis.y);
         let beta = sin_beta.atan2(axis.z);
         // β / sin β → 1 at rest; straight back (β = π) has no direction and keeps the last digits'
-        let scale = if sin_beta > 1e-9 { beta / sin_beta } else { 1.0 };
+        let scale = if sin_beta > 1e-9 {
+            beta / sin_beta
+        } else {
+            1.0
+        };
         Self(Vector2::new(axis.x * scale, -axis.y * scale))
     }
 }
@@ -74,7 +82,12 @@ mod tests {
 
     #[test]
     fn the_nearest_bend_has_the_beta_of_the_axis_and_the_least_angle() {
-        for (beta, dir, psi) in [(75.0, 130.0, 0.2), (15.0, -40.0, -0.1), (0.0, 0.0, 0.1), (100.0, 10.0, 0.0)] {
+        for (beta, dir, psi) in [
+            (75.0, 130.0, 0.2),
+            (15.0, -40.0, -0.1),
+            (0.0, 0.0, 0.1),
+            (100.0, 10.0, 0.0),
+        ] {
             let twist = UnitQuaternion::from_scaled_axis(Vector3::z() * psi);
             let r = Rotation::assert_frames(Bend::from_deg(beta, dir).rotation().quat() * twist);
             let near = Bend::nearest(&r);
@@ -117,7 +130,9 @@ mod tests {
     #[test]
     fn twist_is_ignored() {
         let b = Bend::from_deg(50.0, 70.0);
-        let twist = Rotation::<Tip, Tip>::assert_frames(UnitQuaternion::from_scaled_axis(Vector3::z() * 0.3));
+        let twist = Rotation::<Tip, Tip>::assert_frames(UnitQuaternion::from_scaled_axis(
+            Vector3::z() * 0.3,
+        ));
         assert!((Bend::from_rotation(&(b.rotation() * twist)).0 - b.0).norm() < 1e-12);
     }
 }

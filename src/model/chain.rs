@@ -14,7 +14,10 @@ pub const NOMINAL: usize = 7;
 
 /// The lines of a parameter vector.
 pub fn lines(theta: &[f64]) -> [Line; 3] {
-    std::array::from_fn(|i| Line { k_epsilon: theta[i].exp() - 1.0, k_lambda_mm: theta[3 + i].max(0.0) })
+    std::array::from_fn(|i| Line {
+        k_epsilon: theta[i].exp() - 1.0,
+        k_lambda_mm: theta[3 + i].max(0.0),
+    })
 }
 
 /// The nominal parameter vector of lines and a lag, the inverse of [`lines`].
@@ -49,13 +52,22 @@ pub struct Chain<'a, E> {
 impl<'a, E: Deref<Target: Effect>> Chain<'a, E> {
     /// The chain of a parameter vector; `at` are its [`places`].
     pub fn new(geometry: Geometry, effects: &'a [E], at: &'a [usize], theta: &'a [f64]) -> Self {
-        Self { lines: lines(theta), geometry, effects, at, theta }
+        Self {
+            lines: lines(theta),
+            geometry,
+            effects,
+            at,
+            theta,
+        }
     }
 
     /// Effects with their parameters.
     pub fn each(&self) -> impl Iterator<Item = (&'a E::Target, &'a [f64])> + use<'a, E> {
         let (effects, at, theta) = (self.effects, self.at, self.theta);
-        effects.iter().enumerate().map(move |(i, e)| (&**e, &theta[at[i]..at[i + 1]]))
+        effects
+            .iter()
+            .enumerate()
+            .map(move |(i, e)| (&**e, &theta[at[i]..at[i + 1]]))
     }
 
     /// An instant at rest, `dt_s` after the start.
@@ -72,9 +84,16 @@ impl<'a, E: Deref<Target: Effect>> Chain<'a, E> {
     }
 
     /// True piston positions for the counted ones, mm.
-    pub fn pistons(&self, memory: &mut [Memory], at: &Moment, counted_mm: &Vector3<f64>) -> Vector3<f64> {
+    pub fn pistons(
+        &self,
+        memory: &mut [Memory],
+        at: &Moment,
+        counted_mm: &Vector3<f64>,
+    ) -> Vector3<f64> {
         let mut u = *counted_mm;
-        self.each().zip(memory).for_each(|((e, p), m)| e.pistons(p, m, at, &mut u));
+        self.each()
+            .zip(memory)
+            .for_each(|((e, p), m)| e.pistons(p, m, at, &mut u));
         u
     }
 
@@ -84,18 +103,33 @@ impl<'a, E: Deref<Target: Effect>> Chain<'a, E> {
     }
 
     /// Bellow length changes for the outputs of the play operators, before the lag, mm.
-    pub fn bellows(&self, memory: &mut [Memory], at: &Moment, play_output_mm: &Vector3<f64>) -> Vector3<f64> {
+    pub fn bellows(
+        &self,
+        memory: &mut [Memory],
+        at: &Moment,
+        play_output_mm: &Vector3<f64>,
+    ) -> Vector3<f64> {
         let mut w = *play_output_mm;
-        self.each().zip(&mut *memory).for_each(|((e, p), m)| e.play_output(p, m, at, &mut w));
+        self.each()
+            .zip(&mut *memory)
+            .for_each(|((e, p), m)| e.play_output(p, m, at, &mut w));
         let mut q = Vector3::from_fn(|c, _| self.lines[c].bellow_mm(w[c]));
-        self.each().zip(memory).for_each(|((e, p), m)| e.bellows(p, m, at, &mut q));
+        self.each()
+            .zip(memory)
+            .for_each(|((e, p), m)| e.bellows(p, m, at, &mut q));
         q
     }
 
     /// Tip shape for bellow length changes: constant curvature with the effects on it.
     pub fn pose(&self, memory: &mut [Memory], at: &Moment, bellow_mm: &Vector3<f64>) -> Pose {
-        let mut pose = Pose { bend: self.geometry.shape(bellow_mm).bend.0, twist: 0.0, bellow_mm: *bellow_mm };
-        self.each().zip(memory).for_each(|((e, p), m)| e.shape(p, m, at, &mut pose));
+        let mut pose = Pose {
+            bend: self.geometry.shape(bellow_mm).bend.0,
+            twist: 0.0,
+            bellow_mm: *bellow_mm,
+        };
+        self.each()
+            .zip(memory)
+            .for_each(|((e, p), m)| e.shape(p, m, at, &mut pose));
         pose
     }
 }

@@ -20,7 +20,11 @@ pub struct RestReadings {
 impl Default for RestReadings {
     /// An upright base in a field of central Europe.
     fn default() -> Self {
-        Self { up: Vector3::z(), field_ut: Vector3::new(20.0, 0.0, -43.0), gyro_bias_rad_s: Vector3::zeros() }
+        Self {
+            up: Vector3::z(),
+            field_ut: Vector3::new(20.0, 0.0, -43.0),
+            gyro_bias_rad_s: Vector3::zeros(),
+        }
     }
 }
 
@@ -38,13 +42,24 @@ pub struct DescribedMachine {
 
 impl DescribedMachine {
     /// A machine with these nominal parameters (see [`crate::model::chain::nominal_theta`]) and effects with parameters.
-    pub fn new(geometry: Geometry, rest: RestReadings, nominal: &[f64], causes: Vec<(Box<dyn Effect>, Vec<f64>)>) -> Self {
+    pub fn new(
+        geometry: Geometry,
+        rest: RestReadings,
+        nominal: &[f64],
+        causes: Vec<(Box<dyn Effect>, Vec<f64>)>,
+    ) -> Self {
         let (mut effects, mut theta) = (Vec::<Arc<dyn Effect>>::new(), nominal[..NOMINAL].to_vec());
         for (effect, params) in causes {
             theta.extend(&params);
             effects.push(effect.into());
         }
-        Self { geometry, rest, at: places(&effects), effects, theta }
+        Self {
+            geometry,
+            rest,
+            at: places(&effects),
+            effects,
+            theta,
+        }
     }
 
     /// The machine without the effects that happen once: they cannot be predicted.
@@ -52,7 +67,11 @@ impl DescribedMachine {
     pub fn foreseeable(mut self) -> Self {
         let kept = |e: &Arc<dyn Effect>| !e.info().is_event();
         let mut theta = self.theta[..NOMINAL].to_vec();
-        self.chain().each().zip(&self.effects).filter(|(_, e)| kept(e)).for_each(|((_, p), _)| theta.extend(p));
+        self.chain()
+            .each()
+            .zip(&self.effects)
+            .filter(|(_, e)| kept(e))
+            .for_each(|((_, p), _)| theta.extend(p));
         self.effects.retain(kept);
         (self.at, self.theta) = (places(&self.effects), theta);
         self
@@ -81,19 +100,27 @@ impl DescribedMachine {
 
 impl PartialEq for DescribedMachine {
     fn eq(&self, other: &Self) -> bool {
-        (self.geometry, self.rest, &self.theta) == (other.geometry, other.rest, &other.theta) && self.names().eq(other.names())
+        (self.geometry, self.rest, &self.theta) == (other.geometry, other.rest, &other.theta)
+            && self.names().eq(other.names())
     }
 }
 
 impl fmt::Debug for DescribedMachine {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let names: Vec<&str> = self.names().collect();
-        f.debug_struct("DescribedMachine").field("effects", &names).field("theta", &self.theta).finish_non_exhaustive()
+        f.debug_struct("DescribedMachine")
+            .field("effects", &names)
+            .field("theta", &self.theta)
+            .finish_non_exhaustive()
     }
 }
 
 /// Tip orientation of a pose, tip → base.
 pub fn orientation(pose: &Pose) -> UnitQuaternion<f64> {
     let bent = UnitQuaternion::from_scaled_axis(Vector3::new(pose.bend.y, pose.bend.x, 0.0));
-    if pose.twist == 0.0 { bent } else { bent * UnitQuaternion::from_scaled_axis(Vector3::z() * pose.twist) }
+    if pose.twist == 0.0 {
+        bent
+    } else {
+        bent * UnitQuaternion::from_scaled_axis(Vector3::z() * pose.twist)
+    }
 }

@@ -22,11 +22,15 @@ impl Default for Drive {
 impl Drive {
     /// From the pinion's pitch diameter, the motor's full steps a turn and the microstep divider.
     pub fn rack_and_pinion(pitch_diameter_mm: f64, full_steps: u32, microsteps: u32) -> Self {
-        Self { step_mm: std::f64::consts::PI * pitch_diameter_mm / f64::from(full_steps * microsteps) }
+        Self {
+            step_mm: std::f64::consts::PI * pitch_diameter_mm / f64::from(full_steps * microsteps),
+        }
     }
     /// The microstep counts nearest to piston displacements in mm.
     pub fn steps(&self, piston_mm: &Vector3<f64>) -> Steps {
-        Steps(std::array::from_fn(|i| (piston_mm[i] / self.step_mm).round() as i32))
+        Steps(std::array::from_fn(|i| {
+            (piston_mm[i] / self.step_mm).round() as i32
+        }))
     }
     /// Piston displacement in mm of microstep counts.
     pub fn piston_mm(&self, steps: &Steps) -> Vector3<f64> {

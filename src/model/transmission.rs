@@ -22,12 +22,16 @@ pub struct Line {
 impl Line {
     /// Three lines from their gains.
     pub fn each(k_epsilon: [f64; 3], k_lambda_mm: [f64; 3]) -> [Self; 3] {
-        std::array::from_fn(|i| Self { k_epsilon: k_epsilon[i], k_lambda_mm: k_lambda_mm[i] })
+        std::array::from_fn(|i| Self {
+            k_epsilon: k_epsilon[i],
+            k_lambda_mm: k_lambda_mm[i],
+        })
     }
 
     /// Play operator: the output `w` after the piston moves to `piston_mm`.
     pub fn play(&self, w_mm: f64, piston_mm: f64) -> f64 {
-        w_mm.max(piston_mm - self.k_lambda_mm).min(piston_mm + self.k_lambda_mm)
+        w_mm.max(piston_mm - self.k_lambda_mm)
+            .min(piston_mm + self.k_lambda_mm)
     }
     /// Bellow length change for a play output, `q = w / (1 + k_ε)`.
     pub fn bellow_mm(&self, w_mm: f64) -> f64 {
@@ -91,7 +95,11 @@ impl Side {
             Self::Band { band_mm } => band(state, want, band_mm, wanted.reach),
             Self::Smooth { rate_mm_s } => {
                 let rate = (want - state.w_mm) / wanted.dt_s;
-                SideState { w_mm: want, side: (rate / rate_mm_s).tanh(), way: rate.signum() }
+                SideState {
+                    w_mm: want,
+                    side: (rate / rate_mm_s).tanh(),
+                    way: rate.signum(),
+                }
             }
         };
         (next.w_mm + line.k_lambda_mm * next.side, next)
@@ -102,7 +110,11 @@ impl Side {
 /// `state.w_mm` and never back, so that crossing the gap is not counted as motion.
 pub fn realised(line: &Line, state: &SideState, realised_mm: f64, piston_mm: f64) -> f64 {
     let reached = piston_mm - line.k_lambda_mm * state.side;
-    if state.way >= 0.0 { realised_mm.max(reached.min(state.w_mm)) } else { realised_mm.min(reached.max(state.w_mm)) }
+    if state.way >= 0.0 {
+        realised_mm.max(reached.min(state.w_mm))
+    } else {
+        realised_mm.min(reached.max(state.w_mm))
+    }
 }
 
 /// Follows motion in the direction of the last; ignores a reversal up to the band; otherwise reverses.
@@ -111,11 +123,19 @@ fn band(state: SideState, want: f64, band_mm: f64, reach: f64) -> SideState {
     if ahead * state.way > 0.0 {
         // a set-point that moves on crosses the remaining gap
         let side = if reach >= 1.0 { state.way } else { state.side };
-        SideState { w_mm: want, side, ..state }
+        SideState {
+            w_mm: want,
+            side,
+            ..state
+        }
     } else if ahead.abs() > band_mm {
         let way = ahead.signum();
         let side = (state.side + 2.0 * reach * way).clamp(-1.0, 1.0);
-        SideState { w_mm: want, side: if reach >= 1.0 { way } else { side }, way }
+        SideState {
+            w_mm: want,
+            side: if reach >= 1.0 { way } else { side },
+            way,
+        }
     } else {
         state
     }
@@ -127,31 +147,66 @@ mod tests {
     use proptest::prelude::*;
 
     fn wanted(q_mm: f64) -> Wanted {
-        Wanted { q_mm, dt_s: 1e-3, reach: 1.0 }
+        Wanted {
+            q_mm,
+            dt_s: 1e-3,
+            reach: 1.0,
+        }
     }
 
     #[test]
     fn a_feedback_reversal_crosses_only_its_share_of_the_gap() {
-        let l = Line { k_epsilon: 2.0, k_lambda_mm: 1.0 };
+        let l = Line {
+            k_epsilon: 2.0,
+            k_lambda_mm: 1.0,
+        };
         let side = Side::Band { band_mm: 0.03 };
         let (_, up) = side.invert(&l, SideState::default(), &wanted(1.0));
-        let (u, down) = side.invert(&l, up, &Wanted { reach: 0.25, ..wanted(0.9) });
+        let (u, down) = side.invert(
+            &l,
+            up,
+            &Wanted {
+                reach: 0.25,
+                ..wanted(0.9)
+            },
+        );
         assert!((u - (2.7 + 0.5)).abs() < 1e-12 && down.way == -1.0);
         let (u, _) = side.invert(&l, down, &wanted(0.8));
-        assert!((u - (2.4 - 1.0)).abs() < 1e-12, "the set-point crosses the rest");
+        assert!(
+            (u - (2.4 - 1.0)).abs() < 1e-12,
+            "the set-point crosses the rest"
+        );
     }
 
     #[test]
     fn crossing_the_gap_is_not_motion() {
-        let l = Line { k_epsilon: 2.0, k_lambda_mm: 1.0 };
-        let down = SideState { w_mm: 2.0, side: -1.0, way: -1.0 };
-        assert_eq!(realised(&l, &down, 3.0, 4.0), 3.0, "the piston has not turned yet");
-        assert_eq!(realised(&l, &down, 3.0, 1.5), 2.5, "half of the distance is covered");
+        let l = Line {
+            k_epsilon: 2.0,
+            k_lambda_mm: 1.0,
+        };
+        let down = SideState {
+            w_mm: 2.0,
+            side: -1.0,
+            way: -1.0,
+        };
+        assert_eq!(
+            realised(&l, &down, 3.0, 4.0),
+            3.0,
+            "the piston has not turned yet"
+        );
+        assert_eq!(
+            realised(&l, &down, 3.0, 1.5),
+            2.5,
+            "half of the distance is covered"
+        );
         assert_eq!(realised(&l, &down, 2.5, 1.0), 2.0);
     }
 
     fn line() -> impl Strategy<Value = Line> {
-        (0.0..5.0f64, 0.0..2.0f64).prop_map(|(k_epsilon, k_lambda_mm)| Line { k_epsilon, k_lambda_mm })
+        (0.0..5.0f64, 0.0..2.0f64).prop_map(|(k_epsilon, k_lambda_mm)| Line {
+            k_epsilon,
+            k_lambda_mm,
+        })
     }
 
     proptest! {

@@ -78,7 +78,10 @@ impl StepperConfig {
         let mut checker = Checker::default();
         let least = self.pulse_high_us + self.pulse_low_us;
         let hint = "a step takes at least stepper.pulse_high_us + stepper.pulse_low_us";
-        checker.at("stepper.step_interval_min_us").range(self.step_interval_min_us, least..=100_000.0, "µs").hint(hint);
+        checker
+            .at("stepper.step_interval_min_us")
+            .range(self.step_interval_min_us, least..=100_000.0, "µs")
+            .hint(hint);
         checker.done()
     }
 
@@ -89,10 +92,15 @@ impl StepperConfig {
     pub fn validate_rate(&self, motion: &MotionConfig, step_mm: f64) -> Result<(), Invalid> {
         let most_us = 0.9e6 * step_mm / motion.speed_max_mm_s;
         let (interval, speed) = (self.step_interval_min_us, motion.speed_max_mm_s);
-        let problem = format!("{interval} must be at most {most_us:.1} µs, 90 % of the interval at motion.speed_max_mm_s = {speed}");
+        let problem = format!(
+            "{interval} must be at most {most_us:.1} µs, 90 % of the interval at motion.speed_max_mm_s = {speed}"
+        );
         let mut checker = Checker::default();
         let hint = "lower it, or lower motion.speed_max_mm_s";
-        checker.at("stepper.step_interval_min_us").holds(interval <= most_us, &problem).hint(hint);
+        checker
+            .at("stepper.step_interval_min_us")
+            .holds(interval <= most_us, &problem)
+            .hint(hint);
         checker.done()
     }
 }
@@ -105,32 +113,57 @@ mod tests {
     fn defaults_are_accepted_together() {
         MotionConfig::default().checked("motion").unwrap();
         StepperConfig::default().validate().unwrap();
-        StepperConfig::default().validate_rate(&MotionConfig::default(), 0.029_452).unwrap();
+        StepperConfig::default()
+            .validate_rate(&MotionConfig::default(), 0.029_452)
+            .unwrap();
     }
 
     #[test]
     fn an_error_names_key_value_range_and_hint() {
-        let c = MotionConfig { speed_max_mm_s: -3.0, ..MotionConfig::default() };
+        let c = MotionConfig {
+            speed_max_mm_s: -3.0,
+            ..MotionConfig::default()
+        };
         let message = c.checked("motion").unwrap_err().to_string();
         for part in ["motion.speed_max_mm_s", "-3", "0.01 to 1000 mm/s", "30 is"] {
             assert!(message.contains(part), "{message}");
         }
-        let nan = MotionConfig { jerk_max_mm_s3: f64::NAN, ..MotionConfig::default() };
-        assert_eq!(nan.checked("motion").unwrap_err().key, "motion.jerk_max_mm_s3");
+        let nan = MotionConfig {
+            jerk_max_mm_s3: f64::NAN,
+            ..MotionConfig::default()
+        };
+        assert_eq!(
+            nan.checked("motion").unwrap_err().key,
+            "motion.jerk_max_mm_s3"
+        );
     }
 
     #[test]
     fn the_minima_of_the_driver_chip_are_enforced() {
-        let c = StepperConfig { pulse_high_us: 0.5, ..StepperConfig::default() };
+        let c = StepperConfig {
+            pulse_high_us: 0.5,
+            ..StepperConfig::default()
+        };
         assert_eq!(c.validate().unwrap_err().key, "stepper.pulse_high_us");
-        let c = StepperConfig { step_interval_min_us: 3.0, ..StepperConfig::default() };
-        assert_eq!(c.validate().unwrap_err().key, "stepper.step_interval_min_us");
+        let c = StepperConfig {
+            step_interval_min_us: 3.0,
+            ..StepperConfig::default()
+        };
+        assert_eq!(
+            c.validate().unwrap_err().key,
+            "stepper.step_interval_min_us"
+        );
     }
 
     #[test]
     fn a_speed_that_the_step_interval_forbids_is_refused() {
-        let fast = MotionConfig { speed_max_mm_s: 200.0, ..MotionConfig::default() };
-        let e = StepperConfig::default().validate_rate(&fast, 0.029_452).unwrap_err();
+        let fast = MotionConfig {
+            speed_max_mm_s: 200.0,
+            ..MotionConfig::default()
+        };
+        let e = StepperConfig::default()
+            .validate_rate(&fast, 0.029_452)
+            .unwrap_err();
         assert_eq!(e.key, "stepper.step_interval_min_us");
     }
 }

@@ -6,7 +6,10 @@
 
 use crate::motion::queue::{FeedError, SyncStatus};
 use crate::motion::stop::longest_stop_mm;
-use crate::motion::{Motion, MotionLimits, MotionState, Segment, StepperFault, StepperMode, StepperOrder, StepperReport};
+use crate::motion::{
+    Motion, MotionLimits, MotionState, Segment, StepperFault, StepperMode, StepperOrder,
+    StepperReport,
+};
 use crate::primitives::Steps;
 
 /// Most segments queued in one update.
@@ -138,7 +141,8 @@ impl<G: StepGenerator> Drive<G> {
                 self.feed(now_ns, target_mm)
             }
         };
-        self.stopped = self.state == DriveState::Faulted(StepperFault::EmergencyStop) && self.state != before;
+        self.stopped =
+            self.state == DriveState::Faulted(StepperFault::EmergencyStop) && self.state != before;
         self.watch_underruns(now_ns);
     }
 
@@ -152,18 +156,32 @@ impl<G: StepGenerator> Drive<G> {
             if self.generator.lead_ns(now_ns) >= self.lead_ns {
                 break;
             }
-            let segment = if pausing { self.motion.brake(self.period_s) } else { self.motion.tick(target_mm, self.period_s) };
+            let segment = if pausing {
+                self.motion.brake(self.period_s)
+            } else {
+                self.motion.tick(target_mm, self.period_s)
+            };
             if self.generator.feed(&segment, now_ns).is_err() {
                 // A full ring means that the thread is stuck; its lateness will be a fault.
                 return DriveState::Busy;
             }
         }
-        if pausing { DriveState::Busy } else { DriveState::Ready }
+        if pausing {
+            DriveState::Busy
+        } else {
+            DriveState::Ready
+        }
     }
 
     /// Sends the orders that are valid only at rest.
     fn pause(&mut self) -> DriveState {
-        let Some(&StepperReport { mode: StepperMode::Resting, epoch, energised, .. }) = self.generator.latest() else {
+        let Some(&StepperReport {
+            mode: StepperMode::Resting,
+            epoch,
+            energised,
+            ..
+        }) = self.generator.latest()
+        else {
             return DriveState::Busy;
         };
         match self.rebase {
@@ -195,7 +213,8 @@ impl<G: StepGenerator> Drive<G> {
             self.underruns = underruns;
             self.underran_ns.rotate_left(1);
             self.underran_ns[UNDERRUNS - 1] = Some(now_ns);
-            self.starved |= self.underran_ns[0].is_some_and(|first_ns| now_ns - first_ns < UNDERRUNS_WITHIN_NS);
+            self.starved |=
+                self.underran_ns[0].is_some_and(|first_ns| now_ns - first_ns < UNDERRUNS_WITHIN_NS);
         }
     }
 

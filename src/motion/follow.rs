@@ -91,7 +91,10 @@ impl<S: Solver> Motion<S> {
     pub fn tick(&mut self, target_mm: [f64; 3], dt_s: f64) -> Segment {
         let travel_mm = self.limits.travel_max_mm;
         match target_mm.iter().position(|t| !t.is_finite()) {
-            Some(channel) => self.keep(PlanError { channel, reason: PlanFault::TargetNotFinite }),
+            Some(channel) => self.keep(PlanError {
+                channel,
+                reason: PlanFault::TargetNotFinite,
+            }),
             None => self.follow(target_mm.map(|t| t.clamp(-travel_mm, travel_mm))),
         }
         self.advance(dt_s)
@@ -120,12 +123,20 @@ impl<S: Solver> Motion<S> {
     /// Follows the plan, or a new one if the target has changed.
     fn follow(&mut self, target_mm: [f64; 3]) {
         let least_mm = self.limits.retarget_min_mm;
-        let planned = self
-            .target_mm
-            .is_some_and(|planned| planned == target_mm || planned.iter().zip(target_mm).all(|(p, t)| (p - t).abs() < least_mm));
+        let planned = self.target_mm.is_some_and(|planned| {
+            planned == target_mm
+                || planned
+                    .iter()
+                    .zip(target_mm)
+                    .all(|(p, t)| (p - t).abs() < least_mm)
+        });
         if planned {
             self.kept = 0;
-            self.status = if self.resting { MoveStatus::Resting } else { MoveStatus::Following };
+            self.status = if self.resting {
+                MoveStatus::Resting
+            } else {
+                MoveStatus::Following
+            };
         } else if let Err(error) = self.replan(target_mm) {
             self.keep(error);
         }
@@ -133,7 +144,8 @@ impl<S: Solver> Motion<S> {
 
     /// Makes a plan from the present state and takes it up if it is valid.
     fn replan(&mut self, target_mm: [f64; 3]) -> Result<(), PlanError> {
-        self.solver.solve(&self.limits, &self.state, &target_mm, &mut self.candidate)?;
+        self.solver
+            .solve(&self.limits, &self.state, &target_mm, &mut self.candidate)?;
         self.candidate.verify(&self.state, &self.limits)?;
         std::mem::swap(&mut self.plan, &mut self.candidate);
         self.target_mm = Some(target_mm);
@@ -172,9 +184,18 @@ impl<S: Solver> Motion<S> {
         }
         if self.target_mm.is_some() {
             let to_s = self.plan_time_s + dt_s;
-            let stoppable = |at: &MotionState| stops_within_travel(at, &self.limits, self.longest_stop_mm);
-            if let Some(channel) = self.plan.channels.iter().position(|c| !stoppable(&c.at(to_s))) {
-                self.begin_stop(Some(PlanError { channel, reason: PlanFault::NoStop }));
+            let stoppable =
+                |at: &MotionState| stops_within_travel(at, &self.limits, self.longest_stop_mm);
+            if let Some(channel) = self
+                .plan
+                .channels
+                .iter()
+                .position(|c| !stoppable(&c.at(to_s)))
+            {
+                self.begin_stop(Some(PlanError {
+                    channel,
+                    reason: PlanFault::NoStop,
+                }));
             }
         }
         let segment = self.plan.cut(&self.state, self.plan_time_s, dt_s);

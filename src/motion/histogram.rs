@@ -21,7 +21,12 @@ pub struct Histogram {
 
 impl Default for Histogram {
     fn default() -> Self {
-        Self { buckets: [0; BUCKETS], count: 0, sum_ns: 0, max_ns: 0 }
+        Self {
+            buckets: [0; BUCKETS],
+            count: 0,
+            sum_ns: 0,
+            max_ns: 0,
+        }
     }
 }
 
@@ -47,7 +52,11 @@ impl Histogram {
 
     /// The exact mean, ns; 0 if the histogram is empty.
     pub fn mean_ns(&self) -> f64 {
-        if self.count == 0 { 0.0 } else { self.sum_ns as f64 / self.count as f64 }
+        if self.count == 0 {
+            0.0
+        } else {
+            self.sum_ns as f64 / self.count as f64
+        }
     }
 
     /// The duration that a share `q` (0 to 1) of all durations does not exceed, ns: the upper edge of
@@ -66,7 +75,11 @@ impl Histogram {
 
     /// Lower edge, ns, upper edge, ns, and count of every bucket that is not empty, in order.
     pub fn filled(&self) -> impl Iterator<Item = (u64, u64, u32)> + '_ {
-        self.buckets.iter().enumerate().filter(|(_, n)| **n > 0).map(|(i, &n)| (edge_ns(i), edge_ns(i + 1), n))
+        self.buckets
+            .iter()
+            .enumerate()
+            .filter(|(_, n)| **n > 0)
+            .map(|(i, &n)| (edge_ns(i), edge_ns(i + 1), n))
     }
 }
 

@@ -33,7 +33,10 @@ impl TryFrom<&MotionConfig> for MotionLimits {
     fn try_from(c: &MotionConfig) -> Result<Self, Invalid> {
         c.checked("motion")?;
         let mut checker = Checker::default();
-        checker.at("limits.travel_mm").range(c.travel_max_mm, 0.1..=1000.0, "mm").hint("what rack and syringe allow either side of rest");
+        checker
+            .at("limits.travel_mm")
+            .range(c.travel_max_mm, 0.1..=1000.0, "mm")
+            .hint("what rack and syringe allow either side of rest");
         checker.done()?;
         Ok(Self::of_checked(c))
     }

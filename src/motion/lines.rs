@@ -23,7 +23,10 @@ pub struct Levels {
 impl Levels {
     /// No step, with the drivers energised or not.
     pub fn without_step(enable: bool) -> Self {
-        Self { enable, ..Self::default() }
+        Self {
+            enable,
+            ..Self::default()
+        }
     }
 }
 
@@ -138,8 +141,14 @@ mod tests {
         line.dir_changed(true, 1_000, &t);
         assert_eq!(line.rise_ns, 1_000 + t.dir_ns);
         line.step_rose(5_000, &t);
-        assert_eq!((line.fall_ns, line.rise_ns), (5_000 + t.high_ns, 5_000 + t.interval_ns));
+        assert_eq!(
+            (line.fall_ns, line.rise_ns),
+            (5_000 + t.high_ns, 5_000 + t.interval_ns)
+        );
         line.step_fell(300_000, &t);
-        assert_eq!((line.rise_ns, line.dir_ns), (300_000 + t.low_ns, 300_000 + t.dir_ns));
+        assert_eq!(
+            (line.rise_ns, line.dir_ns),
+            (300_000 + t.low_ns, 300_000 + t.dir_ns)
+        );
     }
 }

@@ -61,7 +61,10 @@ pub struct ChannelPlan {
 impl ChannelPlan {
     /// A plan without phases that is at rest at a position. [`ChannelPlan::push`] adds phases.
     pub fn resting(position_mm: f64) -> Self {
-        Self { end_mm: position_mm, ..Self::default() }
+        Self {
+            end_mm: position_mm,
+            ..Self::default()
+        }
     }
 
     /// The shortest stop.
@@ -79,7 +82,12 @@ impl ChannelPlan {
     pub fn push(&mut self, start: MotionState, jerk_mm_s3: f64, duration_s: f64) {
         if duration_s > 0.0 && self.len < PHASES_MAX {
             let end_s = self.duration_s() + duration_s;
-            self.phases[self.len] = Phase { end_s, duration_s, start, jerk_mm_s3 };
+            self.phases[self.len] = Phase {
+                end_s,
+                duration_s,
+                start,
+                jerk_mm_s3,
+            };
             self.len += 1;
         }
     }
@@ -96,7 +104,10 @@ impl ChannelPlan {
     /// The state at a time.
     pub fn at(&self, t_s: f64) -> MotionState {
         match self.phases().iter().find(|phase| t_s < phase.end_s) {
-            Some(phase) => phase.start.after(phase.jerk_mm_s3, (t_s - (phase.end_s - phase.duration_s)).max(0.0)),
+            Some(phase) => phase.start.after(
+                phase.jerk_mm_s3,
+                (t_s - (phase.end_s - phase.duration_s)).max(0.0),
+            ),
             None => MotionState::rest(self.end_mm),
         }
     }
@@ -145,12 +156,18 @@ fn joins(a: &MotionState, b: &MotionState, limits: &MotionLimits) -> bool {
 /// acceleration is zero, position there and where the speed is zero.
 fn keeps_limits(phase: &Phase, end: &MotionState, limits: &MotionLimits) -> bool {
     let (start, j) = (&phase.start, phase.jerk_mm_s3);
-    if !(j.abs() <= limits.jerk_max_mm_s3 * (1.0 + TOLERANCE) && limits.contains_rates(start) && limits.contains_rates(end)) {
+    if !(j.abs() <= limits.jerk_max_mm_s3 * (1.0 + TOLERANCE)
+        && limits.contains_rates(start)
+        && limits.contains_rates(end))
+    {
         return false;
     }
     if start.acceleration_mm_s2 * end.acceleration_mm_s2 < 0.0 {
         let fastest = start.after(j, -start.acceleration_mm_s2 / j);
-        if !limits.contains_rates(&MotionState { acceleration_mm_s2: 0.0, ..fastest }) {
+        if !limits.contains_rates(&MotionState {
+            acceleration_mm_s2: 0.0,
+            ..fastest
+        }) {
             return false;
         }
     }
@@ -172,22 +189,32 @@ pub struct Plan {
 impl Plan {
     /// Rest.
     pub fn resting(position_mm: [f64; 3]) -> Self {
-        Self { channels: position_mm.map(ChannelPlan::resting) }
+        Self {
+            channels: position_mm.map(ChannelPlan::resting),
+        }
     }
 
     /// The shortest stop of each channel.
     pub fn stopping(from: &[MotionState; 3], limits: &MotionLimits) -> Self {
-        Self { channels: from.map(|s| ChannelPlan::stopping(&Stop::from(s, limits))) }
+        Self {
+            channels: from.map(|s| ChannelPlan::stopping(&Stop::from(s, limits))),
+        }
     }
 
     /// Time from the start until all channels are at rest, s.
     pub fn duration_s(&self) -> f64 {
-        self.channels.iter().map(ChannelPlan::duration_s).fold(0.0, f64::max)
+        self.channels
+            .iter()
+            .map(ChannelPlan::duration_s)
+            .fold(0.0, f64::max)
     }
 
     /// The part from `from_s` on that lasts `duration_s`, given the states at its start.
     pub fn cut(&self, start: &[MotionState; 3], from_s: f64, duration_s: f64) -> Segment {
-        Segment { duration_s, channels: std::array::from_fn(|i| self.channels[i].cut(start[i], from_s, duration_s)) }
+        Segment {
+            duration_s,
+            channels: std::array::from_fn(|i| self.channels[i].cut(start[i], from_s, duration_s)),
+        }
     }
 
     /// Checks every phase of every channel.
@@ -195,8 +222,16 @@ impl Plan {
     /// # Errors
     /// [`PlanFault::Invalid`] with the first channel that fails.
     pub fn verify(&self, from: &[MotionState; 3], limits: &MotionLimits) -> Result<(), PlanError> {
-        match self.channels.iter().zip(from).position(|(plan, from)| !plan.is_valid(from, limits)) {
-            Some(channel) => Err(PlanError { channel, reason: PlanFault::Invalid }),
+        match self
+            .channels
+            .iter()
+            .zip(from)
+            .position(|(plan, from)| !plan.is_valid(from, limits))
+        {
+            Some(channel) => Err(PlanError {
+                channel,
+                reason: PlanFault::Invalid,
+            }),
             None => Ok(()),
         }
     }
@@ -213,9 +248,16 @@ mod tests {
         let l = MotionLimits::try_from(&MotionConfig::default()).unwrap();
         let from = [MotionState::rest(0.0); 3];
         let mut plan = Plan::default();
-        Ruckig::default().solve(&l, &from, &[5.0, -3.0, 1.0], &mut plan).unwrap();
+        Ruckig::default()
+            .solve(&l, &from, &[5.0, -3.0, 1.0], &mut plan)
+            .unwrap();
         assert_eq!(plan.verify(&from, &l), Ok(()));
-        let invalid = |channel| Err(PlanError { channel, reason: PlanFault::Invalid });
+        let invalid = |channel| {
+            Err(PlanError {
+                channel,
+                reason: PlanFault::Invalid,
+            })
+        };
         let with = |change: fn(&mut MotionLimits)| {
             let mut tight = l;
             change(&mut tight);

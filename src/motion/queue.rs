@@ -68,7 +68,15 @@ pub struct Feeder {
 /// A ring for `capacity` segments. The first segment of an epoch starts `lead_ns` ahead of the clock.
 pub fn ring(capacity: usize, lead_ns: u64) -> (Feeder, rtrb::Consumer<TimedSegment>) {
     let (ring, consumer) = rtrb::RingBuffer::new(capacity);
-    (Feeder { ring, lead_ns, epoch: None, next_start_ns: 0 }, consumer)
+    (
+        Feeder {
+            ring,
+            lead_ns,
+            epoch: None,
+            next_start_ns: 0,
+        },
+        consumer,
+    )
 }
 
 impl Feeder {
@@ -110,7 +118,12 @@ impl Feeder {
             self.next_start_ns = now_ns + self.lead_ns;
         }
         let duration_ns = (segment.duration_s * 1e9).round() as u64;
-        let timed = TimedSegment { epoch, start_ns: self.next_start_ns, duration_ns, segment: *segment };
+        let timed = TimedSegment {
+            epoch,
+            start_ns: self.next_start_ns,
+            duration_ns,
+            segment: *segment,
+        };
         self.ring.push(timed).map_err(|_| FeedError::Full)?;
         self.next_start_ns += duration_ns;
         Ok(())
@@ -124,8 +137,14 @@ mod tests {
     use crate::motion::state::MotionState;
 
     fn moving() -> Segment {
-        let start = MotionState { velocity_mm_s: 1.0, ..MotionState::rest(0.0) };
-        Segment { duration_s: 1e-3, channels: [ChannelSegment::starting(start); 3] }
+        let start = MotionState {
+            velocity_mm_s: 1.0,
+            ..MotionState::rest(0.0)
+        };
+        Segment {
+            duration_s: 1e-3,
+            channels: [ChannelSegment::starting(start); 3],
+        }
     }
 
     #[test]
@@ -135,7 +154,9 @@ mod tests {
         for _ in 0..3 {
             feeder.push(&moving(), 100).unwrap();
         }
-        let starts: Vec<_> = std::iter::from_fn(|| ring.pop().ok()).map(|s| (s.epoch, s.start_ns)).collect();
+        let starts: Vec<_> = std::iter::from_fn(|| ring.pop().ok())
+            .map(|s| (s.epoch, s.start_ns))
+            .collect();
         assert_eq!(starts, [(7, 4_000_100), (7, 5_000_100), (7, 6_000_100)]);
         assert_eq!(feeder.lead_ns(1_000_100), 6_000_000);
     }
@@ -146,8 +167,12 @@ mod tests {
         feeder.begin(0, 0);
         feeder.push(&Segment::holding([0.0; 3], 1e-3), 0).unwrap();
         feeder.push(&moving(), 50_000_000).unwrap();
-        feeder.push(&Segment::holding([0.0; 3], 1e-3), 50_000_000).unwrap();
-        let starts: Vec<_> = std::iter::from_fn(|| ring.pop().ok()).map(|s| s.start_ns).collect();
+        feeder
+            .push(&Segment::holding([0.0; 3], 1e-3), 50_000_000)
+            .unwrap();
+        let starts: Vec<_> = std::iter::from_fn(|| ring.pop().ok())
+            .map(|s| s.start_ns)
+            .collect();
         assert_eq!(starts, [4_000_000, 5_000_000, 54_000_000]);
     }
 

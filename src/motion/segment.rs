@@ -21,7 +21,12 @@ pub struct ChannelSegment {
 impl ChannelSegment {
     /// An empty segment at a state.
     pub fn starting(start: MotionState) -> Self {
-        Self { start, end: start, pieces: [(0.0, 0.0); PIECES_MAX], len: 0 }
+        Self {
+            start,
+            end: start,
+            pieces: [(0.0, 0.0); PIECES_MAX],
+            len: 0,
+        }
     }
 
     /// Rest for a time.
@@ -76,7 +81,10 @@ pub struct Segment {
 impl Segment {
     /// Rest for a time.
     pub fn holding(position_mm: [f64; 3], duration_s: f64) -> Self {
-        Self { duration_s, channels: position_mm.map(|p| ChannelSegment::holding(p, duration_s)) }
+        Self {
+            duration_s,
+            channels: position_mm.map(|p| ChannelSegment::holding(p, duration_s)),
+        }
     }
 
     /// States of the three channels at the end.

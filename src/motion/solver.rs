@@ -30,7 +30,13 @@ pub trait Solver {
     ///
     /// # Errors
     /// [`PlanError`] when there is no plan. The caller checks the validity of a plan.
-    fn solve(&mut self, limits: &MotionLimits, from: &[MotionState; 3], target_mm: &[f64; 3], out: &mut Plan) -> Result<(), PlanError>;
+    fn solve(
+        &mut self,
+        limits: &MotionLimits,
+        from: &[MotionState; 3],
+        target_mm: &[f64; 3],
+        out: &mut Plan,
+    ) -> Result<(), PlanError>;
 }
 
 /// The solver built from the parts of `rsruckig`. It owns their scratch space and allocates it once.
@@ -50,13 +56,23 @@ struct Scratch {
 }
 
 impl Solver for Ruckig {
-    fn solve(&mut self, limits: &MotionLimits, from: &[MotionState; 3], target_mm: &[f64; 3], out: &mut Plan) -> Result<(), PlanError> {
+    fn solve(
+        &mut self,
+        limits: &MotionLimits,
+        from: &[MotionState; 3],
+        target_mm: &[f64; 3],
+        out: &mut Plan,
+    ) -> Result<(), PlanError> {
         let scratch = &mut *self.scratch;
         scratch.choose_unit(limits);
         for (channel, (from, &to)) in from.iter().zip(target_mm).enumerate() {
             // A channel at rest on its target needs no profile.
             let rests = from.is_rest() && from.position_mm == to;
-            out.channels[channel] = if rests { ChannelPlan::resting(to) } else { scratch.fastest(from, to, channel)? };
+            out.channels[channel] = if rests {
+                ChannelPlan::resting(to)
+            } else {
+                scratch.fastest(from, to, channel)?
+            };
         }
         Ok(())
     }
@@ -72,18 +88,32 @@ impl Scratch {
     }
 
     /// Brake and step 1: the time-optimal plan of one channel.
-    fn fastest(&mut self, from: &MotionState, target_mm: f64, channel: usize) -> Result<ChannelPlan, PlanError> {
+    fn fastest(
+        &mut self,
+        from: &MotionState,
+        target_mm: f64,
+        channel: usize,
+    ) -> Result<ChannelPlan, PlanError> {
         let (v, j) = (self.speed_max, self.jerk_max);
-        let (v0, a0) = (from.velocity_mm_s * self.unit_s, from.acceleration_mm_s2 * self.unit_s * self.unit_s);
+        let (v0, a0) = (
+            from.velocity_mm_s * self.unit_s,
+            from.acceleration_mm_s2 * self.unit_s * self.unit_s,
+        );
         let p = &mut self.profile;
-        p.brake.get_position_brake_trajectory(v0, a0, v, -v, 1.0, -1.0, j);
+        p.brake
+            .get_position_brake_trajectory(v0, a0, v, -v, 1.0, -1.0, j);
         p.set_boundary(from.position_mm, v0, a0, target_mm, 0.0, 0.0);
         p.brake.finalize(&mut p.p[0], &mut p.v[0], &mut p.a[0]);
-        self.step1.reset(p.p[0], p.v[0], p.a[0], target_mm, 0.0, 0.0, v, -v, 1.0, -1.0, j);
+        self.step1.reset(
+            p.p[0], p.v[0], p.a[0], target_mm, 0.0, 0.0, v, -v, 1.0, -1.0, j,
+        );
         if self.step1.get_profile(p, &mut self.block) && self.block.t_min.is_finite() {
             Ok(transcribe(&self.block.p_min, self.unit_s, target_mm))
         } else {
-            Err(PlanError { channel, reason: PlanFault::NoProfile })
+            Err(PlanError {
+                channel,
+                reason: PlanFault::NoProfile,
+            })
         }
     }
 }
@@ -93,12 +123,22 @@ fn transcribe(p: &Profile, unit_s: f64, end_mm: f64) -> ChannelPlan {
     let mut out = ChannelPlan::resting(end_mm);
     let rate = unit_s.recip();
     let mut push = |p: f64, v: f64, a: f64, j: f64, t: f64| {
-        let start = MotionState { position_mm: p, velocity_mm_s: v * rate, acceleration_mm_s2: a * rate * rate };
+        let start = MotionState {
+            position_mm: p,
+            velocity_mm_s: v * rate,
+            acceleration_mm_s2: a * rate * rate,
+        };
         out.push(start, j * rate * rate * rate, t * unit_s);
     };
     if p.brake.duration > 0.0 {
         for i in 0..2 {
-            push(p.brake.p[i], p.brake.v[i], p.brake.a[i], p.brake.j[i], p.brake.t[i]);
+            push(
+                p.brake.p[i],
+                p.brake.v[i],
+                p.brake.a[i],
+                p.brake.j[i],
+                p.brake.t[i],
+            );
         }
     }
     for i in 0..7 {
@@ -114,7 +154,10 @@ mod tests {
     use proptest::prelude::*;
 
     fn limits() -> MotionLimits {
-        MotionLimits { travel_max_mm: 60.0, ..MotionLimits::try_from(&MotionConfig::default()).unwrap() }
+        MotionLimits {
+            travel_max_mm: 60.0,
+            ..MotionLimits::try_from(&MotionConfig::default()).unwrap()
+        }
     }
 
     /// A state from which the speed limit can still be kept.
@@ -123,7 +166,11 @@ mod tests {
         let (v_max, a_max) = (l.speed_max_mm_s, l.acceleration_max_mm_s2);
         (-20.0..20.0f64, -v_max..v_max, -a_max..a_max).prop_map(move |(p, v, a)| {
             let room = v_max - a * a / (2.0 * l.jerk_max_mm_s3);
-            MotionState { position_mm: p, velocity_mm_s: v.clamp(-room, room), acceleration_mm_s2: a }
+            MotionState {
+                position_mm: p,
+                velocity_mm_s: v.clamp(-room, room),
+                acceleration_mm_s2: a,
+            }
         })
     }
 

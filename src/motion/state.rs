@@ -19,7 +19,10 @@ pub struct MotionState {
 impl MotionState {
     /// At rest at a position.
     pub fn rest(position_mm: f64) -> Self {
-        Self { position_mm, ..Self::default() }
+        Self {
+            position_mm,
+            ..Self::default()
+        }
     }
 
     /// Whether velocity and acceleration are zero.
@@ -52,7 +55,9 @@ impl MotionState {
             let (first, second) = if x <= y { (x, y) } else { (y, x) };
             let inside = |t: &f64| *t > 0.0 && *t < duration_s;
             found[0] = Some(first).filter(inside);
-            found[1] = Some(second).filter(inside).filter(|t| found[0].is_none_or(|first| *t > first));
+            found[1] = Some(second)
+                .filter(inside)
+                .filter(|t| found[0].is_none_or(|first| *t > first));
         }
         found.into_iter().flatten()
     }
@@ -61,10 +66,11 @@ impl MotionState {
     pub fn position_range(&self, jerk_mm_s3: f64, duration_s: f64) -> (f64, f64) {
         let end = self.after(jerk_mm_s3, duration_s).position_mm;
         let ends = (self.position_mm.min(end), self.position_mm.max(end));
-        self.reversals(jerk_mm_s3, duration_s).fold(ends, |(low, high), t| {
-            let p = self.after(jerk_mm_s3, t).position_mm;
-            (low.min(p), high.max(p))
-        })
+        self.reversals(jerk_mm_s3, duration_s)
+            .fold(ends, |(low, high), t| {
+                let p = self.after(jerk_mm_s3, t).position_mm;
+                (low.min(p), high.max(p))
+            })
     }
 }
 
@@ -115,9 +121,16 @@ mod tests {
     #[test]
     fn zero_jerk_and_zero_motion_are_handled() {
         assert_eq!(MotionState::rest(3.0).reversals(0.0, 1.0).next(), None);
-        let cruise = MotionState { velocity_mm_s: 2.0, ..MotionState::rest(0.0) };
+        let cruise = MotionState {
+            velocity_mm_s: 2.0,
+            ..MotionState::rest(0.0)
+        };
         assert_eq!(cruise.reversals(0.0, 1.0).next(), None);
-        let brake = MotionState { velocity_mm_s: 2.0, acceleration_mm_s2: -4.0, ..MotionState::rest(0.0) };
+        let brake = MotionState {
+            velocity_mm_s: 2.0,
+            acceleration_mm_s2: -4.0,
+            ..MotionState::rest(0.0)
+        };
         assert!(brake.reversals(0.0, 1.0).eq([0.5]));
     }
 }

@@ -48,7 +48,17 @@ impl ChannelSteps {
     /// At rest at a count.
     pub fn new(step_mm: f64, count: i32) -> Self {
         let segment = ChannelSegment::starting(MotionState::rest(f64::from(count) * step_mm));
-        Self { step_mm, count, segment, piece: 0, at: segment.start, at_s: 0.0, part: (0.0, 0.0), part_count: count, done: true }
+        Self {
+            step_mm,
+            count,
+            segment,
+            piece: 0,
+            at: segment.start,
+            at_s: 0.0,
+            part: (0.0, 0.0),
+            part_count: count,
+            done: true,
+        }
     }
 
     /// Loads the next segment. Steps of the previous one that were not produced fall due at its start.
@@ -56,7 +66,13 @@ impl ChannelSteps {
         // A first part of zero length makes up for steps that the count lacks.
         let part_count = count(segment.start.position_mm, self.step_mm);
         let done = segment.is_still() && part_count == self.count;
-        *self = Self { segment: *segment, at: segment.start, part_count, done, ..Self::new(self.step_mm, self.count) };
+        *self = Self {
+            segment: *segment,
+            at: segment.start,
+            part_count,
+            done,
+            ..Self::new(self.step_mm, self.count)
+        };
     }
 
     /// The next step of the segment, or `None` at its end.
@@ -78,7 +94,10 @@ impl ChannelSteps {
         let t_s = crossing_s(&self.at, jerk, self.part, midpoint_mm);
         self.part.0 = t_s;
         self.count += direction;
-        Step { t_s: self.at_s + t_s, direction }
+        Step {
+            t_s: self.at_s + t_s,
+            direction,
+        }
     }
 
     /// Moves to the next monotone part, across piece boundaries; sets `done` after the last part.
@@ -97,9 +116,17 @@ impl ChannelSteps {
             return;
         }
         let from = self.part.1;
-        let until = self.at.reversals(jerk, duration_s).find(|&t| t > from).unwrap_or(duration_s);
+        let until = self
+            .at
+            .reversals(jerk, duration_s)
+            .find(|&t| t > from)
+            .unwrap_or(duration_s);
         let is_last = until >= duration_s && self.piece + 1 == self.segment.pieces().len();
-        let end_mm = if is_last { self.segment.end.position_mm } else { self.at.after(jerk, until).position_mm };
+        let end_mm = if is_last {
+            self.segment.end.position_mm
+        } else {
+            self.at.after(jerk, until).position_mm
+        };
         self.part = (from, until);
         self.part_count = count(end_mm, self.step_mm);
     }
@@ -114,7 +141,11 @@ fn crossing_s(at: &MotionState, jerk: f64, part: (f64, f64), position_mm: f64) -
     let gap_mm = |t: f64| at.after(jerk, t).position_mm - position_mm;
     let (gap_low, gap_high) = (gap_mm(low), gap_mm(high));
     if gap_low * gap_high >= 0.0 {
-        return if gap_low.abs() < gap_high.abs() { low } else { high };
+        return if gap_low.abs() < gap_high.abs() {
+            low
+        } else {
+            high
+        };
     }
     let rising = gap_high > 0.0;
     let mut t = low + (high - low) * (gap_low / (gap_low - gap_high));
@@ -152,7 +183,12 @@ pub struct StepStream {
 impl StepStream {
     /// At rest at given counts.
     pub fn new(step_mm: f64, counts: [i32; 3]) -> Self {
-        Self { step_mm, channels: counts.map(|c| ChannelSteps::new(step_mm, c)), pending: [None; 3], start_ns: 0 }
+        Self {
+            step_mm,
+            channels: counts.map(|c| ChannelSteps::new(step_mm, c)),
+            pending: [None; 3],
+            start_ns: 0,
+        }
     }
 
     /// Loads a segment that starts at `start_ns` of the monotonic clock.
@@ -191,15 +227,24 @@ mod tests {
 
     #[test]
     fn constant_speed_gives_evenly_spaced_steps() {
-        let start = MotionState { velocity_mm_s: 10.0, ..MotionState::rest(0.0) };
+        let start = MotionState {
+            velocity_mm_s: 10.0,
+            ..MotionState::rest(0.0)
+        };
         let mut seg = ChannelSegment::starting(start);
         seg.push(1.0, 0.0);
-        let seg = seg.ending(MotionState { position_mm: 10.0, ..start });
+        let seg = seg.ending(MotionState {
+            position_mm: 10.0,
+            ..start
+        });
         let mut c = ChannelSteps::new(0.1, 0);
         c.load(&seg);
         for n in 0..100 {
             let s = c.next_step().unwrap();
-            assert!((s.t_s - (f64::from(n) + 0.5) * 0.01).abs() < 1e-9, "{n} {s:?}");
+            assert!(
+                (s.t_s - (f64::from(n) + 0.5) * 0.01).abs() < 1e-9,
+                "{n} {s:?}"
+            );
             assert_eq!(s.direction, 1);
         }
         assert_eq!((c.next_step(), c.count), (None, 100));
@@ -208,7 +253,11 @@ mod tests {
     /// Up and down again within one piece: the reversal lies between the two crossings of each midpoint.
     #[test]
     fn a_reversal_inside_a_piece_steps_up_and_down() {
-        let start = MotionState { velocity_mm_s: 10.0, acceleration_mm_s2: -20.0, position_mm: 0.0 };
+        let start = MotionState {
+            velocity_mm_s: 10.0,
+            acceleration_mm_s2: -20.0,
+            position_mm: 0.0,
+        };
         let mut seg = ChannelSegment::starting(start);
         seg.push(1.0, 0.0);
         let seg = seg.ending(start.after(0.0, 1.0));
@@ -232,20 +281,41 @@ mod tests {
     fn remaining_steps_fall_due_at_the_start_of_the_next_segment() {
         let mut c = ChannelSteps::new(0.1, 28);
         c.load(&ChannelSegment::holding(3.0, 1.0));
-        assert_eq!(c.next_step(), Some(Step { t_s: 0.0, direction: 1 }));
-        assert_eq!(c.next_step(), Some(Step { t_s: 0.0, direction: 1 }));
+        assert_eq!(
+            c.next_step(),
+            Some(Step {
+                t_s: 0.0,
+                direction: 1
+            })
+        );
+        assert_eq!(
+            c.next_step(),
+            Some(Step {
+                t_s: 0.0,
+                direction: 1
+            })
+        );
         assert_eq!(c.next_step(), None);
     }
 
     #[test]
     fn a_stream_gives_absolute_times() {
         let mut s = StepStream::new(0.1, [0; 3]);
-        let start = MotionState { velocity_mm_s: 10.0, ..MotionState::rest(0.0) };
+        let start = MotionState {
+            velocity_mm_s: 10.0,
+            ..MotionState::rest(0.0)
+        };
         let mut up = ChannelSegment::starting(start);
         up.push(0.02, 0.0);
         let up = up.ending(start.after(0.0, 0.02));
         let still = ChannelSegment::holding(0.0, 0.02);
-        s.load(&Segment { duration_s: 0.02, channels: [still, up, still] }, 1_000_000_000);
+        s.load(
+            &Segment {
+                duration_s: 0.02,
+                channels: [still, up, still],
+            },
+            1_000_000_000,
+        );
         assert_eq!((s.peek(0), s.peek(1)), (None, Some((1_005_000_000, 1))));
         s.take(1);
         assert_eq!(s.peek(1), Some((1_015_000_000, 1)));

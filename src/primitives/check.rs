@@ -53,13 +53,16 @@ impl At<'_> {
 
     /// Each number of an array must lie in a range.
     pub fn ranges(self, values: &[f64], allowed: RangeInclusive<f64>, unit: &str) -> Self {
-        values.iter().enumerate().fold(self, |at, (i, &v)| at.number(&format!(".{i}"), v, &allowed, unit))
+        values.iter().enumerate().fold(self, |at, (i, &v)| {
+            at.number(&format!(".{i}"), v, &allowed, unit)
+        })
     }
 
     /// A relation between values must hold.
     pub fn holds(mut self, good: bool, problem: &str) -> Self {
         if !good {
-            self.found.get_or_insert((String::new(), problem.to_owned()));
+            self.found
+                .get_or_insert((String::new(), problem.to_owned()));
         }
         self
     }
@@ -71,10 +74,24 @@ impl At<'_> {
         }
     }
 
-    fn number(mut self, index: &str, value: f64, allowed: &RangeInclusive<f64>, unit: &str) -> Self {
+    fn number(
+        mut self,
+        index: &str,
+        value: f64,
+        allowed: &RangeInclusive<f64>,
+        unit: &str,
+    ) -> Self {
         if !allowed.contains(&value) {
-            let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
-            let problem = format!("{value}{unit} is outside {} to {}{unit}", allowed.start(), allowed.end());
+            let unit = if unit.is_empty() {
+                String::new()
+            } else {
+                format!(" {unit}")
+            };
+            let problem = format!(
+                "{value}{unit} is outside {} to {}{unit}",
+                allowed.start(),
+                allowed.end()
+            );
             self.found.get_or_insert((index.to_owned(), problem));
         }
         self
@@ -90,12 +107,20 @@ pub struct Checker {
 impl Checker {
     /// Checks the value of a key. Nothing is refused before [`At::hint`].
     pub fn at(&mut self, key: &str) -> At<'_> {
-        At { checker: self, key: key.to_owned(), found: None }
+        At {
+            checker: self,
+            key: key.to_owned(),
+            found: None,
+        }
     }
 
     /// Refuses a value.
     pub fn refuse(&mut self, key: &str, problem: String, hint: &str) {
-        self.first.get_or_insert(Invalid { key: key.to_owned(), problem, hint: hint.to_owned() });
+        self.first.get_or_insert(Invalid {
+            key: key.to_owned(),
+            problem,
+            hint: hint.to_owned(),
+        });
     }
 
     /// The verdict.

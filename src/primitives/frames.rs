@@ -39,7 +39,10 @@ impl<A, B> Rotation<A, B> {
     }
     /// The one place where a bare quaternion is *asserted* to link two frames.
     pub fn assert_frames(q: UnitQuaternion<f64>) -> Self {
-        Self { q, frames: PhantomData }
+        Self {
+            q,
+            frames: PhantomData,
+        }
     }
     /// The quaternion without its frames, for arithmetic that has its own bookkeeping.
     pub fn quat(&self) -> UnitQuaternion<f64> {

@@ -73,7 +73,9 @@ impl std::fmt::Display for Allowed {
             Self::OneOf(list) => {
                 let words: Vec<String> = list.iter().map(f64::to_string).collect();
                 match words.split_last() {
-                    Some((last, rest)) if !rest.is_empty() => write!(f, "{} or {last}", rest.join(", ")),
+                    Some((last, rest)) if !rest.is_empty() => {
+                        write!(f, "{} or {last}", rest.join(", "))
+                    }
                     _ => f.write_str(&words.concat()),
                 }
             }
@@ -109,7 +111,17 @@ pub trait Setting {
 macro_rules! scalars {
     ($($kind:ty),+) => { $(impl Setting for $kind { const SHAPE: Shape = Shape::Scalar; })+ };
 }
-scalars!(f64, u8, u16, u32, i32, usize, bool, String, std::path::PathBuf);
+scalars!(
+    f64,
+    u8,
+    u16,
+    u32,
+    i32,
+    usize,
+    bool,
+    String,
+    std::path::PathBuf
+);
 
 impl<T: Setting, const N: usize> Setting for [T; N] {
     const SHAPE: Shape = Shape::List(&T::SHAPE);
@@ -123,7 +135,8 @@ pub trait Check {
     /// Its parameter table, if it has one: single values are checked against it.
     const TABLE: Option<&'static Table> = None;
     /// What to do about a key or a value that is not understood.
-    const REMEDY: &'static str = "`retroflex board show` prints every key with its meaning, unit and range";
+    const REMEDY: &'static str =
+        "`retroflex board show` prints every key with its meaning, unit and range";
 
     /// Reports relations between values that do not hold.
     fn check(&self, to: &mut Checker);
@@ -168,7 +181,9 @@ impl Table {
                 (None, Shape::Table(table)) => table.check_rows(&Values::new(), &key, whole, to),
                 // described elsewhere, and every entry of it may be absent
                 (None, Shape::Opaque) => {}
-                (None, _) if row.required && whole => to.refuse(at, format!("`{}` is missing", row.key), row.hint),
+                (None, _) if row.required && whole => {
+                    to.refuse(at, format!("`{}` is missing", row.key), row.hint)
+                }
                 _ => {}
             }
         }
@@ -181,8 +196,16 @@ impl Table {
     {
         let (first, rest) = key.split_once('.').unwrap_or((key, ""));
         let row = self.rows.iter().find(|r| r.key == first)?;
-        let below = rest.split('.').skip_while(|part| part.parse::<usize>().is_ok()).collect::<Vec<_>>().join(".");
-        if below.is_empty() { Some(row) } else { row.shape.table()?.row(&below) }
+        let below = rest
+            .split('.')
+            .skip_while(|part| part.parse::<usize>().is_ok())
+            .collect::<Vec<_>>()
+            .join(".");
+        if below.is_empty() {
+            Some(row)
+        } else {
+            row.shape.table()?.row(&below)
+        }
     }
 }
 
@@ -201,12 +224,15 @@ impl Row {
         match (shape, value) {
             (Shape::Optional(inner), value) => self.check(inner, value, key, whole, to),
             (Shape::List(inner), Value::Array(list)) => {
-                list.iter().enumerate().for_each(|(i, v)| self.check(inner, v, &format!("{key}.{i}"), whole, to));
+                list.iter()
+                    .enumerate()
+                    .for_each(|(i, v)| self.check(inner, v, &format!("{key}.{i}"), whole, to));
             }
             (Shape::Table(table), Value::Table(values)) => table.check_rows(values, key, whole, to),
             (Shape::Tagged(tag, alternatives), Value::Table(values)) => {
                 let word = values.get(*tag).and_then(Value::as_str);
-                if let Some((_, table)) = alternatives.iter().find(|(name, _)| Some(*name) == word) {
+                if let Some((_, table)) = alternatives.iter().find(|(name, _)| Some(*name) == word)
+                {
                     table.check_rows(values, key, whole, to);
                 }
             }
@@ -219,15 +245,28 @@ impl Row {
     fn check_number(&self, value: f64, key: &str, to: &mut Checker) {
         match self.allowed {
             Allowed::Any => {}
-            Allowed::Range(low, high) => to.at(key).range(value, low..=high, self.unit).hint(self.hint),
-            Allowed::OneOf(list) => to.at(key).holds(list.contains(&value), &format!("{value} is not {}", self.allowed)).hint(self.hint),
+            Allowed::Range(low, high) => to
+                .at(key)
+                .range(value, low..=high, self.unit)
+                .hint(self.hint),
+            Allowed::OneOf(list) => to
+                .at(key)
+                .holds(
+                    list.contains(&value),
+                    &format!("{value} is not {}", self.allowed),
+                )
+                .hint(self.hint),
         }
     }
 }
 
 /// A key below a table.
 pub fn join(at: &str, key: &str) -> String {
-    if at.is_empty() { key.to_owned() } else { format!("{at}.{key}") }
+    if at.is_empty() {
+        key.to_owned()
+    } else {
+        format!("{at}.{key}")
+    }
 }
 
 /// Declares a structure of parameters; see [`primitives::parameters`](crate::primitives::parameters). After the name

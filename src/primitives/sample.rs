@@ -20,6 +20,8 @@ impl ImuSample {
     /// True when every number in the sample is finite.
     pub fn is_finite(&self) -> bool {
         let finite = |v: &Vector3<f64>| v.iter().all(|x| x.is_finite());
-        finite(&self.gyro_rad_s) && finite(&self.acc_m_s2) && self.mag_ut.as_ref().is_none_or(finite)
+        finite(&self.gyro_rad_s)
+            && finite(&self.acc_m_s2)
+            && self.mag_ut.as_ref().is_none_or(finite)
     }
 }

@@ -34,7 +34,12 @@ pub fn svg(title: &str, ink: Ink, bars: &[Bar]) -> String {
     for percent in [0, 25, 50, 75, 100] {
         let at = x(f64::from(percent) / 100.0);
         out.line((at, TOP), (at, bottom), Ink::PALE, "");
-        out.text((at, bottom + 16.0), Middle, Ink::FAINT, &percent.to_string());
+        out.text(
+            (at, bottom + 16.0),
+            Middle,
+            Ink::FAINT,
+            &percent.to_string(),
+        );
     }
     for (k, b) in bars.iter().enumerate() {
         let y = TOP + ROW * k as f64;
@@ -62,10 +67,21 @@ mod tests {
 
     #[test]
     fn bars_are_as_long_as_their_shares_and_stay_on_the_axis() {
-        let bar = |share| Bar { name: "a & b".to_owned(), share, interval: Some([-0.2, 1.4]), strong: true };
+        let bar = |share| Bar {
+            name: "a & b".to_owned(),
+            share,
+            interval: Some([-0.2, 1.4]),
+            strong: true,
+        };
         let svg = svg("shares", Ink::BLUE, &[bar(0.5), bar(-0.4), bar(f64::NAN)]);
-        assert!(svg.contains("width=\"119.0\" height=\"12.0\"") && svg.contains("a &amp; b"), "{svg}");
-        assert!(svg.contains("x1=\"150.0\" y1=\"45.0\" x2=\"388.0\""), "{svg}");
+        assert!(
+            svg.contains("width=\"119.0\" height=\"12.0\"") && svg.contains("a &amp; b"),
+            "{svg}"
+        );
+        assert!(
+            svg.contains("x1=\"150.0\" y1=\"45.0\" x2=\"388.0\""),
+            "{svg}"
+        );
         assert_eq!(svg.matches("width=\"0.0\" height=\"12.0\"").count(), 2);
     }
 }

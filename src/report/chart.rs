@@ -95,26 +95,45 @@ impl Axis {
     pub fn with_ticks(label: &str, low: f64, high: f64, at: &[f64]) -> Self {
         let steps = at.windows(2).map(|w| w[1] - w[0]);
         let digits = match steps.fold(f64::INFINITY, f64::min) {
-            step if step.is_finite() && step > 0.0 => (-step.log10() - 1e-9).ceil().clamp(0.0, 6.0) as usize,
+            step if step.is_finite() && step > 0.0 => {
+                (-step.log10() - 1e-9).ceil().clamp(0.0, 6.0) as usize
+            }
             _ => 1,
         };
         // adding 0 turns −0 into 0
         let text = |t: f64| format!("{:.digits$}", t + 0.0).replace('-', "−");
         let (label, ticks) = (label.to_owned(), at.iter().map(|&t| (t, text(t))).collect());
-        Self { label, low, high, ticks }
+        Self {
+            label,
+            low,
+            high,
+            ticks,
+        }
     }
 
     /// An axis that extends to round values beyond all of `values` and `always`.
-    pub fn around(label: &str, values: impl IntoIterator<Item = f64>, always: &[f64], n: usize) -> Self {
+    pub fn around(
+        label: &str,
+        values: impl IntoIterator<Item = f64>,
+        always: &[f64],
+        n: usize,
+    ) -> Self {
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-        for v in values.into_iter().chain(always.iter().copied()).filter(|v| v.is_finite()) {
+        for v in values
+            .into_iter()
+            .chain(always.iter().copied())
+            .filter(|v| v.is_finite())
+        {
             (low, high) = (low.min(v), high.max(v));
         }
         if low >= high {
             (low, high) = (low.min(0.0), low.max(0.0) + 1.0);
         }
         let step = round_step((high - low) / n.max(1) as f64);
-        let (low, high) = ((low / step - 1e-6).floor() * step, (high / step + 1e-6).ceil() * step);
+        let (low, high) = (
+            (low / step - 1e-6).floor() * step,
+            (high / step + 1e-6).ceil() * step,
+        );
         Self::new(label, low, high, n)
     }
 
@@ -127,7 +146,10 @@ impl Axis {
 fn round_step(raw: f64) -> f64 {
     let power = 10f64.powf(raw.max(1e-12).log10().floor());
     let mut factors = [1.0, 2.0, 5.0].into_iter();
-    factors.find(|f| f * power >= raw * (1.0 - 1e-9)).unwrap_or(10.0) * power
+    factors
+        .find(|f| f * power >= raw * (1.0 - 1e-9))
+        .unwrap_or(10.0)
+        * power
 }
 
 /// A chart.
@@ -162,7 +184,12 @@ impl Chart {
     /// A chart of these series.
     pub fn new(title: &str, x: Axis, y: Axis, series: Vec<Series>) -> Self {
         let title = title.to_owned();
-        Self { title, x, y, series }
+        Self {
+            title,
+            x,
+            y,
+            series,
+        }
     }
 
     /// The drawing as a stand-alone `<svg>` element.
@@ -219,7 +246,11 @@ impl Chart {
             out.text((x, bottom + 17.0), Middle, Ink::FAINT, text);
         }
         out.line((left, bottom), (right, bottom), Ink::GREY, "");
-        let (x, y, style) = (left + width / 2.0, top + height / 2.0, "text-anchor=\"middle\"");
+        let (x, y, style) = (
+            left + width / 2.0,
+            top + height / 2.0,
+            "text-anchor=\"middle\"",
+        );
         out.styled_text(x, bottom + 36.0, Ink::LABEL, style, &self.x.label);
         let upright = format!("transform=\"translate(15 {y:.1}) rotate(-90)\" {style}");
         out.styled_text(0.0, 0.0, Ink::LABEL, &upright, &self.y.label);
@@ -231,7 +262,9 @@ impl Chart {
         match &s.mark {
             Mark::Line(points, stroke) => {
                 let dash = stroke.dash();
-                let style = format!("fill=\"none\" stroke=\"{ink}\" stroke-width=\"2\" stroke-linejoin=\"round\"{dash}");
+                let style = format!(
+                    "fill=\"none\" stroke=\"{ink}\" stroke-width=\"2\" stroke-linejoin=\"round\"{dash}"
+                );
                 out.path(&polyline(points.iter().map(|&(x, y)| at(x, y))), &style);
             }
             Mark::Band(points) => {
@@ -290,7 +323,10 @@ mod tests {
     fn ticks_have_as_many_digits_as_their_step_needs() {
         let texts = |axis: Axis| axis.ticks.into_iter().map(|t| t.1).collect::<Vec<_>>();
         assert_eq!(texts(Axis::new("x", -0.5, 0.5, 4)), ["−0.5", "0.0", "0.5"]);
-        assert_eq!(texts(Axis::new("x", 0.0, 100.0, 5)), ["0", "20", "40", "60", "80", "100"]);
+        assert_eq!(
+            texts(Axis::new("x", 0.0, 100.0, 5)),
+            ["0", "20", "40", "60", "80", "100"]
+        );
     }
 
     fn chart() -> Chart {
@@ -300,7 +336,12 @@ mod tests {
             y: Axis::new("y", -1.0, 1.0, 4),
             series: vec![
                 Series::band(Ink::BLUE, vec![(0.0, -0.5, 0.5), (10.0, -0.2, 0.2)]),
-                Series::line("mean", Ink::BLUE, Stroke::Dashed, vec![(0.0, 0.0), (5.0, f64::NAN), (10.0, 1.0)]),
+                Series::line(
+                    "mean",
+                    Ink::BLUE,
+                    Stroke::Dashed,
+                    vec![(0.0, 0.0), (5.0, f64::NAN), (10.0, 1.0)],
+                ),
                 Series::dots(Ink::RED, vec![(5.0, 0.0)]),
             ],
         }

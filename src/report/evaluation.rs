@@ -12,7 +12,11 @@ use crate::report::page::Page;
 use crate::report::svg::Ink;
 
 /// Bend RMSE of the open-loop arms on the paper's prototype, degrees.
-const PAPER_RMSE_DEG: [(Arm, f64); 3] = [(Arm::None, 36.96), (Arm::Extension, 8.04), (Arm::Backlash, 7.76)];
+const PAPER_RMSE_DEG: [(Arm, f64); 3] = [
+    (Arm::None, 36.96),
+    (Arm::Extension, 8.04),
+    (Arm::Backlash, 7.76),
+];
 
 /// Columns of [`arm_rows`].
 pub const ARM_COLUMNS: [&str; 12] = [
@@ -79,8 +83,15 @@ pub fn svg(e: &Evaluation) -> String {
 }
 
 /// Mean and standard deviation over the directions, at one desired angle, on the way out or back.
-fn over_directions(held: &[Held], angle_deg: f64, outward: bool, f: impl Fn(&Held) -> f64) -> Option<(f64, f64)> {
-    let there = held.iter().filter(|h| h.bend_deg == angle_deg && h.outward == outward);
+fn over_directions(
+    held: &[Held],
+    angle_deg: f64,
+    outward: bool,
+    f: impl Fn(&Held) -> f64,
+) -> Option<(f64, f64)> {
+    let there = held
+        .iter()
+        .filter(|h| h.bend_deg == angle_deg && h.outward == outward);
     let values: Vec<f64> = there.map(f).collect();
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
@@ -92,12 +103,18 @@ fn over_directions(held: &[Held], angle_deg: f64, outward: bool, f: impl Fn(&Hel
 fn out_and_back(arm: &ArmResult, name: &str, ink: Ink, f: impl Fn(&Held) -> f64) -> Vec<Series> {
     let out = format!("{name}, out");
     let mut series = Vec::new();
-    for (outward, stroke, label) in [(true, Stroke::Solid, &*out), (false, Stroke::Dashed, "back")] {
+    for (outward, stroke, label) in [
+        (true, Stroke::Solid, &*out),
+        (false, Stroke::Dashed, "back"),
+    ] {
         let at = |a: f64| over_directions(&arm.held, a, outward, &f).map(|(m, s)| (a, m, s));
         let points: Vec<_> = ANGLES_DEG.iter().filter_map(|&a| at(a)).collect();
         let band = points.iter().map(|&(a, m, s)| (a, m - s, m + s)).collect();
         let line = points.iter().map(|p| (p.0, p.1)).collect();
-        series.extend([Series::band(ink, band), Series::line(label, ink, stroke, line)]);
+        series.extend([
+            Series::band(ink, band),
+            Series::line(label, ink, stroke, line),
+        ]);
     }
     series
 }
@@ -110,7 +127,10 @@ fn desired() -> Axis {
 fn bends(e: &Evaluation, heading: &str, arms: &[Arm]) -> Option<Figure> {
     let ideal = vec![(0.0, 0.0), (90.0, 90.0)];
     let ideal = Series::line("", Ink::GREY, Stroke::Dotted, ideal);
-    let mut series = vec![Series { name: None, ..ideal }];
+    let mut series = vec![Series {
+        name: None,
+        ..ideal
+    }];
     for (&arm, result) in arms.iter().filter_map(|a| Some((a, e.arm(*a)?))) {
         let measured = |h: &Held| h.bend_deg - h.bend_error_deg;
         series.extend(out_and_back(result, title(arm), ink(arm), measured));
@@ -189,7 +209,9 @@ pub fn html(e: &Evaluation) -> String {
     ));
     page.table(&ARM_COLUMNS, &arm_rows(e));
     page.heading("The paper's Figure 6, redrawn, and the closed loop");
-    let drawn = figures(e).into_iter().map(|(chart, caption)| (chart.svg(), caption.to_owned()));
+    let drawn = figures(e)
+        .into_iter()
+        .map(|(chart, caption)| (chart.svg(), caption.to_owned()));
     page.charts(&drawn.collect::<Vec<_>>());
     page.heading("Gains");
     page.text(&if e.iterations == 0 {

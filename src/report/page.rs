@@ -15,7 +15,10 @@ pub struct Page {
 impl Page {
     /// An empty page with a title and a first-level heading.
     pub fn new(title: &str) -> Self {
-        Self { body: format!("<h1>{}</h1>\n", escape(title)), title: title.to_owned() }
+        Self {
+            body: format!("<h1>{}</h1>\n", escape(title)),
+            title: title.to_owned(),
+        }
     }
     /// Adds a second-level heading.
     pub fn heading(&mut self, text: &str) {
@@ -27,7 +30,13 @@ impl Page {
         let parts: Vec<String> = parts
             .split('`')
             .enumerate()
-            .map(|(k, part)| if k % 2 == 1 { format!("<code>{part}</code>") } else { part.to_owned() })
+            .map(|(k, part)| {
+                if k % 2 == 1 {
+                    format!("<code>{part}</code>")
+                } else {
+                    part.to_owned()
+                }
+            })
             .collect();
         self.line(format_args!("<p>{}</p>", parts.concat()));
     }
@@ -37,8 +46,11 @@ impl Page {
     }
     /// Adds a table; the first column is text, the others are numbers.
     pub fn table<R: AsRef<[String]>>(&mut self, header: &[&str], rows: &[R]) {
-        let cells =
-            |tag: &str, texts: &mut dyn Iterator<Item = &str>| texts.map(|t| format!("<{tag}>{}</{tag}>", escape(t))).collect::<String>();
+        let cells = |tag: &str, texts: &mut dyn Iterator<Item = &str>| {
+            texts
+                .map(|t| format!("<{tag}>{}</{tag}>", escape(t)))
+                .collect::<String>()
+        };
         let head = cells("th", &mut header.iter().copied());
         self.line(format_args!("<table><thead><tr>{head}</tr></thead><tbody>"));
         for row in rows {
@@ -55,7 +67,10 @@ impl Page {
     pub fn charts(&mut self, drawings: &[(String, String)]) {
         self.line("<div class=\"charts\">");
         for (svg, caption) in drawings {
-            self.line(format_args!("<figure>{svg}<figcaption>{}</figcaption></figure>", escape(caption)));
+            self.line(format_args!(
+                "<figure>{svg}<figcaption>{}</figcaption></figure>",
+                escape(caption)
+            ));
         }
         self.line("</div>");
     }
@@ -82,7 +97,10 @@ mod tests {
     fn text_between_backticks_is_code() {
         let mut page = Page::new("x");
         page.text("run `a <b>` now");
-        assert!(page.html().contains("<p>run <code>a &lt;b&gt;</code> now</p>"));
+        assert!(
+            page.html()
+                .contains("<p>run <code>a &lt;b&gt;</code> now</p>")
+        );
     }
 
     #[test]
@@ -91,6 +109,10 @@ mod tests {
         page.text("<script>alert(1)</script>");
         page.table(&["a"], &[["1 & 2".to_owned()]]);
         let html = page.html();
-        assert!(!html.contains("<script") && html.contains("1 &amp; 2") && html.contains("<h1>&lt;x&gt;</h1>"));
+        assert!(
+            !html.contains("<script")
+                && html.contains("1 &amp; 2")
+                && html.contains("<h1>&lt;x&gt;</h1>")
+        );
     }
 }

@@ -46,11 +46,18 @@ const SHADES: usize = 30;
 
 /// From cream at 0 over orange to dark red at 1.
 fn colour(share: f64) -> String {
-    const STOPS: [[f64; 3]; 4] = [[253.0, 246.0, 227.0], [244.0, 186.0, 108.0], [205.0, 92.0, 46.0], [92.0, 22.0, 28.0]];
+    const STOPS: [[f64; 3]; 4] = [
+        [253.0, 246.0, 227.0],
+        [244.0, 186.0, 108.0],
+        [205.0, 92.0, 46.0],
+        [92.0, 22.0, 28.0],
+    ];
     let share = if share.is_finite() { share } else { 0.0 };
     let x = 3.0 * share.clamp(0.0, 1.0);
     let k = (x as usize).min(2);
-    let [r, g, b] = std::array::from_fn(|i| (STOPS[k][i] + (STOPS[k + 1][i] - STOPS[k][i]) * (x - k as f64)).round() as u8);
+    let [r, g, b] = std::array::from_fn(|i| {
+        (STOPS[k][i] + (STOPS[k + 1][i] - STOPS[k][i]) * (x - k as f64)).round() as u8
+    });
     format!("#{r:02x}{g:02x}{b:02x}")
 }
 
@@ -84,7 +91,10 @@ impl Polar {
             out.rect(frame, &colour(share), 1.0);
         }
         for share in [0.0, 0.25, 0.5, 0.75, 1.0] {
-            let (y, text) = (top + (1.0 - share) * height + 4.0, format!("{:.1}", share * self.high));
+            let (y, text) = (
+                top + (1.0 - share) * height + 4.0,
+                format!("{:.1}", share * self.high),
+            );
             out.text((x + 22.0, y), Start, Ink::FAINT, &text);
         }
         out.text((x, top - 14.0), Start, Ink::LABEL, &self.label);
@@ -133,16 +143,32 @@ mod tests {
 
     #[test]
     fn colours_darken_as_the_value_grows() {
-        let light = |c: &str| (0..3).map(|i| u32::from_str_radix(&c[1 + 2 * i..3 + 2 * i], 16).unwrap()).sum::<u32>();
-        let all: Vec<u32> = (0..=10).map(|k| light(&colour(f64::from(k) / 10.0))).collect();
+        let light = |c: &str| {
+            (0..3)
+                .map(|i| u32::from_str_radix(&c[1 + 2 * i..3 + 2 * i], 16).unwrap())
+                .sum::<u32>()
+        };
+        let all: Vec<u32> = (0..=10)
+            .map(|k| light(&colour(f64::from(k) / 10.0)))
+            .collect();
         assert!(all.windows(2).all(|w| w[1] < w[0]), "{all:?}");
         assert_eq!(colour(f64::NAN), colour(0.0));
     }
 
     #[test]
     fn a_cell_lies_at_its_bend_and_direction() {
-        let cells = vec![Cell { ring: 4, sector: 0, value: 1.0 }];
-        let svg = Polar { title: "a < b".to_owned(), label: "°".to_owned(), high: 1.0, cells }.svg();
+        let cells = vec![Cell {
+            ring: 4,
+            sector: 0,
+            value: 1.0,
+        }];
+        let svg = Polar {
+            title: "a < b".to_owned(),
+            label: "°".to_owned(),
+            high: 1.0,
+            cells,
+        }
+        .svg();
         // δ = 0 points right, so the first sector begins at the centre plus the radius
         assert!(svg.contains("L300.0 184.0A122.0"), "{svg}");
         assert!(svg.contains("a &lt; b") && !svg.contains("NaN") && svg.ends_with("</svg>\n"));

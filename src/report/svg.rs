@@ -6,7 +6,8 @@
 
 use std::fmt::{Display, Write};
 
-const FONT: &str = "font-family=\"system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif\" font-size=\"12\"";
+const FONT: &str =
+    "font-family=\"system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif\" font-size=\"12\"";
 
 /// A colour.
 ///
@@ -75,7 +76,13 @@ impl Svg {
     }
 
     pub(crate) fn heading(&mut self, x: f64, text: &str) {
-        self.styled_text(x, 20.0, Ink::TEXT, "font-size=\"14\" font-weight=\"600\"", text);
+        self.styled_text(
+            x,
+            20.0,
+            Ink::TEXT,
+            "font-size=\"14\" font-weight=\"600\"",
+            text,
+        );
     }
 
     pub(crate) fn text(&mut self, at: (f64, f64), anchor: Anchor, ink: Ink, text: &str) {
@@ -84,25 +91,41 @@ impl Svg {
             Anchor::Middle => "middle",
             Anchor::End => "end",
         };
-        self.styled_text(at.0, at.1, ink, &format!("font-size=\"11\" text-anchor=\"{anchor}\""), text);
+        self.styled_text(
+            at.0,
+            at.1,
+            ink,
+            &format!("font-size=\"11\" text-anchor=\"{anchor}\""),
+            text,
+        );
     }
 
     /// Text with any further attributes.
     pub(crate) fn styled_text(&mut self, x: f64, y: f64, ink: Ink, style: &str, text: &str) {
         self.open("text", &["x", "y"], &[x, y]);
-        self.push(format_args!(" fill=\"{}\" {style}>{}</text>", ink.0, escape(text)));
+        self.push(format_args!(
+            " fill=\"{}\" {style}>{}</text>",
+            ink.0,
+            escape(text)
+        ));
     }
 
     /// A straight line; `style` holds further attributes.
     pub(crate) fn line(&mut self, from: (f64, f64), to: (f64, f64), ink: Ink, style: &str) {
-        self.open("line", &["x1", "y1", "x2", "y2"], &[from.0, from.1, to.0, to.1]);
+        self.open(
+            "line",
+            &["x1", "y1", "x2", "y2"],
+            &[from.0, from.1, to.0, to.1],
+        );
         self.push(format_args!(" stroke=\"{}\" {style}/>", ink.0));
     }
 
     /// A filled rectangle `[x, y, width, height]`.
     pub(crate) fn rect(&mut self, frame: [f64; 4], fill: &str, opacity: f64) {
         self.open("rect", &["x", "y", "width", "height"], &frame);
-        self.push(format_args!(" fill=\"{fill}\" fill-opacity=\"{opacity}\"/>"));
+        self.push(format_args!(
+            " fill=\"{fill}\" fill-opacity=\"{opacity}\"/>"
+        ));
     }
 
     pub(crate) fn circle(&mut self, centre: (f64, f64), radius: f64, style: &str) {
@@ -144,5 +167,8 @@ pub(crate) fn polyline(points: impl Iterator<Item = (f64, f64)>) -> String {
 
 /// Escapes text for use in markup and in attributes.
 pub fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
 }

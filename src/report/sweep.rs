@@ -19,7 +19,8 @@ pub fn svg(rows: &[SweepRow]) -> String {
     out.rect([0.0, 0.0, width, height], "#fff", 1.0);
     let title = "Closed loop over conditions: bend RMSE, in brackets that of the best open loop";
     out.heading(12.0, title);
-    let green = "green: closed is no worse than max(0.3°, open) and a held state moves by at most 0.5°";
+    let green =
+        "green: closed is no worse than max(0.3°, open) and a held state moves by at most 0.5°";
     out.text((12.0, 40.0), Start, Ink::FAINT, green);
     for (n, group) in groups.iter().enumerate() {
         let y = TOP + CELL.1 * n as f64;
@@ -65,10 +66,23 @@ mod tests {
             hunting_deg,
             ok,
         };
-        let rows = [row("a_s", 0.1, 0.2, 0.1, true), row("a_s", 0.2, 0.2, 0.83, false), row("b < c", 1.0, 8.0, 0.1, false)];
+        let rows = [
+            row("a_s", 0.1, 0.2, 0.1, true),
+            row("a_s", 0.2, 0.2, 0.83, false),
+            row("b < c", 1.0, 8.0, 0.1, false),
+        ];
         let svg = svg(&rows);
-        assert_eq!((svg.matches("0.20° (7.0°)").count(), svg.matches("8.00° (7.0°)").count()), (2, 1));
-        assert!(svg.contains(">0.1<") && svg.contains("0.2: moves 0.8°") && svg.contains("1: worse"), "{svg}");
+        assert_eq!(
+            (
+                svg.matches("0.20° (7.0°)").count(),
+                svg.matches("8.00° (7.0°)").count()
+            ),
+            (2, 1)
+        );
+        assert!(
+            svg.contains(">0.1<") && svg.contains("0.2: moves 0.8°") && svg.contains("1: worse"),
+            "{svg}"
+        );
         assert!(svg.contains("b &lt; c") && svg.matches(">a_s<").count() == 1);
     }
 }

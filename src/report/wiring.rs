@@ -24,11 +24,18 @@ pub enum Wire {
 
 /// What the pins of a 40-pin header of a Raspberry Pi are, from pin 1: a supply, ground, or a GPIO line.
 const HEADER: [&str; 40] = [
-    "3.3 V", "5 V", "2", "5 V", "3", "ground", "4", "14", "ground", "15", "17", "18", "27", "ground", "22", "23", "3.3 V", "24", "10",
-    "ground", "9", "25", "11", "8", "ground", "7", "0", "1", "5", "ground", "6", "12", "13", "ground", "19", "16", "26", "20", "ground",
-    "21",
+    "3.3 V", "5 V", "2", "5 V", "3", "ground", "4", "14", "ground", "15", "17", "18", "27",
+    "ground", "22", "23", "3.3 V", "24", "10", "ground", "9", "25", "11", "8", "ground", "7", "0",
+    "1", "5", "ground", "6", "12", "13", "ground", "19", "16", "26", "20", "ground", "21",
 ];
-const INKS: [Ink; 6] = [Ink::BLUE, Ink::RED, Ink::GREEN, Ink::PURPLE, Ink::ORANGE, Ink::GREY];
+const INKS: [Ink; 6] = [
+    Ink::BLUE,
+    Ink::RED,
+    Ink::GREEN,
+    Ink::PURPLE,
+    Ink::ORANGE,
+    Ink::GREY,
+];
 /// Distances of rows and of the two columns of the header, px.
 const ROW: f64 = 22.0;
 const TOP: f64 = 64.0;
@@ -96,13 +103,19 @@ fn wire_to(svg: &mut Svg, (px, py): (f64, f64), y: f64, ink: Ink) {
     // between two rows of pins and names, those of the left column lower
     let clear = py + if px > LEFT { 0.4 * ROW } else { 0.6 * ROW };
     let [beside, end, away, near] = [px + 11.0, LEFT + 110.0, LEFT + 190.0, DEVICE - 90.0];
-    let bend = format!("M{px:.0} {py:.0}L{beside:.0} {clear:.0}H{end:.0}C{away:.0} {clear:.0} {near:.0} {y:.0} {DEVICE:.0} {y:.0}");
+    let bend = format!(
+        "M{px:.0} {py:.0}L{beside:.0} {clear:.0}H{end:.0}C{away:.0} {clear:.0} {near:.0} {y:.0} {DEVICE:.0} {y:.0}"
+    );
     let style = format!("fill=\"none\" stroke=\"{}\" stroke-width=\"1.6\"", ink.0);
     svg.path(&bend, &style);
 }
 
 fn label(name: &str, position: usize) -> String {
-    let kind = if name.parse::<u32>().is_ok() { "GPIO " } else { "" };
+    let kind = if name.parse::<u32>().is_ok() {
+        "GPIO "
+    } else {
+        ""
+    };
     format!("{kind}{name} ({position})")
 }
 
@@ -122,11 +135,17 @@ mod tests {
     fn every_wire_ends_at_its_pin() {
         let driver = Device {
             name: "driver".to_owned(),
-            terminals: vec![("STEP".to_owned(), Wire::Line(17)), ("GND".to_owned(), Wire::Position(39))],
+            terminals: vec![
+                ("STEP".to_owned(), Wire::Line(17)),
+                ("GND".to_owned(), Wire::Position(39)),
+            ],
         };
         let drawn = draw("board", true, std::slice::from_ref(&driver));
         // GPIO 17 is pin 11: the left column, the sixth row; pin 39 is the last of that column
-        assert!(drawn.contains("M150 174L") && drawn.contains("M150 482L"), "{drawn}");
+        assert!(
+            drawn.contains("M150 174L") && drawn.contains("M150 482L"),
+            "{drawn}"
+        );
         assert_eq!(drawn.matches("<path").count(), 2);
         assert!(draw("board", false, &[driver]).contains("line 17"));
     }

@@ -19,7 +19,9 @@ impl Belief {
     /// The belief in what was recalled.
     pub fn in_recall(recall: &Recall) -> Self {
         match (recall.found, &recall.memory) {
-            (Found::Intact, Some(memory)) if !memory.lost && (!memory.armed || memory.restart.is_some()) => {
+            (Found::Intact, Some(memory))
+                if !memory.lost && (!memory.armed || memory.restart.is_some()) =>
+            {
                 if memory.armed {
                     Self::Checked
                 } else {
@@ -38,11 +40,30 @@ mod tests {
 
     #[test]
     fn only_an_intact_memory_is_believed() {
-        let recall =
-            |found, armed, lost| Recall { memory: Some(Memory { armed, lost, ..Memory::default() }), damaged: vec![], found, sequence: 1 };
-        assert_eq!(Belief::in_recall(&Recall::default()), Belief::Lost, "a machine without a memory");
-        assert_eq!(Belief::in_recall(&recall(Found::Intact, false, false)), Belief::Certain);
-        for bad in [recall(Found::Intact, true, false), recall(Found::Intact, false, true), recall(Found::Damaged, false, false)] {
+        let recall = |found, armed, lost| Recall {
+            memory: Some(Memory {
+                armed,
+                lost,
+                ..Memory::default()
+            }),
+            damaged: vec![],
+            found,
+            sequence: 1,
+        };
+        assert_eq!(
+            Belief::in_recall(&Recall::default()),
+            Belief::Lost,
+            "a machine without a memory"
+        );
+        assert_eq!(
+            Belief::in_recall(&recall(Found::Intact, false, false)),
+            Belief::Certain
+        );
+        for bad in [
+            recall(Found::Intact, true, false),
+            recall(Found::Intact, false, true),
+            recall(Found::Damaged, false, false),
+        ] {
             assert_eq!(Belief::in_recall(&bad), Belief::Lost, "{bad:?}");
         }
     }

@@ -61,17 +61,51 @@ enum State {
 impl Session {
     /// Algorithm 1 from zero gains.
     pub fn full(geometry: Geometry, step_mm: f64, before: Found) -> Self {
-        let none = Line { k_epsilon: 0.0, k_lambda_mm: 0.0 };
-        Self::new(Round::new(geometry, schedule::paper()), step_mm, None, [none; 3], before)
+        let none = Line {
+            k_epsilon: 0.0,
+            k_lambda_mm: 0.0,
+        };
+        Self::new(
+            Round::new(geometry, schedule::paper()),
+            step_mm,
+            None,
+            [none; 3],
+            before,
+        )
     }
 
     /// One pass with a prior, of as many poses as are given with it.
-    pub fn short(geometry: Geometry, step_mm: f64, (prior, poses): ([Prior; 3], usize), before: Found) -> Self {
-        Self::new(Round::new(geometry, schedule::short(poses)), step_mm, Some(prior), prior.map(|p| p.line), before)
+    pub fn short(
+        geometry: Geometry,
+        step_mm: f64,
+        (prior, poses): ([Prior; 3], usize),
+        before: Found,
+    ) -> Self {
+        Self::new(
+            Round::new(geometry, schedule::short(poses)),
+            step_mm,
+            Some(prior),
+            prior.map(|p| p.line),
+            before,
+        )
     }
 
-    fn new(round: Round, step_mm: f64, prior: Option<[Prior; 3]>, lines: [Line; 3], before: Found) -> Self {
-        Self { step_mm, prior, lines, before, pass: 1, round, state: State::Mode }
+    fn new(
+        round: Round,
+        step_mm: f64,
+        prior: Option<[Prior; 3]>,
+        lines: [Line; 3],
+        before: Found,
+    ) -> Self {
+        Self {
+            step_mm,
+            prior,
+            lines,
+            before,
+            pass: 1,
+            round,
+            state: State::Mode,
+        }
     }
 
     /// The parameters in use before the calibration.
@@ -89,7 +123,11 @@ impl Session {
     pub fn step(&mut self, output: &CycleOutput) -> Next {
         if output.mode != Mode::Calibrating {
             let started = self.state != State::Mode;
-            return if started { Next::Done(Err(format!("mode {} ended the calibration", output.mode))) } else { Next::Wait };
+            return if started {
+                Next::Done(Err(format!("mode {} ended the calibration", output.mode)))
+            } else {
+                Next::Wait
+            };
         }
         let piston_mm = Vector3::from(output.counted.0.map(|n| f64::from(n) * self.step_mm));
         match self.state {
@@ -119,7 +157,10 @@ impl Session {
         let converged = self.prior.is_some() || relative_step(&next, &self.lines) < CONVERGED;
         self.lines = next;
         if converged {
-            return Next::Done(Ok(Found { lines: next, dynamics: self.round.dynamics(&self.before.dynamics) }));
+            return Next::Done(Ok(Found {
+                lines: next,
+                dynamics: self.round.dynamics(&self.before.dynamics),
+            }));
         }
         if self.pass >= PASSES_MAX {
             return Next::Done(Err(format!(

@@ -43,10 +43,17 @@ impl Client {
             let writer = UnixStream::connect(path)?;
             writer.set_read_timeout(Some(timeout))?;
             writer.set_write_timeout(Some(timeout))?;
-            Ok(Self { reader: BufReader::new(writer.try_clone()?), writer, next_id: 1 })
+            Ok(Self {
+                reader: BufReader::new(writer.try_clone()?),
+                writer,
+                next_id: 1,
+            })
         };
         connect().map_err(|e| {
-            unreachable(format!("{}: {e}; is `retroflex run` running, and are you in the group of the socket?", path.display()))
+            unreachable(format!(
+                "{}: {e}; is `retroflex run` running, and are you in the group of the socket?",
+                path.display()
+            ))
         })
     }
 
@@ -56,7 +63,8 @@ impl Client {
     /// # Errors
     /// [`Failure`].
     pub fn stop(control: &Path) -> Result<Value, Failure> {
-        let direct = Self::connect_for(&paths::stop_socket(control), STOP_TIMEOUT).and_then(|mut client| result(&client.read()?));
+        let direct = Self::connect_for(&paths::stop_socket(control), STOP_TIMEOUT)
+            .and_then(|mut client| result(&client.read()?));
         direct.or_else(|_| Self::connect_for(control, 5 * STOP_TIMEOUT)?.request(&Request::Stop {}))
     }
 
@@ -67,7 +75,9 @@ impl Client {
     pub fn request(&mut self, request: &Request) -> Result<Value, Failure> {
         let id = self.next_id;
         self.next_id += 1;
-        self.writer.write_all(request_line(id, request).as_bytes()).map_err(|e| no_reply(&e))?;
+        self.writer
+            .write_all(request_line(id, request).as_bytes())
+            .map_err(|e| no_reply(&e))?;
         loop {
             let value = self.read()?;
             if value["id"] != id {
@@ -85,7 +95,8 @@ impl Client {
         let mut line = String::new();
         match self.reader.read_line(&mut line) {
             Ok(0) => Err(unreachable("the service closed the connection".to_owned())),
-            Ok(_) => serde_json::from_str(&line).map_err(|e| unreachable(format!("the service sent `{}`: {e}", line.trim()))),
+            Ok(_) => serde_json::from_str(&line)
+                .map_err(|e| unreachable(format!("the service sent `{}`: {e}", line.trim()))),
             Err(e) => Err(no_reply(&e)),
         }
     }
@@ -96,13 +107,24 @@ fn result(reply: &Value) -> Result<Value, Failure> {
     if reply["ok"] == true {
         return Ok(reply["result"].clone());
     }
-    let code = reply["code"].as_u64().and_then(|c| u8::try_from(c).ok()).unwrap_or(2);
-    Err(Failure { code, message: reply["error"].as_str().unwrap_or("no reason given").to_owned() })
+    let code = reply["code"]
+        .as_u64()
+        .and_then(|c| u8::try_from(c).ok())
+        .unwrap_or(2);
+    Err(Failure {
+        code,
+        message: reply["error"]
+            .as_str()
+            .unwrap_or("no reason given")
+            .to_owned(),
+    })
 }
 
 fn no_reply(e: &std::io::Error) -> Failure {
     match e.kind() {
-        ErrorKind::WouldBlock => unreachable("it does not answer: it hangs, or its computer is overloaded".to_owned()),
+        ErrorKind::WouldBlock => {
+            unreachable("it does not answer: it hangs, or its computer is overloaded".to_owned())
+        }
         _ => unreachable(format!("it does not answer: {e}")),
     }
 }

@@ -83,7 +83,11 @@ impl Client {
                 Ok(0) => {
                     self.closing = true;
                     // a line without an end is discarded
-                    let complete = self.input.iter().rposition(|b| *b == b'\n').map_or(0, |n| n + 1);
+                    let complete = self
+                        .input
+                        .iter()
+                        .rposition(|b| *b == b'\n')
+                        .map_or(0, |n| n + 1);
                     self.input.truncate(complete);
                 }
                 Ok(n) => {
@@ -105,7 +109,9 @@ impl Client {
     pub(super) fn take_lines(&mut self, lines: &mut Vec<Line>, most: usize) {
         let mut taken = 0;
         for _ in 0..most {
-            let Some(end) = self.input[taken..].iter().position(|b| *b == b'\n') else { break };
+            let Some(end) = self.input[taken..].iter().position(|b| *b == b'\n') else {
+                break;
+            };
             let text = match std::str::from_utf8(&self.input[taken..taken + end]) {
                 Ok(text) => Ok(text.trim().to_owned()),
                 Err(_) => Err("a line must be UTF-8 text"),
@@ -116,7 +122,11 @@ impl Client {
             }
             let surplus = self.unanswered >= UNANSWERED_MAX;
             self.unanswered += 1;
-            lines.push(Line { client: self.number, text, surplus });
+            lines.push(Line {
+                client: self.number,
+                text,
+                surplus,
+            });
         }
         self.input.drain(..taken);
         if taken > 0 {
@@ -125,7 +135,11 @@ impl Client {
         }
         if self.input.len() > LINE_MAX && !self.input.contains(&b'\n') {
             self.unanswered += 1;
-            lines.push(Line { client: self.number, text: Err("a line must not be longer than 16 KiB"), surplus: false });
+            lines.push(Line {
+                client: self.number,
+                text: Err("a line must not be longer than 16 KiB"),
+                surplus: false,
+            });
             self.input.clear();
             self.closing = true;
         }
@@ -159,7 +173,10 @@ impl Client {
             Some("disconnected")
         } else if self.output.len() > OUTPUT_MAX {
             Some("it does not read")
-        } else if !self.input.is_empty() && !complete && self.line_started.elapsed().as_secs_f64() > LINE_MAX_S {
+        } else if !self.input.is_empty()
+            && !complete
+            && self.line_started.elapsed().as_secs_f64() > LINE_MAX_S
+        {
             Some("it did not end its line")
         } else if self.unanswered == 0 && self.active.elapsed() > idle_max {
             Some("it was idle")

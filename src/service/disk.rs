@@ -26,7 +26,10 @@ pub fn free_bytes(path: &Path) -> io::Result<u64> {
         }
         stat.assume_init()
     };
-    #[allow(clippy::useless_conversion, reason = "narrower on computers of 32 bits")]
+    #[allow(
+        clippy::useless_conversion,
+        reason = "narrower on computers of 32 bits"
+    )]
     Ok(u64::from(stat.f_bavail) * u64::from(stat.f_frsize))
 }
 
@@ -39,6 +42,12 @@ pub fn require_free(folder: &Path, bounds: &ServiceSection) -> io::Result<()> {
     if free >= mib(least_mib) {
         return Ok(());
     }
-    let free = format!("only {} MiB of the disk are free, and service.record_free_mib keeps {least_mib} MiB", free >> 20);
-    Err(io::Error::new(io::ErrorKind::StorageFull, format!("{free}: delete files, or set a smaller limit in the board file")))
+    let free = format!(
+        "only {} MiB of the disk are free, and service.record_free_mib keeps {least_mib} MiB",
+        free >> 20
+    );
+    Err(io::Error::new(
+        io::ErrorKind::StorageFull,
+        format!("{free}: delete files, or set a smaller limit in the board file"),
+    ))
 }

@@ -14,7 +14,9 @@ pub enum ServiceError {
     #[error(transparent)]
     Machine(#[from] MachineError),
     /// A socket cannot be created.
-    #[error("{path}: {source}; RuntimeDirectory= in the unit creates the folder, `--socket` names another path")]
+    #[error(
+        "{path}: {source}; RuntimeDirectory= in the unit creates the folder, `--socket` names another path"
+    )]
     Socket {
         /// Its path.
         path: String,
@@ -30,7 +32,9 @@ pub enum ServiceError {
         source: std::io::Error,
     },
     /// The loop ended by a panic.
-    #[error("the control loop ended unexpectedly; this is a defect of the program, please report it with the log")]
+    #[error(
+        "the control loop ended unexpectedly; this is a defect of the program, please report it with the log"
+    )]
     LoopPanicked,
 }
 

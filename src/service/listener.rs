@@ -28,7 +28,10 @@ impl Listener {
     /// # Errors
     /// [`ServiceError::Socket`].
     pub fn bind(path: &Path, mode: u32) -> Result<Self, ServiceError> {
-        let fail = |source| ServiceError::Socket { path: path.display().to_string(), source };
+        let fail = |source| ServiceError::Socket {
+            path: path.display().to_string(),
+            source,
+        };
         let refuse = |why: &str| fail(std::io::Error::other(why));
         if let Ok(there) = std::fs::symlink_metadata(path) {
             if !there.file_type().is_socket() {
@@ -51,7 +54,11 @@ impl Listener {
         std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).map_err(fail)?;
         let inode = inode(path).map_err(fail)?;
         socket.set_nonblocking(true).map_err(fail)?;
-        Ok(Self { socket, path: path.to_owned(), inode })
+        Ok(Self {
+            socket,
+            path: path.to_owned(),
+            inode,
+        })
     }
 
     /// The next connection that waits, as one that does not block.
@@ -62,7 +69,11 @@ impl Listener {
 
     /// An entry for [`wait`].
     pub fn entry(&self) -> libc::pollfd {
-        libc::pollfd { fd: self.socket.as_raw_fd(), events: libc::POLLIN, revents: 0 }
+        libc::pollfd {
+            fd: self.socket.as_raw_fd(),
+            events: libc::POLLIN,
+            revents: 0,
+        }
     }
 }
 
@@ -96,7 +107,10 @@ mod tests {
         let path = folder.path().join("notes.txt");
         std::fs::write(&path, "mine").unwrap();
         let error = Listener::bind(&path, 0o600).unwrap_err().to_string();
-        assert!(error.contains("another kind") && error.contains("notes.txt"), "{error}");
+        assert!(
+            error.contains("another kind") && error.contains("notes.txt"),
+            "{error}"
+        );
         assert_eq!(std::fs::read(&path).unwrap(), b"mine");
     }
 
@@ -105,7 +119,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("socket");
         let first = Listener::bind(&path, 0o600).unwrap();
-        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+        assert_eq!(
+            std::fs::metadata(&path).unwrap().permissions().mode() & 0o777,
+            0o600
+        );
         std::fs::remove_file(&path).unwrap();
         let second = Listener::bind(&path, 0o600).unwrap();
         drop(first);

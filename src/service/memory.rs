@@ -58,7 +58,10 @@ pub struct LearnedGains {
 impl LearnedGains {
     /// The gains per channel.
     pub fn lines(&self) -> [Line; 3] {
-        std::array::from_fn(|i| Line { k_epsilon: self.k_epsilon[i], k_lambda_mm: self.k_lambda_mm[i] })
+        std::array::from_fn(|i| Line {
+            k_epsilon: self.k_epsilon[i],
+            k_lambda_mm: self.k_lambda_mm[i],
+        })
     }
 }
 
@@ -88,7 +91,9 @@ impl Memory {
 #[derive(Debug, thiserror::Error)]
 pub enum MemoryError {
     /// The folder or a slot.
-    #[error("{path}: {source}; the service must be able to write to its state folder (StateDirectory= in the unit, or `--state`)")]
+    #[error(
+        "{path}: {source}; the service must be able to write to its state folder (StateDirectory= in the unit, or `--state`)"
+    )]
     Io {
         /// File or folder.
         path: String,
@@ -96,7 +101,9 @@ pub enum MemoryError {
         source: io::Error,
     },
     /// Another service holds the lock.
-    #[error("{path}: another retroflex uses this state folder; stop it first, or give `--state` another folder")]
+    #[error(
+        "{path}: another retroflex uses this state folder; stop it first, or give `--state` another folder"
+    )]
     InUse {
         /// Folder.
         path: String,

@@ -82,19 +82,32 @@ impl Claim {
     /// # Errors
     /// [`ServiceError`].
     pub fn new(service: &ServiceSection) -> Result<Self, ServiceError> {
-        let Paths { control, status, state } = Paths::of(service);
+        let Paths {
+            control,
+            status,
+            state,
+        } = Paths::of(service);
         let (store, recall) = Store::open(&state)?;
         for folder in [control.parent(), status.parent()].into_iter().flatten() {
             let mut builder = std::fs::DirBuilder::new();
             let created = builder.recursive(true).mode(0o755).create(folder);
-            created.map_err(|source| ServiceError::Socket { path: folder.display().to_string(), source })?;
+            created.map_err(|source| ServiceError::Socket {
+                path: folder.display().to_string(),
+                source,
+            })?;
         }
         let stop = paths::stop_socket(&control);
         let control = Listener::bind(&control, service.socket_mode)?;
         let status = Listener::bind(&status, service.status_mode)?;
         // last: the test whether a service answers there stops the tip of that service
         let stop = Listener::bind(&stop, service.socket_mode)?;
-        Ok(Self { store, recall, control, status, stop })
+        Ok(Self {
+            store,
+            recall,
+            control,
+            status,
+            stop,
+        })
     }
 }
 
@@ -115,8 +128,19 @@ pub struct Setup {
 /// # Errors
 /// [`ServiceError`].
 pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
-    let Setup { machine, mut config, pace, record } = setup;
-    let Claim { mut store, recall, control, status, stop } = claim;
+    let Setup {
+        machine,
+        mut config,
+        pace,
+        record,
+    } = setup;
+    let Claim {
+        mut store,
+        recall,
+        control,
+        status,
+        stop,
+    } = claim;
     let (belief, memory) = believed(&recall, machine.is_simulated());
     let start = Start::new(&config, &memory, belief);
     config.supervisor = start.config.clone();
@@ -139,8 +163,14 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         watch: ThreadWatch::default(),
     };
     let (thread, grants) = start_loop(rt_loop, wish(&config.service, pace))?;
-    let calm = RtRequest { priority: 0, cpu: None };
-    let urgent = RtRequest { priority: control_priority(&config.service), ..calm };
+    let calm = RtRequest {
+        priority: 0,
+        cpu: None,
+    };
+    let urgent = RtRequest {
+        priority: control_priority(&config.service),
+        ..calm
+    };
     let stop = stop_socket::start(stop, Arc::clone(&shared), urgent);
     let stop = stop.map_err(ServiceError::system("the thread of stop"))?;
     let start_port = |socket, which, wish| {
@@ -156,7 +186,12 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         rings,
         shared: Arc::clone(&shared),
     };
-    let facts = Facts { remarks, grants, damaged: recall.damaged, belief };
+    let facts = Facts {
+        remarks,
+        grants,
+        damaged: recall.damaged,
+        belief,
+    };
     let ended = Hub::new(io, config, memory, facts).run(record);
     shared.quit();
     thread.join().map_err(|_| ServiceError::LoopPanicked)??;
@@ -176,7 +211,10 @@ fn wish(service: &ServiceSection, pace: Option<f64>) -> RtRequest {
 }
 
 /// Starts the loop's thread; returns it with what the kernel has granted.
-fn start_loop(rt_loop: Loop, wish: RtRequest) -> Result<(JoinHandle<Result<(), MachineError>>, RtStatus), ServiceError> {
+fn start_loop(
+    rt_loop: Loop,
+    wish: RtRequest,
+) -> Result<(JoinHandle<Result<(), MachineError>>, RtStatus), ServiceError> {
     let (report, reported) = channel();
     let builder = std::thread::Builder::new().name("loop".into());
     let thread = builder.spawn(move || {
@@ -200,7 +238,10 @@ fn control_priority(service: &ServiceSection) -> i32 {
 
 /// What is believed of a memory. A simulated plant begins at rest with the service, whatever the memory says.
 fn believed(recall: &Recall, simulated: bool) -> (Belief, Memory) {
-    let (mut belief, mut memory) = (Belief::in_recall(recall), recall.memory.clone().unwrap_or_default());
+    let (mut belief, mut memory) = (
+        Belief::in_recall(recall),
+        recall.memory.clone().unwrap_or_default(),
+    );
     if simulated && belief != Belief::Certain {
         (belief, memory.restart, memory.unverified) = (Belief::Certain, None, false);
     }
@@ -210,7 +251,10 @@ fn believed(recall: &Recall, simulated: bool) -> (Belief, Memory) {
     }
     if belief == Belief::Lost {
         let mend = "`retroflex zero`, or `retroflex home` without the service";
-        tracing::error!(event = "lost", "no memory tells where the pistons are: {mend}");
+        tracing::error!(
+            event = "lost",
+            "no memory tells where the pistons are: {mend}"
+        );
     }
     (belief, memory)
 }

@@ -35,7 +35,10 @@ impl Notifier {
             Ok(socket)
         };
         let socket = std::env::var_os("NOTIFY_SOCKET").and_then(|path| connect(path).ok());
-        Self { socket, watchdog: sd_notify::watchdog_enabled() }
+        Self {
+            socket,
+            watchdog: sd_notify::watchdog_enabled(),
+        }
     }
 
     /// Sends a line. Errors are ignored: the service also runs without a manager.
@@ -48,7 +51,10 @@ impl Notifier {
     /// The heartbeat, where the manager has a watchdog for this service.
     pub fn heartbeat(&self) -> Option<Heartbeat> {
         let (socket, timeout) = (self.socket.as_ref()?, self.watchdog?);
-        Some(Heartbeat { socket: socket.try_clone().ok()?, period_s: timeout.as_secs_f64() / 2.0 })
+        Some(Heartbeat {
+            socket: socket.try_clone().ok()?,
+            period_s: timeout.as_secs_f64() / 2.0,
+        })
     }
 }
 

@@ -18,9 +18,19 @@ pub struct Paths {
 impl Paths {
     /// The paths that this section names, and the default ones for this user.
     pub fn of(service: &ServiceSection) -> Self {
-        let control = service.socket.clone().unwrap_or_else(|| runtime_folder().join("control.sock"));
-        let status = service.status_socket.clone().unwrap_or_else(|| status_socket(&control));
-        Self { control, status, state: service.state.clone().unwrap_or_else(state_folder) }
+        let control = service
+            .socket
+            .clone()
+            .unwrap_or_else(|| runtime_folder().join("control.sock"));
+        let status = service
+            .status_socket
+            .clone()
+            .unwrap_or_else(|| status_socket(&control));
+        Self {
+            control,
+            status,
+            state: service.state.clone().unwrap_or_else(state_folder),
+        }
     }
 }
 
@@ -38,12 +48,19 @@ pub fn stop_socket(control: &Path) -> PathBuf {
 pub fn default_socket() -> PathBuf {
     let own = runtime_folder().join("control.sock");
     let system = PathBuf::from("/run/retroflex/control.sock");
-    if !own.exists() && system.exists() { system } else { own }
+    if !own.exists() && system.exists() {
+        system
+    } else {
+        own
+    }
 }
 
 /// The command sockets where services may listen: this user's and the system's.
 pub fn sockets() -> Vec<PathBuf> {
-    let mut all = vec![runtime_folder().join("control.sock"), PathBuf::from("/run/retroflex/control.sock")];
+    let mut all = vec![
+        runtime_folder().join("control.sock"),
+        PathBuf::from("/run/retroflex/control.sock"),
+    ];
     all.dedup();
     all
 }
@@ -63,12 +80,18 @@ fn runtime_folder() -> PathBuf {
     let system = || is_root().then(|| PathBuf::from("/run/retroflex"));
     let own = || path_from("XDG_RUNTIME_DIR").map(|folder| folder.join("retroflex"));
     // without a runtime folder, beside the state
-    path_from("RUNTIME_DIRECTORY").or_else(system).or_else(own).unwrap_or_else(state_folder)
+    path_from("RUNTIME_DIRECTORY")
+        .or_else(system)
+        .or_else(own)
+        .unwrap_or_else(state_folder)
 }
 
 fn state_folder() -> PathBuf {
     let system = || is_root().then(|| PathBuf::from("/var/lib/retroflex"));
-    let own = || path_from("XDG_STATE_HOME").or_else(|| Some(path_from("HOME")?.join(".local/state")));
-    let folder = path_from("STATE_DIRECTORY").or_else(system).or_else(|| own().map(|folder| folder.join("retroflex")));
+    let own =
+        || path_from("XDG_STATE_HOME").or_else(|| Some(path_from("HOME")?.join(".local/state")));
+    let folder = path_from("STATE_DIRECTORY")
+        .or_else(system)
+        .or_else(|| own().map(|folder| folder.join("retroflex")));
     folder.unwrap_or_else(|| std::env::temp_dir().join("retroflex"))
 }

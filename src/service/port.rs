@@ -82,8 +82,17 @@ impl Port {
     ///
     /// # Errors
     /// The operating system's.
-    pub fn start(socket: Listener, shared: Arc<Shared>, which: Watched, wish: RtRequest) -> std::io::Result<Self> {
-        let (first, idle_max) = if which == Watched::Control { (1, CONTROL_IDLE_MAX) } else { (2, STATUS_IDLE_MAX) };
+    pub fn start(
+        socket: Listener,
+        shared: Arc<Shared>,
+        which: Watched,
+        wish: RtRequest,
+    ) -> std::io::Result<Self> {
+        let (first, idle_max) = if which == Watched::Control {
+            (1, CONTROL_IDLE_MAX)
+        } else {
+            (2, STATUS_IDLE_MAX)
+        };
         let (server, waker) = Server::new(socket, first, idle_max)?;
         let (messages_in, messages) = channel();
         let (replies, replies_out) = channel();
@@ -99,11 +108,20 @@ impl Port {
             clients: Arc::clone(&clients),
             stops: Vec::new(),
         };
-        let thread = std::thread::Builder::new().name(which.name().into()).spawn(move || {
-            let (_, _guard) = rt::enter(&wish);
-            while port.round() {}
-        })?;
-        Ok(Self { messages, replies, events, waker, clients, thread })
+        let thread = std::thread::Builder::new()
+            .name(which.name().into())
+            .spawn(move || {
+                let (_, _guard) = rt::enter(&wish);
+                while port.round() {}
+            })?;
+        Ok(Self {
+            messages,
+            replies,
+            events,
+            waker,
+            clients,
+            thread,
+        })
     }
 
     /// Number of connected clients.
@@ -170,7 +188,11 @@ impl PortThread {
     /// One round; false when the service ends.
     fn round(&mut self) -> bool {
         self.shared.progress(self.which);
-        let lines = self.server.round(if self.stops.is_empty() { ROUND } else { STOP_ROUND });
+        let lines = self.server.round(if self.stops.is_empty() {
+            ROUND
+        } else {
+            STOP_ROUND
+        });
         let began = Instant::now();
         self.clients.store(self.server.clients(), Relaxed);
         for line in lines {
@@ -181,7 +203,11 @@ impl PortThread {
             let _ = self.messages.send(FromPort::Gone(client, reason));
         }
         self.answer_stops();
-        for outgoing in self.replies.try_iter().chain(self.events.try_iter().take(EVENTS_MAX)) {
+        for outgoing in self
+            .replies
+            .try_iter()
+            .chain(self.events.try_iter().take(EVENTS_MAX))
+        {
             match outgoing {
                 Outgoing::Reply(client, line) => self.server.reply(client, &line),
                 Outgoing::Event(client, line) => self.server.send(client, &line),
@@ -207,24 +233,36 @@ impl PortThread {
         if self.which == Watched::Control && request == Ok(Request::Stop {}) {
             let number = self.shared.stop.request();
             self.server.protect(client);
-            self.stops.push(PendingStop { client, id, number, since: Instant::now() });
+            self.stops.push(PendingStop {
+                client,
+                id,
+                number,
+                since: Instant::now(),
+            });
         } else if line.surplus {
             let refusal = Failure::refused("too many unanswered requests; wait for their answers");
             self.server.reply(client, &reply_line(&id, &Err(refusal)));
         } else {
             // the hub is gone only when the service ends
-            let _ = self.messages.send(FromPort::Incoming(Incoming { client, id, request, close, stops }));
+            let _ = self.messages.send(FromPort::Incoming(Incoming {
+                client,
+                id,
+                request,
+                close,
+                stops,
+            }));
         }
     }
 
     fn answer_stops(&mut self) {
         let (server, signal) = (&mut self.server, &self.shared.stop);
-        self.stops.retain(|stop| match signal.answer(stop.number, stop.since) {
-            Some(answer) => {
-                server.reply(stop.client, &reply_line(&stop.id, &answer));
-                false
-            }
-            None => true,
-        });
+        self.stops
+            .retain(|stop| match signal.answer(stop.number, stop.since) {
+                Some(answer) => {
+                    server.reply(stop.client, &reply_line(&stop.id, &answer));
+                    false
+                }
+                None => true,
+            });
     }
 }

@@ -166,17 +166,29 @@ impl Request {
     pub fn bend(bend_deg: f64, dir_deg: f64, speed_deg_s: Option<f64>) -> Self {
         let length_mm = None;
         let frame = Frame::Base;
-        Self::Bend { bend_deg, dir_deg, length_mm, speed_deg_s, frame }
+        Self::Bend {
+            bend_deg,
+            dir_deg,
+            length_mm,
+            speed_deg_s,
+            frame,
+        }
     }
 
     /// True for requests that the status socket accepts.
     pub fn only_reads(&self) -> bool {
-        matches!(self, Self::Status {} | Self::Reach {} | Self::Subscribe { .. })
+        matches!(
+            self,
+            Self::Status {} | Self::Reach {} | Self::Subscribe { .. }
+        )
     }
 
     /// Name of the command, for the log.
     pub fn name(&self) -> String {
-        json!(self)["cmd"].as_str().unwrap_or_default().replace('_', "-")
+        json!(self)["cmd"]
+            .as_str()
+            .unwrap_or_default()
+            .replace('_', "-")
     }
 }
 
@@ -192,11 +204,17 @@ pub struct Failure {
 impl Failure {
     /// The request is valid but not possible now.
     pub fn refused(message: impl Into<String>) -> Self {
-        Self { code: 1, message: message.into() }
+        Self {
+            code: 1,
+            message: message.into(),
+        }
     }
     /// The request is invalid.
     pub fn bad(message: impl Into<String>) -> Self {
-        Self { code: 2, message: message.into() }
+        Self {
+            code: 2,
+            message: message.into(),
+        }
     }
 }
 
@@ -204,16 +222,30 @@ impl Failure {
 pub fn parse(line: &str) -> (Value, Result<Request, Failure>) {
     let mut object = match serde_json::from_str::<Value>(line) {
         Ok(Value::Object(object)) => object,
-        Ok(_) => return (Value::Null, Err(Failure::bad("a request is one JSON object per line"))),
+        Ok(_) => {
+            return (
+                Value::Null,
+                Err(Failure::bad("a request is one JSON object per line")),
+            );
+        }
         Err(e) => return (Value::Null, Err(Failure::bad(format!("not JSON: {e}")))),
     };
-    let id = object.remove("id").filter(|v| v.is_number() || v.is_string()).unwrap_or(Value::Null);
+    let id = object
+        .remove("id")
+        .filter(|v| v.is_number() || v.is_string())
+        .unwrap_or(Value::Null);
     let version = object.remove("v");
     if version.as_ref().and_then(Value::as_u64) != Some(VERSION) {
         let found = version.map_or_else(|| "none".to_owned(), |v| v.to_string());
-        return (id, Err(Failure::bad(format!("protocol version {found}: this service uses \"v\":{VERSION}"))));
+        return (
+            id,
+            Err(Failure::bad(format!(
+                "protocol version {found}: this service uses \"v\":{VERSION}"
+            ))),
+        );
     }
-    let request = serde_json::from_value(Value::Object(object)).map_err(|e| Failure::bad(format!("not understood: {e}")));
+    let request = serde_json::from_value(Value::Object(object))
+        .map_err(|e| Failure::bad(format!("not understood: {e}")));
     (id, request)
 }
 
@@ -240,8 +272,21 @@ mod tests {
 
     #[test]
     fn a_request_survives_the_round_trip() {
-        let bend = Request::Bend { bend_deg: 40.5, dir_deg: -30.0, length_mm: None, speed_deg_s: Some(10.0), frame: Frame::World };
-        for request in [Request::Arm {}, bend, Request::Calibrate { action: CalibrateAction::Short, poses: 12 }] {
+        let bend = Request::Bend {
+            bend_deg: 40.5,
+            dir_deg: -30.0,
+            length_mm: None,
+            speed_deg_s: Some(10.0),
+            frame: Frame::World,
+        };
+        for request in [
+            Request::Arm {},
+            bend,
+            Request::Calibrate {
+                action: CalibrateAction::Short,
+                poses: 12,
+            },
+        ] {
             let (id, parsed) = parse(request_line(7, &request).trim());
             assert_eq!((id, parsed), (json!(7), Ok(request)));
         }
@@ -262,7 +307,11 @@ mod tests {
         ] {
             let (_, request) = parse(line);
             let failure = request.unwrap_err();
-            assert!(failure.message.contains(part) && failure.code == 2, "{line}: {}", failure.message);
+            assert!(
+                failure.message.contains(part) && failure.code == 2,
+                "{line}: {}",
+                failure.message
+            );
         }
     }
 }

@@ -19,7 +19,9 @@ use flate2::{Compression, write::GzEncoder};
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, Sender, SyncSender, TryRecvError, TrySendError, channel, sync_channel};
+use std::sync::mpsc::{
+    Receiver, Sender, SyncSender, TryRecvError, TrySendError, channel, sync_channel,
+};
 use std::time::{Duration, Instant};
 
 /// Columns, as in every bend log.
@@ -73,7 +75,10 @@ pub struct Recording {
 pub fn flight_path(log: &Path) -> PathBuf {
     let name = log.to_string_lossy();
     let name = name.strip_suffix(".gz").unwrap_or(&name);
-    PathBuf::from(format!("{}.mcap", name.strip_suffix(".csv").unwrap_or(name)))
+    PathBuf::from(format!(
+        "{}.mcap",
+        name.strip_suffix(".csv").unwrap_or(name)
+    ))
 }
 
 impl Recording {
@@ -83,15 +88,22 @@ impl Recording {
     ///
     /// # Errors
     /// The operating system's, if there is no thread.
-    pub fn start(path: &Path, step_mm: f64, flight: Option<u64>, bounds: &ServiceSection) -> io::Result<Self> {
+    pub fn start(
+        path: &Path,
+        step_mm: f64,
+        flight: Option<u64>,
+        bounds: &ServiceSection,
+    ) -> io::Result<Self> {
         let (chunks, work) = sync_channel(CHUNKS_MAX);
         let (report, progress) = channel();
         let (own, limits) = (path.to_owned(), bounds.clone());
-        std::thread::Builder::new().name("recording".into()).spawn(move || {
-            let ended = write(&own, flight, &limits, &work, &report);
-            // the hub is gone only when the service ends
-            let _ = report.send(Progress::Ended(ended));
-        })?;
+        std::thread::Builder::new()
+            .name("recording".into())
+            .spawn(move || {
+                let ended = write(&own, flight, &limits, &work, &report);
+                // the hub is gone only when the service ends
+                let _ = report.send(Progress::Ended(ended));
+            })?;
         Ok(Self {
             path: path.to_owned(),
             log: HEADER.as_bytes().to_vec(),
@@ -134,7 +146,10 @@ impl Recording {
 
     /// Adds one cycle.
     pub fn write(&mut self, logged: &Logged) {
-        self.waiting &= !logged.events.iter().any(|event| matches!(**event, Event::Start(_)));
+        self.waiting &= !logged
+            .events
+            .iter()
+            .any(|event| matches!(**event, Event::Start(_)));
         if self.waiting || self.is_ending() {
             return;
         }
@@ -142,7 +157,10 @@ impl Recording {
             cycles.push(logged.clone());
         }
         let output = &logged.output;
-        if let Some(row) = self.rows.add(&output.sensed, &output.frame.target, self.step_mm) {
+        if let Some(row) = self
+            .rows
+            .add(&output.sensed, &output.frame.target, self.step_mm)
+        {
             write_row(&mut self.log, &row);
         }
         if self.rows.last_s > self.most_s {
@@ -156,7 +174,10 @@ impl Recording {
     fn hand_over(&mut self) {
         let Some(chunks) = &self.chunks else { return };
         self.handed_over = Instant::now();
-        let chunk = (std::mem::take(&mut self.log), self.cycles.as_mut().map(std::mem::take).unwrap_or_default());
+        let chunk = (
+            std::mem::take(&mut self.log),
+            self.cycles.as_mut().map(std::mem::take).unwrap_or_default(),
+        );
         match chunks.try_send(chunk) {
             Ok(()) => {}
             Err(TrySendError::Full(_)) => {
@@ -178,7 +199,9 @@ impl Recording {
     pub fn progress(&mut self) -> Option<Progress> {
         let progress = match self.progress.try_recv() {
             Err(TryRecvError::Empty) => return None,
-            Err(TryRecvError::Disconnected) => Progress::Ended(Err(io::Error::other("its thread ended unexpectedly"))),
+            Err(TryRecvError::Disconnected) => {
+                Progress::Ended(Err(io::Error::other("its thread ended unexpectedly")))
+            }
             Ok(progress) => progress,
         };
         if matches!(progress, Progress::Ended(_)) {
@@ -206,14 +229,22 @@ impl Rows {
     /// The row of a cycle in which a sample of the tip's IMU arrived, in the order of [`HEADER`]. What is missing is not a number.
     pub fn add(&mut self, sensed: &Sensed, target: &Shape, step_mm: f64) -> Option<Vec<f64>> {
         self.base = sensed.base_imu.or(self.base);
-        let ImuReading::Sample(sample, _) = sensed.imu else { return None };
+        let ImuReading::Sample(sample, _) = sensed.imu else {
+            return None;
+        };
         let t = sample.t.0 - *self.start_s.get_or_insert(sample.t.0 - FIRST_ROW_S);
         if t <= self.last_s {
             return None;
         }
         (self.last_s, self.count) = (t, self.count + 1);
         let (none, gauges, bend) = ([f64::NAN; 3], &sensed.gauges, target.bend);
-        let imu = |s: ImuSample| [s.acc_m_s2.into(), s.gyro_rad_s.into(), s.mag_ut.map_or(none, Into::into)];
+        let imu = |s: ImuSample| {
+            [
+                s.acc_m_s2.into(),
+                s.gyro_rad_s.into(),
+                s.mag_ut.map_or(none, Into::into),
+            ]
+        };
         let mut row = vec![t, bend.beta().to_degrees(), bend.delta().to_degrees()];
         row.push(target.length.0);
         row.extend(sensed.counted.0.map(|n| f64::from(n) * step_mm));
@@ -243,7 +274,10 @@ pub fn write_row(log: &mut Vec<u8>, row: &[f64]) {
 /// # Errors
 /// The operating system's, or what is free.
 pub fn make_room(path: &Path, limits: &ServiceSection) -> io::Result<()> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder)?;
     require_free(folder, limits)
 }
@@ -259,17 +293,25 @@ fn write(
     make_room(path, limits)?;
     let compressed = path.extension().is_some_and(|e| e == "gz");
     let mut log = Output::create(path, compressed)?;
-    let mut flight = flight.map(|zero| FlightFile::create(&flight_path(path), zero)).transpose().map_err(io_error)?;
+    let mut flight = flight
+        .map(|zero| FlightFile::create(&flight_path(path), zero))
+        .transpose()
+        .map_err(io_error)?;
     // the hub is gone only when the service ends
     let _ = report.send(Progress::Started);
     let mut reason = None;
     for (rows, cycles) in chunks {
         log.write(&rows)?;
         if let Some(flight) = &mut flight {
-            cycles.iter().try_for_each(|logged| flight.write(logged)).map_err(io_error)?;
+            cycles
+                .iter()
+                .try_for_each(|logged| flight.write(logged))
+                .map_err(io_error)?;
             flight.flush(false).map_err(io_error)?;
         }
-        if log.size()? + flight.as_ref().map_or(Ok(0), FlightFile::size)? > mib(limits.record_max_mib) {
+        if log.size()? + flight.as_ref().map_or(Ok(0), FlightFile::size)?
+            > mib(limits.record_max_mib)
+        {
             reason = Some("it reached service.record_max_mib");
         } else if free_bytes(path)? < mib(limits.record_free_mib) {
             reason = Some("less than service.record_free_mib of the disk is free");
@@ -279,7 +321,9 @@ fn write(
         }
     }
     log.finish()?;
-    flight.map_or(Ok(()), FlightFile::finish).map_err(io_error)?;
+    flight
+        .map_or(Ok(()), FlightFile::finish)
+        .map_err(io_error)?;
     Ok(reason)
 }
 
@@ -292,8 +336,15 @@ struct Output {
 impl Output {
     fn create(path: &Path, compressed: bool) -> io::Result<Self> {
         let file = BufWriter::new(File::create_new(path)?);
-        let file: Box<dyn Write> = if compressed { Box::new(GzEncoder::new(file, Compression::fast())) } else { Box::new(file) };
-        Ok(Self { path: path.to_owned(), file })
+        let file: Box<dyn Write> = if compressed {
+            Box::new(GzEncoder::new(file, Compression::fast()))
+        } else {
+            Box::new(file)
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            file,
+        })
     }
 
     /// Writes and flushes, so that a killed service leaves what it has handed over.

@@ -8,7 +8,9 @@ use crate::service::connection::UNANSWERED_MAX;
 use crate::service::server::CLIENTS_MAX;
 use crate::service::shared::{HeartbeatMonitor, Shared, ThreadWatch, Watched};
 use crate::service::stop::StopCounter;
-use crate::supervisor::{CycleOutput, Machine, MachineError, Order, Refusal, Runner, Supervisor, SupervisorConfig};
+use crate::supervisor::{
+    CycleOutput, Machine, MachineError, Order, Refusal, Runner, Supervisor, SupervisorConfig,
+};
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
@@ -125,7 +127,14 @@ pub fn rings() -> (LoopRings, HubRings) {
             notes: loop_notes,
             retired: loop_retired,
         },
-        HubRings { orders, setpoints, answers, frames, notes, retired },
+        HubRings {
+            orders,
+            setpoints,
+            answers,
+            frames,
+            notes,
+            retired,
+        },
     )
 }
 
@@ -175,12 +184,23 @@ impl Loop {
                     // missed cycles are skipped, not caught up
                     due_ns = now_ns;
                 }
-                if simulated { ((now_ns - start_ns) / period_ns).max(periods + 1) } else { now_ns - start_ns }
+                if simulated {
+                    ((now_ns - start_ns) / period_ns).max(periods + 1)
+                } else {
+                    now_ns - start_ns
+                }
             };
             periods = elapsed;
-            let now_s = if simulated || self.pace.is_some() { elapsed as f64 * self.period_s } else { elapsed as f64 * 1e-9 };
+            let now_s = if simulated || self.pace.is_some() {
+                elapsed as f64 * self.period_s
+            } else {
+                elapsed as f64 * 1e-9
+            };
             let real_ns = monotonic_ns();
-            self.watch.step(&self.shared, real_ns.saturating_sub(std::mem::replace(&mut cycle_ns, real_ns)) as f64 * 1e-9);
+            self.watch.step(
+                &self.shared,
+                real_ns.saturating_sub(std::mem::replace(&mut cycle_ns, real_ns)) as f64 * 1e-9,
+            );
             self.cycle(Seconds(now_s))?;
             self.heartbeat.update(&self.watch, now_s);
         }
@@ -190,7 +210,8 @@ impl Loop {
     fn cycle(&mut self, now: Seconds) -> Result<(), MachineError> {
         // a stop comes before every queued message
         let stop = self.stops.take_request(&self.shared.stop);
-        let unattended = self.watch.age_s(Watched::Control) > UNCOMMANDED_MAX_S && self.runner.supervisor.mode().moves();
+        let unattended = self.watch.age_s(Watched::Control) > UNCOMMANDED_MAX_S
+            && self.runner.supervisor.mode().moves();
         let (id, order) = match stop {
             Some(_) => (None, Some(Order::Stop)),
             // nobody could stop the tip
@@ -202,7 +223,11 @@ impl Loop {
             self.answer(id, answer);
         }
         let number = self.shared.cycles.fetch_add(1, Relaxed);
-        let frame = LoopFrame { number, changes: self.rings.changes, output };
+        let frame = LoopFrame {
+            number,
+            changes: self.rings.changes,
+            output,
+        };
         if self.rings.frames.push(frame).is_err() {
             self.shared.lost.fetch_add(1, Relaxed);
         }
@@ -231,7 +256,11 @@ impl Loop {
             Err(_) => u64::MAX,
         };
         let rings = &mut self.rings;
-        let ring = if age(&rings.setpoints) < age(&rings.orders) { &mut rings.setpoints } else { &mut rings.orders };
+        let ring = if age(&rings.setpoints) < age(&rings.orders) {
+            &mut rings.setpoints
+        } else {
+            &mut rings.orders
+        };
         match ring.pop() {
             Ok(Message::Order { id, order, stops }) => match self.stops.admit(&order, stops) {
                 Ok(()) => return (Some(id), Some(order)),
@@ -274,6 +303,8 @@ impl Loop {
         if late_ns > period_ns / 2 {
             self.shared.late.fetch_add(1, Relaxed);
         }
-        self.shared.max_lateness_us.fetch_max(late_ns / 1000, Relaxed);
+        self.shared
+            .max_lateness_us
+            .fetch_max(late_ns / 1000, Relaxed);
     }
 }

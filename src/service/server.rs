@@ -53,11 +53,25 @@ impl Server {
     ///
     /// # Errors
     /// The operating system's.
-    pub fn new(listener: Listener, first: u64, idle_max: Duration) -> std::io::Result<(Self, Waker)> {
+    pub fn new(
+        listener: Listener,
+        first: u64,
+        idle_max: Duration,
+    ) -> std::io::Result<(Self, Waker)> {
         let (wake, waker) = UnixStream::pair()?;
         wake.set_nonblocking(true)?;
         waker.set_nonblocking(true)?;
-        Ok((Self { listener, wake, clients: Vec::new(), next: first, idle_max, gone: Vec::new() }, Waker(waker)))
+        Ok((
+            Self {
+                listener,
+                wake,
+                clients: Vec::new(),
+                next: first,
+                idle_max,
+                gone: Vec::new(),
+            },
+            Waker(waker),
+        ))
     }
 
     /// Number of connected clients.
@@ -75,7 +89,9 @@ impl Server {
         // one client that floods alone is served quickly, so that a stop at the end of its own flood is found soon
         let talking = self.clients.iter().filter(|c| !c.input.is_empty()).count();
         let share = (LINES_PER_ROUND / talking.max(1)).max(LINES_MIN);
-        self.clients.iter_mut().for_each(|c| c.take_lines(&mut lines, share));
+        self.clients
+            .iter_mut()
+            .for_each(|c| c.take_lines(&mut lines, share));
         let (gone, idle_max) = (&mut self.gone, self.idle_max);
         self.clients.retain(|c| {
             let reason = c.reason_to_drop(idle_max);
@@ -118,11 +134,22 @@ impl Server {
     }
 
     fn poll(&mut self, wait: Duration) {
-        let entry = |fd, events| libc::pollfd { fd, events, revents: 0 };
-        let mut set = vec![self.listener.entry(), entry(self.wake.as_raw_fd(), libc::POLLIN)];
+        let entry = |fd, events| libc::pollfd {
+            fd,
+            events,
+            revents: 0,
+        };
+        let mut set = vec![
+            self.listener.entry(),
+            entry(self.wake.as_raw_fd(), libc::POLLIN),
+        ];
         for c in &self.clients {
             let reads = if c.wants_input() { libc::POLLIN } else { 0 };
-            let writes = if c.output.is_empty() { 0 } else { libc::POLLOUT };
+            let writes = if c.output.is_empty() {
+                0
+            } else {
+                libc::POLLOUT
+            };
             set.push(entry(c.stream.as_raw_fd(), reads | writes));
         }
         listener::wait(&mut set, wait);
@@ -132,7 +159,9 @@ impl Server {
     /// Accepts connections and reads their first lines at once: what a new client has sent is not lost with its place.
     fn accept(&mut self, lines: &mut Vec<Line>) {
         for _ in 0..ACCEPTED_PER_ROUND {
-            let Some(stream) = self.listener.accept() else { return };
+            let Some(stream) = self.listener.accept() else {
+                return;
+            };
             let Some(peer) = peer(&stream) else { continue };
             if self.clients.len() >= CLIENTS_MAX && !self.make_room() {
                 continue;
@@ -155,13 +184,25 @@ impl Server {
     /// Disconnects the client whose last line is oldest, of the process with the most clients, of the user with the most. Clients
     /// that wait for an answer go last, and protected ones stay. False if nobody could be disconnected.
     fn make_room(&mut self) -> bool {
-        let share = |same: &dyn Fn(&Peer) -> bool| self.clients.iter().filter(|c| same(&c.peer)).count();
+        let share =
+            |same: &dyn Fn(&Peer) -> bool| self.clients.iter().filter(|c| same(&c.peer)).count();
         let key = |c: &Client| {
-            let (of_user, of_process) = (share(&|p| p.user == c.peer.user), share(&|p| *p == c.peer));
-            (Reverse((of_user, of_process)), c.unanswered > 0, c.last_line)
+            let (of_user, of_process) =
+                (share(&|p| p.user == c.peer.user), share(&|p| *p == c.peer));
+            (
+                Reverse((of_user, of_process)),
+                c.unanswered > 0,
+                c.last_line,
+            )
         };
-        let candidates = self.clients.iter().enumerate().filter(|(_, c)| !c.protected);
-        let Some((n, _)) = candidates.min_by_key(|(_, c)| key(c)) else { return false };
+        let candidates = self
+            .clients
+            .iter()
+            .enumerate()
+            .filter(|(_, c)| !c.protected);
+        let Some((n, _)) = candidates.min_by_key(|(_, c)| key(c)) else {
+            return false;
+        };
         let client = self.clients.remove(n);
         if client.spoke {
             self.gone.push((client.number, "its place was needed"));
@@ -172,11 +213,26 @@ impl Server {
 
 /// Who is at the other end of a connection.
 fn peer(stream: &UnixStream) -> Option<Peer> {
-    let mut who = libc::ucred { pid: 0, uid: 0, gid: 0 };
+    let mut who = libc::ucred {
+        pid: 0,
+        uid: 0,
+        gid: 0,
+    };
     let mut size = size_of::<libc::ucred>() as libc::socklen_t;
     // SAFETY: `who` and `size` are live and of the stated size
-    let result = unsafe { libc::getsockopt(stream.as_raw_fd(), libc::SOL_SOCKET, libc::SO_PEERCRED, (&raw mut who).cast(), &raw mut size) };
-    (result == 0).then_some(Peer { user: who.uid, process: who.pid })
+    let result = unsafe {
+        libc::getsockopt(
+            stream.as_raw_fd(),
+            libc::SOL_SOCKET,
+            libc::SO_PEERCRED,
+            (&raw mut who).cast(),
+            &raw mut size,
+        )
+    };
+    (result == 0).then_some(Peer {
+        user: who.uid,
+        process: who.pid,
+    })
 }
 
 #[cfg(test)]
@@ -186,12 +242,20 @@ mod tests {
     use std::path::Path;
 
     fn server(folder: &Path, idle_max: Duration) -> Server {
-        Server::new(Listener::bind(&folder.join("socket"), 0o600).unwrap(), 1, idle_max).unwrap().0
+        Server::new(
+            Listener::bind(&folder.join("socket"), 0o600).unwrap(),
+            1,
+            idle_max,
+        )
+        .unwrap()
+        .0
     }
 
     /// Rounds until nothing is left to accept or to read.
     fn rounds(server: &mut Server) -> Vec<Line> {
-        (0..8).flat_map(|_| server.round(Duration::from_millis(5))).collect()
+        (0..8)
+            .flat_map(|_| server.round(Duration::from_millis(5)))
+            .collect()
     }
 
     #[test]
@@ -213,7 +277,13 @@ mod tests {
         let mut late = connect();
         late.write_all(b"stop\n").unwrap();
         let lines = rounds(&mut server);
-        assert_eq!(lines.iter().filter_map(|l| l.text.as_deref().ok()).collect::<Vec<_>>(), ["stop"]);
+        assert_eq!(
+            lines
+                .iter()
+                .filter_map(|l| l.text.as_deref().ok())
+                .collect::<Vec<_>>(),
+            ["stop"]
+        );
         // the speaker waits for its answer, so the silent ones went first
         assert!(server.gone.is_empty(), "{:?}", server.gone);
         drop(silent);
@@ -224,9 +294,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut server = server(folder.path(), Duration::from_millis(50));
         let mut client = UnixStream::connect(folder.path().join("socket")).unwrap();
-        client.write_all("x\n".repeat(UNANSWERED_MAX + 3).as_bytes()).unwrap();
+        client
+            .write_all("x\n".repeat(UNANSWERED_MAX + 3).as_bytes())
+            .unwrap();
         let lines = rounds(&mut server);
-        assert_eq!((lines.len(), lines.iter().filter(|l| l.surplus).count()), (UNANSWERED_MAX + 3, 3));
+        assert_eq!(
+            (lines.len(), lines.iter().filter(|l| l.surplus).count()),
+            (UNANSWERED_MAX + 3, 3)
+        );
         std::thread::sleep(Duration::from_millis(60));
         rounds(&mut server);
         assert_eq!(server.clients(), 1, "it waits for answers");
@@ -234,6 +309,9 @@ mod tests {
         server.flush();
         std::thread::sleep(Duration::from_millis(60));
         rounds(&mut server);
-        assert_eq!((server.clients(), server.gone.as_slice()), (0, [(1, "it was idle")].as_slice()));
+        assert_eq!(
+            (server.clients(), server.gone.as_slice()),
+            (0, [(1, "it was idle")].as_slice())
+        );
     }
 }

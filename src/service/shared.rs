@@ -85,7 +85,11 @@ impl ThreadWatch {
         for k in 0..self.rounds.len() {
             let rounds = shared.rounds[k].load(Relaxed);
             let waits = std::mem::replace(&mut self.rounds[k], rounds) == rounds;
-            self.ages_s[k] = if waits { self.ages_s[k] + dt_s.min(AGE_STEP_MAX_S) } else { 0.0 };
+            self.ages_s[k] = if waits {
+                self.ages_s[k] + dt_s.min(AGE_STEP_MAX_S)
+            } else {
+                0.0
+            };
             shared.ages_ms[k].store((self.ages_s[k] * 1e3) as u64, Relaxed);
         }
     }
@@ -105,12 +109,17 @@ pub struct HeartbeatMonitor {
 impl HeartbeatMonitor {
     /// `heartbeat` is `None` without a watchdog.
     pub fn new(heartbeat: Option<Heartbeat>) -> Self {
-        Self { heartbeat, sent_s: 0.0 }
+        Self {
+            heartbeat,
+            sent_s: 0.0,
+        }
     }
 
     /// One cycle at `now_s`.
     pub fn update(&mut self, watch: &ThreadWatch, now_s: f64) {
-        let Some(heartbeat) = &self.heartbeat else { return };
+        let Some(heartbeat) = &self.heartbeat else {
+            return;
+        };
         let progress = watch.ages_s.iter().all(|age_s| *age_s < STALL_MAX_S);
         if progress && now_s - self.sent_s >= heartbeat.period_s {
             self.sent_s = now_s;
@@ -130,7 +139,9 @@ mod tests {
             shared.progress(Watched::Hub);
             watch.step(&shared, 1e-3);
         }
-        assert!(watch.age_s(Watched::Hub) == 0.0 && (watch.age_s(Watched::Control) - 2.0).abs() < 1e-6);
+        assert!(
+            watch.age_s(Watched::Hub) == 0.0 && (watch.age_s(Watched::Control) - 2.0).abs() < 1e-6
+        );
         assert!((shared.age_s(Watched::Control) - 2.0).abs() < 2e-3);
         shared.progress(Watched::Control);
         watch.step(&shared, 1e-3);

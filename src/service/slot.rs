@@ -68,12 +68,16 @@ pub fn parse(text: &[u8]) -> Result<Option<(u64, Memory)>, String> {
     }
     let (header, body) = text.split_once('\n').ok_or("has no header line")?;
     let fields: Vec<&str> = header.split(' ').collect();
-    let &[magic, version, sequence, length, crc] = fields.as_slice() else { return Err("has a damaged header".to_owned()) };
+    let &[magic, version, sequence, length, crc] = fields.as_slice() else {
+        return Err("has a damaged header".to_owned());
+    };
     if magic != MAGIC {
         return Err("is not a memory of retroflex".to_owned());
     }
     if version.parse() != Ok(VERSION) {
-        return Err(format!("has version {version}; this program reads version {VERSION}"));
+        return Err(format!(
+            "has version {version}; this program reads version {VERSION}"
+        ));
     }
     let length: usize = length.parse().map_err(|_| "has a damaged header")?;
     let body = body.get(..length).ok_or("is truncated")?;
@@ -105,12 +109,19 @@ pub mod tests {
             caution: 1.0,
             rest: None,
         };
-        Memory { tip: "A".to_owned(), restart: Some(restart), ..Memory::default() }
+        Memory {
+            tip: "A".to_owned(),
+            restart: Some(restart),
+            ..Memory::default()
+        }
     }
 
     #[test]
     fn every_torn_write_fails_its_checksum() {
-        let (old, new) = (compose(1, &memory(1)).unwrap(), compose(3, &memory(-9)).unwrap());
+        let (old, new) = (
+            compose(1, &memory(1)).unwrap(),
+            compose(3, &memory(-9)).unwrap(),
+        );
         for cut in 1..old.len().min(600) {
             let torn: Vec<u8> = new[..cut].iter().chain(&old[cut..]).copied().collect();
             match parse(&torn) {

@@ -47,9 +47,16 @@ impl Start {
         let mut supervisor = config.supervisor.clone();
         // the gains of a described machine were identified together with its effects
         let described = supervisor.tick.feedforward.is_some();
-        if let Some(gains) = memory.accepted.as_ref().filter(|g| g.tip == config.tip && !described) {
+        if let Some(gains) = memory
+            .accepted
+            .as_ref()
+            .filter(|g| g.tip == config.tip && !described)
+        {
             supervisor.tick.lines = gains.lines();
-            supervisor.tick.dynamics = DynamicsPrior::calibrated(Dynamics { lag_s: gains.lag_s, delay_s: gains.delay_s });
+            supervisor.tick.dynamics = DynamicsPrior::calibrated(Dynamics {
+                lag_s: gains.lag_s,
+                delay_s: gains.delay_s,
+            });
         }
         let mut restart = memory.restart;
         if let Some(restart) = &mut restart
@@ -60,7 +67,12 @@ impl Start {
             restart.k_lambda_mm = supervisor.tick.lines.map(|l| l.k_lambda_mm);
             restart.rest = restart.rest.filter(|_| memory.tip == config.tip);
         }
-        Self { config: supervisor, restart, belief, unverified: memory.unverified }
+        Self {
+            config: supervisor,
+            restart,
+            belief,
+            unverified: memory.unverified,
+        }
     }
 
     /// A supervisor in this state.
@@ -87,7 +99,12 @@ impl Start {
             program: env!("CARGO_PKG_VERSION").to_owned(),
             config_hash: run.config_hash.clone(),
             texts: run.texts.clone(),
-            machine: MachineInfo { name, period_s: gate.tick_s, step_mm: gate.step_mm, rest_length_mm },
+            machine: MachineInfo {
+                name,
+                period_s: gate.tick_s,
+                step_mm: gate.step_mm,
+                rest_length_mm,
+            },
             tip: run.tip.clone(),
             lines: tick.lines,
             dynamics: tick.dynamics,
@@ -100,12 +117,22 @@ impl Start {
     /// The start that a flight log holds.
     pub fn of(header: &Header, mut config: SupervisorConfig) -> Self {
         (config.tick.lines, config.tick.dynamics) = (header.lines, header.dynamics);
-        Self { config, restart: header.restart, belief: header.belief, unverified: header.unverified }
+        Self {
+            config,
+            restart: header.restart,
+            belief: header.belief,
+            unverified: header.unverified,
+        }
     }
 }
 
 /// A configuration after a reload: machine and calibration stay, the rest comes from the gains.
-pub fn with_gains(now: &SupervisorConfig, board: &Board, calibration: &Calibration, gains: &Gains) -> SupervisorConfig {
+pub fn with_gains(
+    now: &SupervisorConfig,
+    board: &Board,
+    calibration: &Calibration,
+    gains: &Gains,
+) -> SupervisorConfig {
     let mut next = now.clone();
     next.tick = LoopConfig {
         geometry: next.tick.geometry,

@@ -40,16 +40,23 @@ impl StateWriter {
         let (report, completed) = channel();
         let under_way = Arc::new(AtomicUsize::new(0));
         let own = Arc::clone(&under_way);
-        let thread = std::thread::Builder::new().name("state".into()).spawn(move || {
-            for (memory, id) in work {
-                let result = store.write(&memory);
-                own.fetch_sub(1, Relaxed);
-                if report.send(Completed { id, result }).is_err() {
-                    return;
+        let thread = std::thread::Builder::new()
+            .name("state".into())
+            .spawn(move || {
+                for (memory, id) in work {
+                    let result = store.write(&memory);
+                    own.fetch_sub(1, Relaxed);
+                    if report.send(Completed { id, result }).is_err() {
+                        return;
+                    }
                 }
-            }
-        })?;
-        Ok(Self { jobs, completed, under_way, thread })
+            })?;
+        Ok(Self {
+            jobs,
+            completed,
+            under_way,
+            thread,
+        })
     }
 
     /// Queues a write; false if the queue is full because the disk is slow.
@@ -77,7 +84,9 @@ impl StateWriter {
         self.under_way.fetch_add(1, Relaxed);
         let sent = self.jobs.send((Box::new(memory.clone()), Some(FINAL)));
         drop(self.jobs);
-        let last = sent.ok().and_then(|()| self.completed.iter().find(|c| c.id == Some(FINAL)));
+        let last = sent
+            .ok()
+            .and_then(|()| self.completed.iter().find(|c| c.id == Some(FINAL)));
         // it has nothing left to do and nothing to report
         let _ = self.thread.join();
         last

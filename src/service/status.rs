@@ -10,19 +10,35 @@ use serde_json::{Value, json};
 /// What tripped, and the remedy.
 pub fn trip_message(cause: TripCause) -> &'static str {
     match cause {
-        TripCause::EmergencyStop => "the emergency stop is pressed: release it, then `retroflex reset-fault`",
-        TripCause::StepGenerator => "the step generator raised an alarm: see `remarks`, then `retroflex reset-fault`",
-        TripCause::Late => "the control loop was delayed: check real-time limits and load with `retroflex doctor`",
-        TripCause::Unarmed => "motion was commanded while disarmed: this is a defect of the program, please report it",
+        TripCause::EmergencyStop => {
+            "the emergency stop is pressed: release it, then `retroflex reset-fault`"
+        }
+        TripCause::StepGenerator => {
+            "the step generator raised an alarm: see `remarks`, then `retroflex reset-fault`"
+        }
+        TripCause::Late => {
+            "the control loop was delayed: check real-time limits and load with `retroflex doctor`"
+        }
+        TripCause::Unarmed => {
+            "motion was commanded while disarmed: this is a defect of the program, please report it"
+        }
         TripCause::Travel => "a piston would have left its travel: see [limits] of the board file",
         TripCause::Rate => "a piston would have exceeded its speed: see [motion] of the board file",
-        TripCause::Acceleration => "a piston would have exceeded its acceleration: see [motion] of the board file",
+        TripCause::Acceleration => {
+            "a piston would have exceeded its acceleration: see [motion] of the board file"
+        }
         TripCause::Pressure => {
             "the pressure of a line was or would have been too high: look for a kink and at `alarm`, or relax and calibrate again"
         }
-        TripCause::Temperature => "the tip is hotter than safety.tip_max_c: withdraw it, and let it cool before `retroflex reset-fault`",
-        TripCause::Stale => "no usable orientation for too long: check the cable of the IMU; `retroflex doctor`",
-        TripCause::Disagreement => "the two orientation filters disagree: `retroflex relax`, then `retroflex zero`",
+        TripCause::Temperature => {
+            "the tip is hotter than safety.tip_max_c: withdraw it, and let it cool before `retroflex reset-fault`"
+        }
+        TripCause::Stale => {
+            "no usable orientation for too long: check the cable of the IMU; `retroflex doctor`"
+        }
+        TripCause::Disagreement => {
+            "the two orientation filters disagree: `retroflex relax`, then `retroflex zero`"
+        }
         TripCause::Following => "the tip does not follow its set-point: see the suspected cause",
     }
 }
@@ -43,7 +59,10 @@ pub fn shortfall(f: &Frame) -> Option<&'static str> {
                       obstruction, or choose another target";
     let hunting = "the tip swung about its target because of the loop, which is slower now and stands at the nearest position \
                    that it reaches; look for a line that sticks, or calibrate again";
-    f.saturation.words().or_else(|| f.blocked.then_some(obstructed)).or_else(|| f.hunting.then_some(hunting))
+    f.saturation
+        .words()
+        .or_else(|| f.blocked.then_some(obstructed))
+        .or_else(|| f.hunting.then_some(hunting))
 }
 
 /// What is known about a base that turned.
@@ -59,7 +78,9 @@ pub fn base(f: &Frame) -> Option<&'static str> {
 pub fn world(guidance: Guidance) -> Option<&'static str> {
     match guidance {
         Guidance::World => Some("the tip keeps its orientation in the world"),
-        Guidance::WorldOutOfReach => Some("the orientation in the world is out of reach: the tip bends towards it as far as it can"),
+        Guidance::WorldOutOfReach => Some(
+            "the orientation in the world is out of reach: the tip bends towards it as far as it can",
+        ),
         Guidance::WorldLost => Some(
             "the IMU on the base failed: the tip keeps its bend, and turns with the base; repair it, then give `retroflex bend --world` again",
         ),
@@ -71,7 +92,10 @@ pub fn world(guidance: Guidance) -> Option<&'static str> {
 pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
     let f = &output.frame;
     // a tip that is not commanded has no target to fall short of
-    let commanded = matches!(output.mode, Mode::Holding | Mode::Tracking | Mode::Calibrating);
+    let commanded = matches!(
+        output.mode,
+        Mode::Holding | Mode::Tracking | Mode::Calibrating
+    );
     let pose = |b: &Bend| json!({"bend_deg": round(b.beta().to_degrees()), "dir_deg": round(b.delta().to_degrees())});
     json!({
         "t": output.sensed.t.0,
@@ -131,7 +155,10 @@ pub fn frame_line(output: &CycleOutput, step_mm: f64) -> String {
 
 /// Travel of the pistons either way, and the least and largest gains that the loop may learn.
 pub fn limits(config: &SupervisorConfig) -> Value {
-    let bounds = config.tick.lines.map(|line| config.tick.refine.bounds(&line));
+    let bounds = config
+        .tick
+        .lines
+        .map(|line| config.tick.refine.bounds(&line));
     let [k_epsilon, k_lambda_mm] = [0, 1].map(|n| bounds.map(|of| of[n].map(round)));
     json!({"travel_mm": config.tick.limits.travel_mm, "k_epsilon": k_epsilon, "k_lambda_mm": k_lambda_mm})
 }

@@ -42,7 +42,12 @@ impl StopSignal {
         if self.completed() >= number {
             Some(Ok(json!({})))
         } else {
-            (since.elapsed() > ANSWER_MAX).then(|| Err(Failure { code: 3, message: "the loop does not respond".to_owned() }))
+            (since.elapsed() > ANSWER_MAX).then(|| {
+                Err(Failure {
+                    code: 3,
+                    message: "the loop does not respond".to_owned(),
+                })
+            })
         }
     }
 
@@ -71,7 +76,11 @@ impl StopCounter {
     /// # Errors
     /// [`Refusal::Stopped`].
     pub fn admit(&self, order: &Order, stops: u64) -> Result<(), Refusal> {
-        if stops != self.seen && order.starts_motion() { Err(Refusal::Stopped) } else { Ok(()) }
+        if stops != self.seen && order.starts_motion() {
+            Err(Refusal::Stopped)
+        } else {
+            Ok(())
+        }
     }
 }
 
@@ -82,15 +91,42 @@ mod tests {
     #[test]
     fn what_was_queued_before_a_stop_starts_no_motion_after_it() {
         let (signal, mut counter) = (StopSignal::default(), StopCounter::default());
-        assert_eq!((counter.take_request(&signal), counter.admit(&Order::Relax, 0)), (None, Ok(())));
+        assert_eq!(
+            (
+                counter.take_request(&signal),
+                counter.admit(&Order::Relax, 0)
+            ),
+            (None, Ok(()))
+        );
         assert_eq!(signal.request(), 1);
-        assert_eq!((counter.take_request(&signal), counter.take_request(&signal)), (Some(1), None));
+        assert_eq!(
+            (counter.take_request(&signal), counter.take_request(&signal)),
+            (Some(1), None)
+        );
         for order in [Order::Relax, Order::Calibrate(true), Order::Arm] {
-            assert_eq!(counter.admit(&order, 0), Err(Refusal::Stopped), "{order:?} was queued before the stop");
-            assert_eq!(counter.admit(&order, 1), Ok(()), "the supervisor decides about {order:?}");
+            assert_eq!(
+                counter.admit(&order, 0),
+                Err(Refusal::Stopped),
+                "{order:?} was queued before the stop"
+            );
+            assert_eq!(
+                counter.admit(&order, 1),
+                Ok(()),
+                "the supervisor decides about {order:?}"
+            );
         }
-        for order in [Order::Disarm, Order::Hold, Order::Zero, Order::Reset, Order::Calibrate(false)] {
-            assert_eq!(counter.admit(&order, 0), Ok(()), "{order:?} starts no motion");
+        for order in [
+            Order::Disarm,
+            Order::Hold,
+            Order::Zero,
+            Order::Reset,
+            Order::Calibrate(false),
+        ] {
+            assert_eq!(
+                counter.admit(&order, 0),
+                Ok(()),
+                "{order:?} starts no motion"
+            );
         }
     }
 }

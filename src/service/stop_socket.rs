@@ -22,25 +22,35 @@ const TOGETHER: usize = 64;
 ///
 /// # Errors
 /// The operating system's.
-pub fn start(socket: Listener, shared: Arc<Shared>, wish: RtRequest) -> std::io::Result<JoinHandle<()>> {
-    std::thread::Builder::new().name(Watched::Stop.name().into()).spawn(move || {
-        let (_, _guard) = rt::enter(&wish);
-        while !shared.is_quitting() {
-            shared.progress(Watched::Stop);
-            listener::wait(&mut [socket.entry()], ROUND);
-            let Some(first) = socket.accept() else { continue };
-            let callers: Vec<_> = std::iter::once(first).chain(std::iter::from_fn(|| socket.accept()).take(TOGETHER)).collect();
-            let (number, since) = (shared.stop.request(), Instant::now());
-            let answer = loop {
-                match shared.stop.answer(number, since) {
-                    Some(answer) => break reply_line(&Value::Null, &answer),
-                    None => std::thread::sleep(LOOK),
+pub fn start(
+    socket: Listener,
+    shared: Arc<Shared>,
+    wish: RtRequest,
+) -> std::io::Result<JoinHandle<()>> {
+    std::thread::Builder::new()
+        .name(Watched::Stop.name().into())
+        .spawn(move || {
+            let (_, _guard) = rt::enter(&wish);
+            while !shared.is_quitting() {
+                shared.progress(Watched::Stop);
+                listener::wait(&mut [socket.entry()], ROUND);
+                let Some(first) = socket.accept() else {
+                    continue;
+                };
+                let callers: Vec<_> = std::iter::once(first)
+                    .chain(std::iter::from_fn(|| socket.accept()).take(TOGETHER))
+                    .collect();
+                let (number, since) = (shared.stop.request(), Instant::now());
+                let answer = loop {
+                    match shared.stop.answer(number, since) {
+                        Some(answer) => break reply_line(&Value::Null, &answer),
+                        None => std::thread::sleep(LOOK),
+                    }
+                };
+                for mut caller in callers {
+                    // whoever has gone needs no answer
+                    let _ = caller.write(answer.as_bytes());
                 }
-            };
-            for mut caller in callers {
-                // whoever has gone needs no answer
-                let _ = caller.write(answer.as_bytes());
             }
-        }
-    })
+        })
 }

@@ -60,7 +60,10 @@ impl Store {
     /// # Errors
     /// [`MemoryError`].
     pub fn open(folder: &Path) -> Result<(Self, Recall), MemoryError> {
-        let fail = |path: &Path, source| MemoryError::Io { path: path.display().to_string(), source };
+        let fail = |path: &Path, source| MemoryError::Io {
+            path: path.display().to_string(),
+            source,
+        };
         std::fs::create_dir_all(folder).map_err(|e| fail(folder, e))?;
         let lock_path = folder.join("lock");
         if !lock_path.exists() {
@@ -69,7 +72,9 @@ impl Store {
         // opened for reading only, so that the file system can still be remounted read-only
         let lock = File::open(&lock_path).map_err(|e| fail(&lock_path, e))?;
         if lock.try_lock().is_err() {
-            return Err(MemoryError::InUse { path: folder.display().to_string() });
+            return Err(MemoryError::InUse {
+                path: folder.display().to_string(),
+            });
         }
         let mut recall = Recall::default();
         let slots = NAMES.map(|name| {
@@ -86,11 +91,23 @@ impl Store {
             _ => Found::Damaged,
         };
         if recall.found == Found::Damaged && recall.damaged.is_empty() {
-            recall.damaged.push(format!("{}: the writes {sequences:?} of the two slots do not belong together", folder.display()));
+            recall.damaged.push(format!(
+                "{}: the writes {sequences:?} of the two slots do not belong together",
+                folder.display()
+            ));
         }
-        let newest = slots.into_iter().flatten().max_by_key(|(sequence, _)| *sequence);
-        (recall.sequence, recall.memory) = newest.map_or((0, None), |(sequence, memory)| (sequence, Some(memory)));
-        let store = Self { folder: folder.to_owned(), sequence: recall.sequence, whole: recall.found == Found::Intact, _lock: lock };
+        let newest = slots
+            .into_iter()
+            .flatten()
+            .max_by_key(|(sequence, _)| *sequence);
+        (recall.sequence, recall.memory) =
+            newest.map_or((0, None), |(sequence, memory)| (sequence, Some(memory)));
+        let store = Self {
+            folder: folder.to_owned(),
+            sequence: recall.sequence,
+            whole: recall.found == Found::Intact,
+            _lock: lock,
+        };
         store.reserve().map_err(|e| fail(folder, e))?;
         Ok((store, recall))
     }
@@ -126,16 +143,28 @@ impl Store {
         let path = self.folder.join(NAMES[place(sequence)]);
         let slot = slot::compose(sequence, memory)?;
         let put = || -> io::Result<()> {
-            let mut file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path)?;
+            let mut file = OpenOptions::new()
+                .read(true)
+                .write(true)
+                .create(true)
+                .truncate(false)
+                .open(&path)?;
             file.write_all(&slot)?;
             file.set_len(SIZE as u64)?;
             file.sync_data()?;
             let mut back = Vec::with_capacity(SIZE);
             file.rewind()?;
             file.read_to_end(&mut back)?;
-            if back == slot { Ok(()) } else { Err(io::Error::other("what was written reads back differently")) }
+            if back == slot {
+                Ok(())
+            } else {
+                Err(io::Error::other("what was written reads back differently"))
+            }
         };
-        put().map_err(|source| MemoryError::Io { path: path.display().to_string(), source })?;
+        put().map_err(|source| MemoryError::Io {
+            path: path.display().to_string(),
+            source,
+        })?;
         self.sequence = sequence;
         Ok(sequence)
     }
@@ -148,11 +177,21 @@ fn place(sequence: u64) -> usize {
 
 /// Renames a damaged slot and returns a line for the report.
 fn rename_damaged(path: &Path, reason: &str) -> String {
-    let extension = path.extension().unwrap_or_default().to_string_lossy().into_owned();
-    let free = (1..).map(|n| path.with_extension(format!("{extension}.damaged-{n}"))).find(|p| !p.exists());
+    let extension = path
+        .extension()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned();
+    let free = (1..)
+        .map(|n| path.with_extension(format!("{extension}.damaged-{n}")))
+        .find(|p| !p.exists());
     let renamed = free.unwrap_or_else(|| path.with_extension("damaged"));
     match std::fs::rename(path, &renamed) {
-        Ok(()) => format!("{} {reason}; renamed to {}", path.display(), renamed.display()),
+        Ok(()) => format!(
+            "{} {reason}; renamed to {}",
+            path.display(),
+            renamed.display()
+        ),
         Err(e) => format!("{} {reason}; it could not be renamed: {e}", path.display()),
     }
 }
@@ -167,7 +206,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         for n in 1..6 {
             let (mut store, recall) = Store::open(folder.path()).unwrap();
-            assert_eq!(recall.found, if n == 1 { Found::Absent } else { Found::Intact }, "{:?}", recall.damaged);
+            assert_eq!(
+                recall.found,
+                if n == 1 { Found::Absent } else { Found::Intact },
+                "{:?}",
+                recall.damaged
+            );
             assert_eq!(recall.memory, (n > 1).then(|| memory(n - 1)));
             // the first write fills both slots
             assert_eq!(store.write(&memory(n)).unwrap(), n as u64 + 1);
@@ -188,7 +232,13 @@ mod tests {
     fn only_a_whole_pair_of_slots_is_intact() {
         let (a, b) = ("memory.a", "memory.b");
         assert_eq!(after(|_| ()).found, Found::Intact);
-        assert_eq!(after(|f| [a, b].iter().for_each(|n| std::fs::remove_file(f.join(n)).unwrap())).found, Found::Absent);
+        assert_eq!(
+            after(|f| [a, b]
+                .iter()
+                .for_each(|n| std::fs::remove_file(f.join(n)).unwrap()))
+            .found,
+            Found::Absent
+        );
         for name in [a, b] {
             let write = |f: &Path, bytes: &[u8]| std::fs::write(f.join(name), bytes).unwrap();
             let old = |f: &Path| std::fs::read(f.join(name)).unwrap();
@@ -198,7 +248,9 @@ mod tests {
                 ("has 500 bytes", &|f| write(f, &old(f)[..500])),
                 ("header", &|f| write(f, &[0; SIZE])),
                 ("empty", &|f| write(f, &[b' '; SIZE])),
-                ("belong together", &|f| std::fs::remove_file(f.join(name)).unwrap()),
+                ("belong together", &|f| {
+                    std::fs::remove_file(f.join(name)).unwrap()
+                }),
                 ("checksum", &|f| {
                     write(f, &{
                         let mut t = old(f);
@@ -220,7 +272,11 @@ mod tests {
             for (part, change) in changes {
                 let recall = after(change);
                 assert_eq!(recall.found, Found::Damaged, "{name}: {part}");
-                assert!(recall.damaged.iter().any(|d| d.contains(part)), "{name}: {part}: {:?}", recall.damaged);
+                assert!(
+                    recall.damaged.iter().any(|d| d.contains(part)),
+                    "{name}: {part}: {:?}",
+                    recall.damaged
+                );
             }
         }
         let swapped = after(|f| {
@@ -234,20 +290,32 @@ mod tests {
     #[test]
     fn a_damaged_slot_is_renamed_and_the_next_write_fills_both() {
         let folder = tempfile::tempdir().unwrap();
-        Store::open(folder.path()).unwrap().0.write(&memory(1)).unwrap();
+        Store::open(folder.path())
+            .unwrap()
+            .0
+            .write(&memory(1))
+            .unwrap();
         std::fs::write(folder.path().join("memory.b"), [0; SIZE]).unwrap();
         let (mut store, recall) = Store::open(folder.path()).unwrap();
-        assert!(recall.found == Found::Damaged && folder.path().join("memory.b.damaged-1").exists());
+        assert!(
+            recall.found == Found::Damaged && folder.path().join("memory.b.damaged-1").exists()
+        );
         store.write(&memory(2)).unwrap();
         drop(store);
         let (_store, recall) = Store::open(folder.path()).unwrap();
-        assert_eq!((recall.found, recall.memory), (Found::Intact, Some(memory(2))));
+        assert_eq!(
+            (recall.found, recall.memory),
+            (Found::Intact, Some(memory(2)))
+        );
     }
 
     #[test]
     fn a_folder_in_use_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let (_one, _) = Store::open(folder.path()).unwrap();
-        assert!(matches!(Store::open(folder.path()), Err(MemoryError::InUse { .. })));
+        assert!(matches!(
+            Store::open(folder.path()),
+            Err(MemoryError::InUse { .. })
+        ));
     }
 }

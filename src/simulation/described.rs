@@ -49,11 +49,20 @@ impl Described {
     pub fn new(machine: DescribedMachine, step_mm: f64, seed: u64) -> Self {
         let mut memory = machine.memory();
         let chain = machine.chain();
-        let rest = orientation(&chain.pose(&mut memory, &chain.moment(machine.rest.up, PERIOD_S), &Vector3::zeros()));
+        let rest = orientation(&chain.pose(
+            &mut memory,
+            &chain.moment(machine.rest.up, PERIOD_S),
+            &Vector3::zeros(),
+        ));
         let periods = |time_s: f64| (time_s / PERIOD_S).round() as usize;
         let late: f64 = chain.each().map(|(e, p)| e.latency_s(p)).sum();
         let behind: f64 = chain.each().map(|(e, p)| e.transport_s(p)).sum();
-        let info = MachineInfo { name: "model".to_owned(), period_s: PERIOD_S, step_mm, rest_length_mm: machine.geometry.rest_length_mm };
+        let info = MachineInfo {
+            name: "model".to_owned(),
+            period_s: PERIOD_S,
+            step_mm,
+            rest_length_mm: machine.geometry.rest_length_mm,
+        };
         Self {
             info,
             memory: machine.memory(),
@@ -78,7 +87,8 @@ impl Described {
         let piston_mm = chain.pistons(&mut self.memory, at, &at.counted_mm);
         self.play_output_mm = chain.play(&self.play_output_mm, &piston_mm);
         let bellow_mm = chain.bellows(&mut self.memory, at, &self.play_output_mm);
-        self.lagged_mm = bellow_mm + (self.lagged_mm - bellow_mm) * (-PERIOD_S / self.machine.lag_s().max(1e-3)).exp();
+        self.lagged_mm = bellow_mm
+            + (self.lagged_mm - bellow_mm) * (-PERIOD_S / self.machine.lag_s().max(1e-3)).exp();
         self.rest.inverse() * orientation(&chain.pose(&mut self.memory, at, &self.lagged_mm))
     }
 
@@ -86,12 +96,19 @@ impl Described {
     fn read(&mut self, tip: &UnitQuaternion<f64>, at: &Moment) -> ImuSample {
         let (machine, rest) = (&self.machine, self.machine.rest);
         let chain = machine.chain();
-        let turned = chain.each().find_map(|(e, p)| e.base(p, at)).unwrap_or_default();
-        let mount = chain.each().filter_map(|(e, p)| e.mount(p)).fold(UnitQuaternion::identity(), |a, b| a * b);
+        let turned = chain
+            .each()
+            .find_map(|(e, p)| e.base(p, at))
+            .unwrap_or_default();
+        let mount = chain
+            .each()
+            .filter_map(|(e, p)| e.mount(p))
+            .fold(UnitQuaternion::identity(), |a, b| a * b);
         let sensor = turned * tip * mount;
         let mut reading = ImuPrediction {
             acc_m_s2: sensor.inverse() * rest.up * G_M_S2,
-            gyro_rad_s: (self.before.inverse() * sensor).scaled_axis() / PERIOD_S + rest.gyro_bias_rad_s,
+            gyro_rad_s: (self.before.inverse() * sensor).scaled_axis() / PERIOD_S
+                + rest.gyro_bias_rad_s,
             mag_ut: sensor.inverse() * rest.field_ut,
             r_base_sensor: sensor,
         };
@@ -99,8 +116,12 @@ impl Described {
             reading.gyro_rad_s = rest.gyro_bias_rad_s;
         }
         self.before = sensor;
-        chain.each().zip(&mut self.memory).for_each(|((e, p), m)| e.sensor(p, m, at, &mut reading));
-        let mut noise = |size: f64| Vector3::from_fn(|_, _| size * self.rng.sample::<f64, _>(StandardNormal));
+        chain
+            .each()
+            .zip(&mut self.memory)
+            .for_each(|((e, p), m)| e.sensor(p, m, at, &mut reading));
+        let mut noise =
+            |size: f64| Vector3::from_fn(|_, _| size * self.rng.sample::<f64, _>(StandardNormal));
         ImuSample {
             t: Seconds(at.t_s),
             acc_m_s2: reading.acc_m_s2 + noise(NOISE[0]),
@@ -122,16 +143,34 @@ impl World for Described {
         let counted = self.counts.pop_front().unwrap_or(*steps);
         let counted_mm = Vector3::from(counted.0.map(f64::from)) * self.info.step_mm;
         let chain = self.machine.chain();
-        self.idle_s = if self.last == *steps { self.idle_s + PERIOD_S } else { 0.0 };
+        self.idle_s = if self.last == *steps {
+            self.idle_s + PERIOD_S
+        } else {
+            0.0
+        };
         self.last = *steps;
         let t_s = self.periods as f64 * PERIOD_S;
-        let at = Moment { t_s, counted_mm, idle_s: self.idle_s, ..chain.moment(self.machine.rest.up, PERIOD_S) };
+        let at = Moment {
+            t_s,
+            counted_mm,
+            idle_s: self.idle_s,
+            ..chain.moment(self.machine.rest.up, PERIOD_S)
+        };
         let tip = self.turn(&at);
         let sample = self.read(&tip, &at);
         self.samples.push_back(sample);
         // before the first late reading the sensor repeats its reading at rest
-        let imu = if self.samples.len() > self.late { self.samples.pop_front() } else { self.samples.front().copied() };
+        let imu = if self.samples.len() > self.late {
+            self.samples.pop_front()
+        } else {
+            self.samples.front().copied()
+        };
         let t = Seconds(at.t_s);
-        Ok(Reply { t, imu: imu.map(|s| ImuSample { t, ..s }), base_imu: None, truth: Some(Rotation::assert_frames(tip)) })
+        Ok(Reply {
+            t,
+            imu: imu.map(|s| ImuSample { t, ..s }),
+            base_imu: None,
+            truth: Some(Rotation::assert_frames(tip)),
+        })
     }
 }

@@ -64,13 +64,28 @@ impl Link {
     /// # Errors
     /// [`MachineError`] if the program cannot be started or its greeting violates the protocol.
     pub fn start(program: &str, args: &[String]) -> Result<Self, MachineError> {
-        let fail = |source| MachineError::Start { program: program.to_owned(), source };
-        let mut child = Command::new(program).args(args).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().map_err(fail)?;
+        let fail = |source| MachineError::Start {
+            program: program.to_owned(),
+            source,
+        };
+        let mut child = Command::new(program)
+            .args(args)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .map_err(fail)?;
         let missing = || fail(std::io::Error::other("its pipes could not be opened"));
         let to = BufWriter::new(child.stdin.take().ok_or_else(missing)?);
         let from = read_lines(child.stdout.take().ok_or_else(missing)?);
         let info = MachineInfo::default();
-        let mut link = Self { child, to, from, info, n: 0, last: "(nothing yet)".to_owned() };
+        let mut link = Self {
+            child,
+            to,
+            from,
+            info,
+            n: 0,
+            last: "(nothing yet)".to_owned(),
+        };
         link.info = greeting(&link.line()?)?;
         Ok(link)
     }
@@ -81,10 +96,14 @@ impl Link {
                 line.trim_end().clone_into(&mut self.last);
                 Ok(line)
             }
-            Err(RecvTimeoutError::Timeout) => Err(MachineError::Silent { seconds: SILENCE_S, last: excerpt(&self.last) }),
-            Ok(Err(e)) => {
-                Err(MachineError::Malformed { line: excerpt(&self.last), problem: format!("then its output could not be read: {e}") })
-            }
+            Err(RecvTimeoutError::Timeout) => Err(MachineError::Silent {
+                seconds: SILENCE_S,
+                last: excerpt(&self.last),
+            }),
+            Ok(Err(e)) => Err(MachineError::Malformed {
+                line: excerpt(&self.last),
+                problem: format!("then its output could not be read: {e}"),
+            }),
             Ok(Ok(_)) | Err(RecvTimeoutError::Disconnected) => Err(self.died()),
         }
     }
@@ -99,7 +118,10 @@ impl Link {
             known => Some(known.ok().flatten()),
         });
         let status = ended.flatten().map_or(String::new(), |s| format!(" ({s})"));
-        MachineError::Died { last: excerpt(&self.last), status }
+        MachineError::Died {
+            last: excerpt(&self.last),
+            status,
+        }
     }
 }
 
@@ -121,7 +143,8 @@ impl World for Link {
         self.n += 1;
         let t = self.n as f64 * self.info.period_s;
         let [a, b, c] = steps.0;
-        let sent = writeln!(self.to, "{{\"t\":{t:.6},\"steps\":[{a},{b},{c}]}}").and_then(|()| self.to.flush());
+        let sent = writeln!(self.to, "{{\"t\":{t:.6},\"steps\":[{a},{b},{c}]}}")
+            .and_then(|()| self.to.flush());
         if sent.is_err() {
             // the channel may still contain lines; the end of the process is the error
             return Err(self.died());
@@ -137,7 +160,11 @@ fn read_lines(out: ChildStdout) -> Receiver<std::io::Result<String>> {
         let mut reader = BufReader::new(out);
         loop {
             let mut line = String::new();
-            let read = reader.by_ref().take(LINE_MAX).read_line(&mut line).map(|_| line);
+            let read = reader
+                .by_ref()
+                .take(LINE_MAX)
+                .read_line(&mut line)
+                .map(|_| line);
             let end = !matches!(&read, Ok(l) if !l.is_empty());
             if tx.send(read).is_err() || end {
                 return;
@@ -149,11 +176,18 @@ fn read_lines(out: ChildStdout) -> Receiver<std::io::Result<String>> {
 
 fn excerpt(line: &str) -> String {
     let cut: String = line.trim_end().chars().take(160).collect();
-    if cut.len() < line.trim_end().len() { format!("{cut}…") } else { cut }
+    if cut.len() < line.trim_end().len() {
+        format!("{cut}…")
+    } else {
+        cut
+    }
 }
 
 fn malformed(line: &str, problem: impl Into<String>) -> MachineError {
-    MachineError::Malformed { line: excerpt(line), problem: problem.into() }
+    MachineError::Malformed {
+        line: excerpt(line),
+        problem: problem.into(),
+    }
 }
 
 fn greeting(line: &str) -> Result<MachineInfo, MachineError> {
@@ -164,7 +198,10 @@ fn greeting(line: &str) -> Result<MachineInfo, MachineError> {
         )
     })?;
     if h.protocol != 1 {
-        return Err(malformed(line, format!("protocol {} is not supported, only 1 is", h.protocol)));
+        return Err(malformed(
+            line,
+            format!("protocol {} is not supported, only 1 is", h.protocol),
+        ));
     }
     let ranges = [
         ("imu_period_s", h.imu_period_s, 0.0002, 0.05),
@@ -173,10 +210,18 @@ fn greeting(line: &str) -> Result<MachineInfo, MachineError> {
     ];
     for (key, value, low, high) in ranges {
         if !(low..=high).contains(&value) {
-            return Err(malformed(line, format!("{key} = {value} is outside {low} to {high}")));
+            return Err(malformed(
+                line,
+                format!("{key} = {value} is outside {low} to {high}"),
+            ));
         }
     }
-    Ok(MachineInfo { name: h.plant, period_s: h.imu_period_s, step_mm: h.step_mm, rest_length_mm: h.rest_length_mm })
+    Ok(MachineInfo {
+        name: h.plant,
+        period_s: h.imu_period_s,
+        step_mm: h.step_mm,
+        rest_length_mm: h.rest_length_mm,
+    })
 }
 
 fn reply(line: &str, t: f64) -> Result<Reply, MachineError> {
@@ -184,11 +229,17 @@ fn reply(line: &str, t: f64) -> Result<Reply, MachineError> {
         malformed(line, format!("not an answer ({e}); expected {{\"t\":…,\"imu\":{{…}} or null,\"ref\":{{\"quat\":[w,x,y,z]}}}}"))
     })?;
     if (a.t - t).abs() > 1e-4 {
-        return Err(malformed(line, format!("answers for t = {} s, the request was for {t:.6} s", a.t)));
+        return Err(malformed(
+            line,
+            format!("answers for t = {} s, the request was for {t:.6} s", a.t),
+        ));
     }
     let truth = match a.reference {
         None => None,
-        Some(r) => Some(orientation(&r.quat).ok_or_else(|| malformed(line, "ref.quat is not a unit quaternion [w,x,y,z]"))?),
+        Some(r) => Some(
+            orientation(&r.quat)
+                .ok_or_else(|| malformed(line, "ref.quat is not a unit quaternion [w,x,y,z]"))?,
+        ),
     };
     let sample = |i: Imu| ImuSample {
         t: Seconds(t),
@@ -196,12 +247,18 @@ fn reply(line: &str, t: f64) -> Result<Reply, MachineError> {
         acc_m_s2: Vector3::from(i.acc),
         mag_ut: i.mag.map(Vector3::from),
     };
-    Ok(Reply { t: Seconds(t), imu: a.imu.map(sample), base_imu: a.base.map(sample), truth })
+    Ok(Reply {
+        t: Seconds(t),
+        imu: a.imu.map(sample),
+        base_imu: a.base.map(sample),
+        truth,
+    })
 }
 
 fn orientation(q: &[f64; 4]) -> Option<Rotation<Base, Tip>> {
     let q = Quaternion::new(q[0], q[1], q[2], q[3]);
-    ((q.norm() - 1.0).abs() < 1e-2).then(|| Rotation::assert_frames(UnitQuaternion::from_quaternion(q)))
+    ((q.norm() - 1.0).abs() < 1e-2)
+        .then(|| Rotation::assert_frames(UnitQuaternion::from_quaternion(q)))
 }
 
 #[cfg(test)]
@@ -213,7 +270,10 @@ mod tests {
         let good = r#"{"plant":"x","protocol":1,"imu_period_s":0.005,"step_mm":0.029452,"rest_length_mm":20.0}"#;
         assert_eq!(greeting(good).unwrap().period_s, 0.005);
         for (bad, text) in [
-            (good.replace("\"protocol\":1", "\"protocol\":2"), "protocol 2"),
+            (
+                good.replace("\"protocol\":1", "\"protocol\":2"),
+                "protocol 2",
+            ),
             (good.replace("0.005", "5"), "imu_period_s = 5"),
             (good.replace("0.029452", "-1"), "step_mm = -1"),
             ("hello".to_owned(), "not a greeting"),
@@ -228,9 +288,20 @@ mod tests {
         let good = r#"{"t":0.005,"imu":{"acc":[0,0,9.8],"gyr":[0,0,0],"mag":null},"ref":{"quat":[1,0,0,0]}}"#;
         let r = reply(good, 0.005).unwrap();
         assert!(r.imu.unwrap().mag_ut.is_none() && r.truth.is_some());
-        assert!(reply(r#"{"t":0.005,"imu":null}"#, 0.005).unwrap().imu.is_none());
-        let based = good.replace(r#","ref""#, r#","base":{"acc":[0,0,9.8],"gyr":[0,0.1,0],"mag":null},"ref""#);
-        assert_eq!(reply(&based, 0.005).unwrap().base_imu.unwrap().gyro_rad_s.y, 0.1);
+        assert!(
+            reply(r#"{"t":0.005,"imu":null}"#, 0.005)
+                .unwrap()
+                .imu
+                .is_none()
+        );
+        let based = good.replace(
+            r#","ref""#,
+            r#","base":{"acc":[0,0,9.8],"gyr":[0,0.1,0],"mag":null},"ref""#,
+        );
+        assert_eq!(
+            reply(&based, 0.005).unwrap().base_imu.unwrap().gyro_rad_s.y,
+            0.1
+        );
         for (bad, text) in [
             (good.replace("0.005", "0.010"), "answers for t = 0.01"),
             (good.replace("[1,0,0,0]", "[2,0,0,0]"), "unit quaternion"),

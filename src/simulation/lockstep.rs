@@ -34,11 +34,28 @@ pub struct Lockstep<W> {
 impl<W: World> Lockstep<W> {
     /// A world at rest with its drivers off. Motion is queued for at least one period.
     pub fn new(world: W, motion: &DriveLimits) -> Self {
-        let &MachineInfo { period_s, step_mm, .. } = world.info();
-        let motion = DriveLimits { lead_s: motion.lead_s.max(period_s), ..*motion };
-        let drive = Drive::new(SimulatedStepper::new(&motion, step_mm), &motion, step_mm, period_s);
+        let &MachineInfo {
+            period_s, step_mm, ..
+        } = world.info();
+        let motion = DriveLimits {
+            lead_s: motion.lead_s.max(period_s),
+            ..*motion
+        };
+        let drive = Drive::new(
+            SimulatedStepper::new(&motion, step_mm),
+            &motion,
+            step_mm,
+            period_s,
+        );
         let period_ns = ((period_s * 1e9).round() as u64).max(1);
-        Self { world, inputs: Inputs::default(), drive, period_ns, reached_ns: 0, made: Steps::default() }
+        Self {
+            world,
+            inputs: Inputs::default(),
+            drive,
+            period_ns,
+            reached_ns: 0,
+            made: Steps::default(),
+        }
     }
 
     /// The step generator stops at once, until [`Machine::clear`].
@@ -61,8 +78,13 @@ impl<W: World> Machine for Lockstep<W> {
             self.drive.update(self.reached_ns, wanted);
             let from_ns = self.reached_ns;
             self.reached_ns += self.period_ns;
-            let made = self.drive.generator_mut().run(from_ns, self.reached_ns, self.inputs);
-            self.made = Steps(std::array::from_fn(|i| self.made.0[i].wrapping_add(made[i])));
+            let made = self
+                .drive
+                .generator_mut()
+                .run(from_ns, self.reached_ns, self.inputs);
+            self.made = Steps(std::array::from_fn(|i| {
+                self.made.0[i].wrapping_add(made[i])
+            }));
             let reply = self.world.step(&self.made)?;
             if let Some(sample) = reply.imu {
                 imu = ImuReading::from_world(Some(sample));
@@ -70,7 +92,12 @@ impl<W: World> Machine for Lockstep<W> {
             base_imu = reply.base_imu.or(base_imu);
             truth = reply.truth;
         }
-        Ok(Sensed { imu, base_imu, truth, ..Sensed::of_drive(now, self.reached_ns, &self.drive) })
+        Ok(Sensed {
+            imu,
+            base_imu,
+            truth,
+            ..Sensed::of_drive(now, self.reached_ns, &self.drive)
+        })
     }
 
     fn energise(&mut self, on: bool) {

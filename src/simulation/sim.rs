@@ -19,13 +19,32 @@ impl Sim {
     ///
     /// # Errors
     /// [`PlantError`] for a parameter that the physics does not support.
-    pub fn new(make: &PlantConfig, unit_seed: u64, noise_seed: u64, period_s: f64) -> Result<Self, PlantError> {
-        let unit = if unit_seed == 0 { make.clone() } else { make.drawn(unit_seed) };
-        let info =
-            MachineInfo { name: "built-in".to_owned(), period_s, step_mm: unit.drive.step_mm, rest_length_mm: unit.shape.rest_length_mm };
+    pub fn new(
+        make: &PlantConfig,
+        unit_seed: u64,
+        noise_seed: u64,
+        period_s: f64,
+    ) -> Result<Self, PlantError> {
+        let unit = if unit_seed == 0 {
+            make.clone()
+        } else {
+            make.drawn(unit_seed)
+        };
+        let info = MachineInfo {
+            name: "built-in".to_owned(),
+            period_s,
+            step_mm: unit.drive.step_mm,
+            rest_length_mm: unit.shape.rest_length_mm,
+        };
         // the noise differs from unit to unit: the multiplier (2⁶⁴ over the golden ratio) spreads the seeds
-        let seed = unit_seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(noise_seed);
-        Ok(Self { plant: Plant::new(&unit, seed)?, info, last: None })
+        let seed = unit_seed
+            .wrapping_mul(0x9e37_79b9_7f4a_7c15)
+            .wrapping_add(noise_seed);
+        Ok(Self {
+            plant: Plant::new(&unit, seed)?,
+            info,
+            last: None,
+        })
     }
 
     /// The last output with the true state, for scoring only.
@@ -52,6 +71,11 @@ impl World for Sim {
     fn step(&mut self, steps: &Steps) -> Result<Reply, MachineError> {
         let out = self.plant.step(steps, self.info.period_s);
         self.last = Some(out);
-        Ok(Reply { t: out.t, imu: out.imu, base_imu: out.base_imu, truth: Some(out.truth.r_base_tip) })
+        Ok(Reply {
+            t: out.t,
+            imu: out.imu,
+            base_imu: out.base_imu,
+            truth: Some(out.truth.r_base_tip),
+        })
     }
 }

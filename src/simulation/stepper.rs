@@ -22,9 +22,18 @@ impl SimulatedStepper {
     /// At rest at zero with the drivers off.
     pub fn new(motion: &DriveLimits, step_mm: f64) -> Self {
         let (feeder, segments) = queue::ring(SEGMENTS, (motion.lead_s * 1e9).round() as u64);
-        let timing = PulseTiming { late_ns: u64::MAX / 4, poll_ns: u64::from(u32::MAX), ..PulseTiming::default() };
+        let timing = PulseTiming {
+            late_ns: u64::MAX / 4,
+            poll_ns: u64::from(u32::MAX),
+            ..PulseTiming::default()
+        };
         let core = StepCore::new(timing, &motion.limits, step_mm);
-        Self { feeder, segments, report: core.report(0), core }
+        Self {
+            feeder,
+            segments,
+            report: core.report(0),
+            core,
+        }
     }
 
     /// Makes the steps that are due before `until_ns`, which is later than all times before; returns their sum per channel.

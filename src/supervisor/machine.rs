@@ -49,7 +49,8 @@ impl Sensed {
     /// What the drive reports at `t`, which is `t_ns` on the clock of the step generator, without any sample.
     pub fn of_drive<G: StepGenerator>(t: Seconds, t_ns: u64, drive: &Drive<G>) -> Self {
         let state = drive.state();
-        let (mut counted, mut inputs, mut counted_age_s) = (Steps::default(), Inputs::default(), 0.0);
+        let (mut counted, mut inputs, mut counted_age_s) =
+            (Steps::default(), Inputs::default(), 0.0);
         if let Some(report) = drive.generator().latest() {
             (counted, inputs) = (report.counted, report.inputs);
             // pistons that rest send few reports, and their counts stay true
@@ -59,15 +60,27 @@ impl Sensed {
         }
         inputs.emergency_stop |= drive.stopped;
         let alarm = match state {
-            DriveState::Faulted(StepperFault::Late { late_ns, .. }) => Some(Alarm::Late { late_s: late_ns as f64 * 1e-9 }),
-            DriveState::Faulted(StepperFault::Discontinuity { jump_mm, .. }) => Some(Alarm::Discontinuity { jump_mm }),
+            DriveState::Faulted(StepperFault::Late { late_ns, .. }) => Some(Alarm::Late {
+                late_s: late_ns as f64 * 1e-9,
+            }),
+            DriveState::Faulted(StepperFault::Discontinuity { jump_mm, .. }) => {
+                Some(Alarm::Discontinuity { jump_mm })
+            }
             DriveState::Faulted(StepperFault::Pins) => Some(Alarm::Pins),
             DriveState::Dead => Some(Alarm::Dead),
             DriveState::Silent => Some(Alarm::Silent),
             _ => drive.starved.then_some(Alarm::Underrun),
         };
         let energised = drive.generator().is_energised();
-        Self { t, counted, counted_age_s, energised, inputs, alarm, ..Self::default() }
+        Self {
+            t,
+            counted,
+            counted_age_s,
+            energised,
+            inputs,
+            alarm,
+            ..Self::default()
+        }
     }
 }
 
@@ -124,7 +137,11 @@ pub enum Alarm {
 }
 
 fn pressure(kpa: f64) -> String {
-    if kpa.is_nan() { "a pressure sensor does not answer".to_owned() } else { format!("a line is at {kpa:.1} kPa") }
+    if kpa.is_nan() {
+        "a pressure sensor does not answer".to_owned()
+    } else {
+        format!("a line is at {kpa:.1} kPa")
+    }
 }
 
 impl Alarm {
@@ -154,7 +171,9 @@ pub enum MachineError {
     #[error("{0}")]
     Plant(String),
     /// The program could not be started.
-    #[error("plant `{program}` cannot be started: {source}; give --plant 'exec:PROGRAM ARG…' with a program on this machine")]
+    #[error(
+        "plant `{program}` cannot be started: {source}; give --plant 'exec:PROGRAM ARG…' with a program on this machine"
+    )]
     Start {
         /// The program.
         program: String,
@@ -178,7 +197,9 @@ pub enum MachineError {
         status: String,
     },
     /// The plant did not respond in time.
-    #[error("plant was silent for {seconds} s after `{last}`; it must answer every line of steps with one line")]
+    #[error(
+        "plant was silent for {seconds} s after `{last}`; it must answer every line of steps with one line"
+    )]
     Silent {
         /// Time waited, s.
         seconds: f64,

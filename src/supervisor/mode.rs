@@ -40,7 +40,10 @@ impl Mode {
 
     /// The mode that follows on `event`; `None` if the event has no effect in this mode.
     pub fn after(self, event: Event) -> Option<Self> {
-        TABLE.iter().find(|(from, on, _)| *from == self && *on == event).map(|(_, _, to)| *to)
+        TABLE
+            .iter()
+            .find(|(from, on, _)| *from == self && *on == event)
+            .map(|(_, _, to)| *to)
     }
 }
 

@@ -99,7 +99,14 @@ struct JumpDetector {
 impl Default for JumpDetector {
     fn default() -> Self {
         let zero = Vector2::zeros();
-        Self { recent: [(zero, 0.0); JUMP_TICKS], head: 0, filled: 0, jump: zero, age_s: f64::INFINITY, path_rad: 0.0 }
+        Self {
+            recent: [(zero, 0.0); JUMP_TICKS],
+            head: 0,
+            filled: 0,
+            jump: zero,
+            age_s: f64::INFINITY,
+            path_rad: 0.0,
+        }
     }
 }
 
@@ -168,7 +175,11 @@ pub struct ResidualMonitor {
 impl ResidualMonitor {
     /// A monitor without history, for a tip whose bellows lie at the radius `r_mm`.
     pub fn new(config: &ResidualConfig, r_mm: f64) -> Self {
-        Self { config: *config, r_mm, ..Self::default() }
+        Self {
+            config: *config,
+            r_mm,
+            ..Self::default()
+        }
     }
 
     /// The present suspicion.
@@ -204,16 +215,23 @@ impl ResidualMonitor {
         let keep = (-input.dt_s / SMOOTH_S).exp();
         self.smooth = since + (self.smooth - since) * keep;
         let threshold_rad = self.config.jump_deg.to_radians();
-        self.jump.step(threshold_rad, residual, moved.max(gapless), input.dt_s);
+        self.jump
+            .step(threshold_rad, residual, moved.max(gapless), input.dt_s);
         self.assess(input)
     }
 
     /// Withdraws a suspicion after moves that ended as predicted.
     fn acquit(&mut self, input: &ResidualInput) {
-        let Some(verdict) = &mut self.verdict else { return };
+        let Some(verdict) = &mut self.verdict else {
+            return;
+        };
         let moved = (input.given - self.baseline.1).norm();
         let allowed = self.config.rest_deg.to_radians() + self.config.share * moved;
-        verdict.good_moves = if self.smooth.norm() < GOOD_SHARE * allowed { verdict.good_moves + 1 } else { 0 };
+        verdict.good_moves = if self.smooth.norm() < GOOD_SHARE * allowed {
+            verdict.good_moves + 1
+        } else {
+            0
+        };
         if verdict.good_moves >= GOOD_MOVES {
             self.forget();
         }
@@ -230,7 +248,11 @@ impl ResidualMonitor {
 
     fn assess(&mut self, input: &ResidualInput) -> Option<Suspicion> {
         let net = (input.given - self.baseline.1).norm();
-        let (least_deg, moved) = if self.settled { (self.config.rest_deg, net) } else { (self.config.motion_deg, net.max(self.path_rad)) };
+        let (least_deg, moved) = if self.settled {
+            (self.config.rest_deg, net)
+        } else {
+            (self.config.motion_deg, net.max(self.path_rad))
+        };
         let allowed = least_deg.to_radians() + self.config.share * moved;
         let sudden = self.jump.is_recent();
         let beyond = self.smooth.norm() > allowed;
@@ -252,7 +274,12 @@ impl ResidualMonitor {
         }
         let abrupt = sudden || self.rising_s - self.beyond_s < ABRUPT_S + input.answer_s;
         let suspicion = self.classify(input, moved, sudden, abrupt);
-        self.verdict = Some(Verdict { suspicion, age_s: 0.0, abrupt, good_moves: 0 });
+        self.verdict = Some(Verdict {
+            suspicion,
+            age_s: 0.0,
+            abrupt,
+            good_moves: 0,
+        });
         Some(suspicion)
     }
 
@@ -262,21 +289,40 @@ impl ResidualMonitor {
         let along: [f64; 3] = std::array::from_fn(|j| u.dot(&Geometry::spoke(j)));
         let mut j = 0;
         for other in 1..3 {
-            j = if along[other].abs() > along[j].abs() { other } else { j };
+            j = if along[other].abs() > along[j].abs() {
+                other
+            } else {
+                j
+            };
         }
         let x_mm = -1.5 * self.r_mm * along[j];
         let bellow_mm = |bend: &Vector2<f64>| -self.r_mm * Geometry::spoke(j).dot(bend);
         let motion_mm = bellow_mm(&(input.given - self.baseline.1));
         let deflection_mm = bellow_mm(&input.given);
-        let of = |kind, share| Suspicion { kind, channel: Some(j as u8 + 1), share, deg: u.norm().to_degrees() };
-        let contact = |share| Suspicion { channel: None, ..of(SuspicionKind::Contact, share) };
+        let of = |kind, share| Suspicion {
+            kind,
+            channel: Some(j as u8 + 1),
+            share,
+            deg: u.norm().to_degrees(),
+        };
+        let contact = |share| Suspicion {
+            channel: None,
+            ..of(SuspicionKind::Contact, share)
+        };
         let (of_motion, of_deflection) = (x_mm / motion_mm, x_mm / deflection_mm);
         let in_motion = !sudden && moved > u.norm() && motion_mm.abs() > MOTION_MIN_MM;
         let deflected = deflection_mm.abs() > DEFLECTION_MIN_MM;
         // a residual along one spoke has its cause in one line, even if the controller reports an obstruction
         let one_line = along[j].abs() > 0.9 * u.norm();
         if in_motion && one_line && of_motion < LOST {
-            of(if of_motion < -1.5 { SuspicionKind::Inverted } else { SuspicionKind::NoResponse }, of_motion)
+            of(
+                if of_motion < -1.5 {
+                    SuspicionKind::Inverted
+                } else {
+                    SuspicionKind::NoResponse
+                },
+                of_motion,
+            )
         } else if self.settled && one_line && deflected && of_deflection < LOST {
             of(SuspicionKind::Burst, of_deflection)
         } else if input.blocked && !sudden {
@@ -289,7 +335,11 @@ impl ResidualMonitor {
             }
         } else if deflection_mm.abs() < DEFLECTION_MIN_MM {
             // an undeflected channel has no pressure to lose: the cause is the drive or a contact
-            if sudden { of(SuspicionKind::LostSteps, 0.0) } else { contact(0.0) }
+            if sudden {
+                of(SuspicionKind::LostSteps, 0.0)
+            } else {
+                contact(0.0)
+            }
         } else {
             match (of_deflection, sudden || abrupt) {
                 (share, true) if share < -0.75 => of(SuspicionKind::Burst, share),

@@ -40,20 +40,36 @@ pub struct Suspicion {
 impl std::fmt::Display for Suspicion {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         use SuspicionKind::{Burst, Contact, Inverted, Leak, LostSteps, NoResponse, Strong, Weak};
-        let line = self.channel.map_or_else(|| "the tip".to_owned(), |c| format!("line {c}"));
+        let line = self
+            .channel
+            .map_or_else(|| "the tip".to_owned(), |c| format!("line {c}"));
         let percent = (self.share.abs() * 100.0).min(999.0);
         let (moves, deg) = (format!("{line} moves the tip"), self.deg);
         let text = match self.kind {
-            Leak => format!("{line} loses air slowly ({percent:.0} % so far): look for a leak at its connectors"),
-            Burst => format!("{line} lost its pressure suddenly: a hose came off or a bellow is torn; relax and replace the tip"),
-            Weak => format!("{moves} {percent:.0} % less than before: air in the line, a soft bellow, or lost steps"),
-            Strong => format!("{moves} {percent:.0} % more than before: calibrate again, or something pushes the tip"),
-            Inverted => format!("{moves} in the wrong direction: check the motor connector and `dir_inverted` of the channel"),
+            Leak => format!(
+                "{line} loses air slowly ({percent:.0} % so far): look for a leak at its connectors"
+            ),
+            Burst => format!(
+                "{line} lost its pressure suddenly: a hose came off or a bellow is torn; relax and replace the tip"
+            ),
+            Weak => format!(
+                "{moves} {percent:.0} % less than before: air in the line, a soft bellow, or lost steps"
+            ),
+            Strong => format!(
+                "{moves} {percent:.0} % more than before: calibrate again, or something pushes the tip"
+            ),
+            Inverted => format!(
+                "{moves} in the wrong direction: check the motor connector and `dir_inverted` of the channel"
+            ),
             NoResponse => {
-                format!("{line} does not respond to its piston: the driver is off, the line is kinked, or the piston is at its end stop")
+                format!(
+                    "{line} does not respond to its piston: the driver is off, the line is kinked, or the piston is at its end stop"
+                )
             }
             Contact => format!("something holds or pushes {line} by {deg:.0}°"),
-            LostSteps => format!("{line} has a constant offset of {deg:.1}°: its motor lost steps; `relax`, then `zero`"),
+            LostSteps => format!(
+                "{line} has a constant offset of {deg:.1}°: its motor lost steps; `relax`, then `zero`"
+            ),
         };
         f.write_str(&text)
     }

@@ -16,24 +16,58 @@ use std::sync::Arc;
 
 /// Flies for a time, s, and logs it; `script` receives the number of each cycle and gives the order for it. Returns the cycles and
 /// the bytes of the log. Equal arguments give equal files.
-pub fn fly(path: &Path, gains: Gains, duration_s: f64, mut script: impl FnMut(u64, &mut Bench) -> Option<Order>) -> (u64, u64) {
+pub fn fly(
+    path: &Path,
+    gains: Gains,
+    duration_s: f64,
+    mut script: impl FnMut(u64, &mut Bench) -> Option<Order>,
+) -> (u64, u64) {
     let calibration: Calibration = source::read(&repo("calib/paper.toml")).unwrap();
-    let config = BenchConfig { board: twin(), calibration, gains };
+    let config = BenchConfig {
+        board: twin(),
+        calibration,
+        gains,
+    };
     let mut bench = config.bench(3, 5).unwrap();
-    let texts = vec![show::compact(&config.board), show::compact(&config.gains), show::compact(&config.calibration)];
+    let texts = vec![
+        show::compact(&config.board),
+        show::compact(&config.gains),
+        show::compact(&config.calibration),
+    ];
     let supervisor = config.supervisor(bench.runner.machine.info());
-    let start = Start { config: supervisor.clone(), restart: None, belief: Belief::Certain, unverified: false };
-    let BenchConfig { board, calibration, .. } = config;
+    let start = Start {
+        config: supervisor.clone(),
+        restart: None,
+        belief: Belief::Certain,
+        unverified: false,
+    };
+    let BenchConfig {
+        board, calibration, ..
+    } = config;
     let service = board.service.clone();
     let config_hash = hash(texts.iter().map(String::as_str));
-    let run = RunConfig { supervisor, service, board, gains: None, calibration, tip: String::new(), config_hash, texts };
+    let run = RunConfig {
+        supervisor,
+        service,
+        board,
+        gains: None,
+        calibration,
+        tip: String::new(),
+        config_hash,
+        texts,
+    };
     let mut events = vec![Arc::new(Event::Start(start.header(&run, "bench")))];
     let mut file = FlightFile::create(path, 0).unwrap();
     let cycles = (duration_s / bench.period_s()) as u64;
     for number in 0..cycles {
         let order = script(number, &mut bench);
         let output = bench.turn(order).unwrap();
-        file.write(&Logged { number, events: std::mem::take(&mut events), output }).unwrap();
+        file.write(&Logged {
+            number,
+            events: std::mem::take(&mut events),
+            output,
+        })
+        .unwrap();
         if number % 500 == 499 {
             file.flush(false).unwrap();
         }

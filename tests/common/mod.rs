@@ -58,8 +58,15 @@ pub fn plain(seed: u64, noise: u64) -> Sim {
 
 /// Identification and arms on unit `seed`, as the command does it.
 pub fn evaluate(seed: u64, arms: &[Arm]) -> Evaluation {
-    let plan =
-        Plan { config: uncalibrated(), identify: true, arms: arms.to_vec(), seed, rig: Rig::default(), track: None, feedforward: None };
+    let plan = Plan {
+        config: uncalibrated(),
+        identify: true,
+        arms: arms.to_vec(),
+        seed,
+        rig: Rig::default(),
+        track: None,
+        feedforward: None,
+    };
     let mut open = |purpose: Purpose| {
         let noise = match purpose {
             Purpose::Identify => 0,
@@ -74,15 +81,29 @@ pub fn evaluate(seed: u64, arms: &[Arm]) -> Evaluation {
 
 /// A machine as a diagnosis describes it, with laws of every stage that a feedforward inverts.
 pub fn described() -> DescribedMachine {
-    let lines = [2.0, 2.4, 1.9].map(|k_epsilon| Line { k_epsilon, k_lambda_mm: 0.7 });
+    let lines = [2.0, 2.4, 1.9].map(|k_epsilon| Line {
+        k_epsilon,
+        k_lambda_mm: 0.7,
+    });
     let causes: [(&str, &[f64]); 6] = [
-        ("gear_periodic", &[0.05, -0.05, 0.04, 0.02, 0.03, -0.02, 3.2]),
+        (
+            "gear_periodic",
+            &[0.05, -0.05, 0.04, 0.02, 0.03, -0.02, 3.2],
+        ),
         ("leak", &[0.004, 0.002, 0.003, 1.0]),
         ("line_lag", &[0.15, 0.2, 0.18, 0.1]),
         ("hysteresis", &[0.1, 0.1, 0.1, 0.1, 0.0, 0.1, -0.1]),
         ("creep", &[0.06, 0.08, 2.0]),
         ("gravity", &[0.06, 0.8]),
     ];
-    let causes = causes.iter().map(|(name, p)| (by_name(name).unwrap(), p.to_vec())).collect();
-    DescribedMachine::new(Geometry::default(), RestReadings::default(), &nominal_theta(&lines, 0.025), causes)
+    let causes = causes
+        .iter()
+        .map(|(name, p)| (by_name(name).unwrap(), p.to_vec()))
+        .collect();
+    DescribedMachine::new(
+        Geometry::default(),
+        RestReadings::default(),
+        &nominal_theta(&lines, 0.025),
+        causes,
+    )
 }

@@ -27,10 +27,19 @@ pub struct Service<'r> {
 impl<'r> Service<'r> {
     /// Starts the service on a board and waits until it answers.
     pub fn start(rig: &'r Rig, board: &str) -> Self {
-        let (socket, state) = (rig.folder().join("control.sock"), rig.folder().join("state"));
+        let (socket, state) = (
+            rig.folder().join("control.sock"),
+            rig.folder().join("state"),
+        );
         let mut command = rig.command(&["run", "--board", board]);
-        command.arg("--socket").arg(&socket).arg("--state").arg(&state);
-        command.stderr(File::create(rig.folder().join("stderr")).unwrap()).stdout(std::process::Stdio::null());
+        command
+            .arg("--socket")
+            .arg(&socket)
+            .arg("--state")
+            .arg(&state);
+        command
+            .stderr(File::create(rig.folder().join("stderr")).unwrap())
+            .stdout(std::process::Stdio::null());
         let mut child = command.spawn().unwrap();
         let began = Instant::now();
         let client = loop {
@@ -38,10 +47,21 @@ impl<'r> Service<'r> {
                 break client;
             }
             let ended = child.try_wait().unwrap();
-            assert!(ended.is_none() && began.elapsed() < Duration::from_secs(20), "{ended:?}: {}", said(rig));
+            assert!(
+                ended.is_none() && began.elapsed() < Duration::from_secs(20),
+                "{ended:?}: {}",
+                said(rig)
+            );
             std::thread::sleep(Duration::from_millis(50));
         };
-        Self { rig, child, client, compared: 0, stalls: 0, target: None }
+        Self {
+            rig,
+            child,
+            client,
+            compared: 0,
+            stalls: 0,
+            target: None,
+        }
     }
 
     /// Sends a request; a refusal fails the test.
@@ -68,13 +88,21 @@ impl<'r> Service<'r> {
             let alarm = status["alarm"].as_str().unwrap_or("");
             let stalled = alarm.contains("late") || alarm.contains("ran out");
             // a host that stops for longer stops the loop too
-            if stalled && ["step_generator", "late", "stale"].iter().any(|cause| status["latched"] == *cause) {
+            if stalled
+                && ["step_generator", "late", "stale"]
+                    .iter()
+                    .any(|cause| status["latched"] == *cause)
+            {
                 let alarm = alarm.to_owned();
                 self.resume(&alarm);
                 began = Instant::now();
                 continue;
             }
-            assert!(began.elapsed().as_secs_f64() < seconds, "not {what} within {seconds} s: {status:#}\n{}", said(self.rig));
+            assert!(
+                began.elapsed().as_secs_f64() < seconds,
+                "not {what} within {seconds} s: {status:#}\n{}",
+                said(self.rig)
+            );
             std::thread::sleep(Duration::from_millis(20));
         }
     }
@@ -84,7 +112,11 @@ impl<'r> Service<'r> {
     fn resume(&mut self, alarm: &str) {
         self.stalls += 1;
         println!("this host stalled the step thread: {alarm}");
-        assert!(self.stalls <= 30, "a host that stalls all the time: {}", said(self.rig));
+        assert!(
+            self.stalls <= 30,
+            "a host that stalls all the time: {}",
+            said(self.rig)
+        );
         self.compare();
         self.ask(&Request::ResetFault {});
         self.ask(&Request::Arm {});
@@ -96,7 +128,13 @@ impl<'r> Service<'r> {
     /// Bends the tip.
     pub fn bend(&mut self, bend_deg: f64, dir_deg: f64) {
         self.target = Some((bend_deg, dir_deg));
-        let request = Request::Bend { bend_deg, dir_deg, length_mm: None, speed_deg_s: None, frame: Frame::Base };
+        let request = Request::Bend {
+            bend_deg,
+            dir_deg,
+            length_mm: None,
+            speed_deg_s: None,
+            frame: Frame::Base,
+        };
         match self.client.request(&request) {
             Ok(_) => {}
             // a stall has just occurred; its reset repeats the target
@@ -114,13 +152,20 @@ impl<'r> Service<'r> {
 
     /// Waits until the tip rests at its target; returns the error of the true bend, degrees.
     pub fn settled_error_deg(&mut self, bend_deg: f64, dir_deg: f64) -> f64 {
-        self.until("at rest", 15.0, |s| s["mode"] == "holding" && s["at_rest"] == true);
+        self.until("at rest", 15.0, |s| {
+            s["mode"] == "holding" && s["at_rest"] == true
+        });
         std::thread::sleep(Duration::from_millis(300));
         self.compare();
         let truth = Bend::from_rotation(&self.rig.world().truth().r_base_tip);
         let wanted = Bend::from_deg(bend_deg, dir_deg);
-        let (beta, vector) = ((truth.beta() - wanted.beta()).to_degrees(), (truth.0 - wanted.0).norm().to_degrees());
-        println!("asked for {bend_deg}° toward {dir_deg}°: bend off by {beta:+.2}°, as a vector {vector:.2}°");
+        let (beta, vector) = (
+            (truth.beta() - wanted.beta()).to_degrees(),
+            (truth.0 - wanted.0).norm().to_degrees(),
+        );
+        println!(
+            "asked for {bend_deg}° toward {dir_deg}°: bend off by {beta:+.2}°, as a vector {vector:.2}°"
+        );
         beta.abs()
     }
 
@@ -138,7 +183,10 @@ impl<'r> Service<'r> {
                 self.compared += 1;
                 return;
             }
-            assert!(began.elapsed().as_secs_f64() < 5.0, "the pistons do not come to rest");
+            assert!(
+                began.elapsed().as_secs_f64() < 5.0,
+                "the pistons do not come to rest"
+            );
             std::thread::sleep(Duration::from_millis(20));
         }
     }
@@ -171,7 +219,11 @@ impl<'r> Service<'r> {
             if let Some(status) = self.child.try_wait().unwrap() {
                 return (status, faults() > before);
             }
-            assert!(began.elapsed().as_secs_f64() < 30.0, "SIGTERM does not end it\n{}", said(self.rig));
+            assert!(
+                began.elapsed().as_secs_f64() < 30.0,
+                "SIGTERM does not end it\n{}",
+                said(self.rig)
+            );
             std::thread::sleep(Duration::from_millis(20));
         }
     }

@@ -58,11 +58,30 @@ pub trait Files: Send {
 /// Mounts an empty FUSE file system; the returned file is the server's end of it.
 pub fn mount(at: &Path) -> io::Result<File> {
     let file = File::options().read(true).write(true).open("/dev/fuse")?;
-    let options = text(&format!("fd={},rootmode=40000,user_id=0,group_id=0,allow_other,default_permissions", file.as_raw_fd()));
-    let (source, target, kind) = (text("emulated-pi"), text(&at.display().to_string()), text("fuse"));
+    let options = text(&format!(
+        "fd={},rootmode=40000,user_id=0,group_id=0,allow_other,default_permissions",
+        file.as_raw_fd()
+    ));
+    let (source, target, kind) = (
+        text("emulated-pi"),
+        text(&at.display().to_string()),
+        text("fuse"),
+    );
     // SAFETY: all five pointers are to live C strings, and mount(2) only reads them.
-    let done = unsafe { libc::mount(source.as_ptr(), target.as_ptr(), kind.as_ptr(), 0, options.as_ptr().cast()) };
-    if done == 0 { Ok(file) } else { Err(io::Error::last_os_error()) }
+    let done = unsafe {
+        libc::mount(
+            source.as_ptr(),
+            target.as_ptr(),
+            kind.as_ptr(),
+            0,
+            options.as_ptr().cast(),
+        )
+    };
+    if done == 0 {
+        Ok(file)
+    } else {
+        Err(io::Error::last_os_error())
+    }
 }
 
 fn text(s: &str) -> CString {
@@ -71,8 +90,14 @@ fn text(s: &str) -> CString {
 
 /// Reads memory of a thread's process.
 pub fn peek(thread: i32, address: u64, into: &mut [u8]) -> bool {
-    let local = libc::iovec { iov_base: into.as_mut_ptr().cast(), iov_len: into.len() };
-    let remote = libc::iovec { iov_base: address as *mut libc::c_void, iov_len: into.len() };
+    let local = libc::iovec {
+        iov_base: into.as_mut_ptr().cast(),
+        iov_len: into.len(),
+    };
+    let remote = libc::iovec {
+        iov_base: address as *mut libc::c_void,
+        iov_len: into.len(),
+    };
     // SAFETY: `local` covers `into`, which is live and exclusively borrowed; the remote side is checked by
     // the kernel.
     unsafe { libc::process_vm_readv(thread, &local, 1, &remote, 1, 0) == into.len() as isize }
@@ -80,8 +105,14 @@ pub fn peek(thread: i32, address: u64, into: &mut [u8]) -> bool {
 
 /// Writes memory of a thread's process.
 pub fn poke(thread: i32, address: u64, from: &[u8]) -> bool {
-    let local = libc::iovec { iov_base: from.as_ptr().cast_mut().cast(), iov_len: from.len() };
-    let remote = libc::iovec { iov_base: address as *mut libc::c_void, iov_len: from.len() };
+    let local = libc::iovec {
+        iov_base: from.as_ptr().cast_mut().cast(),
+        iov_len: from.len(),
+    };
+    let remote = libc::iovec {
+        iov_base: address as *mut libc::c_void,
+        iov_len: from.len(),
+    };
     // SAFETY: `local` covers `from`, which process_vm_writev only reads; the remote side is checked by the
     // kernel.
     unsafe { libc::process_vm_writev(thread, &local, 1, &remote, 1, 0) == from.len() as isize }
@@ -114,7 +145,10 @@ const CUSE_INIT: u32 = 4096;
 
 /// Answer to CUSE_INIT: version, unrestricted ioctls, sizes, any device number, the name.
 fn character_device(name: &str) -> Vec<u8> {
-    let mut out: Vec<u8> = [7_u32, 31, 0, 1, 65536, 65536, 0, 0].into_iter().flat_map(u32::to_le_bytes).collect();
+    let mut out: Vec<u8> = [7_u32, 31, 0, 1, 65536, 65536, 0, 0]
+        .into_iter()
+        .flat_map(u32::to_le_bytes)
+        .collect();
     out.extend([0_u8; 40]);
     out.extend(format!("DEVNAME={name}\0").bytes());
     out
@@ -160,8 +194,15 @@ pub fn serve<F: Files>(file: &File, lock: &std::sync::Mutex<F>) {
             Err(_) => return,
         };
         let (head, body) = buffer[..n].split_at(40);
-        let (op, unique, node, thread) = (word(head, 4), long(head, 8), long(head, 16), word(head, 32) as i32);
-        let mut files = lock.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let (op, unique, node, thread) = (
+            word(head, 4),
+            long(head, 8),
+            long(head, 16),
+            word(head, 32) as i32,
+        );
+        let mut files = lock
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner);
         let answer: Result<Vec<u8>, i32> = match op {
             INIT => {
                 let mut out = vec![0_u8; 64];
@@ -170,7 +211,8 @@ pub fn serve<F: Files>(file: &File, lock: &std::sync::Mutex<F>) {
                 Ok(out)
             }
             LOOKUP => {
-                let name = String::from_utf8_lossy(body.split(|b| *b == 0).next().unwrap_or(b"")).into_owned();
+                let name = String::from_utf8_lossy(body.split(|b| *b == 0).next().unwrap_or(b""))
+                    .into_owned();
                 files.find(&name).map_or(Err(libc::ENOENT), |node| {
                     let mut out = node.to_le_bytes().to_vec();
                     out.extend([0_u8; 32]);
@@ -186,7 +228,14 @@ pub fn serve<F: Files>(file: &File, lock: &std::sync::Mutex<F>) {
             }
             FLUSH | RELEASEDIR | ACCESS => Ok(vec![]),
             IOCTL => {
-                let call = Ioctl { unique, node, thread, number: word(body, 12), argument: long(body, 16), data: &body[32..] };
+                let call = Ioctl {
+                    unique,
+                    node,
+                    thread,
+                    number: word(body, 12),
+                    argument: long(body, 16),
+                    data: &body[32..],
+                };
                 match files.ioctl(&call) {
                     Answer::Done(result, data) => Ok(ioctl_body(result, &data)),
                     Answer::Failed(errno) => Err(errno),

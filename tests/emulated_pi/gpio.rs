@@ -67,7 +67,10 @@ impl Chip {
 
     /// The drivers are energised: EN is low, to which the breakout pulls it.
     pub fn energised(&self) -> bool {
-        self.wiring.channels.iter().all(|c| c.enable.is_none_or(|line| self.level(line) != self.wiring.enable_active_low))
+        self.wiring.channels.iter().all(|c| {
+            c.enable
+                .is_none_or(|line| self.level(line) != self.wiring.enable_active_low)
+        })
     }
 
     /// A handle's file is closed: its lines are free, and keep their levels.
@@ -82,11 +85,16 @@ impl Chip {
         self.levels.insert(line, high);
         for (i, c) in self.wiring.channels.iter().enumerate() {
             let rises = line == c.step && high != self.wiring.step_active_low;
-            self.torn += u64::from(line == c.dir && self.level(c.step) != self.wiring.step_active_low);
+            self.torn +=
+                u64::from(line == c.dir && self.level(c.step) != self.wiring.step_active_low);
             if rises {
                 self.pulses += 1;
                 if self.energised() {
-                    self.counted[i] += if self.level(c.dir) != c.dir_inverted { 1 } else { -1 };
+                    self.counted[i] += if self.level(c.dir) != c.dir_inverted {
+                        1
+                    } else {
+                        -1
+                    };
                 } else {
                     self.lost += 1;
                 }
@@ -124,20 +132,29 @@ impl Chip {
     fn request(&mut self, data: &[u8]) -> Answer {
         let n = word(data, 560) as usize;
         let lines: Vec<u32> = (0..n).map(|i| word(data, 4 * i)).collect();
-        let taken = |line: &u32| self.held.contains_key(line) || self.handles.iter().flatten().flatten().any(|l| l == line);
+        let taken = |line: &u32| {
+            self.held.contains_key(line)
+                || self.handles.iter().flatten().flatten().any(|l| l == line)
+        };
         if lines.iter().any(|l| *l >= LINES) {
             return Answer::Failed(libc::EINVAL);
         }
         if lines.iter().any(taken) {
             return Answer::Failed(libc::EBUSY);
         }
-        let Some(handle) = self.handles.iter().position(Option::is_none) else { return Answer::Failed(libc::EMFILE) };
+        let Some(handle) = self.handles.iter().position(Option::is_none) else {
+            return Answer::Failed(libc::EMFILE);
+        };
         let (flags, attributes) = (long(data, 288), word(data, 296) as usize);
         if flags >> 3 & 1 == 1 {
             for a in 0..attributes {
                 let at = 320 + 24 * a;
                 let (id, value, mask) = (word(data, at), long(data, at + 8), long(data, at + 16));
-                for (i, line) in lines.iter().enumerate().filter(|(i, _)| id == 2 && mask >> i & 1 == 1) {
+                for (i, line) in lines
+                    .iter()
+                    .enumerate()
+                    .filter(|(i, _)| id == 2 && mask >> i & 1 == 1)
+                {
                     self.set(*line, value >> i & 1 == 1);
                 }
             }
@@ -150,7 +167,9 @@ impl Chip {
 
     /// An ioctl on a handle.
     pub fn on_handle(&mut self, handle: usize, call: &Ioctl<'_>) -> Answer {
-        let Some(lines) = self.handles[handle].clone() else { return Answer::Failed(libc::EBADF) };
+        let Some(lines) = self.handles[handle].clone() else {
+            return Answer::Failed(libc::EBADF);
+        };
         let (bits, mask) = (long(call.data, 0), long(call.data, 8));
         let chosen = lines.iter().enumerate().filter(|(i, _)| mask >> i & 1 == 1);
         match call.number {
@@ -160,7 +179,11 @@ impl Chip {
             }
             GET_VALUES => {
                 let level = |line: &u32| {
-                    let fixed = self.stuck.get(line).or_else(|| self.inputs.get(line)).copied();
+                    let fixed = self
+                        .stuck
+                        .get(line)
+                        .or_else(|| self.inputs.get(line))
+                        .copied();
                     fixed.unwrap_or_else(|| self.level(*line))
                 };
                 let found = chosen.fold(0_u64, |b, (i, line)| b | u64::from(level(line)) << i);

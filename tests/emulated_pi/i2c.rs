@@ -65,7 +65,9 @@ impl Bus {
             let (address, flags, pointer) = (half(0) as u8, half(2), long(&m, 8));
             let mut bytes = vec![0_u8; usize::from(half(4))];
             let said = if flags & I2C_M_RD != 0 {
-                self.chips.read(address, &mut bytes).map(|()| poke(call.thread, pointer, &bytes))
+                self.chips
+                    .read(address, &mut bytes)
+                    .map(|()| poke(call.thread, pointer, &bytes))
             } else if peek(call.thread, pointer, &mut bytes) {
                 self.chips.write(address, &bytes).map(|()| true)
             } else {

@@ -39,11 +39,18 @@ pub struct Registers {
 impl Registers {
     /// Watches the registers in a file of the calling thread's namespace.
     pub fn watch(path: &Path) -> Self {
-        let file = File::options().read(true).write(true).open(path).expect("the emulated registers");
+        let file = File::options()
+            .read(true)
+            .write(true)
+            .open(path)
+            .expect("the emulated registers");
         let stop = Arc::new(AtomicBool::new(false));
         let end = stop.clone();
         let thread = std::thread::spawn(move || {
-            let _guard = rt::enter(&RtRequest { priority: 91, cpu: None });
+            let _guard = rt::enter(&RtRequest {
+                priority: 91,
+                cpu: None,
+            });
             look(&file, &end)
         });
         Self { stop, thread }
@@ -59,7 +66,16 @@ impl Registers {
 fn look(file: &File, end: &AtomicBool) -> Seen {
     // SAFETY: a shared mapping of a file of SIZE bytes, kept for the life of the process; null lets the
     // kernel choose the place.
-    let base = unsafe { libc::mmap(std::ptr::null_mut(), SIZE, libc::PROT_READ | libc::PROT_WRITE, libc::MAP_SHARED, file.as_raw_fd(), 0) };
+    let base = unsafe {
+        libc::mmap(
+            std::ptr::null_mut(),
+            SIZE,
+            libc::PROT_READ | libc::PROT_WRITE,
+            libc::MAP_SHARED,
+            file.as_raw_fd(),
+            0,
+        )
+    };
     assert_ne!(base, libc::MAP_FAILED);
     // SAFETY: the mapping is SIZE bytes, page-aligned and never unmapped; other processes store to it, which
     // is what atomics are for.
@@ -67,7 +83,10 @@ fn look(file: &File, end: &AtomicBool) -> Seen {
     let mut pulses = [0; 32];
     let mut level = 0_u32;
     while !end.load(Ordering::Relaxed) {
-        let (set, clear) = (words[GPSET0].swap(0, Ordering::AcqRel), words[GPCLR0].swap(0, Ordering::AcqRel));
+        let (set, clear) = (
+            words[GPSET0].swap(0, Ordering::AcqRel),
+            words[GPCLR0].swap(0, Ordering::AcqRel),
+        );
         // every rise of a line that was low, even if the line has fallen again
         for (line, n) in pulses.iter_mut().enumerate() {
             *n += (set & !level) >> line & 1;
@@ -78,5 +97,9 @@ fn look(file: &File, end: &AtomicBool) -> Seen {
         words[GPLEV0].store(level, Ordering::Release);
         rt::sleep_until_ns(rt::monotonic_ns() + LOOK_NS);
     }
-    Seen { select: [0, 1, 2].map(|i| words[i].load(Ordering::Relaxed)), pulses, level }
+    Seen {
+        select: [0, 1, 2].map(|i| words[i].load(Ordering::Relaxed)),
+        pulses,
+        level,
+    }
 }

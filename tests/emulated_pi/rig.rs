@@ -16,7 +16,14 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tempfile::TempDir;
 
 /// Device nodes that a program may need besides.
-const NODES: [&str; 6] = ["null", "zero", "full", "random", "urandom", "cpu_dma_latency"];
+const NODES: [&str; 6] = [
+    "null",
+    "zero",
+    "full",
+    "random",
+    "urandom",
+    "cpu_dma_latency",
+];
 
 /// User and group without permissions.
 const NOBODY: u32 = 65534;
@@ -35,8 +42,20 @@ fn text(path: impl AsRef<Path>) -> CString {
 fn mount(source: &Path, target: &Path, kind: &str, flags: libc::c_ulong) -> io::Result<()> {
     let (source, target, kind) = (text(source), text(target), text(kind));
     // SAFETY: pointers to live C strings which mount(2) only reads; no data.
-    let done = unsafe { libc::mount(source.as_ptr(), target.as_ptr(), kind.as_ptr(), flags, std::ptr::null()) };
-    if done == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+    let done = unsafe {
+        libc::mount(
+            source.as_ptr(),
+            target.as_ptr(),
+            kind.as_ptr(),
+            flags,
+            std::ptr::null(),
+        )
+    };
+    if done == 0 {
+        Ok(())
+    } else {
+        Err(io::Error::last_os_error())
+    }
 }
 
 /// Binds `source` over a fresh file.
@@ -54,9 +73,17 @@ impl Rig {
         let at = |step: &'static str| move |e: io::Error| format!("{step}: {e}");
         // SAFETY: takes flags only; CLONE_NEWNS gives this thread its own view of mounts.
         if unsafe { libc::unshare(libc::CLONE_NEWNS) } != 0 {
-            return Err(at("a mount namespace of its own")(io::Error::last_os_error()));
+            return Err(at("a mount namespace of its own")(
+                io::Error::last_os_error(),
+            ));
         }
-        mount(Path::new("none"), Path::new("/"), "none", libc::MS_REC | libc::MS_PRIVATE).map_err(at("private mounts"))?;
+        mount(
+            Path::new("none"),
+            Path::new("/"),
+            "none",
+            libc::MS_REC | libc::MS_PRIVATE,
+        )
+        .map_err(at("private mounts"))?;
         let folder = TempDir::new().map_err(at("a folder"))?;
         let (files, dev) = (folder.path().join("files"), folder.path().join("dev"));
         for f in [&files, &dev] {
@@ -67,7 +94,10 @@ impl Rig {
         let (end, shared) = (connection.clone(), world.clone());
         std::thread::spawn(move || {
             // its priority is above that of every thread that it serves, which would otherwise wait for itself
-            let _guard = retroflex::hardware::rt::enter(&retroflex::hardware::rt::RtRequest { priority: 90, cpu: None });
+            let _guard = retroflex::hardware::rt::enter(&retroflex::hardware::rt::RtRequest {
+                priority: 90,
+                cpu: None,
+            });
             fuse::serve(&end, &shared);
         });
         mount(Path::new("tmpfs"), &dev, "tmpfs", 0).map_err(at("a /dev of its own"))?;
@@ -82,11 +112,25 @@ impl Rig {
         }
         std::fs::write(dev.join("gpiomem"), [0_u8; 4096]).map_err(at("registers"))?;
         let tree = Path::new("/sys/firmware");
-        mount(&dev, Path::new("/dev"), "none", libc::MS_BIND | libc::MS_REC).map_err(at("/dev"))?;
+        mount(
+            &dev,
+            Path::new("/dev"),
+            "none",
+            libc::MS_BIND | libc::MS_REC,
+        )
+        .map_err(at("/dev"))?;
         mount(Path::new("tmpfs"), tree, "tmpfs", 0).map_err(at("a device tree"))?;
         std::fs::create_dir_all(tree.join("devicetree/base")).map_err(at("a device tree"))?;
-        std::fs::write(tree.join("devicetree/base/compatible"), "raspberrypi,3-model-b\0brcm,bcm2837\0").map_err(at("a device tree"))?;
-        Ok(Self { world, connection, folder })
+        std::fs::write(
+            tree.join("devicetree/base/compatible"),
+            "raspberrypi,3-model-b\0brcm,bcm2837\0",
+        )
+        .map_err(at("a device tree"))?;
+        Ok(Self {
+            world,
+            connection,
+            folder,
+        })
     }
 
     /// The machine behind the files.
@@ -114,8 +158,13 @@ impl Rig {
     /// A command of the program, in the namespace, with the line handles open.
     pub fn command(&self, args: &[&str]) -> Command {
         let mut command = Command::new(program());
-        command.args(args).env("NO_COLOR", "1").env("RUST_BACKTRACE", "0");
-        let handles: Vec<CString> = (0..HANDLES).map(|n| text(self.folder.path().join(format!("files/lines{n}")))).collect();
+        command
+            .args(args)
+            .env("NO_COLOR", "1")
+            .env("RUST_BACKTRACE", "0");
+        let handles: Vec<CString> = (0..HANDLES)
+            .map(|n| text(self.folder.path().join(format!("files/lines{n}"))))
+            .collect();
         // SAFETY: between fork and exec only open, dup2 and close are called, on strings made before;
         // all three are safe after a fork.
         unsafe {
@@ -145,21 +194,33 @@ impl Rig {
             std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode))?;
         }
         let mut stranger = Command::new(there);
-        stranger.args([command, "--board"]).arg(file).current_dir("/").env("NO_COLOR", "1").uid(NOBODY).gid(NOBODY);
+        stranger
+            .args([command, "--board"])
+            .arg(file)
+            .current_dir("/")
+            .env("NO_COLOR", "1")
+            .uid(NOBODY)
+            .gid(NOBODY);
         Ok(stranger)
     }
 }
 
 /// The program under test: `RETROFLEX_BIN`, or what cargo built beside the test.
 pub fn program() -> PathBuf {
-    std::env::var_os("RETROFLEX_BIN").map_or_else(|| env!("CARGO_BIN_EXE_retroflex").into(), PathBuf::from)
+    std::env::var_os("RETROFLEX_BIN")
+        .map_or_else(|| env!("CARGO_BIN_EXE_retroflex").into(), PathBuf::from)
 }
 
 /// Runs `body` in a thread with a rig, or prints why no rig can be built here.
-pub fn on_a_pi(world: impl FnOnce() -> World + Send + 'static, body: impl FnOnce(&Rig) + Send + 'static) {
+pub fn on_a_pi(
+    world: impl FnOnce() -> World + Send + 'static,
+    body: impl FnOnce(&Rig) + Send + 'static,
+) {
     let thread = std::thread::spawn(move || match Rig::start(world()) {
         Ok(rig) => body(&rig),
-        Err(why) => println!("skipped: an emulated Pi needs root, FUSE and mount namespaces; {why}"),
+        Err(why) => {
+            println!("skipped: an emulated Pi needs root, FUSE and mount namespaces; {why}")
+        }
     });
     if let Err(panic) = thread.join() {
         std::panic::resume_unwind(panic);

@@ -62,7 +62,9 @@ impl World {
         let now_ns = monotonic_ns();
         while self.reached_ns + PLANT_NS <= now_ns {
             self.reached_ns += PLANT_NS;
-            let out = self.plant.step(&Steps(self.chip.counted), PLANT_NS as f64 * 1e-9);
+            let out = self
+                .plant
+                .step(&Steps(self.chip.counted), PLANT_NS as f64 * 1e-9);
             self.truth = Some(out.truth);
             if let Some(s) = out.imu {
                 let last_mag = s.mag_ut;

@@ -23,7 +23,14 @@ fn lsm6dso() -> [u8; 256] {
     r[0x0F] = 0x6C; // WHO_AM_I
     r[0x10..0x13].copy_from_slice(&[0x38, 0x34, 0x44]); // CTRL1_XL, CTRL2_G, CTRL3_C as they are set
     r[0x1E] = 0x03; // new acceleration, new rate
-    for (at, count) in [(0x22, 3), (0x24, -5), (0x26, 2), (0x28, 41), (0x2A, -67), (0x2C, 8197_i16)] {
+    for (at, count) in [
+        (0x22, 3),
+        (0x24, -5),
+        (0x26, 2),
+        (0x28, 41),
+        (0x2A, -67),
+        (0x2C, 8197_i16),
+    ] {
         r[at..at + 2].copy_from_slice(&count.to_le_bytes());
     }
     r
@@ -51,8 +58,11 @@ fn impostor() -> [u8; 256] {
 /// Writes the images and says how QEMU is told of them.
 pub fn on_the_controller(folder: &Path) -> io::Result<Vec<String>> {
     let mut words = Vec::new();
-    for (name, address, registers) in [("impostor", IMPOSTOR, impostor()), ("lsm6dso", LSM6DSO, lsm6dso()), ("lis2mdl", LIS2MDL, lis2mdl())]
-    {
+    for (name, address, registers) in [
+        ("impostor", IMPOSTOR, impostor()),
+        ("lsm6dso", LSM6DSO, lsm6dso()),
+        ("lis2mdl", LIS2MDL, lis2mdl()),
+    ] {
         let path: PathBuf = folder.join(format!("{name}.bin"));
         // a drive has whole sectors: the registers twice
         std::fs::write(&path, [registers, registers].concat())?;

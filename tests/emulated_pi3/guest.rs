@@ -34,7 +34,17 @@ pub struct Done {
 impl Done {
     /// The words without the frame that an error report has around them.
     pub fn flat(&self) -> String {
-        let plain: String = self.text.chars().map(|c| if "│╭╰─▶×├┬·".contains(c) { ' ' } else { c }).collect();
+        let plain: String = self
+            .text
+            .chars()
+            .map(|c| {
+                if "│╭╰─▶×├┬·".contains(c) {
+                    ' '
+                } else {
+                    c
+                }
+            })
+            .collect();
         plain.split_whitespace().collect::<Vec<_>>().join(" ")
     }
 }
@@ -46,20 +56,61 @@ impl Guest {
             // left over from a run that was stopped
             let _ = std::fs::remove_file(folder.join(pipe));
         }
-        assert!(Command::new("mkfifo").arg(folder.join("trace")).status().expect("mkfifo").success());
+        assert!(
+            Command::new("mkfifo")
+                .arg(folder.join("trace"))
+                .status()
+                .expect("mkfifo")
+                .success()
+        );
         let path = |name: &str| folder.join(name).display().to_string();
         let mut qemu = Command::new("timeout");
         // whatever happens, it does not stay
-        qemu.args(["-k", "10", "1200", "qemu-system-aarch64", "-M", "raspi3b", "-display", "none", "-monitor", "none", "-no-reboot"]);
-        qemu.args(["-kernel", &path("vmlinuz"), "-dtb", &path("pi3.dtb"), "-initrd", &path("initrd")]);
+        qemu.args([
+            "-k",
+            "10",
+            "1200",
+            "qemu-system-aarch64",
+            "-M",
+            "raspi3b",
+            "-display",
+            "none",
+            "-monitor",
+            "none",
+            "-no-reboot",
+        ]);
+        qemu.args([
+            "-kernel",
+            &path("vmlinuz"),
+            "-dtb",
+            &path("pi3.dtb"),
+            "-initrd",
+            &path("initrd"),
+        ]);
         // the registers may be mapped; no unit's progress between the marks
-        qemu.args(["-append", "console=ttyAMA0,115200 iomem=relaxed panic=-1 loglevel=3 systemd.show_status=false"]);
-        qemu.args(["-serial", "stdio", "-serial", &format!("unix:{},server=on,wait=off", path("motion"))]);
-        qemu.args(["-trace", &format!("memory_region_ops_write,file={}", path("trace"))]);
-        qemu.args(words).stdin(Stdio::piped()).stdout(Stdio::piped());
+        qemu.args([
+            "-append",
+            "console=ttyAMA0,115200 iomem=relaxed panic=-1 loglevel=3 systemd.show_status=false",
+        ]);
+        qemu.args([
+            "-serial",
+            "stdio",
+            "-serial",
+            &format!("unix:{},server=on,wait=off", path("motion")),
+        ]);
+        qemu.args([
+            "-trace",
+            &format!("memory_region_ops_write,file={}", path("trace")),
+        ]);
+        qemu.args(words)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped());
         qemu.stderr(File::create(folder.join("qemu.log")).expect("a log"));
         let mut qemu = qemu.spawn().expect("qemu-system-aarch64");
-        let (to, mut from) = (qemu.stdin.take().expect("piped"), qemu.stdout.take().expect("piped"));
+        let (to, mut from) = (
+            qemu.stdin.take().expect("piped"),
+            qemu.stdout.take().expect("piped"),
+        );
         let (sender, said) = channel();
         std::thread::spawn(move || {
             let mut bytes = [0; 4096];
@@ -70,13 +121,24 @@ impl Guest {
             }
         });
         let transcript = File::create(folder.join("transcript.txt")).expect("a transcript");
-        Self { qemu, to, said, transcript, folder: folder.to_owned(), number: 0 }
+        Self {
+            qemu,
+            to,
+            said,
+            transcript,
+            folder: folder.to_owned(),
+            number: 0,
+        }
     }
 
     /// The lines of the trace, as they come.
     pub fn trace(&self) -> impl Iterator<Item = String> + use<> {
         // for writing too, so that nobody waits for a QEMU that has not come up
-        let pipe = File::options().read(true).write(true).open(self.folder.join("trace")).expect("the trace");
+        let pipe = File::options()
+            .read(true)
+            .write(true)
+            .open(self.folder.join("trace"))
+            .expect("the trace");
         BufReader::new(pipe).lines().map_while(Result::ok)
     }
 
@@ -86,7 +148,10 @@ impl Guest {
         loop {
             match UnixStream::connect(self.folder.join("motion")) {
                 Ok(line) => return line,
-                Err(e) => assert!(began.elapsed() < Duration::from_secs(20), "the second serial line: {e}"),
+                Err(e) => assert!(
+                    began.elapsed() < Duration::from_secs(20),
+                    "the second serial line: {e}"
+                ),
             }
             std::thread::sleep(Duration::from_millis(20));
         }
@@ -112,7 +177,11 @@ impl Guest {
                 }
                 Err(RecvTimeoutError::Timeout) if began.elapsed().as_secs_f64() < limit_s => {}
                 Err(why) => {
-                    panic!("{why}: the guest did not say `{}` within {limit_s} s, but {}", mark.trim(), String::from_utf8_lossy(&bytes))
+                    panic!(
+                        "{why}: the guest did not say `{}` within {limit_s} s, but {}",
+                        mark.trim(),
+                        String::from_utf8_lossy(&bytes)
+                    )
                 }
             }
         }
@@ -134,7 +203,10 @@ impl Guest {
         self.until(&format!("@@begin {number}\n"), limit_s);
         let text = self.until(&format!("@@end {number} "), limit_s);
         let code = self.until("\n", 10.0).parse().expect("an exit code");
-        Done { code, text: text.trim().to_owned() }
+        Done {
+            code,
+            text: text.trim().to_owned(),
+        }
     }
 
     /// A line of our own in the transcript.
@@ -160,7 +232,9 @@ impl Drop for Guest {
     fn drop(&mut self) {
         // gone already, if it was shut down; else `timeout` hands the signal on
         if matches!(self.qemu.try_wait(), Ok(None)) {
-            let _ = Command::new("kill").arg(self.qemu.id().to_string()).status();
+            let _ = Command::new("kill")
+                .arg(self.qemu.id().to_string())
+                .status();
             let _ = self.qemu.wait();
         }
     }

@@ -32,13 +32,19 @@ pub struct Scene {
 impl Scene {
     /// A property of the unit.
     pub fn show(&mut self, property: &str) -> String {
-        self.guest.run(&format!("systemctl show retroflex -p {property} --value")).text
+        self.guest
+            .run(&format!("systemctl show retroflex -p {property} --value"))
+            .text
     }
 
     /// The status; null while the service does not answer.
     pub fn status(&mut self) -> Value {
         let done = self.guest.run("retroflex status --json");
-        done.text.lines().next().and_then(|l| serde_json::from_str(l).ok()).unwrap_or(Value::Null)
+        done.text
+            .lines()
+            .next()
+            .and_then(|l| serde_json::from_str(l).ok())
+            .unwrap_or(Value::Null)
     }
 
     /// A command of the program.
@@ -61,7 +67,10 @@ impl Scene {
     /// Waits for a mode, and judges that it came.
     pub fn reaches(&mut self, what: &str, mode: &str, limit_s: f64) -> Value {
         let status = self.until(limit_s, |s| s["mode"] == mode);
-        let found = format!("mode {}, latched {}, alarm {}", status["mode"], status["latched"], status["alarm"]);
+        let found = format!(
+            "mode {}, latched {}, alarm {}",
+            status["mode"], status["latched"], status["alarm"]
+        );
         self.verdicts.hold(what, status["mode"] == mode, &found);
         status
     }
@@ -75,9 +84,13 @@ impl Scene {
             let after = self.tip.lines_at_rest();
             if before.pulses == after.pulses || began.elapsed() > Duration::from_secs(60) {
                 let counted: [i32; 3] = std::array::from_fn(|i| after.counted[i] - self.zero[i]);
-                let found = format!("service {told}, registers {counted:?} after {:?} pulses", after.pulses);
+                let found = format!(
+                    "service {told}, registers {counted:?} after {:?} pulses",
+                    after.pulses
+                );
                 let holds = told == serde_json::json!(counted) && after.torn == 0;
-                self.verdicts.hold(&format!("counts agree {what}"), holds, &found);
+                self.verdicts
+                    .hold(&format!("counts agree {what}"), holds, &found);
                 return;
             }
         }
@@ -89,13 +102,17 @@ impl Scene {
     pub fn resumed(&mut self) -> bool {
         let status = self.status();
         let alarm = status["alarm"].as_str().unwrap_or("").to_owned();
-        let stalled =
-            status["latched"] == "late" || (status["latched"] == "step_generator" && (alarm.contains("late") || alarm.contains("ran out")));
+        let stalled = status["latched"] == "late"
+            || (status["latched"] == "step_generator"
+                && (alarm.contains("late") || alarm.contains("ran out")));
         if !stalled || self.stalls >= STALLS_MAX {
             return false;
         }
         self.stalls += 1;
-        self.verdicts.say(&format!("      this host stalled the guest: {}, {alarm}", status["latched"]));
+        self.verdicts.say(&format!(
+            "      this host stalled the guest: {}, {alarm}",
+            status["latched"]
+        ));
         self.counts_agree("after a stall");
         self.retroflex("reset-fault");
         self.retroflex("arm");
@@ -117,7 +134,11 @@ impl Scene {
         let words = format!("bend {bend_deg} --toward {dir_deg} --speed {SLOW_DEG_S} --wait");
         let done = self.insist(&words);
         let what = format!("bend {bend_deg}° toward {dir_deg}°");
-        self.verdicts.hold(&format!("{what} settles"), done.code == 0, &format!("exit {}, {}", done.code, last(&done)));
+        self.verdicts.hold(
+            &format!("{what} settles"),
+            done.code == 0,
+            &format!("exit {}, {}", done.code, last(&done)),
+        );
         self.counts_agree(&format!("after {what}"));
         if self.zero == [0; 3] {
             // zeroed elsewhere, rest is another one than the truth's

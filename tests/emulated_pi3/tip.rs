@@ -47,7 +47,11 @@ pub struct TheTip {
 
 impl TheTip {
     /// A plant with the pins of a board, on the lines of a guest that has just been started.
-    pub fn start(guest: &Guest, board: &Board, make: &retroflex::simulation::plant::PlantConfig) -> Self {
+    pub fn start(
+        guest: &Guest,
+        board: &Board,
+        make: &retroflex::simulation::plant::PlantConfig,
+    ) -> Self {
         let lines = Lines::new(board.pins.as_ref().expect("a board with pins"));
         let mut make = make.clone();
         make.drive.step_mm = board.drive.law().step_mm;

@@ -31,7 +31,15 @@ pub struct Lines {
 impl Lines {
     /// Lines that nobody has touched.
     pub fn new(wiring: &PinsConfig) -> Self {
-        Self { wiring: wiring.clone(), level: 0, select: [0; 3], counted: [0; 3], pulses: [0; 3], lost: 0, torn: 0 }
+        Self {
+            wiring: wiring.clone(),
+            level: 0,
+            select: [0; 3],
+            counted: [0; 3],
+            pulses: [0; 3],
+            lost: 0,
+            torn: 0,
+        }
     }
 
     fn is_high(&self, line: u32) -> bool {
@@ -40,7 +48,10 @@ impl Lines {
 
     /// The drivers have current: EN is low.
     pub fn energised(&self) -> bool {
-        self.wiring.channels.iter().all(|c| c.enable.is_none_or(|line| self.is_high(line) != self.wiring.enable_active_low))
+        self.wiring.channels.iter().all(|c| {
+            c.enable
+                .is_none_or(|line| self.is_high(line) != self.wiring.enable_active_low)
+        })
     }
 
     /// A line is an output: 001 in its three bits.
@@ -50,7 +61,12 @@ impl Lines {
 
     /// Every line that the board names.
     pub fn named(&self) -> Vec<u32> {
-        self.wiring.channels.iter().flat_map(|c| [Some(c.step), Some(c.dir), c.enable]).flatten().collect()
+        self.wiring
+            .channels
+            .iter()
+            .flat_map(|c| [Some(c.step), Some(c.dir), c.enable])
+            .flatten()
+            .collect()
     }
 
     /// One line of the trace.
@@ -60,26 +76,38 @@ impl Lines {
             words.find(|w| *w == name)?;
             u64::from_str_radix(words.next()?.strip_prefix("0x")?, 16).ok()
         };
-        let (Some(address), Some(value)) = (field("addr"), field("value")) else { return };
+        let (Some(address), Some(value)) = (field("addr"), field("value")) else {
+            return;
+        };
         let value = value as u32;
         match address {
             GPSET0 => self.store(value, true),
             GPCLR0 => self.store(value, false),
-            GPIO..GPSET0 if (address - GPIO) / 4 < 3 => self.select[((address - GPIO) / 4) as usize] = value,
+            GPIO..GPSET0 if (address - GPIO) / 4 < 3 => {
+                self.select[((address - GPIO) / 4) as usize] = value
+            }
             _ => {}
         }
     }
 
     fn store(&mut self, value: u32, high: bool) {
         let before = self.level;
-        self.level = if high { before | value } else { before & !value };
+        self.level = if high {
+            before | value
+        } else {
+            before & !value
+        };
         let moved = before ^ self.level;
         for (i, c) in self.wiring.channels.iter().enumerate() {
             self.torn += u64::from(moved >> c.dir & 1 == 1 && before >> c.step & 1 == 1);
             if moved >> c.step & 1 == 1 && high {
                 self.pulses[i] += 1;
                 if self.energised() {
-                    self.counted[i] += if self.is_high(c.dir) != c.dir_inverted { 1 } else { -1 };
+                    self.counted[i] += if self.is_high(c.dir) != c.dir_inverted {
+                        1
+                    } else {
+                        -1
+                    };
                 } else {
                     self.lost += 1;
                 }
@@ -112,9 +140,14 @@ fn stores_become_steps() {
     assert!(!store(0x1C, 1 << 5).energised());
     store(0x1C, 1 << 17);
     let after = store(0x1C, 1 << 23);
-    assert_eq!((after.counted, after.pulses, after.lost, after.torn), ([1, 0, 0], [4, 0, 0], 1, 1));
+    assert_eq!(
+        (after.counted, after.pulses, after.lost, after.torn),
+        ([1, 0, 0], [4, 0, 0], 1, 1)
+    );
     // other registers and other words are nothing
-    lines.take("memory_region_ops_write cpu 3 mr 0x1 addr 0x3f201000 value 0x41 size 4 name 'pl011'");
+    lines.take(
+        "memory_region_ops_write cpu 3 mr 0x1 addr 0x3f201000 value 0x41 size 4 name 'pl011'",
+    );
     lines.take("qemu-system-aarch64: warning");
     assert_eq!(lines.pulses, [4, 0, 0]);
 }

@@ -14,13 +14,21 @@ pub struct Verdicts {
 impl Verdicts {
     /// Nothing asked yet; lines go to a file too.
     pub fn new(path: &Path) -> Self {
-        Self { to: File::create(path).expect("a file for verdicts"), passed: 0, failed: 0 }
+        Self {
+            to: File::create(path).expect("a file for verdicts"),
+            passed: 0,
+            failed: 0,
+        }
     }
 
     /// One question.
     pub fn hold(&mut self, what: &str, holds: bool, found: &str) -> bool {
         let mark = if holds { "pass" } else { "FAIL" };
-        *(if holds { &mut self.passed } else { &mut self.failed }) += 1;
+        *(if holds {
+            &mut self.passed
+        } else {
+            &mut self.failed
+        }) += 1;
         self.say(&format!("{mark}  {what}: {found}"));
         holds
     }
@@ -28,7 +36,11 @@ impl Verdicts {
     /// The same for text that must contain all of some words.
     pub fn says(&mut self, what: &str, text: &str, words: &[&str]) -> bool {
         let missing: Vec<_> = words.iter().filter(|w| !text.contains(**w)).collect();
-        let found = if missing.is_empty() { words.join(" … ") } else { format!("{missing:?} not in: {text}") };
+        let found = if missing.is_empty() {
+            words.join(" … ")
+        } else {
+            format!("{missing:?} not in: {text}")
+        };
         self.hold(what, missing.is_empty(), &found)
     }
 

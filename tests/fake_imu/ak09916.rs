@@ -29,7 +29,12 @@ impl Default for FakeAk09916 {
         let mut regs = [0; 0x35];
         regs[0] = 0x48; // company
         regs[usize::from(reg::AK_WIA2)] = AK_WHO_AM_I;
-        Self { regs, pointer: 0, ticker: Ticker::default(), latched: false }
+        Self {
+            regs,
+            pointer: 0,
+            ticker: Ticker::default(),
+            latched: false,
+        }
     }
 }
 
@@ -51,7 +56,9 @@ impl FakeAk09916 {
     }
 
     pub(super) fn advance(&mut self, dt_s: f64, analog: &mut Analog) {
-        let Some(period_s) = self.period_s() else { return };
+        let Some(period_s) = self.period_s() else {
+            return;
+        };
         if !self.ticker.due(dt_s, period_s) || analog.quirks.frozen {
             return;
         }
@@ -72,12 +79,18 @@ impl FakeAk09916 {
             self.regs[usize::from(HXL) + 2 * i..][..2].copy_from_slice(&c.to_le_bytes());
         }
         self.regs[usize::from(ST2)] = if over { HOFL } else { 0 };
-        self.regs[st1] = if self.regs[st1] & DRDY != 0 { DRDY | DOR } else { DRDY };
+        self.regs[st1] = if self.regs[st1] & DRDY != 0 {
+            DRDY | DOR
+        } else {
+            DRDY
+        };
     }
 
     /// A write: register, then data with automatic increment.
     pub fn write(&mut self, bytes: &[u8]) {
-        let Some((&register, data)) = bytes.split_first() else { return };
+        let Some((&register, data)) = bytes.split_first() else {
+            return;
+        };
         self.pointer = register;
         for &value in data {
             match self.pointer {
@@ -96,7 +109,11 @@ impl FakeAk09916 {
     /// ST2 has been read.
     pub fn read(&mut self, out: &mut [u8]) {
         for byte in out {
-            *byte = self.regs.get(usize::from(self.pointer)).copied().unwrap_or(0);
+            *byte = self
+                .regs
+                .get(usize::from(self.pointer))
+                .copied()
+                .unwrap_or(0);
             match self.pointer {
                 ST2 => {
                     self.latched = false;

@@ -77,16 +77,23 @@ impl FakeIcm20948 {
     }
 
     fn convert(&mut self, dt_s: f64) {
-        let (g, a) = (self.get(2, reg::GYRO_CONFIG_1), self.get(2, reg::ACCEL_CONFIG));
+        let (g, a) = (
+            self.get(2, reg::GYRO_CONFIG_1),
+            self.get(2, reg::ACCEL_CONFIG),
+        );
         let gyro_period = (1.0 + f64::from(self.get(2, reg::GYRO_SMPLRT_DIV))) / BASE_RATE_HZ;
-        let divider = u16::from_be_bytes([self.get(2, reg::ACCEL_SMPLRT_DIV_1) & 0x0F, self.get(2, reg::ACCEL_SMPLRT_DIV_2)]);
+        let divider = u16::from_be_bytes([
+            self.get(2, reg::ACCEL_SMPLRT_DIV_1) & 0x0F,
+            self.get(2, reg::ACCEL_SMPLRT_DIV_2),
+        ]);
         let acc_period = (1.0 + f64::from(divider)) / BASE_RATE_HZ;
         let gyro_due = self.gyro_on() && self.gyro.due(dt_s, gyro_period);
         let acc_due = self.acc_on() && self.acc.due(dt_s, acc_period);
         if (gyro_due || acc_due) && !self.analog.quirks.frozen {
             let unit = scale(g >> 1 & 3, a >> 1 & 3);
             let (gyro, acc) = self.analog.inertial(unit.gyro_rad_s, unit.acc_m_s2);
-            let temp = ((self.analog.motion.temp_c - unit.temp_zero_c) / unit.temp_c).round() as i16;
+            let temp =
+                ((self.analog.motion.temp_c - unit.temp_zero_c) / unit.temp_c).round() as i16;
             if acc_due {
                 self.put(reg::ACCEL_XOUT_H, &acc);
             }
@@ -95,7 +102,9 @@ impl FakeIcm20948 {
             }
             self.put(TEMP_OUT_H, &[temp]);
         }
-        if self.master.due(dt_s, self.master_period(gyro_period)) && self.get(0, reg::USER_CTRL) & 0x20 != 0 {
+        if self.master.due(dt_s, self.master_period(gyro_period))
+            && self.get(0, reg::USER_CTRL) & 0x20 != 0
+        {
             self.one_shot();
             self.fetch();
         }
@@ -105,7 +114,11 @@ impl FakeIcm20948 {
     /// gyroscope is off or the master is duty-cycled.
     fn master_period(&self, gyro_period_s: f64) -> f64 {
         let cycled = self.get(0, reg::LP_CONFIG) & 0x40 != 0;
-        if self.gyro_on() && !cycled { gyro_period_s } else { f64::from(1_u16 << (self.get(3, I2C_MST_ODR_CONFIG) & 0x0F)) / 1100.0 }
+        if self.gyro_on() && !cycled {
+            gyro_period_s
+        } else {
+            f64::from(1_u16 << (self.get(3, I2C_MST_ODR_CONFIG) & 0x0F)) / 1100.0
+        }
     }
 
     fn put(&mut self, from: u8, counts: &[i16]) {
@@ -123,7 +136,10 @@ impl FakeIcm20948 {
         if self.get(3, reg::I2C_SLV4_CTRL) & 0x80 == 0 {
             return;
         }
-        let (address, register) = (self.get(3, reg::I2C_SLV4_ADDR), self.get(3, reg::I2C_SLV4_REG));
+        let (address, register) = (
+            self.get(3, reg::I2C_SLV4_ADDR),
+            self.get(3, reg::I2C_SLV4_REG),
+        );
         let mut status = SLV4_DONE;
         if !self.mag_answers(address) {
             status |= SLV4_NACK;
@@ -168,7 +184,9 @@ impl FakeIcm20948 {
 
     /// A write as the chip sees it: register, then data with automatic increment.
     pub fn write(&mut self, bytes: &[u8]) {
-        let Some((&register, data)) = bytes.split_first() else { return };
+        let Some((&register, data)) = bytes.split_first() else {
+            return;
+        };
         self.pointer = register & 0x7F;
         for &value in data {
             self.store(self.pointer, value);
@@ -194,7 +212,12 @@ impl FakeIcm20948 {
             (0, r) if data.contains(&r) => {} // read-only
             (bank, r) => {
                 self.regs[usize::from(bank)][usize::from(r)] = value;
-                let rate = [reg::GYRO_SMPLRT_DIV, reg::ACCEL_SMPLRT_DIV_1, reg::ACCEL_SMPLRT_DIV_2].contains(&r);
+                let rate = [
+                    reg::GYRO_SMPLRT_DIV,
+                    reg::ACCEL_SMPLRT_DIV_1,
+                    reg::ACCEL_SMPLRT_DIV_2,
+                ]
+                .contains(&r);
                 if bank == 2 && rate && self.get(2, reg::ODR_ALIGN_EN) & 0x01 != 0 {
                     // a write to a rate register aligns the conversions of both sensors
                     (self.gyro, self.acc) = Default::default();
@@ -226,14 +249,23 @@ impl FakeIcm20948 {
 
 impl Device for FakeIcm20948 {
     fn answers(&self, address: u8) -> bool {
-        let bypass = self.get(0, reg::INT_PIN_CFG) & 0x02 != 0 && self.get(0, reg::USER_CTRL) & 0x20 == 0;
+        let bypass =
+            self.get(0, reg::INT_PIN_CFG) & 0x02 != 0 && self.get(0, reg::USER_CTRL) & 0x20 == 0;
         address == self.address || (bypass && self.mag_answers(address))
     }
     fn write(&mut self, address: u8, bytes: &[u8]) {
-        if address == self.address { Self::write(self, bytes) } else { self.mag.write(bytes) }
+        if address == self.address {
+            Self::write(self, bytes)
+        } else {
+            self.mag.write(bytes)
+        }
     }
     fn read(&mut self, address: u8, out: &mut [u8]) {
-        if address == self.address { Self::read(self, out) } else { self.mag.read(out) }
+        if address == self.address {
+            Self::read(self, out)
+        } else {
+            self.mag.read(out)
+        }
     }
     fn advance(&mut self, dt_s: f64) {
         let mut left_s = dt_s;

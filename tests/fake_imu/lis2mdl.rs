@@ -32,7 +32,13 @@ impl FakeLis2mdl {
     #[must_use]
     pub fn mounted(axes: Axes, seed: u64) -> Self {
         let (ticker, analog) = (Ticker::default(), Analog::new(seed));
-        let mut fake = Self { regs: [0; 128], pointer: 0, axes, ticker, analog };
+        let mut fake = Self {
+            regs: [0; 128],
+            pointer: 0,
+            axes,
+            ticker,
+            analog,
+        };
         fake.brown_out();
         fake
     }
@@ -49,7 +55,9 @@ impl FakeLis2mdl {
 
     /// A write: register, then data with automatic increment.
     pub fn write(&mut self, bytes: &[u8]) {
-        let Some((&register, data)) = bytes.split_first() else { return };
+        let Some((&register, data)) = bytes.split_first() else {
+            return;
+        };
         self.pointer = register & 0x7F;
         for &value in data {
             match self.pointer {
@@ -84,7 +92,9 @@ impl FakeLis2mdl {
 
     fn measure(&mut self) {
         let field = super::to_chip(&self.axes, &self.analog.motion.mag_ut);
-        let mut counts = self.analog.counts(field, self.analog.noise.mag_ut, UT_PER_LSB);
+        let mut counts = self
+            .analog
+            .counts(field, self.analog.noise.mag_ut, UT_PER_LSB);
         if self.analog.quirks.mag_overflow {
             counts = [i16::MAX; 3];
         }
@@ -92,7 +102,11 @@ impl FakeLis2mdl {
             self.regs[usize::from(OUTX_L) + 2 * i..][..2].copy_from_slice(&c.to_le_bytes());
         }
         let status = &mut self.regs[usize::from(reg::STATUS)];
-        *status = if *status & STATUS_NEW != 0 { STATUS_NEW | STATUS_OVERRUN } else { STATUS_NEW };
+        *status = if *status & STATUS_NEW != 0 {
+            STATUS_NEW | STATUS_OVERRUN
+        } else {
+            STATUS_NEW
+        };
     }
 }
 

@@ -65,7 +65,11 @@ impl FakeLsm6dso {
         if !(gyro_due || acc_due) || self.analog.quirks.frozen {
             return;
         }
-        let gyro_dps = if ctrl2 & 0x02 != 0 { 125 } else { 250 << (ctrl2 >> 2 & 3) };
+        let gyro_dps = if ctrl2 & 0x02 != 0 {
+            125
+        } else {
+            250 << (ctrl2 >> 2 & 3)
+        };
         let acc_g = [2, 16, 4, 8][usize::from(ctrl1 >> 2 & 3)];
         let unit = scale(gyro_dps, acc_g, Axes::ALIGNED);
         let (gyro, acc) = self.analog.inertial(unit.gyro_rad_s, unit.acc_m_s2);
@@ -85,7 +89,9 @@ impl FakeLsm6dso {
 
     /// A write: register, then data; the address moves on while IF_INC is set.
     pub fn write(&mut self, bytes: &[u8]) {
-        let Some((&register, data)) = bytes.split_first() else { return };
+        let Some((&register, data)) = bytes.split_first() else {
+            return;
+        };
         self.pointer = register & 0x7F;
         for &value in data {
             match self.pointer {

@@ -7,7 +7,11 @@
 //!
 //! Filters are not modelled: a conversion is the motion of that instant plus white noise. Transfers take no time;
 //! [`Machine::bus_time_s`] returns what they would take.
-#![allow(dead_code, unused_imports, reason = "every test uses its own part of this")]
+#![allow(
+    dead_code,
+    unused_imports,
+    reason = "every test uses its own part of this"
+)]
 
 mod ak09916;
 mod icm20948;
@@ -46,7 +50,12 @@ pub struct Motion {
 impl Default for Motion {
     /// Flat and still in a central European field.
     fn default() -> Self {
-        Self { acc_m_s2: Vector3::new(0.0, 0.0, 9.81), gyro_rad_s: Vector3::zeros(), mag_ut: Vector3::new(20.0, 0.0, -45.0), temp_c: 25.0 }
+        Self {
+            acc_m_s2: Vector3::new(0.0, 0.0, 9.81),
+            gyro_rad_s: Vector3::zeros(),
+            mag_ut: Vector3::new(20.0, 0.0, -45.0),
+            temp_c: 25.0,
+        }
     }
 }
 
@@ -68,9 +77,17 @@ pub struct Noise {
 
 impl Noise {
     /// None at all: readings are the quantised truth.
-    pub const NONE: Self = Self { gyro_rad_s: 0.0, acc_m_s2: 0.0, mag_ut: 0.0 };
+    pub const NONE: Self = Self {
+        gyro_rad_s: 0.0,
+        acc_m_s2: 0.0,
+        mag_ut: 0.0,
+    };
     /// Typical for these parts at some 100 Hz of bandwidth: 0.015 °/s/√Hz, 230 µg/√Hz, 0.5 µT.
-    pub const TYPICAL: Self = Self { gyro_rad_s: 0.0029, acc_m_s2: 0.025, mag_ut: 0.5 };
+    pub const TYPICAL: Self = Self {
+        gyro_rad_s: 0.0029,
+        acc_m_s2: 0.025,
+        mag_ut: 0.5,
+    };
 }
 
 /// Faults of one chip.
@@ -122,13 +139,20 @@ struct Analog {
 impl Analog {
     fn new(seed: u64) -> Self {
         let rng = StdRng::seed_from_u64(seed);
-        Self { motion: Motion::default(), noise: Noise::TYPICAL, quirks: Quirks::default(), rng }
+        Self {
+            motion: Motion::default(),
+            noise: Noise::TYPICAL,
+            quirks: Quirks::default(),
+            rng,
+        }
     }
     /// Truth plus noise in counts, limited to the range of the converter.
     fn counts(&mut self, truth: Vector3<f64>, sigma: f64, unit: f64) -> [i16; 3] {
         let mut axis = |x: f64| {
             let noise: f64 = StandardNormal.sample(&mut self.rng);
-            ((x + sigma * noise) / unit).round().clamp(f64::from(i16::MIN), f64::from(i16::MAX)) as i16
+            ((x + sigma * noise) / unit)
+                .round()
+                .clamp(f64::from(i16::MIN), f64::from(i16::MAX)) as i16
         };
         [axis(truth.x), axis(truth.y), axis(truth.z)]
     }
@@ -215,7 +239,10 @@ impl Machine {
     }
     /// The chip at an address, to change its motion or its faults.
     pub fn device(&mut self, address: u8) -> Option<&mut (dyn Device + 'static)> {
-        self.devices.iter_mut().find(|d| d.answers(address)).map(|d| &mut **d)
+        self.devices
+            .iter_mut()
+            .find(|d| d.answers(address))
+            .map(|d| &mut **d)
     }
     /// Changes the faults of the chip at an address. An address without a chip is ignored.
     pub fn spoil(&mut self, address: u8, change: impl FnOnce(&mut Quirks)) {
@@ -270,7 +297,10 @@ impl Machine {
             *n -= 1;
             return Err(FakeBusError::Nack);
         }
-        self.devices.iter_mut().find(|d| d.answers(address)).ok_or(FakeBusError::Nack)
+        self.devices
+            .iter_mut()
+            .find(|d| d.answers(address))
+            .ok_or(FakeBusError::Nack)
     }
     /// A write message.
     ///
@@ -286,7 +316,10 @@ impl Machine {
     /// [`FakeBusError`] if no chip answers or the bus is faulty.
     pub fn read(&mut self, address: u8, out: &mut [u8]) -> Result<(), FakeBusError> {
         self.admit(address, out.len())?.read(address, out);
-        if let Some((_, have)) = self.short.take_if(|(a, have)| *a == address && *have < out.len()) {
+        if let Some((_, have)) = self
+            .short
+            .take_if(|(a, have)| *a == address && *have < out.len())
+        {
             out[have..].fill(0xFF);
         }
         Ok(())
@@ -319,7 +352,11 @@ impl ErrorType for FakeBus {
 }
 
 impl I2c for FakeBus {
-    fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), FakeBusError> {
+    fn transaction(
+        &mut self,
+        address: u8,
+        operations: &mut [Operation<'_>],
+    ) -> Result<(), FakeBusError> {
         let mut machine = self.machine();
         for operation in operations {
             match operation {

@@ -21,7 +21,14 @@ impl FakePressure {
     /// A sensor at ambient pressure.
     #[must_use]
     pub fn new(address: u8) -> Self {
-        Self { address, kpa: 0.0, fault: 0, busy_s: 0.0, counts: 0, quirks: Quirks::default() }
+        Self {
+            address,
+            kpa: 0.0,
+            fault: 0,
+            busy_s: 0.0,
+            counts: 0,
+            quirks: Quirks::default(),
+        }
     }
 
     /// The sensor at a true pressure.
@@ -47,13 +54,18 @@ impl Device for FakePressure {
         if bytes == [0xAA, 0, 0] {
             self.busy_s = CONVERSION_S;
             let full = f64::from(1 << 24);
-            self.counts = (full * (0.1 + 0.8 * (self.kpa + 100.0) / 200.0)).round().clamp(0.0, full - 1.0) as u32;
+            self.counts = (full * (0.1 + 0.8 * (self.kpa + 100.0) / 200.0))
+                .round()
+                .clamp(0.0, full - 1.0) as u32;
         }
     }
     fn read(&mut self, _: u8, out: &mut [u8]) {
         let busy = if self.busy_s > 0.0 { 0x20 } else { 0 };
         let [_, high, middle, low] = self.counts.to_be_bytes();
-        for (byte, value) in out.iter_mut().zip([0x40 | busy | self.fault, high, middle, low]) {
+        for (byte, value) in out
+            .iter_mut()
+            .zip([0x40 | busy | self.fault, high, middle, low])
+        {
             *byte = value;
         }
     }

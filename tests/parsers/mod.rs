@@ -29,7 +29,9 @@ fn text(bytes: &[u8]) -> String {
 }
 
 /// Parses TOML. A refusal names the file.
-fn toml<T: serde::de::DeserializeOwned + retroflex::primitives::parameters::Check>(bytes: &[u8]) -> bool {
+fn toml<T: serde::de::DeserializeOwned + retroflex::primitives::parameters::Check>(
+    bytes: &[u8],
+) -> bool {
     match source::parse::<T>("fuzzed.toml", &text(bytes)) {
         Ok(_) => true,
         Err(why) => {
@@ -56,11 +58,16 @@ pub fn calib(bytes: &[u8]) -> bool {
 
 /// A line of the socket. The reply must be one line.
 pub fn socket(bytes: &[u8]) -> bool {
-    let Ok(line) = std::str::from_utf8(bytes) else { return false };
+    let Ok(line) = std::str::from_utf8(bytes) else {
+        return false;
+    };
     let (id, request) = protocol::parse(line);
     let reply = request.map(|r| serde_json::json!(r.name()));
     let text = protocol::reply_line(&id, &reply);
-    assert!(text.ends_with('\n') && text.matches('\n').count() == 1, "the reply is not one line: {text}");
+    assert!(
+        text.ends_with('\n') && text.matches('\n').count() == 1,
+        "the reply is not one line: {text}"
+    );
     reply.is_ok()
 }
 
@@ -84,7 +91,12 @@ pub fn memory(bytes: &[u8]) -> bool {
 
 /// A flight log: the input as a file, and as a message with cycles, of which most have no file around them.
 pub fn flight(bytes: &[u8]) -> bool {
-    let file = read::parse(std::io::Cursor::new(bytes), &mut |message| read::Entry::of(&message).map(|_| ()));
-    assert!(file.as_ref().is_err_and(|why| !why.is_empty()) || file.is_ok(), "a refusal without a reason");
+    let file = read::parse(std::io::Cursor::new(bytes), &mut |message| {
+        read::Entry::of(&message).map(|_| ())
+    });
+    assert!(
+        file.as_ref().is_err_and(|why| !why.is_empty()) || file.is_ok(),
+        "a refusal without a reason"
+    );
     cycle::decode(bytes).is_ok() || file.is_ok()
 }

@@ -12,7 +12,11 @@ fn rng(seed: u64) -> Xoshiro256PlusPlus {
 }
 
 fn empty_table(e: &EffectName) -> PlantConfig {
-    let table = if e.in_catalogue { "effects" } else { "effects.outside" };
+    let table = if e.in_catalogue {
+        "effects"
+    } else {
+        "effects.outside"
+    };
     config(&format!("[{table}.{}]\n[base]\nimu = true", e.name))
 }
 
@@ -21,8 +25,17 @@ fn size_zero_is_bit_identical_to_none() {
     let none = wander(&mut Rig::of("[base]\nimu = true"));
     for e in effect_names() {
         let zero = empty_table(e);
-        assert_ne!(zero.effects, PlantConfig::default().effects, "{} is not in the table", e.name);
-        assert!(wander(&mut Rig::new(&zero)) == none, "{} of size 0 changes the output", e.name);
+        assert_ne!(
+            zero.effects,
+            PlantConfig::default().effects,
+            "{} is not in the table",
+            e.name
+        );
+        assert!(
+            wander(&mut Rig::new(&zero)) == none,
+            "{} of size 0 changes the output",
+            e.name
+        );
     }
 }
 
@@ -31,7 +44,9 @@ fn size_zero_is_bit_identical_to_none() {
 fn every_effect_acts_on_its_own_stage() {
     let none = wander(&mut Rig::of(""));
     for e in effect_names() {
-        let one = PlantConfig::default().with_effect(e.name, 0.7, &mut rng(3)).unwrap();
+        let one = PlantConfig::default()
+            .with_effect(e.name, 0.7, &mut rng(3))
+            .unwrap();
         let mut c = one.clone();
         // times and attitudes at which the effects act within a short log
         c.base.pitch_deg = 0.0;
@@ -54,9 +69,14 @@ fn every_effect_acts_on_its_own_stage() {
             (m.direction_deg, m.at_deg) = (0.0, 15.0);
         }
         let out = wander(&mut Rig::new(&c));
-        let moved = out.iter().zip(&none).any(|(a, b)| a.truth.r_base_tip.angle_to(&b.truth.r_base_tip) > 0.1f64.to_radians());
+        let moved = out
+            .iter()
+            .zip(&none)
+            .any(|(a, b)| a.truth.r_base_tip.angle_to(&b.truth.r_base_tip) > 0.1f64.to_radians());
         let sensed = out.iter().zip(&none).any(|(a, b)| a.imu != b.imu);
-        let unmoved = e.stage == "sensor" || e.stage == "base" || ["sensor_latency", "clock_drift", "sensor_freeze"].contains(&e.name);
+        let unmoved = e.stage == "sensor"
+            || e.stage == "base"
+            || ["sensor_latency", "clock_drift", "sensor_freeze"].contains(&e.name);
         assert!(sensed, "{} changes no sample", e.name);
         assert_eq!(moved, !unmoved, "{}", e.name);
     }
@@ -73,7 +93,10 @@ fn seed_and_configuration_fix_every_bit() {
     let (a, b, c) = (run(1), run(1), run(2));
     assert!(a == b);
     assert!(a.iter().zip(&c).any(|(x, y)| x.imu != y.imu));
-    assert!(a.iter().zip(&c).all(|(x, y)| x.truth == y.truth), "noise must not move the tip");
+    assert!(
+        a.iter().zip(&c).all(|(x, y)| x.truth == y.truth),
+        "noise must not move the tip"
+    );
 }
 
 /// Orientation every 10 ms under counts that change every 10 ms, the plant stepped by `dt_s`.
@@ -85,13 +108,19 @@ fn every_10_ms(c: &PlantConfig, dt_s: f64) -> Vec<Rotation<Base, Tip>> {
             let t = f64::from(k) * 0.01;
             let s = |f: f64, a: f64| (a * (f * t).sin()).round() as i32;
             let steps = Steps([s(1.1, 300.0), s(0.7, -340.0), s(1.7, 200.0)]);
-            (0..per).map(|_| plant.step(&steps, dt_s).truth.r_base_tip).last().unwrap()
+            (0..per)
+                .map(|_| plant.step(&steps, dt_s).truth.r_base_tip)
+                .last()
+                .unwrap()
         })
         .collect()
 }
 
 fn furthest_deg(a: &[Rotation<Base, Tip>], b: &[Rotation<Base, Tip>]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x.angle_to(y).to_degrees()).fold(0.0, f64::max)
+    a.iter()
+        .zip(b)
+        .map(|(x, y)| x.angle_to(y).to_degrees())
+        .fold(0.0, f64::max)
 }
 
 #[test]
@@ -113,7 +142,9 @@ fn the_output_does_not_depend_on_the_step() {
 #[test]
 fn each_effect_alone_hardly_depends_on_the_step() {
     for e in effect_names() {
-        let mut c = PlantConfig::default().with_effect(e.name, 0.5, &mut rng(8)).unwrap();
+        let mut c = PlantConfig::default()
+            .with_effect(e.name, 0.5, &mut rng(8))
+            .unwrap();
         // random in time, or triggered by a threshold that a coarse step can miss
         if let Some(d) = &mut c.effects.transport_delay {
             d.jitter = 0.0;
@@ -144,10 +175,19 @@ fn no_effect_produces_a_nan() {
             }
             let out = plant.step(&Steps(counts), dt);
             let t = &out.truth;
-            assert!((t.r_base_tip.quat().norm() - 1.0).abs() < 1e-9, "seed {seed} step {k}");
+            assert!(
+                (t.r_base_tip.quat().norm() - 1.0).abs() < 1e-9,
+                "seed {seed} step {k}"
+            );
             let all = [t.bellow_mm, t.play_output_mm, t.pressure_kpa];
-            assert!(all.iter().flat_map(|v| v.iter()).all(|x| x.is_finite()), "seed {seed} step {k}: {out:?}");
-            assert!(out.imu.iter().chain(&out.base_imu).all(|s| s.is_finite()), "seed {seed} step {k}: {out:?}");
+            assert!(
+                all.iter().flat_map(|v| v.iter()).all(|x| x.is_finite()),
+                "seed {seed} step {k}: {out:?}"
+            );
+            assert!(
+                out.imu.iter().chain(&out.base_imu).all(|s| s.is_finite()),
+                "seed {seed} step {k}: {out:?}"
+            );
         }
     }
 }
@@ -158,8 +198,9 @@ fn each_imperfection_is_small() {
         let mut rig = Rig::new(c);
         wander(&mut rig)
     };
-    let quiet =
-        config("[imu]\ngyro_noise_deg_s_rthz = 0.0\nacc_noise_mg_rthz = 0.0\nmag_noise_ut = 0.0\nmag_digit_ut = 0.0\nacc_digit_mg = 0.0");
+    let quiet = config(
+        "[imu]\ngyro_noise_deg_s_rthz = 0.0\nacc_noise_mg_rthz = 0.0\nmag_noise_ut = 0.0\nmag_digit_ut = 0.0\nacc_digit_mg = 0.0",
+    );
     let none = lab(&quiet);
     let mut seen = std::collections::BTreeSet::new();
     for seed in 0..12 {
@@ -167,15 +208,39 @@ fn each_imperfection_is_small() {
         let effects = all["effects"].as_table().unwrap().clone();
         for (name, table) in effects.iter().filter(|(name, _)| *name != "outside") {
             let mut one = toml::Table::try_from(&quiet).unwrap();
-            one.insert("effects".to_owned(), toml::Table::from_iter([(name.clone(), table.clone())]).into());
+            one.insert(
+                "effects".to_owned(),
+                toml::Table::from_iter([(name.clone(), table.clone())]).into(),
+            );
             let out = lab(&one.try_into().unwrap());
             let n = out.len() as f64;
-            let rms = |f: &dyn Fn(usize) -> f64| ((0..out.len()).map(|k| f(k).powi(2)).sum::<f64>() / n).sqrt().to_degrees();
+            let rms = |f: &dyn Fn(usize) -> f64| {
+                ((0..out.len()).map(|k| f(k).powi(2)).sum::<f64>() / n)
+                    .sqrt()
+                    .to_degrees()
+            };
             let moved = rms(&|k| out[k].truth.r_base_tip.angle_to(&none[k].truth.r_base_tip));
-            let tilted = rms(&|k| out[k].imu.zip(none[k].imu).map_or(0.0, |(a, b)| a.acc_m_s2.angle(&b.acc_m_s2)));
-            let turned = rms(&|k| out[k].imu.zip(none[k].imu).and_then(|(a, b)| Some(a.mag_ut?.angle(&b.mag_ut?))).unwrap_or(0.0));
-            assert!(moved < 0.15 && tilted < 0.15 && turned < 0.15, "{name}: {moved} {tilted} {turned}");
-            assert!(moved.max(tilted).max(turned) > 0.0005, "{name} does nothing");
+            let tilted = rms(&|k| {
+                out[k]
+                    .imu
+                    .zip(none[k].imu)
+                    .map_or(0.0, |(a, b)| a.acc_m_s2.angle(&b.acc_m_s2))
+            });
+            let turned = rms(&|k| {
+                out[k]
+                    .imu
+                    .zip(none[k].imu)
+                    .and_then(|(a, b)| Some(a.mag_ut?.angle(&b.mag_ut?)))
+                    .unwrap_or(0.0)
+            });
+            assert!(
+                moved < 0.15 && tilted < 0.15 && turned < 0.15,
+                "{name}: {moved} {tilted} {turned}"
+            );
+            assert!(
+                moved.max(tilted).max(turned) > 0.0005,
+                "{name} does nothing"
+            );
             seen.insert(name.clone());
         }
     }

@@ -20,7 +20,9 @@ const SIDE_TRAVEL_MM: f64 = 2.2;
 /// 12 directions, out and back over five angles.
 pub fn paper_states() -> Vec<(f64, f64)> {
     let angles = [15.0, 30.0, 45.0, 60.0, 75.0, 75.0, 60.0, 45.0, 30.0, 15.0];
-    (0..12).flat_map(|d| angles.map(|a| (a, 30.0 * f64::from(d)))).collect()
+    (0..12)
+        .flat_map(|d| angles.map(|a| (a, 30.0 * f64::from(d))))
+        .collect()
 }
 
 /// Compensation in use.
@@ -55,7 +57,9 @@ pub struct Held {
 impl Bench {
     pub fn new(config: &PlantConfig, seed: u64) -> Self {
         let plant = Plant::new(config, seed).unwrap();
-        let drive = Drive { step_mm: config.drive.step_mm };
+        let drive = Drive {
+            step_mm: config.drive.step_mm,
+        };
         let mut bench = Self {
             plant,
             drive,
@@ -74,7 +78,11 @@ impl Bench {
         let from = self.piston_mm;
         let duration = (to_mm - from).amax() / SPEED_MM_S;
         for k in 1..=(total_s / DT_S).round() as usize {
-            let share = if duration > 0.0 { (k as f64 * DT_S / duration).min(1.0) } else { 1.0 };
+            let share = if duration > 0.0 {
+                (k as f64 * DT_S / duration).min(1.0)
+            } else {
+                1.0
+            };
             self.push(&from.lerp(to_mm, share));
             see(&self.plant.step(&self.drive.steps(&self.piston_mm), DT_S));
         }
@@ -92,13 +100,23 @@ impl Bench {
     }
 
     fn feedforward(&mut self, bend: &Bend, lines: &[Line; 3], arm: Arm) -> Vector3<f64> {
-        let q = self.geometry.lengths(&Shape { bend: *bend, length: Mm(self.geometry.rest_length_mm) });
+        let q = self.geometry.lengths(&Shape {
+            bend: *bend,
+            length: Mm(self.geometry.rest_length_mm),
+        });
         Vector3::from_fn(|i, _| match arm {
             Arm::None => q[i],
             Arm::Extension => lines[i].play_output_mm(q[i]),
             Arm::Backlash => {
-                let (u, next) =
-                    Side::Band { band_mm: 0.05 }.invert(&lines[i], self.sides[i], &Wanted { q_mm: q[i], dt_s: DT_S, reach: 1.0 });
+                let (u, next) = Side::Band { band_mm: 0.05 }.invert(
+                    &lines[i],
+                    self.sides[i],
+                    &Wanted {
+                        q_mm: q[i],
+                        dt_s: DT_S,
+                        reach: 1.0,
+                    },
+                );
                 self.sides[i] = next;
                 u
             }
@@ -108,7 +126,8 @@ impl Bench {
     /// Holds one pose and scores it.
     pub fn hold(&mut self, want_deg: f64, dir_deg: f64, lines: &[Line; 3], arm: Arm) -> Held {
         let target = self.feedforward(&Bend::from_deg(want_deg, dir_deg), lines, arm);
-        let (mut k, mut n, mut sum, mut sq, mut bend, mut last) = (0, 0.0, 0.0, 0.0, Vector2::zeros(), None);
+        let (mut k, mut n, mut sum, mut sq, mut bend, mut last) =
+            (0, 0.0, 0.0, 0.0, Vector2::zeros(), None);
         let scored_from = ((HOLD_S - SCORED_S) / DT_S).round() as usize;
         self.run(&target, HOLD_S, |out| {
             k += 1;
@@ -119,14 +138,24 @@ impl Bench {
             }
             last = Some(*out);
         });
-        Held { want_deg, dir_deg, error_sq_deg: sq / n, error_deg: sum / n, bend: Bend(bend / n), last: last.unwrap() }
+        Held {
+            want_deg,
+            dir_deg,
+            error_sq_deg: sq / n,
+            error_deg: sum / n,
+            bend: Bend(bend / n),
+            last: last.unwrap(),
+        }
     }
 }
 
 /// All 120 states on a fresh plant.
 pub fn arm(config: &PlantConfig, seed: u64, lines: &[Line; 3], arm: Arm) -> Vec<Held> {
     let mut bench = Bench::new(config, seed);
-    paper_states().into_iter().map(|(b, d)| bench.hold(b, d, lines, arm)).collect()
+    paper_states()
+        .into_iter()
+        .map(|(b, d)| bench.hold(b, d, lines, arm))
+        .collect()
 }
 
 /// Root mean square of desired − true bend, degrees.
@@ -137,13 +166,19 @@ pub fn rmse(held: &[Held]) -> f64 {
 /// Algorithm 1 from zero on a plant of its own; gains and passes taken.
 pub fn identify(config: &PlantConfig, seed: u64) -> ([Line; 3], usize) {
     let mut bench = Bench::new(config, seed);
-    let mut lines = [Line { k_epsilon: 0.0, k_lambda_mm: 0.0 }; 3];
+    let mut lines = [Line {
+        k_epsilon: 0.0,
+        k_lambda_mm: 0.0,
+    }; 3];
     for pass in 1..=12 {
         let mut normal = [Matrix2::zeros(); 3];
         let mut rhs = [Vector2::zeros(); 3];
         for (b, d) in paper_states() {
             let held = bench.hold(b, d, &lines, Arm::Backlash);
-            let q = bench.geometry.lengths(&Shape { bend: held.bend, length: Mm(bench.geometry.rest_length_mm) });
+            let q = bench.geometry.lengths(&Shape {
+                bend: held.bend,
+                length: Mm(bench.geometry.rest_length_mm),
+            });
             for i in (0..3).filter(|&i| bench.travel_mm[i] > SIDE_TRAVEL_MM) {
                 let a = Vector2::new(q[i], bench.pushed[i]);
                 normal[i] += a * a.transpose();
@@ -151,10 +186,25 @@ pub fn identify(config: &PlantConfig, seed: u64) -> ([Line; 3], usize) {
             }
         }
         let next = [0, 1, 2].map(|i: usize| {
-            let k = normal[i].try_inverse().expect("out and back over five angles fix both gains") * rhs[i];
-            Line { k_epsilon: k.x, k_lambda_mm: k.y.max(0.0) }
+            let k = normal[i]
+                .try_inverse()
+                .expect("out and back over five angles fix both gains")
+                * rhs[i];
+            Line {
+                k_epsilon: k.x,
+                k_lambda_mm: k.y.max(0.0),
+            }
         });
-        let (moved, size) = (distance(&next, &lines), distance(&lines, &[Line { k_epsilon: 0.0, k_lambda_mm: 0.0 }; 3]));
+        let (moved, size) = (
+            distance(&next, &lines),
+            distance(
+                &lines,
+                &[Line {
+                    k_epsilon: 0.0,
+                    k_lambda_mm: 0.0,
+                }; 3],
+            ),
+        );
         lines = next;
         if size > 0.0 && moved / size < 0.02 {
             return (lines, pass);
@@ -164,6 +214,8 @@ pub fn identify(config: &PlantConfig, seed: u64) -> ([Line; 3], usize) {
 }
 
 fn distance(a: &[Line; 3], b: &[Line; 3]) -> f64 {
-    let sq = |x: &Line, y: &Line| (x.k_epsilon - y.k_epsilon).powi(2) + (x.k_lambda_mm - y.k_lambda_mm).powi(2);
+    let sq = |x: &Line, y: &Line| {
+        (x.k_epsilon - y.k_epsilon).powi(2) + (x.k_lambda_mm - y.k_lambda_mm).powi(2)
+    };
     a.iter().zip(b).map(|(x, y)| sq(x, y)).sum::<f64>().sqrt()
 }

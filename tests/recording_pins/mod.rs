@@ -32,9 +32,20 @@ pub struct Edge {
 /// The edges between two states of the lines.
 pub fn edges(t_ns: u64, old: &Levels, new: &Levels) -> impl Iterator<Item = Edge> {
     let (old, new) = (*old, *new);
-    let edge = move |line, was: bool, is: bool| (was != is).then_some(Edge { t_ns, line, high: is });
+    let edge = move |line, was: bool, is: bool| {
+        (was != is).then_some(Edge {
+            t_ns,
+            line,
+            high: is,
+        })
+    };
     (0..3)
-        .flat_map(move |c| [edge(LineName::Step(c), old.step[c], new.step[c]), edge(LineName::Dir(c), old.dir[c], new.dir[c])])
+        .flat_map(move |c| {
+            [
+                edge(LineName::Step(c), old.step[c], new.step[c]),
+                edge(LineName::Dir(c), old.dir[c], new.dir[c]),
+            ]
+        })
         .chain([edge(LineName::Enable, old.enable, new.enable)])
         .flatten()
 }

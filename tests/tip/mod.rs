@@ -74,7 +74,10 @@ fn field_world() -> Vector3<f64> {
 /// Position of the sensor, 6 mm past the end of an arc of 20 mm, m.
 fn position(bend: &Bend) -> Vector3<f64> {
     let beta = bend.beta().max(1e-9);
-    let (x, z) = (20.0 * (1.0 - beta.cos()) / beta + 6.0 * beta.sin(), 20.0 * beta.sin() / beta + 6.0 * beta.cos());
+    let (x, z) = (
+        20.0 * (1.0 - beta.cos()) / beta + 6.0 * beta.sin(),
+        20.0 * beta.sin() / beta + 6.0 * beta.cos(),
+    );
     Vector3::new(x * bend.0.x / beta, -x * bend.0.y / beta, z) * 1e-3
 }
 
@@ -83,18 +86,27 @@ impl TipPlant {
     pub fn new(seed: u64, tilt_deg: f64, dt_s: f64) -> Self {
         let mut rng = StdRng::seed_from_u64(seed);
         let mut unit = || -> f64 { rand::RngExt::random(&mut rng) };
-        let (azimuth, heading) = (unit() * std::f64::consts::TAU, unit() * std::f64::consts::TAU);
+        let (azimuth, heading) = (
+            unit() * std::f64::consts::TAU,
+            unit() * std::f64::consts::TAU,
+        );
         let axis = Vector3::new(azimuth.cos(), azimuth.sin(), 0.0);
-        let base =
-            UnitQuaternion::from_scaled_axis(Vector3::z() * heading) * UnitQuaternion::from_scaled_axis(axis * tilt_deg.to_radians());
-        let lines = [2.22, 2.53, 2.21].map(|k| Line { k_epsilon: k * (0.95 + 0.1 * unit()), k_lambda_mm: 0.8 + 0.12 * unit() });
+        let base = UnitQuaternion::from_scaled_axis(Vector3::z() * heading)
+            * UnitQuaternion::from_scaled_axis(axis * tilt_deg.to_radians());
+        let lines = [2.22, 2.53, 2.21].map(|k| Line {
+            k_epsilon: k * (0.95 + 0.1 * unit()),
+            k_lambda_mm: 0.8 + 0.12 * unit(),
+        });
         let gyro_bias = Vector3::from_fn(|_, _| 0.02 * (unit() - 0.5));
         Self {
             t_s: 0.0,
             dt_s,
             lines,
             lag_s: 0.03,
-            geometry: Geometry { r_mm: 7.0 / 3f64.sqrt(), rest_length_mm: 20.0 },
+            geometry: Geometry {
+                r_mm: 7.0 / 3f64.sqrt(),
+                rest_length_mm: 20.0,
+            },
             drive: Drive::default(),
             base,
             field: Field::Clean,
@@ -117,7 +129,10 @@ impl TipPlant {
 
     /// One period in which the pistons move towards `wanted`; returns the counts that they reach.
     pub fn step(&mut self, wanted: &Steps) -> Steps {
-        let moved = self.pistons.tick(self.drive.piston_mm(wanted).into(), self.dt_s).end();
+        let moved = self
+            .pistons
+            .tick(self.drive.piston_mm(wanted).into(), self.dt_s)
+            .end();
         let steps = Steps(moved.map(|state| count(state.position_mm, self.drive.step_mm)));
         let piston = self.drive.piston_mm(&steps);
         let keep = (-self.dt_s / self.lag_s).exp();
@@ -150,7 +165,9 @@ impl TipPlant {
             field += Vector3::new(0.6, -0.64, 0.48) * ut;
         }
         Motion {
-            acc_m_s2: back * (Vector3::new(0.0, 0.0, GRAVITY) + self.base * self.acceleration()) + self.acc_bias + self.push,
+            acc_m_s2: back * (Vector3::new(0.0, 0.0, GRAVITY) + self.base * self.acceleration())
+                + self.acc_bias
+                + self.push,
             gyro_rad_s: (self.before.inverse() * now).scaled_axis() / self.dt_s + self.gyro_bias,
             mag_ut: field,
             temp_c: 25.0,
@@ -164,20 +181,34 @@ impl TipPlant {
     }
 
     fn coils(&self) -> Vector3<f64> {
-        let Field::Motors(ut) = self.field else { return Vector3::zeros() };
-        let axes = [Vector3::new(0.8, 0.6, 0.0), Vector3::new(-0.36, 0.48, 0.8), Vector3::new(0.0, -0.6, 0.8)];
-        axes.iter().enumerate().map(|(i, a)| a * (ut * (f64::from(self.steps.0[i]) * std::f64::consts::TAU / 64.0).cos())).sum()
+        let Field::Motors(ut) = self.field else {
+            return Vector3::zeros();
+        };
+        let axes = [
+            Vector3::new(0.8, 0.6, 0.0),
+            Vector3::new(-0.36, 0.48, 0.8),
+            Vector3::new(0.0, -0.6, 0.8),
+        ];
+        axes.iter()
+            .enumerate()
+            .map(|(i, a)| {
+                a * (ut * (f64::from(self.steps.0[i]) * std::f64::consts::TAU / 64.0).cos())
+            })
+            .sum()
     }
 
     fn noise(&mut self, sigma: f64) -> Vector3<f64> {
         let rng = &mut self.rng;
-        Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng))
+        Vector3::from_fn(|_, _| {
+            sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng)
+        })
     }
 
     /// The sample of a noisy sensor, with a field value in every second one.
     pub fn sample(&mut self) -> ImuSample {
         let m = self.motion();
-        let mag = (self.field != Field::Silent && self.n.is_multiple_of(2)).then(|| m.mag_ut + self.noise(MAG_NOISE));
+        let mag = (self.field != Field::Silent && self.n.is_multiple_of(2))
+            .then(|| m.mag_ut + self.noise(MAG_NOISE));
         ImuSample {
             t: Seconds(self.t_s),
             gyro_rad_s: m.gyro_rad_s + self.noise(GYRO_NOISE),
@@ -191,7 +222,9 @@ impl TipPlant {
         let back = self.base.inverse();
         ImuSample {
             t: Seconds(self.t_s),
-            gyro_rad_s: back * self.base_rate + Vector3::new(-0.01, 0.004, 0.007) + self.noise(GYRO_NOISE),
+            gyro_rad_s: back * self.base_rate
+                + Vector3::new(-0.01, 0.004, 0.007)
+                + self.noise(GYRO_NOISE),
             acc_m_s2: back * Vector3::new(0.0, 0.0, GRAVITY) + self.noise(ACC_NOISE),
             mag_ut: Some(back * field_world() + self.noise(MAG_NOISE)),
         }

@@ -26,7 +26,12 @@ pub fn from_file(file: &Path) -> Result<Vec<ImuSample>> {
     let all = match bend_log::read(file) {
         Ok(log) => log_samples(&log),
         // without bend-log columns the file may be an IMU recording
-        Err(ReadError::Missing { .. }) => recording::read(file).into_diagnostic()?.rows.iter().map(|r| r.sample).collect(),
+        Err(ReadError::Missing { .. }) => recording::read(file)
+            .into_diagnostic()?
+            .rows
+            .iter()
+            .map(|r| r.sample)
+            .collect(),
         Err(e) => return Err(e).into_diagnostic(),
     };
     Ok(finite(all))
@@ -37,7 +42,9 @@ fn finite(samples: Vec<ImuSample>) -> Vec<ImuSample> {
 }
 
 fn log_samples(log: &BendLog) -> Vec<ImuSample> {
-    let Some(imu) = &log.imu else { return Vec::new() };
+    let Some(imu) = &log.imu else {
+        return Vec::new();
+    };
     imu.samples(&log.t_s).collect()
 }
 
@@ -67,7 +74,11 @@ pub fn of_motors(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
         fusion.update(&config, &input);
         if let (Some(estimate), Some(mag)) = (fusion.estimate(), sample.mag_ut) {
             let energised = moved_s.map(|m| sample.t.0 - m < idle_after_s);
-            out.push(motor::MotorSample { mag_ut: estimate.r_base_tip.apply(&mag), counts: steps.0, energised });
+            out.push(motor::MotorSample {
+                mag_ut: estimate.r_base_tip.apply(&mag),
+                counts: steps.0,
+                energised,
+            });
         }
     }
     out
@@ -76,16 +87,25 @@ pub fn of_motors(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
 /// Rotations between two held poses in the same bending plane.
 pub fn bends(log: &BendLog) -> Vec<mount::BendTurn> {
     let samples = log_samples(log);
-    let Some(bias) = samples.get(..).map(still::rests).and_then(|r| r.first().map(|r| r.gyro_rad_s)) else {
+    let Some(bias) = samples
+        .get(..)
+        .map(still::rests)
+        .and_then(|r| r.first().map(|r| r.gyro_rad_s))
+    else {
         return Vec::new();
     };
-    let changes: Vec<usize> = (1..samples.len()).filter(|&k| log.command.get(k) != log.command.get(k - 1)).collect();
+    let changes: Vec<usize> = (1..samples.len())
+        .filter(|&k| log.command.get(k) != log.command.get(k - 1))
+        .collect();
     let ends = changes.iter().skip(1).copied().chain([samples.len()]);
     let turn = |(&from, to): (&usize, usize)| {
         let (before, after) = (log.command[from - 1], log.command[from]);
         let direction_rad = plane(&before, &after)?.to_radians();
         let lost = samples[from..to].iter().any(|s| !s.is_finite());
-        (!lost).then(|| mount::BendTurn { turn_rad: mount::turn_of(&samples[from..to], &bias), direction_rad: Some(direction_rad) })
+        (!lost).then(|| mount::BendTurn {
+            turn_rad: mount::turn_of(&samples[from..to], &bias),
+            direction_rad: Some(direction_rad),
+        })
     };
     changes.iter().zip(ends).filter_map(turn).collect()
 }
@@ -102,7 +122,12 @@ fn plane(before: &Vector3<f64>, after: &Vector3<f64>) -> Option<f64> {
 ///
 /// # Errors
 /// The sensor's error, if it does not start or more than half of the readings fail.
-pub fn record(sensor: &mut dyn Imu, delay: &mut dyn DelayNs, seconds: f64, progress: &mut dyn FnMut(f64)) -> Result<Vec<ImuSample>> {
+pub fn record(
+    sensor: &mut dyn Imu,
+    delay: &mut dyn DelayNs,
+    seconds: f64,
+    progress: &mut dyn FnMut(f64),
+) -> Result<Vec<ImuSample>> {
     let identity = sensor.init(delay).into_diagnostic()?;
     let scale = sensor.scale();
     let period_s = 1.0 / identity.rate_hz;
@@ -130,10 +155,18 @@ pub fn record(sensor: &mut dyn Imu, delay: &mut dyn DelayNs, seconds: f64, progr
 pub fn from_bus(bus: &Path, seconds: f64) -> Result<Vec<ImuSample>> {
     use crate::hardware::imu::{self, ChipConfig};
     use linux_embedded_hal::{Delay, I2cdev};
-    let open = I2cdev::new(bus).map_err(|e| miette!("{}: {e}; give an I²C bus that exists and that you may open", bus.display()))?;
-    let mut sensor = imu::open(&ChipConfig::default(), imu::linux::Classified(open)).into_diagnostic()?;
+    let open = I2cdev::new(bus).map_err(|e| {
+        miette!(
+            "{}: {e}; give an I²C bus that exists and that you may open",
+            bus.display()
+        )
+    })?;
+    let mut sensor =
+        imu::open(&ChipConfig::default(), imu::linux::Classified(open)).into_diagnostic()?;
     let bar = output::bar(1000, "{percent} %");
-    let samples = record(sensor.as_mut(), &mut Delay, seconds, &mut |share| bar.set_position((share * 1000.0) as u64));
+    let samples = record(sensor.as_mut(), &mut Delay, seconds, &mut |share| {
+        bar.set_position((share * 1000.0) as u64)
+    });
     bar.finish_and_clear();
     samples.map(finite)
 }
@@ -144,7 +177,10 @@ pub fn from_bus(bus: &Path, seconds: f64) -> Result<Vec<ImuSample>> {
 /// Always.
 #[cfg(not(feature = "hw"))]
 pub fn from_bus(bus: &Path, _: f64) -> Result<Vec<ImuSample>> {
-    Err(miette!("{}: this program was built without hardware support; build it with the feature `hw`", bus.display()))
+    Err(miette!(
+        "{}: this program was built without hardware support; build it with the feature `hw`",
+        bus.display()
+    ))
 }
 
 #[cfg(test)]
@@ -159,7 +195,10 @@ mod tests {
         let bus = FakeBus::new();
         bus.machine().attach(FakeIcm20948::new(0x68, 1));
         let bias = Vector3::new(0.01, -0.02, 0.005);
-        bus.machine().set_motion(&Motion { gyro_rad_s: bias, ..Motion::default() });
+        bus.machine().set_motion(&Motion {
+            gyro_rad_s: bias,
+            ..Motion::default()
+        });
         let mut chip = Icm20948::new(bus.clone(), &icm20948::IcmConfig::default()).unwrap();
         let mut shares = Vec::new();
         let samples = record(&mut chip, &mut bus.delay(), 5.0, &mut |s| shares.push(s)).unwrap();

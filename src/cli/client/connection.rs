@@ -31,7 +31,11 @@ impl At {
         }
         let mut live = paths::sockets();
         live.retain(|path| UnixStream::connect(path).is_ok());
-        if live.is_empty() { vec![paths::default_socket()] } else { live }
+        if live.is_empty() {
+            vec![paths::default_socket()]
+        } else {
+            live
+        }
     }
 }
 
@@ -48,7 +52,9 @@ pub(super) fn socket(at: &At) -> Result<PathBuf> {
     let sockets = at.sockets();
     if let [one, other, ..] = &sockets[..] {
         let (one, other) = (one.display(), other.display());
-        bail!("two services are running, at {one} and {other}: name one with --socket (`retroflex stop` stops both)")
+        bail!(
+            "two services are running, at {one} and {other}: name one with --socket (`retroflex stop` stops both)"
+        )
     }
     Ok(sockets[0].clone())
 }
@@ -56,17 +62,27 @@ pub(super) fn socket(at: &At) -> Result<PathBuf> {
 /// Connects to the service, once that has answered: what is asked next may take longer.
 pub(super) fn connect(at: &At) -> Result<Connection> {
     let socket = socket(at)?;
-    let answer = Connection::connect_for(&socket, ANSWER_MAX).and_then(|mut to| to.request(&Request::Status {}));
-    answer.and_then(|_| Connection::connect(&socket)).map_err(report)
+    let answer = Connection::connect_for(&socket, ANSWER_MAX)
+        .and_then(|mut to| to.request(&Request::Status {}));
+    answer
+        .and_then(|_| Connection::connect(&socket))
+        .map_err(report)
 }
 
 /// Stops the tip, that of every service if none is named.
 pub(super) fn stop(at: &At) -> Result<CommandOutcome> {
     let advice = "the stop is not confirmed: if the tip moves, cut the power of its motors";
-    let stop = |socket: &PathBuf| answered(Connection::stop(socket)).map(printed).wrap_err(advice);
+    let stop = |socket: &PathBuf| {
+        answered(Connection::stop(socket))
+            .map(printed)
+            .wrap_err(advice)
+    };
     let stopped: Vec<_> = at.sockets().iter().map(stop).collect();
     let outcomes: Vec<CommandOutcome> = stopped.into_iter().collect::<Result<_>>()?;
-    Ok(outcomes.iter().all(|one| *one == CommandOutcome::Good).into())
+    Ok(outcomes
+        .iter()
+        .all(|one| *one == CommandOutcome::Good)
+        .into())
 }
 
 /// Sends a request. A refusal is printed on standard error and yields `None`; every other failure is an error.
@@ -92,12 +108,17 @@ pub(super) fn answered(result: Result<Value, Failure>) -> Result<Option<Value>> 
 }
 
 /// Sends a request and prints its result, unless that is empty.
-pub(super) fn ask_and_print(connection: &mut Connection, request: &Request) -> Result<CommandOutcome> {
+pub(super) fn ask_and_print(
+    connection: &mut Connection,
+    request: &Request,
+) -> Result<CommandOutcome> {
     Ok(printed(ask(connection, request)?))
 }
 
 fn printed(result: Option<Value>) -> CommandOutcome {
-    let Some(value) = result else { return CommandOutcome::NotGoodEnough };
+    let Some(value) = result else {
+        return CommandOutcome::NotGoodEnough;
+    };
     if let Some(remark) = value["remark"].as_str() {
         eprintln!("note: {remark}");
     }
@@ -113,7 +134,11 @@ pub(super) fn words(value: &Value) -> String {
     match (file, value["rows"].as_u64(), value["gains"].as_str()) {
         (Some(path), None, _) => format!("recording {path}\n"),
         (Some(path), Some(rows), _) => {
-            let replay = if value["replayable"] == true { ", can be replayed" } else { "" };
+            let replay = if value["replayable"] == true {
+                ", can be replayed"
+            } else {
+                ""
+            };
             format!("{path}: {rows} rows{replay}\n")
         }
         (None, _, Some(gains)) => format!("{gains} is in use\n"),

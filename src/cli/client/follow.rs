@@ -28,7 +28,11 @@ const SAME_DEG: f64 = 0.1;
 const SAID_EVERY: Duration = Duration::from_secs(5);
 
 /// Polls the status until `done` returns a result, or until the service refuses.
-fn poll(connection: &mut Connection, period_ms: u64, mut done: impl FnMut(&Value) -> Option<CommandOutcome>) -> Result<CommandOutcome> {
+fn poll(
+    connection: &mut Connection,
+    period_ms: u64,
+    mut done: impl FnMut(&Value) -> Option<CommandOutcome>,
+) -> Result<CommandOutcome> {
     loop {
         sleep(Duration::from_millis(period_ms));
         if let Some(outcome) = done(&status(connection)?) {
@@ -43,10 +47,24 @@ fn poll(connection: &mut Connection, period_ms: u64, mut done: impl FnMut(&Value
 /// A report with the service's message.
 pub fn bend(args: &BendArgs) -> Result<CommandOutcome> {
     let mut connection = connect(&args.at)?;
-    let frame = if args.world { Frame::World } else { Frame::Base };
-    let request = Request::Bend { bend_deg: args.bend, dir_deg: args.toward, length_mm: args.length, speed_deg_s: args.speed, frame };
+    let frame = if args.world {
+        Frame::World
+    } else {
+        Frame::Base
+    };
+    let request = Request::Bend {
+        bend_deg: args.bend,
+        dir_deg: args.toward,
+        length_mm: args.length,
+        speed_deg_s: args.speed,
+        frame,
+    };
     match args.wait {
-        true => settle(&mut connection, &request, Bend::from_deg(args.bend, args.toward)),
+        true => settle(
+            &mut connection,
+            &request,
+            Bend::from_deg(args.bend, args.toward),
+        ),
         false => ask_and_print(&mut connection, &request),
     }
 }
@@ -55,23 +73,37 @@ pub fn bend(args: &BendArgs) -> Result<CommandOutcome> {
 ///
 /// # Errors
 /// A report with the service's message.
-pub fn settle(connection: &mut Connection, request: &Request, sent_to: Bend) -> Result<CommandOutcome> {
+pub fn settle(
+    connection: &mut Connection,
+    request: &Request,
+    sent_to: Bend,
+) -> Result<CommandOutcome> {
     if ask(connection, request)?.is_none() {
         return Ok(NotGoodEnough);
     }
     let (started, bar) = (Instant::now(), output::bar(0, "{msg}"));
     let outcome = poll(connection, 50, |s| {
         let (mode, target) = (s["mode"].as_str().unwrap_or(""), &s["target"]);
-        let line = format!("{mode}  estimate {} of {}", pose(&s["estimate"]), pose(target));
+        let line = format!(
+            "{mode}  estimate {} of {}",
+            pose(&s["estimate"]),
+            pose(target)
+        );
         let degrees = |key: &str| target[key].as_f64().unwrap_or(0.0);
         let off = Bend::from_deg(degrees("bend_deg"), degrees("dir_deg")).0 - sent_to.0;
         let why = match halted(s) {
             Some(why) => why,
-            None if off.norm().to_degrees() > SAME_DEG => format!("another command replaced this one: {line}"),
+            None if off.norm().to_degrees() > SAME_DEG => {
+                format!("another command replaced this one: {line}")
+            }
             None if s["settled"] == true => {
                 bar.finish_and_clear();
                 eprintln!("{line}: {}", s["shortfall"].as_str().unwrap_or("settled"));
-                return Some(if s["blocked"] == true { NotGoodEnough } else { Good });
+                return Some(if s["blocked"] == true {
+                    NotGoodEnough
+                } else {
+                    Good
+                });
             }
             None if started.elapsed() < MOVED_MAX => {
                 bar.set_message(line);
@@ -80,7 +112,9 @@ pub fn settle(connection: &mut Connection, request: &Request, sent_to: Bend) -> 
             None => format!("mode {mode}"),
         };
         bar.finish_and_clear();
-        let suspicion = s["suspicion"].as_str().map_or_else(String::new, |x| format!("; {x}"));
+        let suspicion = s["suspicion"]
+            .as_str()
+            .map_or_else(String::new, |x| format!("; {x}"));
         eprintln!("not settled: {why}{suspicion}");
         Some(NotGoodEnough)
     });
@@ -117,7 +151,9 @@ pub fn aligned(connection: &mut Connection) -> Result<CommandOutcome> {
             return Some(Good);
         }
         if !std::mem::replace(&mut said, true) {
-            eprintln!("waiting for the end of the alignment, for which the tip must be still for 2 s");
+            eprintln!(
+                "waiting for the end of the alignment, for which the tip must be still for 2 s"
+            );
         }
         (started.elapsed() > ALIGNED_MAX).then(|| {
             eprintln!("not aligned after {} s because the tip or the base is not still; the service keeps trying", ALIGNED_MAX.as_secs());
@@ -131,7 +167,13 @@ pub fn aligned(connection: &mut Connection) -> Result<CommandOutcome> {
 /// # Errors
 /// A report with the service's message.
 pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
-    output::check(&[("--json", args.json.as_deref()), ("--html", args.html.as_deref())], &[])?;
+    output::check(
+        &[
+            ("--json", args.json.as_deref()),
+            ("--html", args.html.as_deref()),
+        ],
+        &[],
+    )?;
     let mut connection = connect(&args.at)?;
     let action = match (args.accept, args.discard, args.short) {
         (true, ..) => CalibrateAction::Accept,
@@ -139,7 +181,15 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
         (.., true) => CalibrateAction::Short,
         _ => CalibrateAction::Full,
     };
-    if ask(&mut connection, &Request::Calibrate { action, poses: args.poses })?.is_none() {
+    if ask(
+        &mut connection,
+        &Request::Calibrate {
+            action,
+            poses: args.poses,
+        },
+    )?
+    .is_none()
+    {
         return Ok(NotGoodEnough);
     }
     if args.accept || args.discard {
@@ -169,28 +219,48 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
     if outcome == Good {
         output::json(args.json.as_deref(), &last["proposed"])?;
         show_gains(&last, args)?;
-        eprintln!("apply them with `retroflex calibrate transmission --accept`, or discard them with `--discard`");
+        eprintln!(
+            "apply them with `retroflex calibrate transmission --accept`, or discard them with `--discard`"
+        );
     }
     Ok(outcome)
 }
 
 /// Shows the proposed gains beside those in use.
 fn show_gains(s: &Value, args: &TransmissionArgs) -> Result<()> {
-    let pair =
-        |key: &str, i: usize| [&s[key][i], &s["proposed"][key][i]].map(|v| v.as_f64().map_or("–".to_owned(), |x| format!("{x:.3}")));
+    let pair = |key: &str, i: usize| {
+        [&s[key][i], &s["proposed"][key][i]]
+            .map(|v| v.as_f64().map_or("–".to_owned(), |x| format!("{x:.3}")))
+    };
     let row = |i: usize| {
         let ([k_now, k], [l_now, l]) = (pair("k_epsilon", i), pair("k_lambda_mm", i));
         [(i + 1).to_string(), k_now, k, l_now, l]
     };
-    let (header, rows) = (["line", "k_epsilon in use", "proposed", "k_lambda in use, mm", "proposed, mm"], [0, 1, 2].map(row));
+    let (header, rows) = (
+        [
+            "line",
+            "k_epsilon in use",
+            "proposed",
+            "k_lambda in use, mm",
+            "proposed, mm",
+        ],
+        [0, 1, 2].map(row),
+    );
     let number = |key: &str| s["proposed"][key].as_f64().unwrap_or(0.0);
-    let dynamics = format!("lag {:.3} s, dead time {:.3} s", number("lag_s"), number("delay_s"));
+    let dynamics = format!(
+        "lag {:.3} s, dead time {:.3} s",
+        number("lag_s"),
+        number("delay_s")
+    );
     if let Some(path) = &args.html {
         let mut page = Page::new("Proposed gains of the transmission");
         page.table(&header, &rows);
         page.text(&dynamics);
         output::write(path, page.html())?;
     }
-    output::show(&format!("{}\n{dynamics}\n", output::table(&header, 1..5, rows)), args.json.as_deref());
+    output::show(
+        &format!("{}\n{dynamics}\n", output::table(&header, 1..5, rows)),
+        args.json.as_deref(),
+    );
     Ok(())
 }

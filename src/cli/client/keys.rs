@@ -26,8 +26,20 @@ mod tests {
 
     #[test]
     fn no_escape_sequence_hides_a_later_key() {
-        assert_eq!(keys(b"\x1b[D\x1bOCs"), [Key::Char('\x1b'), Key::Left, Key::Char('\x1b'), Key::Right, Key::Char('s')]);
-        assert_eq!(keys(b"\x1b[<0;10;10M\x1b[1;5Bq").last(), Some(&Key::Char('q')));
+        assert_eq!(
+            keys(b"\x1b[D\x1bOCs"),
+            [
+                Key::Char('\x1b'),
+                Key::Left,
+                Key::Char('\x1b'),
+                Key::Right,
+                Key::Char('s')
+            ]
+        );
+        assert_eq!(
+            keys(b"\x1b[<0;10;10M\x1b[1;5Bq").last(),
+            Some(&Key::Char('q'))
+        );
         assert_eq!(keys(b"\x1b[<"), [Key::Char('\x1b')]);
     }
 }

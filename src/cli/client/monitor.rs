@@ -85,7 +85,12 @@ pub fn monitor(args: &MonitorArgs) -> Result<CommandOutcome> {
 }
 
 /// Draws once and handles the keys until the next frame is due; false if the operator ends the monitor, or the terminal is gone.
-fn show(terminal: &mut DefaultTerminal, keys: &Receiver<Key>, source: &mut Source, view: &mut View) -> bool {
+fn show(
+    terminal: &mut DefaultTerminal,
+    keys: &Receiver<Key>,
+    source: &mut Source,
+    view: &mut View,
+) -> bool {
     let due = Instant::now() + PERIOD;
     source.update(view);
     let mut drawn = terminal.draw(|frame| draw::draw(frame, view)).is_ok();
@@ -105,7 +110,9 @@ fn pressed() -> Receiver<Key> {
     spawn(move || {
         let mut bytes = [0; 4096];
         while let Ok(n @ 1..) = stdin().lock().read(&mut bytes) {
-            keys(&bytes[..n]).into_iter().for_each(|key| _ = send.send(key));
+            keys(&bytes[..n])
+                .into_iter()
+                .for_each(|key| _ = send.send(key));
         }
     });
     pressed
@@ -152,7 +159,12 @@ impl Live {
         let to = send.clone();
         spawn(move || while read(&status, &to).is_err() {});
         let heard = Instant::now();
-        Ok(Self { socket, news, send, heard })
+        Ok(Self {
+            socket,
+            news,
+            send,
+            heard,
+        })
     }
 
     fn update(&mut self, view: &mut View) {
@@ -191,7 +203,10 @@ fn read(socket: &Path, to: &Sender<News>) -> std::result::Result<(), Failure> {
     // also the time between two attempts to reach a lost service
     sleep(PERIOD);
     let mut connection = Connection::connect(socket)?;
-    while to.send(Ok(connection.request(&Request::Status {})?)).is_ok() {
+    while to
+        .send(Ok(connection.request(&Request::Status {})?))
+        .is_ok()
+    {
         sleep(PERIOD);
     }
     Ok(())

@@ -49,34 +49,67 @@ pub fn page(args: &PageArgs) -> Result<CommandOutcome> {
     let (listen, socket) = (args.listen, socket(&args.at)?);
     let token = args.token_file.as_deref().map(token).transpose()?;
     if token.is_none() && !listen.ip().is_loopback() {
-        bail!("--listen {listen}: others can reach it: name the file of a token with --token-file, which is created if there is none");
+        bail!(
+            "--listen {listen}: others can reach it: name the file of a token with --token-file, which is created if there is none"
+        );
     }
-    let fail = |e: std::io::Error| miette!("--listen {listen}: {}; name an address of this computer and a free port", e.kind());
+    let fail = |e: std::io::Error| {
+        miette!(
+            "--listen {listen}: {}; name an address of this computer and a free port",
+            e.kind()
+        )
+    };
     let listener = TcpListener::bind(listen).map_err(fail)?;
     let address = listener.local_addr().map_err(fail)?;
-    let file = args.token_file.as_ref().map(|file| format!("?token=TOKEN, with the token in {}", file.display()));
+    let file = args
+        .token_file
+        .as_ref()
+        .map(|file| format!("?token=TOKEN, with the token in {}", file.display()));
     print(format!("http://{address}/{}\n", file.unwrap_or_default()));
     let (sender, latest) = watch::channel(Bytes::new());
     let (pages, diagnosis) = (Mutex::default(), args.diagnosis.clone().unwrap_or_default());
     let control = socket.clone();
     std::thread::spawn(move || source::follow(&control, &sender));
-    server::run(listener, Site { socket, token, diagnosis, latest, pages }).into_diagnostic()?;
+    server::run(
+        listener,
+        Site {
+            socket,
+            token,
+            diagnosis,
+            latest,
+            pages,
+        },
+    )
+    .into_diagnostic()?;
     Ok(CommandOutcome::Good)
 }
 
 /// The token of a file, which is created if there is none.
 fn token(path: &Path) -> Result<String> {
     let fail = |why: String| miette!("--token-file {}: {why}", path.display());
-    if let Ok(mut file) = std::fs::File::options().write(true).create_new(true).mode(0o600).open(path) {
-        writeln!(file, "{:032x}", rand::random::<u128>()).map_err(|e| fail(e.kind().to_string()))?;
+    if let Ok(mut file) = std::fs::File::options()
+        .write(true)
+        .create_new(true)
+        .mode(0o600)
+        .open(path)
+    {
+        writeln!(file, "{:032x}", rand::random::<u128>())
+            .map_err(|e| fail(e.kind().to_string()))?;
     }
     let text = crate::log::table::text(path).map_err(|e| fail(why_unreadable(path, &e)))?;
-    if path.metadata().is_ok_and(|file| file.permissions().mode() & 0o007 != 0) {
-        return Err(fail("everybody may read it; withdraw that with `chmod o=`".to_owned()));
+    if path
+        .metadata()
+        .is_ok_and(|file| file.permissions().mode() & 0o007 != 0)
+    {
+        return Err(fail(
+            "everybody may read it; withdraw that with `chmod o=`".to_owned(),
+        ));
     }
     let token = text.trim();
     if token.len() < TOKEN_MIN || !token.bytes().all(|b| b.is_ascii_alphanumeric()) {
-        return Err(fail(format!("expected {TOKEN_MIN} or more letters and digits; without the file, a new token is created")));
+        return Err(fail(format!(
+            "expected {TOKEN_MIN} or more letters and digits; without the file, a new token is created"
+        )));
     }
     Ok(token.to_owned())
 }

@@ -34,7 +34,12 @@ pub fn status(args: &StatusArgs) -> Result<CommandOutcome> {
         };
         let mut out = std::io::stdout();
         // a reader that has closed its end, such as `head`, has seen enough
-        if out.write_all(text.as_bytes()).and_then(|()| out.flush()).is_err() || !args.watch {
+        if out
+            .write_all(text.as_bytes())
+            .and_then(|()| out.flush())
+            .is_err()
+            || !args.watch
+        {
             return Ok(Good);
         }
         std::thread::sleep(Duration::from_millis(500));
@@ -50,7 +55,11 @@ pub(super) fn pose(v: &Value) -> String {
     let (bend, dir) = (number(&v["bend_deg"]), number(&v["dir_deg"]));
     // the same direction, by one name
     let dir = if dir < -179.5 { 180.0 } else { dir };
-    if v.is_null() { "–".to_owned() } else { format!("{bend:.1}° at {dir:.0}°") }
+    if v.is_null() {
+        "–".to_owned()
+    } else {
+        format!("{bend:.1}° at {dir:.0}°")
+    }
 }
 
 fn readable(s: &Value) -> String {
@@ -63,7 +72,10 @@ pub(super) fn rows(s: &Value) -> Vec<(&'static str, String)> {
     let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
     let list = |v: &Value| v.as_array().cloned().unwrap_or_default();
     let pistons = list(&s["piston_mm"]);
-    let pistons: Vec<String> = pistons.iter().map(|p| format!("{:.2}", number(p))).collect();
+    let pistons: Vec<String> = pistons
+        .iter()
+        .map(|p| format!("{:.2}", number(p)))
+        .collect();
     let words = |key: &str, text: &'static str| if s[key] == true { text } else { "" };
     let energised = words("energised", ", energised");
     let stopped = words("stopped", ", stopped until `retroflex arm`");
@@ -73,11 +85,21 @@ pub(super) fn rows(s: &Value) -> Vec<(&'static str, String)> {
         ("estimate", format!("{estimate}   target {target}")),
         ("pistons", pistons.join("  ") + " mm"),
     ];
-    if let [tip @ Value::String(_), calibration @ Value::String(_)] = ["tip", "calibration"].map(|key| &s[key]) {
-        rows.push(("tip", format!("{}   calibration {}", text(tip), text(calibration))));
+    if let [tip @ Value::String(_), calibration @ Value::String(_)] =
+        ["tip", "calibration"].map(|key| &s[key])
+    {
+        rows.push((
+            "tip",
+            format!("{}   calibration {}", text(tip), text(calibration)),
+        ));
     }
-    if let [cycles @ Value::Number(_), late, most, lost] = ["cycles", "late_cycles", "max_lateness_us", "lost_frames"].map(|key| &s[key]) {
-        rows.push(("loop", format!("{cycles} cycles, {late} late, at most {most} µs, {lost} frames lost")));
+    if let [cycles @ Value::Number(_), late, most, lost] =
+        ["cycles", "late_cycles", "max_lateness_us", "lost_frames"].map(|key| &s[key])
+    {
+        rows.push((
+            "loop",
+            format!("{cycles} cycles, {late} late, at most {most} µs, {lost} frames lost"),
+        ));
     }
     let optional = [
         ("fault", &s["fault"]),
@@ -95,20 +117,32 @@ pub(super) fn rows(s: &Value) -> Vec<(&'static str, String)> {
     ];
     let present = optional.iter().filter(|(_, v)| !v.is_null());
     rows.extend(present.map(|(name, v)| (*name, text(v))));
-    if let (Some(at_s), Some(of_s)) = (s["path"]["at_s"].as_f64(), s["path"]["duration_s"].as_f64()) {
-        let slower = s["path"]["time_scale"].as_f64().filter(|scale| *scale > 1.0);
-        let slower = slower.map_or_else(String::new, |x| format!(", {x:.2} times slower than given"));
+    if let (Some(at_s), Some(of_s)) = (s["path"]["at_s"].as_f64(), s["path"]["duration_s"].as_f64())
+    {
+        let slower = s["path"]["time_scale"]
+            .as_f64()
+            .filter(|scale| *scale > 1.0);
+        let slower =
+            slower.map_or_else(String::new, |x| format!(", {x:.2} times slower than given"));
         rows.push(("path", format!("{at_s:.1} s of {of_s:.1} s{slower}")));
     }
     if s["unverified"] == true {
         let stated = "stated by the operator; no measurement has confirmed it";
         rows.push(("zero", stated.to_owned()));
     }
-    rows.extend(list(&s["power"]).iter().map(|trouble| ("power", text(trouble))));
+    rows.extend(
+        list(&s["power"])
+            .iter()
+            .map(|trouble| ("power", text(trouble))),
+    );
     let advice = list(&s["sensor"]["advice"]);
     rows.extend(advice.iter().map(|advice| ("sensor", text(advice))));
     let granted = |g: &Value| format!("{}: {}", text(&g["what"]), text(&g["grant"]));
-    rows.extend(list(&s["real_time"]).iter().map(|g| ("real time", granted(g))));
+    rows.extend(
+        list(&s["real_time"])
+            .iter()
+            .map(|g| ("real time", granted(g))),
+    );
     rows
 }
 
@@ -118,7 +152,9 @@ fn wrapped(text: &str) -> String {
     for word in text.split(' ') {
         match lines.last_mut() {
             Some(line) if line.is_empty() => *line = word.to_owned(),
-            Some(line) if line.chars().count() + word.chars().count() + 11 < WIDTH => line.extend([" ", word]),
+            Some(line) if line.chars().count() + word.chars().count() + 11 < WIDTH => {
+                line.extend([" ", word])
+            }
             _ => lines.push(word.to_owned()),
         }
     }

@@ -85,7 +85,10 @@ pub fn steer(args: &SteerArgs) -> Result<CommandOutcome> {
                 Event::End => ended.store(true, Relaxed),
                 Event::Gone(why) => {
                     steering.release()?;
-                    return Err(Unreachable::report("the joystick", format!("{why}: holding")));
+                    return Err(Unreachable::report(
+                        "the joystick",
+                        format!("{why}: holding"),
+                    ));
                 }
             }
         }
@@ -110,7 +113,8 @@ fn open(args: &SteerArgs) -> Result<Input> {
         eprintln!(
             "{}: hold {} and move the stick",
             device.display(),
-            args.button.map_or("any button".to_owned(), |b| format!("button {b}"))
+            args.button
+                .map_or("any button".to_owned(), |b| format!("button {b}"))
         );
         return Input::joystick(&device, args.button);
     }
@@ -143,7 +147,16 @@ impl Steering {
             speed_rad_s: args.speed.to_radians(),
         };
         let (at, began) = (Vector2::zeros(), Instant::now());
-        Self { connection, law, at, moving: false, released: None, began, cycles: 0, warned: None }
+        Self {
+            connection,
+            law,
+            at,
+            moving: false,
+            released: None,
+            began,
+            cycles: 0,
+            warned: None,
+        }
     }
 
     /// Starts from the present target; says why the tip cannot be steered.
@@ -159,7 +172,12 @@ impl Steering {
         let next = self.law.next(&self.at, stick, PERIOD_S);
         let bend = Bend(next);
         let (bend_deg, dir_deg) = (bend.beta().to_degrees(), bend.delta().to_degrees());
-        let request = Request::Stream { bend_deg, dir_deg, length_mm: None, t_s: Some(self.began.elapsed().as_secs_f64()) };
+        let request = Request::Stream {
+            bend_deg,
+            dir_deg,
+            length_mm: None,
+            t_s: Some(self.began.elapsed().as_secs_f64()),
+        };
         match self.connection.request(&request) {
             Ok(_) => (self.at, self.moving) = (next, true),
             Err(f) if f.code == 1 => {

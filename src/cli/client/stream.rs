@@ -36,23 +36,42 @@ pub fn stream(at: &At) -> Result<CommandOutcome> {
     for (k, line) in std::io::stdin().lock().lines().enumerate() {
         let place = format!("standard input, line {}", k + 1);
         let line = line.map_err(|e| miette!("{place}: {e}"))?;
-        let (bend_deg, dir_deg, t_s) = set_point(&line, last).map_err(|why| miette!("{place}: {why}"))?;
-        t_s.into_iter().for_each(|t_s| sleep_until(t_s, SENT_AHEAD_S));
-        let answer = connection.request(&Request::Stream { bend_deg, dir_deg, length_mm: None, t_s });
-        if answered(answer.map_err(|f| Failure { message: format!("{place}: {}", f.message), ..f }))?.is_none() {
+        let (bend_deg, dir_deg, t_s) =
+            set_point(&line, last).map_err(|why| miette!("{place}: {why}"))?;
+        t_s.into_iter()
+            .for_each(|t_s| sleep_until(t_s, SENT_AHEAD_S));
+        let answer = connection.request(&Request::Stream {
+            bend_deg,
+            dir_deg,
+            length_mm: None,
+            t_s,
+        });
+        if answered(answer.map_err(|f| Failure {
+            message: format!("{place}: {}", f.message),
+            ..f
+        }))?
+        .is_none()
+        {
             return Ok(NotGoodEnough);
         }
         last = Some((bend_deg, dir_deg, t_s));
     }
-    let Some((bend_deg, dir_deg, t_s)) = last else { return Ok(Good) };
-    t_s.into_iter().for_each(|t_s| sleep_until(t_s, END_AHEAD_S));
+    let Some((bend_deg, dir_deg, t_s)) = last else {
+        return Ok(Good);
+    };
+    t_s.into_iter()
+        .for_each(|t_s| sleep_until(t_s, END_AHEAD_S));
     if status(&mut connection)?["mode"] != "tracking" {
         eprintln!(
             "the tip stopped before the end of the stream: by another command, or because of a pause longer than `service.dead_man_s`"
         );
         return Ok(NotGoodEnough);
     }
-    settle(&mut connection, &Request::bend(bend_deg, dir_deg, None), Bend::from_deg(bend_deg, dir_deg))
+    settle(
+        &mut connection,
+        &Request::bend(bend_deg, dir_deg, None),
+        Bend::from_deg(bend_deg, dir_deg),
+    )
 }
 
 /// The set-point of a line. All lines have a time, which increases, or none has.
@@ -60,16 +79,23 @@ fn set_point(line: &str, before: Option<SetPoint>) -> std::result::Result<SetPoi
     let words: Vec<&str> = line.split_whitespace().collect();
     let timed = words.len() == 3;
     if !(2..=3).contains(&words.len()) || before.is_some_and(|(.., t_s)| t_s.is_some() != timed) {
-        return Err(format!("`{line}`: expected BEND DIR, or in all lines BEND DIR T, numbers in degrees and seconds"));
+        return Err(format!(
+            "`{line}`: expected BEND DIR, or in all lines BEND DIR T, numbers in degrees and seconds"
+        ));
     }
     let number = |k: usize, name: &str, allowed, unit| {
         let text = words[k];
         within(allowed, unit)(text).map_err(|expected| format!("{name} `{text}`: {expected}"))
     };
-    let (bend_deg, dir_deg) = (number(0, "BEND", BEND_DEG, "degrees")?, number(1, "DIR", DIR_DEG, "degrees")?);
+    let (bend_deg, dir_deg) = (
+        number(0, "BEND", BEND_DEG, "degrees")?,
+        number(1, "DIR", DIR_DEG, "degrees")?,
+    );
     // the service refuses a time that is the same again
     let least_s = before.and_then(|(.., t_s)| t_s).unwrap_or(0.0);
-    let t_s = timed.then(|| number(2, "T", least_s..=TIME_MAX_S, "s")).transpose()?;
+    let t_s = timed
+        .then(|| number(2, "T", least_s..=TIME_MAX_S, "s"))
+        .transpose()?;
     Ok((bend_deg, dir_deg, t_s))
 }
 
@@ -86,8 +112,16 @@ mod tests {
             ("30", None, "expected BEND DIR, or in all lines BEND DIR T"),
             ("30 4", timed, "in all lines"),
             ("30 4 1", untimed, "in all lines"),
-            ("30 nan", None, "DIR `nan`: expected a number from -360 to 360 degrees"),
-            ("136 0", None, "BEND `136`: expected a number from -135 to 135 degrees"),
+            (
+                "30 nan",
+                None,
+                "DIR `nan`: expected a number from -360 to 360 degrees",
+            ),
+            (
+                "136 0",
+                None,
+                "BEND `136`: expected a number from -135 to 135 degrees",
+            ),
             ("30 0 -inf", None, "T `-inf`: expected a number from 0 to"),
             ("30 0 0.4", timed, "T `0.4`: expected a number from 0.5 to"),
         ] {

@@ -32,8 +32,17 @@ pub(super) struct Request<'a> {
 ///
 /// # Errors
 /// A report about the input or the plant.
-pub(super) fn run(request: &Request<'_>, section: &PlantSection, board: &Board, gains: &Gains) -> Result<CommandOutcome> {
-    let units = if request.sweep { SWEEP_UNITS } else { ABLATION_UNITS };
+pub(super) fn run(
+    request: &Request<'_>,
+    section: &PlantSection,
+    board: &Board,
+    gains: &Gains,
+) -> Result<CommandOutcome> {
+    let units = if request.sweep {
+        SWEEP_UNITS
+    } else {
+        ABLATION_UNITS
+    };
     let study = Study {
         config: assemble(board, &inputs::calibration(request.calib)?, gains),
         make: section.make(),
@@ -66,12 +75,25 @@ fn run_sweep(request: &Request<'_>, study: &Study) -> Result<CommandOutcome> {
         output::write(path, picture::svg(&rows))?;
     }
     let (failed, all) = (rows.iter().filter(|r| !r.ok).count(), rows.len());
-    let header = ["condition", "value", "open", "closed", "95 %", "hunting", ""];
+    let header = [
+        "condition",
+        "value",
+        "open",
+        "closed",
+        "95 %",
+        "hunting",
+        "",
+    ];
     let table = output::table(&header, 1..6, rows.iter().map(sweep_row));
-    let (units, directions, took_s) = (study.units, sweep::DIRECTIONS, start.elapsed().as_secs_f64());
+    let (units, directions, took_s) = (
+        study.units,
+        sweep::DIRECTIONS,
+        start.elapsed().as_secs_f64(),
+    );
     let with = calibration(request);
-    let text =
-        format!("{table}\n{failed} of {all} rows fail; {units} units each, {directions} of 12 directions; {with} (in {took_s:.0} s)\n");
+    let text = format!(
+        "{table}\n{failed} of {all} rows fail; {units} units each, {directions} of 12 directions; {with} (in {took_s:.0} s)\n"
+    );
     output::show(&text, request.json);
     Ok(CommandOutcome::from(failed == 0))
 }
@@ -81,7 +103,15 @@ fn sweep_row(r: &SweepRow) -> Vec<String> {
     let verdict = if r.ok { "" } else { "FAILS" };
     let numbers = [r.open_deg, r.closed_deg, r.p95_deg, r.hunting_deg].map(deg);
     let [open, closed, p95, hunting] = numbers;
-    vec![r.condition.to_owned(), r.value.to_string(), open, closed, p95, hunting, verdict.to_owned()]
+    vec![
+        r.condition.to_owned(),
+        r.value.to_string(),
+        open,
+        closed,
+        p95,
+        hunting,
+        verdict.to_owned(),
+    ]
 }
 
 fn run_ablation(request: &Request<'_>, study: &Study) -> Result<CommandOutcome> {
@@ -94,7 +124,10 @@ fn run_ablation(request: &Request<'_>, study: &Study) -> Result<CommandOutcome> 
     let columns: Vec<&str> = columns.split(',').collect();
     let table = output::table(&columns, 1..columns.len(), rows.iter().map(ablation_row));
     let (units, with) = (study.units, calibration(request));
-    output::show(&format!("{table}\nclosed loop, {units} units, {with}\n"), request.json);
+    output::show(
+        &format!("{table}\nclosed loop, {units} units, {with}\n"),
+        request.json,
+    );
     Ok(CommandOutcome::Good)
 }
 

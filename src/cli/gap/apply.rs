@@ -40,7 +40,11 @@ enum Place {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     output::check(&[("--calib", args.calib.as_deref())], &[&args.model])?;
     let model = input::saved(&args.model)?;
-    let forecast = model.forecast.iter().flat_map(|f| &f.effect).map(|e| e.name.as_str());
+    let forecast = model
+        .forecast
+        .iter()
+        .flat_map(|f| &f.effect)
+        .map(|e| e.name.as_str());
     let mut effects: Vec<Box<dyn Effect>> = Vec::new();
     for name in model.effect.iter().map(|e| e.name.as_str()).chain(forecast) {
         if !effects.iter().any(|e| e.name() == name) {
@@ -48,17 +52,23 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         }
     }
     if let Some(path) = &args.calib {
-        let text = toml::to_string_pretty(&calibration(&model, &args.model, path)?).into_diagnostic()?;
+        let text =
+            toml::to_string_pretty(&calibration(&model, &args.model, path)?).into_diagnostic()?;
         output::write(path, &text)?;
     }
     if let Some(path) = &args.calib {
         eprintln!("written to {}", path.display());
     }
-    eprintln!("calibration: k_epsilon and k_lambda as re-identified on {}", model.source);
+    eprintln!(
+        "calibration: k_epsilon and k_lambda as re-identified on {}",
+        model.source
+    );
     for e in &effects {
         match place(&model, e.as_ref()) {
             Place::Calibration => eprintln!("calibration: {}", e.name()),
-            Place::Feedforward => eprintln!("feedforward through {}: {}", args.model.display(), e.name()),
+            Place::Feedforward => {
+                eprintln!("feedforward through {}: {}", args.model.display(), e.name())
+            }
             Place::Nowhere(why) => eprintln!("not held: {}, {why}", e.name()),
         }
     }
@@ -69,9 +79,16 @@ fn place(model: &SavedModel, e: &dyn Effect) -> Place {
     let proven = model.effect.iter().any(|s| s.name == e.name());
     match e.name() {
         _ if e.info().is_event() => Place::Nowhere("which happens once and cannot be predicted"),
-        "transport_delay" | "sensor_latency" | "accel_bias" | "hard_iron" | "mount_misalignment" if proven => Place::Calibration,
+        "transport_delay" | "sensor_latency" | "accel_bias" | "hard_iron"
+        | "mount_misalignment"
+            if proven =>
+        {
+            Place::Calibration
+        }
         "gyro_bias" => Place::Nowhere("which drifts: the service estimates it while it runs"),
-        "motor_field" => Place::Nowhere("which `retroflex calibrate imu motors` identifies from the same log"),
+        "motor_field" => {
+            Place::Nowhere("which `retroflex calibrate imu motors` identifies from the same log")
+        }
         _ if e.sensing_only() => Place::Nowhere("which the verdict does not name"),
         _ => Place::Feedforward,
     }
@@ -80,17 +97,30 @@ fn place(model: &SavedModel, e: &dyn Effect) -> Place {
 /// The calibration that a model implies.
 fn calibration(model: &SavedModel, path: &Path, out: &Path) -> Result<Calibration> {
     let value = |name: &str| {
-        by_name(name).filter(|e| place(model, e.as_ref()) == Place::Calibration).and_then(|e| Some((model.params_of(e.as_ref())?, e)))
+        by_name(name)
+            .filter(|e| place(model, e.as_ref()) == Place::Calibration)
+            .and_then(|e| Some((model.params_of(e.as_ref())?, e)))
     };
     let date = today();
     let entry = |name: &str, unit: fn(f64) -> f64| {
         let (values, e) = value(name)?;
         // the model file states no intervals; the prior of the catalogue bounds them
         let of = |f: &dyn Fn(usize) -> f64| [0, 1, 2].map(|k| unit(f(k)));
-        Some(Entry { value: of(&|k| values[k]), sigma: of(&|k| e.params()[k].scale), date: date.clone(), source: model.source.clone() })
+        Some(Entry {
+            value: of(&|k| values[k]),
+            sigma: of(&|k| e.params()[k].scale),
+            date: date.clone(),
+            source: model.source.clone(),
+        })
     };
-    let line_lag = by_name("line_lag").and_then(|e| model.params_of(e.as_ref())).map_or(0.0, |p| (p[0] + p[1] + p[2]) / 3.0);
-    let late: f64 = ["transport_delay", "sensor_latency"].iter().filter_map(|n| value(n)).map(|(p, _)| p[0]).sum();
+    let line_lag = by_name("line_lag")
+        .and_then(|e| model.params_of(e.as_ref()))
+        .map_or(0.0, |p| (p[0] + p[1] + p[2]) / 3.0);
+    let late: f64 = ["transport_delay", "sensor_latency"]
+        .iter()
+        .filter_map(|n| value(n))
+        .map(|(p, _)| p[0])
+        .sum();
     let usual = DynamicsSection::default();
     let mut calibration = Calibration {
         feedforward: beside(path, out)?,
@@ -116,7 +146,10 @@ fn calibration(model: &SavedModel, path: &Path, out: &Path) -> Result<Calibratio
 
 /// The path of the model as the calibration names it: the file name in the same folder, the whole path otherwise.
 fn beside(model: &Path, out: &Path) -> Result<String> {
-    let (model, folder) = (std::path::absolute(model).into_diagnostic()?, std::path::absolute(out).into_diagnostic()?);
+    let (model, folder) = (
+        std::path::absolute(model).into_diagnostic()?,
+        std::path::absolute(out).into_diagnostic()?,
+    );
     let near = folder.parent().and_then(|f| model.strip_prefix(f).ok());
     Ok(near.unwrap_or(&model).display().to_string())
 }

@@ -30,8 +30,16 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     inputs.extend(args.board.as_deref());
     output::check(&[("--json", args.json.as_deref())], &inputs)?;
     let model = input::saved(&args.model)?;
-    let checked = model.check_on(&input::observe(&args.log, &input::rig(args.board.as_deref())?)?, &catalogue());
-    eprintln!("before {:.2}°, after {:.2}°, closed {:.0} %", checked.before_deg, checked.after_deg, checked.closed * 100.0);
+    let checked = model.check_on(
+        &input::observe(&args.log, &input::rig(args.board.as_deref())?)?,
+        &catalogue(),
+    );
+    eprintln!(
+        "before {:.2}°, after {:.2}°, closed {:.0} %",
+        checked.before_deg,
+        checked.after_deg,
+        checked.closed * 100.0
+    );
     for name in &checked.left_out {
         eprintln!("{name} happens once and is left out");
     }

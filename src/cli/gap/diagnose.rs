@@ -55,19 +55,38 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let lines = || inputs::calibration(args.calib.as_deref()).map(|calib| calib.lines());
     if let Some(table) = &args.many.rows {
-        let settings = Settings { rig: input::rig(args.board.as_deref())?, lines: lines()?, seed: args.seed };
+        let settings = Settings {
+            rig: input::rig(args.board.as_deref())?,
+            lines: lines()?,
+            seed: args.seed,
+        };
         return rows::run(&args.logs, &settings, &args.many, table);
     }
     if let Some(folder) = args.logs.iter().find(|log| log.is_dir()) {
         let folder = folder.display();
-        return Err(miette!("{folder}: this is a folder; `gap diagnose {folder} --rows rows.parquet` diagnoses every log in it"));
+        return Err(miette!(
+            "{folder}: this is a folder; `gap diagnose {folder} --rows rows.parquet` diagnoses every log in it"
+        ));
     }
-    let results = [("--json", args.json.as_deref()), ("--html", args.html.as_deref()), ("--save", args.save.as_deref())];
-    let inputs = args.logs.iter().chain(&args.fresh).chain(&args.map).chain(&args.board).chain(&args.calib);
+    let results = [
+        ("--json", args.json.as_deref()),
+        ("--html", args.html.as_deref()),
+        ("--save", args.save.as_deref()),
+    ];
+    let inputs = args
+        .logs
+        .iter()
+        .chain(&args.fresh)
+        .chain(&args.map)
+        .chain(&args.board)
+        .chain(&args.calib);
     output::check(&results, &inputs.map(PathBuf::as_path).collect::<Vec<_>>())?;
     if let Some(map) = &args.map {
         let [log] = args.logs.as_slice() else {
-            return Err(miette!("--map: {} logs are given, 1 is allowed; `--fresh LOG` names further logs of the rig", args.logs.len()));
+            return Err(miette!(
+                "--map: {} logs are given, 1 is allowed; `--fresh LOG` names further logs of the rig",
+                args.logs.len()
+            ));
         };
         return map::run(log, map, &args.fresh, args.json.as_deref(), args.seed);
     }
@@ -85,19 +104,37 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 }
 
 /// Requested files with their contents.
-fn files<'a>(args: &'a Args, observed: &Observed, done: &Diagnosed) -> Result<Vec<(&'a Path, String)>> {
+fn files<'a>(
+    args: &'a Args,
+    observed: &Observed,
+    done: &Diagnosed,
+) -> Result<Vec<(&'a Path, String)>> {
     let mut out: Vec<(&Path, String)> = Vec::new();
     if let Some(path) = &args.json {
         out.push((path, json(&done.document)?));
     }
     if let Some(path) = &args.html {
-        let name = |log: &PathBuf| log.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        out.push((path, page(&listed(&args.logs, name), &done.document, &Evidence::new(observed, done))));
+        let name = |log: &PathBuf| {
+            log.file_name()
+                .map_or_else(String::new, |n| n.to_string_lossy().into_owned())
+        };
+        out.push((
+            path,
+            page(
+                &listed(&args.logs, name),
+                &done.document,
+                &Evidence::new(observed, done),
+            ),
+        ));
     }
     if let Some(path) = &args.save {
         let catalogue = catalogue();
-        let model = SavedModel::new(&listed(&args.logs, |log| log.display().to_string()), &catalogue, done)
-            .with_forecast(observed, &catalogue, done);
+        let model = SavedModel::new(
+            &listed(&args.logs, |log| log.display().to_string()),
+            &catalogue,
+            done,
+        )
+        .with_forecast(observed, &catalogue, done);
         out.push((path, toml::to_string(&model).into_diagnostic()?));
     }
     Ok(out)
@@ -111,7 +148,9 @@ fn listed(logs: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
 fn json(document: &Diagnosis) -> Result<String> {
     let value = serde_json::to_value(document).into_diagnostic()?;
     if let Some(key) = not_finite(&value, "") {
-        return Err(miette!("{key} is not a finite number; the log may have values outside the range of any sensor: check its units"));
+        return Err(miette!(
+            "{key} is not a finite number; the log may have values outside the range of any sensor: check its units"
+        ));
     }
     Ok(serde_json::to_string_pretty(&value).into_diagnostic()? + "\n")
 }
@@ -120,17 +159,31 @@ fn json(document: &Diagnosis) -> Result<String> {
 fn not_finite(value: &serde_json::Value, key: &str) -> Option<String> {
     match value {
         serde_json::Value::Null => Some(key.to_owned()),
-        serde_json::Value::Array(all) => all.iter().enumerate().find_map(|(i, v)| not_finite(v, &format!("{key}[{i}]"))),
-        serde_json::Value::Object(all) => {
-            all.iter().find_map(|(k, v)| not_finite(v, &if key.is_empty() { k.clone() } else { format!("{key}.{k}") }))
-        }
+        serde_json::Value::Array(all) => all
+            .iter()
+            .enumerate()
+            .find_map(|(i, v)| not_finite(v, &format!("{key}[{i}]"))),
+        serde_json::Value::Object(all) => all.iter().find_map(|(k, v)| {
+            not_finite(
+                v,
+                &if key.is_empty() {
+                    k.clone()
+                } else {
+                    format!("{key}.{k}")
+                },
+            )
+        }),
         _ => None,
     }
 }
 
 /// Number of effects in the table: the probable ones, and at least three.
 fn shown(d: &Diagnosis) -> usize {
-    d.effects.iter().take_while(|e| e.probability >= 0.01).count().clamp(3, 6)
+    d.effects
+        .iter()
+        .take_while(|e| e.probability >= 0.01)
+        .count()
+        .clamp(3, 6)
 }
 
 fn summary(d: &Diagnosis, saved: Option<&Path>) -> String {
@@ -142,26 +195,68 @@ fn summary(d: &Diagnosis, saved: Option<&Path>) -> String {
             format!("{:.2}°", e.gap_before_deg),
             format!("{:.2}°", e.gap_after_deg),
             format!("{:.0} %", e.closed * 100.0),
-            format!("{:.0} to {:.0} %", e.closed_ci95[0] * 100.0, e.closed_ci95[1] * 100.0),
+            format!(
+                "{:.0} to {:.0} %",
+                e.closed_ci95[0] * 100.0,
+                e.closed_ci95[1] * 100.0
+            ),
         ]
     };
-    let header = ["effect", "stage", "probability", "gap before", "after", "closed", "95 %"];
+    let header = [
+        "effect",
+        "stage",
+        "probability",
+        "gap before",
+        "after",
+        "closed",
+        "95 %",
+    ];
     let table = output::table(&header, 2..7, d.effects.iter().take(shown(d)).map(row));
-    let names = if d.verdict.names.is_empty() { String::new() } else { format!(": {}", d.verdict.names.join(" and ")) };
-    let mut out = vec![format!("verdict {}{names}", d.verdict.kind.name()), words::headline(d), words::place(d)];
-    for e in d.effects.iter().filter(|e| d.verdict.names.contains(&e.name)) {
+    let names = if d.verdict.names.is_empty() {
+        String::new()
+    } else {
+        format!(": {}", d.verdict.names.join(" and "))
+    };
+    let mut out = vec![
+        format!("verdict {}{names}", d.verdict.kind.name()),
+        words::headline(d),
+        words::place(d),
+    ];
+    for e in d
+        .effects
+        .iter()
+        .filter(|e| d.verdict.names.contains(&e.name))
+    {
         let values: Vec<String> = e.params.iter().map(words::value).collect();
         out.push(format!("{}: {}", words::plain(e.name), values.join("; ")));
     }
     out.extend(words::limits(d));
     if let several @ [_, _, ..] = d.logs.as_slice() {
-        let row = |l: &LogEntry| [l.file.clone(), format!("{:.2}°", l.recalibrated_deg), format!("{:.2}°", l.explained_deg)];
-        out.push(output::table(&["log", "recalibrated", "explained"], 1..3, several.iter().map(row)).to_string());
+        let row = |l: &LogEntry| {
+            [
+                l.file.clone(),
+                format!("{:.2}°", l.recalibrated_deg),
+                format!("{:.2}°", l.explained_deg),
+            ]
+        };
+        out.push(
+            output::table(
+                &["log", "recalibrated", "explained"],
+                1..3,
+                several.iter().map(row),
+            )
+            .to_string(),
+        );
     }
     out.push(table.to_string());
     let next = |advice: &String| match saved {
-        Some(path) => format!("next: {}", advice.replace("model.toml", &path.display().to_string())),
-        None if advice.contains("gap check") => format!("next: {advice} `--save model.toml` writes the model."),
+        Some(path) => format!(
+            "next: {}",
+            advice.replace("model.toml", &path.display().to_string())
+        ),
+        None if advice.contains("gap check") => {
+            format!("next: {advice} `--save model.toml` writes the model.")
+        }
         None => format!("next: {advice}"),
     };
     out.extend(words::next(d).iter().map(next));
@@ -175,7 +270,10 @@ mod tests {
 
     #[test]
     fn a_number_that_is_not_finite_is_named_by_its_key() {
-        assert_eq!(not_finite(&json!({"a": [1.0, {"b": null}]}), ""), Some("a[1].b".to_owned()));
+        assert_eq!(
+            not_finite(&json!({"a": [1.0, {"b": null}]}), ""),
+            Some("a[1].b".to_owned())
+        );
         assert_eq!(not_finite(&json!({"a": [1.0, "x", true]}), ""), None);
     }
 }

@@ -56,14 +56,24 @@ struct Document<'a> {
 /// A report if a file cannot be written.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     output::check(&[("--json", args.json.as_deref())], &[])?;
-    let asked: Vec<Question> = questions(args.seed, args.rounds.max(1)).into_iter().step_by(args.every.max(1)).collect();
+    let asked: Vec<Question> = questions(args.seed, args.rounds.max(1))
+        .into_iter()
+        .step_by(args.every.max(1))
+        .collect();
     eprintln!("seed {}, {} logs", args.seed, asked.len());
     let bar = output::bar(asked.len() as u64, "{pos} of {len} logs, {eta} left,");
-    let answers = answer_all(&asked, Question::draw, &catalogue(), || bar.inc(1)).into_diagnostic()?;
+    let answers =
+        answer_all(&asked, Question::draw, &catalogue(), || bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
     let score = score(args.seed, &asked, &answers);
     eprintln!("{}", summary(&score));
-    output::json(args.json.as_deref(), &Document { score: &score, logs: asked.iter().zip(&answers).map(line).collect() })?;
+    output::json(
+        args.json.as_deref(),
+        &Document {
+            score: &score,
+            logs: asked.iter().zip(&answers).map(line).collect(),
+        },
+    )?;
     Ok(CommandOutcome::Good)
 }
 
@@ -83,7 +93,11 @@ fn line<'a>((q, a): (&'a Question, &'a Answer)) -> Line<'a> {
 }
 
 fn share(c: &Count) -> String {
-    if c.of == 0 { "–".to_owned() } else { format!("{:.0} % of {}", c.share() * 100.0, c.of) }
+    if c.of == 0 {
+        "–".to_owned()
+    } else {
+        format!("{:.0} % of {}", c.share() * 100.0, c.of)
+    }
 }
 
 /// The score for people.
@@ -115,9 +129,21 @@ fn own(s: &ExamScore) -> comfy_table::Table {
         row("removed from the catalogue: unknown", &s.left_out),
         row("95 % sets of statements that hold", &s.conformal),
         row("stated intervals that hold", &s.coverage),
-        ["known effects called unknown".to_owned(), share(&s.known_called_unknown), String::new()],
-        ["logs with a group of equivalent effects".to_owned(), share(&s.grouped), String::new()],
-        ["gap closed on a fresh log, median".to_owned(), percent(s.fresh_closed[0]), percent(s.fresh_closed[1])],
+        [
+            "known effects called unknown".to_owned(),
+            share(&s.known_called_unknown),
+            String::new(),
+        ],
+        [
+            "logs with a group of equivalent effects".to_owned(),
+            share(&s.grouped),
+            String::new(),
+        ],
+        [
+            "gap closed on a fresh log, median".to_owned(),
+            percent(s.fresh_closed[0]),
+            percent(s.fresh_closed[1]),
+        ],
     ];
     output::table(&["", "lab", "field"], 1..3, rows)
 }
@@ -126,17 +152,27 @@ fn own(s: &ExamScore) -> comfy_table::Table {
 fn reliability(s: &ExamScore) -> comfy_table::Table {
     let row = |what: &str, b: &ReliabilityBin| {
         let [low, high] = b.ci95;
-        [what.to_owned(), format!("{:.2}", b.stated), share(&b.count), format!("{:.0} to {:.0} %", low * 100.0, high * 100.0)]
+        [
+            what.to_owned(),
+            format!("{:.2}", b.stated),
+            share(&b.count),
+            format!("{:.0} to {:.0} %", low * 100.0, high * 100.0),
+        ]
     };
     let effects = s.effects.bins.iter().map(|b| row("an effect", b));
-    let rows: Vec<[String; 4]> = effects.chain(s.unknown.bins.iter().map(|b| row("unknown", b))).collect();
+    let rows: Vec<[String; 4]> = effects
+        .chain(s.unknown.bins.iter().map(|b| row("unknown", b)))
+        .collect();
     output::table(&["statement", "stated", "true", "95 %"], 1..4, rows)
 }
 
 /// Table of the diagnosis beside the other methods.
 fn comparison(s: &ExamScore) -> comfy_table::Table {
     let row = |(name, m): (&str, &Method)| {
-        let alarms = Count { right: m.alarm.lab.right + m.alarm.field.right, of: m.alarm.lab.of + m.alarm.field.of };
+        let alarms = Count {
+            right: m.alarm.lab.right + m.alarm.field.right,
+            of: m.alarm.lab.of + m.alarm.field.of,
+        };
         [
             name.to_owned(),
             share(&m.single.lab),
@@ -147,14 +183,33 @@ fn comparison(s: &ExamScore) -> comfy_table::Table {
             format!("{:.2}", m.macro_f1),
         ]
     };
-    let methods =
-        [("diagnosis", &s.diagnosis), ("in-sample BIC", &s.bic), ("sparse regression", &s.sparse), ("nearest signature", &s.nearest)];
-    let header = ["method", "single lab", "single field", "pair lab", "pair field", "false alarms", "macro F1"];
+    let methods = [
+        ("diagnosis", &s.diagnosis),
+        ("in-sample BIC", &s.bic),
+        ("sparse regression", &s.sparse),
+        ("nearest signature", &s.nearest),
+    ];
+    let header = [
+        "method",
+        "single lab",
+        "single field",
+        "pair lab",
+        "pair field",
+        "false alarms",
+        "macro F1",
+    ];
     output::table(&header, 1..7, methods.map(row))
 }
 
 fn mistakes(s: &ExamScore) -> Vec<String> {
-    let wrong = |truth: &str, answer: &str| answer != truth && !(answer == "unknown" && truth.starts_with("unknown"));
-    let all = s.confusion.iter().flat_map(|(truth, answers)| answers.iter().map(move |(answer, n)| (truth, answer, n)));
-    all.filter(|(truth, answer, _)| wrong(truth, answer)).map(|(truth, answer, n)| format!("  {truth} → {answer} ({n})")).collect()
+    let wrong = |truth: &str, answer: &str| {
+        answer != truth && !(answer == "unknown" && truth.starts_with("unknown"))
+    };
+    let all = s
+        .confusion
+        .iter()
+        .flat_map(|(truth, answers)| answers.iter().map(move |(answer, n)| (truth, answer, n)));
+    all.filter(|(truth, answer, _)| wrong(truth, answer))
+        .map(|(truth, answer, n)| format!("  {truth} → {answer} ({n})"))
+        .collect()
 }

@@ -40,7 +40,9 @@ pub struct Args {
 
 impl Check for Args {
     fn check(&self, to: &mut Checker) {
-        to.at("--rounds").range(self.rounds as f64, 1.0..=100_000.0, "").hint("leave it out for the default");
+        to.at("--rounds")
+            .range(self.rounds as f64, 1.0..=100_000.0, "")
+            .hint("leave it out for the default");
     }
 }
 
@@ -51,8 +53,15 @@ impl Check for Args {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut checker = Checker::default();
     args.check(&mut checker);
-    checker.done().map_err(|e| miette!("{}: {}: {}", e.key, e.problem, e.hint))?;
-    let read: Vec<&std::path::Path> = args.like.iter().chain(&args.board).map(PathBuf::as_path).collect();
+    checker
+        .done()
+        .map_err(|e| miette!("{}: {}: {}", e.key, e.problem, e.hint))?;
+    let read: Vec<&std::path::Path> = args
+        .like
+        .iter()
+        .chain(&args.board)
+        .map(PathBuf::as_path)
+        .collect();
     output::check(&[("--out", Some(&args.out))], &read)?;
     let like = args.like.as_deref().map(input::saved).transpose()?;
     let lines = match &like {
@@ -61,7 +70,13 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     };
     let machine = Machine::new(input::rig(args.board.as_deref())?, lines);
     let bar = output::bar(args.rounds as u64, "{pos} of {len} schedules");
-    let request = Request { machine, like, tracker: args.tracker, seed: args.seed, rounds: args.rounds };
+    let request = Request {
+        machine,
+        like,
+        tracker: args.tracker,
+        seed: args.seed,
+        rounds: args.rounds,
+    };
     let designed = design(&request, &mut |tried| bar.set_position(tried as u64));
     bar.finish_and_clear();
     output::write(&args.out, csv(&designed.rows))?;
@@ -72,10 +87,25 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 fn summary(args: &Args, d: &Design) -> String {
     let pairs = d.pairs();
     let within_reach = |p: &&Pair| separable(p.0, p.1, args.tracker);
-    let row = |p: &Pair| [p.0.to_owned(), p.1.to_owned(), format!("{:.1} σ", p.2), format!("{:.1} σ", p.3)];
-    let table = output::table(&["nearest pairs", "", "here", "standard"], 2..4, pairs.iter().filter(within_reach).take(SHOWN).map(row));
+    let row = |p: &Pair| {
+        [
+            p.0.to_owned(),
+            p.1.to_owned(),
+            format!("{:.1} σ", p.2),
+            format!("{:.1} σ", p.3),
+        ]
+    };
+    let table = output::table(
+        &["nearest pairs", "", "here", "standard"],
+        2..4,
+        pairs.iter().filter(within_reach).take(SHOWN).map(row),
+    );
     let near = |p: &&Pair| p.2 < APART || !separable(p.0, p.1, args.tracker);
-    let lost: Vec<String> = pairs.iter().filter(near).map(|p| format!("{} and {}", p.0, p.1)).collect();
+    let lost: Vec<String> = pairs
+        .iter()
+        .filter(near)
+        .map(|p| format!("{} and {}", p.0, p.1))
+        .collect();
     let lost = match (lost.is_empty(), args.tracker) {
         (true, _) => "the schedule separates every pair in question".to_owned(),
         (false, true) => format!("the schedule does not separate {}", lost.join("; ")),

@@ -35,7 +35,11 @@ pub fn observe(path: &Path, rig: &Rig) -> Result<Observed> {
     plausibility::check(&log, &rig.geometry, &[rig.prior; 3]).into_diagnostic()?;
     let observed = Observed::new(&log, rig).map_err(|e| miette!("{}: {e}", path.display()))?;
     if !log.ignored.is_empty() {
-        eprintln!("warning: {}: unknown columns ignored: {}", path.display(), log.ignored.join(", "));
+        eprintln!(
+            "warning: {}: unknown columns ignored: {}",
+            path.display(),
+            log.ignored.join(", ")
+        );
     }
     Ok(observed)
 }
@@ -48,7 +52,10 @@ pub fn observe_together(paths: &[PathBuf], rig: &Rig) -> Result<Observed> {
     let mut all: Option<Observed> = None;
     for (n, path) in paths.iter().enumerate() {
         if paths[..n].contains(path) {
-            return Err(miette!("{}: given twice; a log counts once", path.display()));
+            return Err(miette!(
+                "{}: given twice; a log counts once",
+                path.display()
+            ));
         }
         let next = observe(path, rig)?;
         match &mut all {

@@ -31,8 +31,12 @@ impl std::str::FromStr for Shard {
     type Err = String;
 
     fn from_str(text: &str) -> std::result::Result<Self, String> {
-        let parts = text.split_once('/').and_then(|(k, n)| Some(Self(k.parse().ok()?, n.parse().ok()?)));
-        parts.filter(|s| (1..=s.1).contains(&s.0)).ok_or_else(|| "expected K/N with K from 1 to N, for example 2/8".to_owned())
+        let parts = text
+            .split_once('/')
+            .and_then(|(k, n)| Some(Self(k.parse().ok()?, n.parse().ok()?)));
+        parts
+            .filter(|s| (1..=s.1).contains(&s.0))
+            .ok_or_else(|| "expected K/N with K from 1 to N, for example 2/8".to_owned())
     }
 }
 
@@ -82,9 +86,27 @@ struct Unit {
 ///
 /// # Errors
 /// A report that names the faulty file. A log that cannot be diagnosed has a row that says why.
-pub fn run(logs: &[PathBuf], settings: &Settings, args: &RowsArgs, table: &Path) -> Result<CommandOutcome> {
-    output::check(&[("--rows", Some(table))], &logs.iter().chain(&args.units).map(PathBuf::as_path).collect::<Vec<_>>())?;
-    let text = format!("{} {:?} {:?} {}", env!("CARGO_PKG_VERSION"), settings.rig, settings.lines, settings.seed);
+pub fn run(
+    logs: &[PathBuf],
+    settings: &Settings,
+    args: &RowsArgs,
+    table: &Path,
+) -> Result<CommandOutcome> {
+    output::check(
+        &[("--rows", Some(table))],
+        &logs
+            .iter()
+            .chain(&args.units)
+            .map(PathBuf::as_path)
+            .collect::<Vec<_>>(),
+    )?;
+    let text = format!(
+        "{} {:?} {:?} {}",
+        env!("CARGO_PKG_VERSION"),
+        settings.rig,
+        settings.lines,
+        settings.seed
+    );
     let hash = format!("{:016x}", fnv(text.into_bytes()));
     let mut tasks = tasks(logs, args)?;
     let journal = table.with_added_extension("journal");
@@ -94,7 +116,9 @@ pub fn run(logs: &[PathBuf], settings: &Settings, args: &RowsArgs, table: &Path)
         let bytes = fs::read(&task.path).map_err(|e| miette!("{}: {e}", task.path.display()))?;
         (task.row.content, task.row.settings) = (format!("{:016x}", fnv(bytes)), hash.clone());
         match known.get(&task.row.log) {
-            Some(old) if old.content == task.row.content && old.settings == hash => task.row.take_result(old),
+            Some(old) if old.content == task.row.content && old.settings == hash => {
+                task.row.take_result(old)
+            }
             _ => open.push(task),
         }
     }
@@ -105,7 +129,11 @@ pub fn run(logs: &[PathBuf], settings: &Settings, args: &RowsArgs, table: &Path)
     // the table holds all that it holds
     let _ = fs::remove_file(&journal);
     let refused = rows.iter().filter(|row| !row.refused.is_empty()).count();
-    eprintln!("{}: {} logs, {new} of them diagnosed now; {refused} cannot be diagnosed", table.display(), rows.len());
+    eprintln!(
+        "{}: {} logs, {new} of them diagnosed now; {refused} cannot be diagnosed",
+        table.display(),
+        rows.len()
+    );
     Ok(CommandOutcome::Good)
 }
 
@@ -113,20 +141,37 @@ pub fn run(logs: &[PathBuf], settings: &Settings, args: &RowsArgs, table: &Path)
 fn tasks(logs: &[PathBuf], args: &RowsArgs) -> Result<Vec<Task>> {
     let mut tasks = Vec::new();
     for path in logs {
-        let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
+        let folder = if path.is_dir() {
+            path
+        } else {
+            path.parent().unwrap_or(path)
+        };
         collect(path, folder, &mut tasks)?;
     }
     tasks.sort_by(|a, b| a.row.log.cmp(&b.row.log));
-    if let Some([a, b]) = tasks.windows(2).find(|two| two[0].row.log == two[1].row.log) {
-        bail!("{:?} and {:?} have the same name; give the folder that holds both", a.path, b.path);
+    if let Some([a, b]) = tasks
+        .windows(2)
+        .find(|two| two[0].row.log == two[1].row.log)
+    {
+        bail!(
+            "{:?} and {:?} have the same name; give the folder that holds both",
+            a.path,
+            b.path
+        );
     }
     if let Some(units) = &args.units {
         let file = units.display();
         let mut reader = csv::Reader::from_path(units).map_err(|e| miette!("{file}: {e}"))?;
         for record in reader.deserialize() {
-            let Unit { log, unit, lot, date } = record.map_err(|e| miette!("{file}: {e}"))?;
+            let Unit {
+                log,
+                unit,
+                lot,
+                date,
+            } = record.map_err(|e| miette!("{file}: {e}"))?;
             let task = tasks.binary_search_by(|task| task.row.log.cmp(&log));
-            let row = &mut tasks[task.map_err(|_| miette!("{file}: {log}: there is no such log"))?].row;
+            let row =
+                &mut tasks[task.map_err(|_| miette!("{file}: {log}: there is no such log"))?].row;
             (row.unit, row.lot, row.date) = (unit, lot, date);
         }
     }
@@ -134,7 +179,9 @@ fn tasks(logs: &[PathBuf], args: &RowsArgs) -> Result<Vec<Task>> {
         tasks.retain(|task| fnv(task.row.log.bytes()) % n == k - 1);
     }
     if tasks.is_empty() {
-        bail!("there is no log to diagnose: logs are *.csv and *.csv.gz files, also in folders of folders");
+        bail!(
+            "there is no log to diagnose: logs are *.csv and *.csv.gz files, also in folders of folders"
+        );
     }
     Ok(tasks)
 }
@@ -152,21 +199,44 @@ fn collect(path: &Path, folder: &Path, into: &mut Vec<Task>) -> Result<()> {
         }
         return Ok(());
     }
-    let log = path.strip_prefix(folder).unwrap_or(path).to_string_lossy().into_owned();
-    if let Some(unit) = log.strip_suffix(".csv.gz").or_else(|| log.strip_suffix(".csv")) {
+    let log = path
+        .strip_prefix(folder)
+        .unwrap_or(path)
+        .to_string_lossy()
+        .into_owned();
+    if let Some(unit) = log
+        .strip_suffix(".csv.gz")
+        .or_else(|| log.strip_suffix(".csv"))
+    {
         let (lot, unit) = unit.rsplit_once('/').unwrap_or(("", unit));
-        let row = Row { unit: unit.to_owned(), lot: lot.to_owned(), log: log.clone(), ..Row::default() };
-        into.push(Task { path: path.to_owned(), row });
+        let row = Row {
+            unit: unit.to_owned(),
+            lot: lot.to_owned(),
+            log: log.clone(),
+            ..Row::default()
+        };
+        into.push(Task {
+            path: path.to_owned(),
+            row,
+        });
     }
     Ok(())
 }
 
 /// Rows of an earlier run, by log: those of its table, and those of its journal if it did not end.
 fn known(table: &Path, journal: &Path) -> Result<HashMap<String, Row>> {
-    let mut rows = if table.is_file() { read(table)? } else { Vec::new() };
+    let mut rows = if table.is_file() {
+        read(table)?
+    } else {
+        Vec::new()
+    };
     let lines = fs::read(journal).unwrap_or_default();
     // a row that was being written as the run ended is no row
-    rows.extend(lines.split(|b| *b == b'\n').filter_map(|line| serde_json::from_slice::<Row>(line).ok()));
+    rows.extend(
+        lines
+            .split(|b| *b == b'\n')
+            .filter_map(|line| serde_json::from_slice::<Row>(line).ok()),
+    );
     Ok(rows.into_iter().map(|row| (row.log.clone(), row)).collect())
 }
 
@@ -180,20 +250,31 @@ pub fn read(table: &Path) -> Result<Vec<Row>> {
     let open = File::open(table).map_err(|e| miette!("{file}: {}", why_unreadable(table, &e)))?;
     let columns = columns::read(open).map_err(|e| other(&e.to_string()))?;
     let rows = row::rows(&columns).map_err(|e| other(&e.to_string()))?;
-    if rows.iter().any(|row| row.log.is_empty()) { Err(other("it has no column `log`")) } else { Ok(rows) }
+    if rows.iter().any(|row| row.log.is_empty()) {
+        Err(other("it has no column `log`"))
+    } else {
+        Ok(rows)
+    }
 }
 
 /// Fills in the rows, one log a core at a time.
 fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Result<()> {
     let failed = |e: std::io::Error| miette!("{}: {e}", journal.display());
-    let mut file = OpenOptions::new().create(true).append(true).open(journal).map_err(failed)?;
+    let mut file = OpenOptions::new()
+        .create(true)
+        .append(true)
+        .open(journal)
+        .map_err(failed)?;
     // ends a row that was being written as an earlier run ended
     file.write_all(b"\n").map_err(failed)?;
     let bar = output::bar(open.len() as u64, "{pos} of {len} logs, {eta} left,");
     let open = Mutex::new(open.into_iter());
     let work = || -> std::io::Result<()> {
         // cores share logs out, not the parts of one log: that scales better and holds few logs in memory
-        let pool = ThreadPoolBuilder::new().num_threads(1).build().map_err(std::io::Error::other)?;
+        let pool = ThreadPoolBuilder::new()
+            .num_threads(1)
+            .build()
+            .map_err(std::io::Error::other)?;
         while let Some(task) = next(&open) {
             pool.install(|| diagnose_one(settings, task));
             let line = serde_json::to_string(&task.row)? + "\n";
@@ -205,22 +286,44 @@ fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Re
         Ok(())
     };
     let results: Vec<_> = thread::scope(|scope| {
-        let workers: Vec<_> = (0..rayon::current_num_threads()).map(|_| scope.spawn(work)).collect();
-        workers.into_iter().map(|w| w.join().unwrap_or_else(|_| Err(std::io::Error::other("a diagnosis failed")))).collect()
+        let workers: Vec<_> = (0..rayon::current_num_threads())
+            .map(|_| scope.spawn(work))
+            .collect();
+        workers
+            .into_iter()
+            .map(|w| {
+                w.join()
+                    .unwrap_or_else(|_| Err(std::io::Error::other("a diagnosis failed")))
+            })
+            .collect()
     });
     bar.finish_and_clear();
-    results.into_iter().collect::<std::io::Result<Vec<()>>>().map_err(failed)?;
+    results
+        .into_iter()
+        .collect::<std::io::Result<Vec<()>>>()
+        .map_err(failed)?;
     Ok(())
 }
 
 fn next<'a>(open: &Mutex<std::vec::IntoIter<&'a mut Task>>) -> Option<&'a mut Task> {
-    open.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next()
+    open.lock()
+        .unwrap_or_else(std::sync::PoisonError::into_inner)
+        .next()
 }
 
 fn diagnose_one(settings: &Settings, task: &mut Task) {
     match input::observe(&task.path, &settings.rig) {
-        Ok(log) => task.row.tell(&diagnose(&log, &catalogue(), &settings.lines, settings.seed)),
+        Ok(log) => task.row.tell(&diagnose(
+            &log,
+            &catalogue(),
+            &settings.lines,
+            settings.seed,
+        )),
         // where the folder lies does not matter
-        Err(e) => task.row.refused = e.to_string().replace(&task.path.display().to_string(), &task.row.log),
+        Err(e) => {
+            task.row.refused = e
+                .to_string()
+                .replace(&task.path.display().to_string(), &task.row.log)
+        }
     }
 }

@@ -44,15 +44,26 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     cases.retain(|c| seeds.contains(&c.seed));
     let known: BTreeSet<u64> = cases.iter().map(|c| c.seed).collect();
     let missing: Vec<u64> = seeds.filter(|s| !known.contains(s)).collect();
-    eprintln!("seed {}, {} logs, {} of them in {}", args.seed, args.logs, known.len(), args.cases.display());
+    eprintln!(
+        "seed {}, {} logs, {} of them in {}",
+        args.seed,
+        args.logs,
+        known.len(),
+        args.cases.display()
+    );
     let named = |e: std::io::Error| miette!("{}: {e}", args.cases.display());
     let file = Mutex::new(file);
     let bar = output::bar(missing.len() as u64, "{pos} of {len} logs, {eta} left,");
     let one = |seed: &u64| {
-        let case =
-            if args.map { Case::of_rig(*seed) } else { Case::of_tip(*seed, &unit::draw(*seed).into_diagnostic()?).into_diagnostic()? };
+        let case = if args.map {
+            Case::of_rig(*seed)
+        } else {
+            Case::of_tip(*seed, &unit::draw(*seed).into_diagnostic()?).into_diagnostic()?
+        };
         let line = serde_json::to_string(&case).into_diagnostic()? + "\n";
-        let mut file = file.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut file = file
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner);
         file.write_all(line.as_bytes()).map_err(named)?;
         bar.inc(1);
         Ok(case)
@@ -60,7 +71,11 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     cases.extend(missing.par_iter().map(one).collect::<Result<Vec<Case>>>()?);
     bar.finish_and_clear();
     cases.sort_by_key(|c| c.seed);
-    let head = if args.map { &map::features::HEAD } else { &features::HEAD };
+    let head = if args.map {
+        &map::features::HEAD
+    } else {
+        &features::HEAD
+    };
     let trained = fit(&cases, head.names.clone());
     let [fitted, check, lost] = trained.logs;
     let head = format!(
@@ -80,15 +95,33 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 /// Opens the file of the finished logs, which need not exist, and reads it; a last line that was cut off is removed.
 fn open(path: &Path) -> Result<(File, Vec<Case>)> {
     let named = |e: std::io::Error| miette!("{}: {e}", path.display());
-    let mut file = File::options().create(true).read(true).append(true).open(path).map_err(named)?;
+    let mut file = File::options()
+        .create(true)
+        .read(true)
+        .append(true)
+        .open(path)
+        .map_err(named)?;
     let mut text = String::new();
     file.read_to_string(&mut text).map_err(named)?;
     let whole = &text[..text.rfind('\n').map_or(0, |end| end + 1)];
     file.set_len(whole.len() as u64).map_err(named)?;
     let parse = |(n, line): (usize, &str)| {
-        serde_json::from_str(line).map_err(|e| miette!("{}, line {}: {e}; remove the file to start anew", path.display(), n + 1))
+        serde_json::from_str(line).map_err(|e| {
+            miette!(
+                "{}, line {}: {e}; remove the file to start anew",
+                path.display(),
+                n + 1
+            )
+        })
     };
-    Ok((file, whole.lines().enumerate().map(parse).collect::<Result<_>>()?))
+    Ok((
+        file,
+        whole
+            .lines()
+            .enumerate()
+            .map(parse)
+            .collect::<Result<_>>()?,
+    ))
 }
 
 #[cfg(test)]
@@ -99,11 +132,27 @@ mod tests {
     fn a_line_that_was_cut_off_is_removed_and_the_file_goes_on() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("cases.jsonl");
-        let case = |seed| format!("{}\n", serde_json::to_string(&Case { seed, truth: None, said: vec![] }).unwrap());
+        let case = |seed| {
+            format!(
+                "{}\n",
+                serde_json::to_string(&Case {
+                    seed,
+                    truth: None,
+                    said: vec![]
+                })
+                .unwrap()
+            )
+        };
         std::fs::write(&path, case(1) + &case(2)[..9]).unwrap();
         let (mut file, cases) = open(&path).unwrap();
         file.write_all(case(3).as_bytes()).unwrap();
         let again = open(&path).unwrap().1;
-        assert_eq!((cases.len(), again.iter().map(|c| c.seed).collect::<Vec<_>>()), (1, vec![1, 3]));
+        assert_eq!(
+            (
+                cases.len(),
+                again.iter().map(|c| c.seed).collect::<Vec<_>>()
+            ),
+            (1, vec![1, 3])
+        );
     }
 }

@@ -36,7 +36,10 @@ pub struct SettingsArgs {
 impl SettingsArgs {
     /// True if there are any.
     pub fn any(&self) -> bool {
-        self.gains.is_some() || self.calib.is_some() || self.filter.is_some() || self.feedforward.is_some()
+        self.gains.is_some()
+            || self.calib.is_some()
+            || self.filter.is_some()
+            || self.feedforward.is_some()
     }
 }
 
@@ -61,9 +64,14 @@ impl Settings {
     /// What is wrong with them.
     pub fn of(header: &Header) -> std::result::Result<Self, String> {
         if header.log != 3 {
-            return Err(format!("log version {}; this program reads version 3", header.log));
+            return Err(format!(
+                "log version {}; this program reads version 3",
+                header.log
+            ));
         }
-        let [board, gains, calibration, model @ ..] = header.texts.as_slice() else { return Err("has no configuration".to_owned()) };
+        let [board, gains, calibration, model @ ..] = header.texts.as_slice() else {
+            return Err("has no configuration".to_owned());
+        };
         let board: Board = text(board)?;
         let name = "model of the log";
         let described = model.first().map(|text| {
@@ -73,7 +81,13 @@ impl Settings {
         let feedforward = described.transpose().map_err(|e| e.to_string())?;
         let (gains, calibration) = (text(gains)?, text(calibration)?);
         let learned = Some((header.lines, header.dynamics));
-        Ok(Self { board, gains, calibration, learned, feedforward })
+        Ok(Self {
+            board,
+            gains,
+            calibration,
+            learned,
+            feedforward,
+        })
     }
 
     /// What a supervisor with these settings is made of.
@@ -110,7 +124,11 @@ impl Settings {
     /// # Errors
     /// A report about a file.
     pub fn texts(&self, read: &Header, args: Option<&SettingsArgs>) -> Result<Vec<String>> {
-        let mut texts = vec![show::compact(&self.board), show::compact(&self.gains), show::compact(&self.calibration)];
+        let mut texts = vec![
+            show::compact(&self.board),
+            show::compact(&self.gains),
+            show::compact(&self.calibration),
+        ];
         texts.extend(match args.and_then(|args| args.feedforward.as_deref()) {
             Some(path) => Some(source::text_of(path)?),
             None => read.texts.get(texts.len()).cloned(),

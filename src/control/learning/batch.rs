@@ -89,7 +89,10 @@ pub const ROW_SIGMA_MM: f64 = 0.6;
 ///
 /// # Errors
 /// Without a prior, [`Unidentifiable`] when a channel has too few rows or an ill-conditioned system.
-pub fn solve(data: &[Measurement], prior: Option<&[Prior; 3]>) -> Result<[Estimate; 3], Unidentifiable> {
+pub fn solve(
+    data: &[Measurement],
+    prior: Option<&[Prior; 3]>,
+) -> Result<[Estimate; 3], Unidentifiable> {
     let channel = |i: usize| solve_channel(data, i, prior.map(|p| &p[i]));
     Ok([channel(0)?, channel(1)?, channel(2)?])
 }
@@ -105,10 +108,22 @@ const HUBER: f64 = 1.5;
 /// Iterations of the reweighting.
 const ROUNDS: usize = 8;
 
-fn solve_channel(data: &[Measurement], i: usize, prior: Option<&Prior>) -> Result<Estimate, Unidentifiable> {
-    let rows: Vec<_> = data.iter().map(|m| row(m, i)).filter(|r| r.2 > 0.0).collect();
+fn solve_channel(
+    data: &[Measurement],
+    i: usize,
+    prior: Option<&Prior>,
+) -> Result<Estimate, Unidentifiable> {
+    let rows: Vec<_> = data
+        .iter()
+        .map(|m| row(m, i))
+        .filter(|r| r.2 > 0.0)
+        .collect();
     if prior.is_none() && rows.len() < ROWS_MIN {
-        return Err(Unidentifiable::TooFew { channel: i + 1, rows: rows.len(), needed: ROWS_MIN });
+        return Err(Unidentifiable::TooFew {
+            channel: i + 1,
+            rows: rows.len(),
+            needed: ROWS_MIN,
+        });
     }
     let mut weights: Vec<f64> = rows.iter().map(|r| r.2).collect();
     let (mut k, mut inverse) = invert(&normal(&rows, &weights, prior), i)?;
@@ -120,10 +135,21 @@ fn solve_channel(data: &[Measurement], i: usize, prior: Option<&Prior>) -> Resul
         }
         (k, inverse) = invert(&normal(&rows, &weights, prior), i)?;
     }
-    let squares: f64 = rows.iter().zip(&weights).map(|((a, b, _), w)| w * (b - a.dot(&k)).powi(2)).sum();
-    let variance = if rows.len() > 2 { squares / (rows.len() - 2) as f64 } else { ROW_SIGMA_MM * ROW_SIGMA_MM };
+    let squares: f64 = rows
+        .iter()
+        .zip(&weights)
+        .map(|((a, b, _), w)| w * (b - a.dot(&k)).powi(2))
+        .sum();
+    let variance = if rows.len() > 2 {
+        squares / (rows.len() - 2) as f64
+    } else {
+        ROW_SIGMA_MM * ROW_SIGMA_MM
+    };
     Ok(Estimate {
-        line: Line { k_epsilon: k.x, k_lambda_mm: k.y },
+        line: Line {
+            k_epsilon: k.x,
+            k_lambda_mm: k.y,
+        },
         covariance: inverse * variance,
         condition: condition(&normal(&rows, &weights, prior).matrix),
         residual_mm: variance.sqrt(),
@@ -139,7 +165,10 @@ fn robust_spread(off: &[f64]) -> f64 {
 }
 
 fn normal(rows: &[(Vector2<f64>, f64, f64)], weights: &[f64], prior: Option<&Prior>) -> Normal {
-    let mut n = Normal { matrix: Matrix2::zeros(), rhs: Vector2::zeros() };
+    let mut n = Normal {
+        matrix: Matrix2::zeros(),
+        rhs: Vector2::zeros(),
+    };
     for ((a, b, _), w) in rows.iter().zip(weights) {
         n.matrix += a * a.transpose() * *w;
         n.rhs += a * (b * w);
@@ -158,17 +187,26 @@ fn normal(rows: &[(Vector2<f64>, f64, f64)], weights: &[f64], prior: Option<&Pri
 
 fn invert(normal: &Normal, i: usize) -> Result<(Vector2<f64>, Matrix2<f64>), Unidentifiable> {
     let condition = condition(&normal.matrix);
-    let inverse = normal.matrix.try_inverse().filter(|_| condition < CONDITION_MAX);
-    inverse.map(|inverse| (inverse * normal.rhs, inverse)).ok_or(Unidentifiable::Condition {
-        channel: i + 1,
-        condition,
-        max: CONDITION_MAX,
-    })
+    let inverse = normal
+        .matrix
+        .try_inverse()
+        .filter(|_| condition < CONDITION_MAX);
+    inverse
+        .map(|inverse| (inverse * normal.rhs, inverse))
+        .ok_or(Unidentifiable::Condition {
+            channel: i + 1,
+            condition,
+            max: CONDITION_MAX,
+        })
 }
 
 /// Eq. 21 for channel `i`: row of A, entry of b, weight.
 fn row(m: &Measurement, i: usize) -> (Vector2<f64>, f64, f64) {
-    (Vector2::new(m.bellow_mm[i], m.side[i]), m.piston_mm[i] - m.bellow_mm[i], m.weight[i])
+    (
+        Vector2::new(m.bellow_mm[i], m.side[i]),
+        m.piston_mm[i] - m.bellow_mm[i],
+        m.weight[i],
+    )
 }
 
 /// Condition number after both columns are scaled to unit length.
@@ -184,9 +222,21 @@ fn condition(normal: &Matrix2<f64>) -> f64 {
 /// Relative step of Algorithm 1, line 2: ‖k_i − k_{i−1}‖ / ‖k_{i−1}‖ over all six gains. It is infinite for gains of zero,
 /// so that the first pass never ends the iteration.
 pub fn relative_step(new: &[Line; 3], old: &[Line; 3]) -> f64 {
-    let six = |l: &[Line; 3]| nalgebra::Vector6::from_fn(|i, _| if i < 3 { l[i].k_epsilon } else { l[i - 3].k_lambda_mm });
+    let six = |l: &[Line; 3]| {
+        nalgebra::Vector6::from_fn(|i, _| {
+            if i < 3 {
+                l[i].k_epsilon
+            } else {
+                l[i - 3].k_lambda_mm
+            }
+        })
+    };
     let size = six(old).norm();
-    if size == 0.0 { f64::INFINITY } else { (six(new) - six(old)).norm() / size }
+    if size == 0.0 {
+        f64::INFINITY
+    } else {
+        (six(new) - six(old)).norm() / size
+    }
 }
 
 #[cfg(test)]
@@ -225,8 +275,13 @@ mod tests {
 
     #[test]
     fn the_covariance_covers_the_error() {
-        let line = Line { k_epsilon: 2.2, k_lambda_mm: 0.9 };
-        let qs: Vec<_> = (0..60).map(|i| (f64::from(i % 11) - 5.0, i % 3 != 0)).collect();
+        let line = Line {
+            k_epsilon: 2.2,
+            k_lambda_mm: 0.9,
+        };
+        let qs: Vec<_> = (0..60)
+            .map(|i| (f64::from(i % 11) - 5.0, i % 3 != 0))
+            .collect();
         let e = solve(&poses(line, &qs, 0.1), None).unwrap()[0];
         assert!((e.line.k_epsilon - 2.2).abs() < 4.0 * e.covariance[(0, 0)].sqrt());
         assert!(e.covariance[(0, 0)].sqrt() < 0.02, "{}", e.covariance);
@@ -234,8 +289,13 @@ mod tests {
 
     #[test]
     fn a_few_obstructed_poses_hardly_change_the_gains() {
-        let line = Line { k_epsilon: 2.2, k_lambda_mm: 0.9 };
-        let qs: Vec<_> = (0..60).map(|i| (f64::from(i % 11) - 5.0, i % 3 != 0)).collect();
+        let line = Line {
+            k_epsilon: 2.2,
+            k_lambda_mm: 0.9,
+        };
+        let qs: Vec<_> = (0..60)
+            .map(|i| (f64::from(i % 11) - 5.0, i % 3 != 0))
+            .collect();
         let mut data = poses(line, &qs, 0.1);
         for m in data.iter_mut().filter(|m| m.bellow_mm.x > 4.5) {
             m.bellow_mm = Vector3::repeat(3.0);
@@ -246,25 +306,41 @@ mod tests {
 
     #[test]
     fn one_sided_poses_of_one_size_are_refused() {
-        let line = Line { k_epsilon: 2.2, k_lambda_mm: 0.9 };
+        let line = Line {
+            k_epsilon: 2.2,
+            k_lambda_mm: 0.9,
+        };
         let qs = vec![(3.0, true); 20];
         let why = solve(&poses(line, &qs, 0.0), None).unwrap_err();
-        assert!(matches!(why, Unidentifiable::Condition { channel: 1, .. }), "{why}");
+        assert!(
+            matches!(why, Unidentifiable::Condition { channel: 1, .. }),
+            "{why}"
+        );
         let few = solve(&poses(line, &qs[..3], 0.0), None).unwrap_err();
         assert!(few.to_string().contains("3 usable poses"));
     }
 
     #[test]
     fn a_prior_determines_what_the_data_do_not() {
-        let line = Line { k_epsilon: 2.2, k_lambda_mm: 0.9 };
-        let prior = Prior { line, k_epsilon_sigma: 0.2, k_lambda_sigma_mm: 0.05 };
+        let line = Line {
+            k_epsilon: 2.2,
+            k_lambda_mm: 0.9,
+        };
+        let prior = Prior {
+            line,
+            k_epsilon_sigma: 0.2,
+            k_lambda_sigma_mm: 0.05,
+        };
         let e = solve(&poses(line, &[(3.0, true)], 0.0), Some(&[prior; 3])).unwrap();
         assert!((e[1].line.k_lambda_mm - 0.9).abs() < 1e-9);
     }
 
     #[test]
     fn the_first_pass_never_ends_the_iteration() {
-        let zero = [Line { k_epsilon: 0.0, k_lambda_mm: 0.0 }; 3];
+        let zero = [Line {
+            k_epsilon: 0.0,
+            k_lambda_mm: 0.0,
+        }; 3];
         assert!(relative_step(&zero, &zero).is_infinite());
     }
 }

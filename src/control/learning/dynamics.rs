@@ -15,9 +15,13 @@ use crate::control::pi::{Dynamics, DynamicsPrior, DynamicsRange};
 use nalgebra::Vector2;
 
 /// Lags of the candidates, s.
-pub const LAGS_S: [f64; 13] = [0.01, 0.03, 0.06, 0.1, 0.14, 0.19, 0.25, 0.32, 0.41, 0.52, 0.66, 0.83, 1.05];
+pub const LAGS_S: [f64; 13] = [
+    0.01, 0.03, 0.06, 0.1, 0.14, 0.19, 0.25, 0.32, 0.41, 0.52, 0.66, 0.83, 1.05,
+];
 /// Dead times of the candidates, s.
-pub const DELAYS_S: [f64; 16] = [0.0, 0.01, 0.025, 0.05, 0.08, 0.11, 0.14, 0.17, 0.2, 0.24, 0.28, 0.32, 0.37, 0.43, 0.5, 0.6];
+pub const DELAYS_S: [f64; 16] = [
+    0.0, 0.01, 0.025, 0.05, 0.08, 0.11, 0.14, 0.17, 0.2, 0.24, 0.28, 0.32, 0.37, 0.43, 0.5, 0.6,
+];
 /// Sampling rate of the bank, 1/s.
 const RATE_HZ: f64 = 100.0;
 const PERIOD_S: f64 = 1.0 / RATE_HZ;
@@ -104,7 +108,11 @@ impl DynamicsBank {
         self.last_estimate = estimate;
         let moving = path > 0.02 * dt_s.max(PERIOD_S);
         self.motion_rad += if moving { path } else { 0.0 };
-        let forget = if moving { (-dt_s / MEMORY_S).exp() } else { 1.0 };
+        let forget = if moving {
+            (-dt_s / MEMORY_S).exp()
+        } else {
+            1.0
+        };
         self.yy = self.yy * forget + fast_estimate.norm_squared() * dt_s;
         for (row, &lag_s) in self.candidates.iter_mut().zip(&LAGS_S) {
             let keep = (-dt_s / lag_s).exp();
@@ -136,19 +144,41 @@ impl DynamicsBank {
         let rows = (self.motion_rad / PATH_PER_ROW_RAD).min(ROWS_MAX);
         let rows = rows / (share + SHARE_FLOOR);
         let score = |c| rows * self.unexplained(c) + before.distance_squared(&candidate(c));
-        let (best, least) = all().map(|c| (c, score(c))).fold(((0, 0), f64::INFINITY), |a, b| if b.1 < a.1 { b } else { a });
-        let best = if score(nearest(&now.best)) > least + BETTER { self.interpolated(best) } else { now.best };
+        let (best, least) = all()
+            .map(|c| (c, score(c)))
+            .fold(
+                ((0, 0), f64::INFINITY),
+                |a, b| if b.1 < a.1 { b } else { a },
+            );
+        let best = if score(nearest(&now.best)) > least + BETTER {
+            self.interpolated(best)
+        } else {
+            now.best
+        };
         let [lag_min_s, response_min_s] = [f64::INFINITY; 2];
-        let mut range = DynamicsRange { best, integral_min_s: 0.0, lag_min_s, response_min_s, response_max_s: 0.0 };
+        let mut range = DynamicsRange {
+            best,
+            integral_min_s: 0.0,
+            lag_min_s,
+            response_min_s,
+            response_max_s: 0.0,
+        };
         for c in all().filter(|c| score(*c) < least + PLAUSIBLE) {
             // a candidate stands for everything up to half of the way to its neighbours
-            let ([lag_min_s, lag_max_s], [delay_min_s, delay_max_s]) = (cell(&LAGS_S, c.0), cell(&DELAYS_S, c.1));
+            let ([lag_min_s, lag_max_s], [delay_min_s, delay_max_s]) =
+                (cell(&LAGS_S, c.0), cell(&DELAYS_S, c.1));
             range.lag_min_s = range.lag_min_s.min(lag_min_s);
             range.response_min_s = range.response_min_s.min(lag_min_s + delay_min_s);
             range.response_max_s = range.response_max_s.max(lag_max_s + delay_max_s);
-            for (lag_s, delay_s) in [(lag_min_s, delay_min_s), (lag_min_s, delay_max_s), (lag_max_s, delay_min_s), (lag_max_s, delay_max_s)]
-            {
-                range.integral_min_s = range.integral_min_s.max(best.integral_min_s(&Dynamics { lag_s, delay_s }));
+            for (lag_s, delay_s) in [
+                (lag_min_s, delay_min_s),
+                (lag_min_s, delay_max_s),
+                (lag_max_s, delay_min_s),
+                (lag_max_s, delay_max_s),
+            ] {
+                range.integral_min_s = range
+                    .integral_min_s
+                    .max(best.integral_min_s(&Dynamics { lag_s, delay_s }));
             }
         }
         range
@@ -163,18 +193,35 @@ impl DynamicsBank {
         let delay = |l: usize| vertex(&DELAYS_S, d, |d| self.unexplained((l, d)));
         let last = LAGS_S.len() - 1;
         let near = l.saturating_sub(1)..=(l + 1).min(last);
-        let l = near.min_by(|&a, &b| delay(a).1.total_cmp(&delay(b).1)).unwrap_or(l);
+        let l = near
+            .min_by(|&a, &b| delay(a).1.total_cmp(&delay(b).1))
+            .unwrap_or(l);
         let (lag_s, _) = vertex(&LAGS_S, l, |l| delay(l).1);
         // a longer lag goes with a shorter dead time
-        let other = if lag_s < LAGS_S[l] { l.saturating_sub(1) } else { (l + 1).min(last) };
-        let part = if other == l { 0.0 } else { (lag_s - LAGS_S[l]) / (LAGS_S[other] - LAGS_S[l]) };
-        Dynamics { lag_s, delay_s: (delay(l).0 + part * (delay(other).0 - delay(l).0)).max(0.0) }
+        let other = if lag_s < LAGS_S[l] {
+            l.saturating_sub(1)
+        } else {
+            (l + 1).min(last)
+        };
+        let part = if other == l {
+            0.0
+        } else {
+            (lag_s - LAGS_S[l]) / (LAGS_S[other] - LAGS_S[l])
+        };
+        Dynamics {
+            lag_s,
+            delay_s: (delay(l).0 + part * (delay(other).0 - delay(l).0)).max(0.0),
+        }
     }
 
     fn unexplained(&self, (l, d): (usize, usize)) -> f64 {
         let c = &self.candidates[l][d];
         let scale = c.xx * self.yy;
-        if scale > 0.0 && c.xy > 0.0 { 1.0 - c.xy * c.xy / scale } else { 1.0 }
+        if scale > 0.0 && c.xy > 0.0 {
+            1.0 - c.xy * c.xy / scale
+        } else {
+            1.0
+        }
     }
 }
 
@@ -184,7 +231,10 @@ fn all() -> impl Iterator<Item = (usize, usize)> {
 }
 
 fn candidate((l, d): (usize, usize)) -> Dynamics {
-    Dynamics { lag_s: LAGS_S[l], delay_s: DELAYS_S[d] }
+    Dynamics {
+        lag_s: LAGS_S[l],
+        delay_s: DELAYS_S[d],
+    }
 }
 
 /// Where the parabola through the values at `i` and its neighbours in the grid is least, no further than the neighbours, and the
@@ -198,21 +248,30 @@ fn vertex(grid: &[f64], i: usize, value: impl Fn(usize) -> f64) -> (f64, f64) {
     let (s0, s2) = ((value(i - 1) - least) / x0, (value(i + 1) - least) / x2);
     let curvature = (s2 - s0) / (x2 - x0);
     let slope = s0 - curvature * x0;
-    let shift = if curvature > 0.0 { (-slope / (2.0 * curvature)).clamp(x0, x2) } else { 0.0 };
+    let shift = if curvature > 0.0 {
+        (-slope / (2.0 * curvature)).clamp(x0, x2)
+    } else {
+        0.0
+    };
     (grid[i] + shift, least + (slope + curvature * shift) * shift)
 }
 
 /// Half of the way from a value of a grid to its neighbours on both sides.
 fn cell(grid: &[f64], i: usize) -> [f64; 2] {
     let halfway = |j: usize| (grid[i] + grid[j]) / 2.0;
-    [halfway(i.saturating_sub(1)), halfway((i + 1).min(grid.len() - 1))]
+    [
+        halfway(i.saturating_sub(1)),
+        halfway((i + 1).min(grid.len() - 1)),
+    ]
 }
 
 /// The candidate nearest to the given dynamics.
 fn nearest(to: &Dynamics) -> (usize, usize) {
     let index = |grid: &[f64], x: f64| {
         let gap = |i: &usize| (grid[*i] - x).abs();
-        (0..grid.len()).min_by(|a, b| gap(a).total_cmp(&gap(b))).unwrap_or(0)
+        (0..grid.len())
+            .min_by(|a, b| gap(a).total_cmp(&gap(b)))
+            .unwrap_or(0)
     };
     (index(&LAGS_S, to.lag_s), index(&DELAYS_S, to.delay_s))
 }
@@ -231,7 +290,11 @@ mod tests {
             let target = Vector2::new((phase * 1.3).cos(), (phase * 2.1).sin()) * 0.7;
             let step: Vector2<f64> = target - at;
             let size = step.norm();
-            at += if size > 1.5 * dt_s { step * (1.5 * dt_s / size) } else { step };
+            at += if size > 1.5 * dt_s {
+                step * (1.5 * dt_s / size)
+            } else {
+                step
+            };
             let estimate = plant.step(at, &truth, dt_s);
             crept += (estimate * 0.1 - crept) * (dt_s / 5.0);
             bank.step(at, estimate * 0.9 + crept, dt_s);
@@ -239,35 +302,82 @@ mod tests {
         bank.assess(&UNKNOWN, &UNKNOWN.range())
     }
 
-    const UNKNOWN: DynamicsPrior = DynamicsPrior { expected: Dynamics { lag_s: 0.03, delay_s: 0.01 }, uncertainty_s: 0.3 };
+    const UNKNOWN: DynamicsPrior = DynamicsPrior {
+        expected: Dynamics {
+            lag_s: 0.03,
+            delay_s: 0.01,
+        },
+        uncertainty_s: 0.3,
+    };
 
     #[test]
     fn finds_slow_lines_and_dead_times() {
         for dt_s in [0.001, 0.005] {
-            let slow = range_for(Dynamics { lag_s: 0.6, delay_s: 0.0 }, 40.0, dt_s);
+            let slow = range_for(
+                Dynamics {
+                    lag_s: 0.6,
+                    delay_s: 0.0,
+                },
+                40.0,
+                dt_s,
+            );
             assert!((slow.best.lag_s - 0.6).abs() < 0.3, "{slow:?}");
-            let late = range_for(Dynamics { lag_s: 0.03, delay_s: 0.16 }, 40.0, dt_s);
+            let late = range_for(
+                Dynamics {
+                    lag_s: 0.03,
+                    delay_s: 0.16,
+                },
+                40.0,
+                dt_s,
+            );
             assert!((late.best.delay_s - 0.16).abs() < 0.02, "{late:?}");
-            let both = range_for(Dynamics { lag_s: 0.35, delay_s: 0.3 }, 40.0, dt_s);
+            let both = range_for(
+                Dynamics {
+                    lag_s: 0.35,
+                    delay_s: 0.3,
+                },
+                40.0,
+                dt_s,
+            );
             assert!((both.best.response_s() - 0.65).abs() < 0.1, "{both:?}");
         }
     }
 
     #[test]
     fn the_plausible_range_contains_the_truth_and_narrows_with_motion() {
-        for truth in
-            [Dynamics { lag_s: 0.03, delay_s: 0.01 }, Dynamics { lag_s: 0.05, delay_s: 0.22 }, Dynamics { lag_s: 0.3, delay_s: 0.1 }]
-        {
+        for truth in [
+            Dynamics {
+                lag_s: 0.03,
+                delay_s: 0.01,
+            },
+            Dynamics {
+                lag_s: 0.05,
+                delay_s: 0.22,
+            },
+            Dynamics {
+                lag_s: 0.3,
+                delay_s: 0.1,
+            },
+        ] {
             let mut before = UNKNOWN.range();
             for seconds in [1.0, 3.0, 12.0] {
                 let range = range_for(truth, seconds, 0.001);
                 // the grid of candidates has steps of up to 0.06 s there
                 let inside = range.response_min_s - 0.06..range.response_max_s + 0.06;
-                assert!(inside.contains(&truth.response_s()), "{truth:?} after {seconds} s: {range:?}");
-                assert!(range.error_max_s() <= before.error_max_s() + 0.03, "{truth:?} after {seconds} s: {range:?}");
+                assert!(
+                    inside.contains(&truth.response_s()),
+                    "{truth:?} after {seconds} s: {range:?}"
+                );
+                assert!(
+                    range.error_max_s() <= before.error_max_s() + 0.03,
+                    "{truth:?} after {seconds} s: {range:?}"
+                );
                 before = range;
             }
-            assert!(before.error_max_s() < 0.2 * UNKNOWN.range().error_max_s(), "{truth:?}: {before:?}");
+            assert!(
+                before.error_max_s() < 0.2 * UNKNOWN.range().error_max_s(),
+                "{truth:?}: {before:?}"
+            );
         }
     }
 
@@ -288,8 +398,16 @@ mod tests {
 
     #[test]
     fn correct_dynamics_stay_and_a_tip_at_rest_says_nothing() {
-        let truth = Dynamics { lag_s: 0.03, delay_s: 0.01 };
-        assert!((range_for(truth, 40.0, 0.001).best.response_s() - truth.response_s()).abs() < 0.01);
-        assert_eq!(DynamicsBank::default().assess(&UNKNOWN, &UNKNOWN.range()), UNKNOWN.range());
+        let truth = Dynamics {
+            lag_s: 0.03,
+            delay_s: 0.01,
+        };
+        assert!(
+            (range_for(truth, 40.0, 0.001).best.response_s() - truth.response_s()).abs() < 0.01
+        );
+        assert_eq!(
+            DynamicsBank::default().assess(&UNKNOWN, &UNKNOWN.range()),
+            UNKNOWN.range()
+        );
     }
 }

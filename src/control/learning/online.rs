@@ -48,7 +48,10 @@ impl RefineConfig {
     /// Least and largest k_ε, and k_λ in mm, of a channel with this calibration.
     pub fn bounds(&self, prior: &Line) -> [[f64; 2]; 2] {
         let around = |x: f64, range: f64| [(x - range).max(0.0), x + range];
-        [around(prior.k_epsilon, self.range * (1.0 + prior.k_epsilon)), around(prior.k_lambda_mm, LAMBDA_RANGE_MM)]
+        [
+            around(prior.k_epsilon, self.range * (1.0 + prior.k_epsilon)),
+            around(prior.k_lambda_mm, LAMBDA_RANGE_MM),
+        ]
     }
 }
 
@@ -109,7 +112,11 @@ impl RefineState {
     /// A learner that starts at the calibrated gains.
     pub fn new(config: &RefineConfig, prior: &[Prior; 3]) -> Self {
         let channels = prior.map(|p| {
-            let sigma = Vector3::new(config.prior * p.k_epsilon_sigma, config.prior * p.k_lambda_sigma_mm, config.offset_sigma_mm);
+            let sigma = Vector3::new(
+                config.prior * p.k_epsilon_sigma,
+                config.prior * p.k_lambda_sigma_mm,
+                config.offset_sigma_mm,
+            );
             Channel {
                 prior: p.line,
                 information: Matrix3::from_diagonal(&sigma.map(|s| 1.0 / (s * s))),
@@ -117,12 +124,23 @@ impl RefineState {
                 spread: ROW_SIGMA_MM * ROW_SIGMA_MM,
             }
         });
-        Self { channels, last_pose: None, poses: 0 }
+        Self {
+            channels,
+            last_pose: None,
+            poses: 0,
+        }
     }
 
     /// Learns from a held pose. Returns the new gains, or `None` if the pose was not accepted.
-    pub fn learn(&mut self, config: &RefineConfig, lines: &[Line; 3], pose: &HeldPose) -> Option<[Line; 3]> {
-        let new = self.last_pose.is_none_or(|p| (pose.bend - p).norm() >= config.pose_step_deg.to_radians());
+    pub fn learn(
+        &mut self,
+        config: &RefineConfig,
+        lines: &[Line; 3],
+        pose: &HeldPose,
+    ) -> Option<[Line; 3]> {
+        let new = self
+            .last_pose
+            .is_none_or(|p| (pose.bend - p).norm() >= config.pose_step_deg.to_radians());
         if !config.enabled || !new {
             return None;
         }
@@ -132,8 +150,19 @@ impl RefineState {
             // a pose that feedback reached by a small reversal counts through its play output. Without such poses only those
             // that needed more push would count, and the gains would grow
             let q_mm = pose.bellow_mm[i];
-            let (side, at_mm) = if pose.weight[i] > 0.0 { (pose.side[i], pose.piston_mm[i]) } else { (0.0, pose.play_output_mm[i]) };
-            self.channels[i].add(config, &Row { q_mm, side, excess_mm: at_mm - q_mm });
+            let (side, at_mm) = if pose.weight[i] > 0.0 {
+                (pose.side[i], pose.piston_mm[i])
+            } else {
+                (0.0, pose.play_output_mm[i])
+            };
+            self.channels[i].add(
+                config,
+                &Row {
+                    q_mm,
+                    side,
+                    excess_mm: at_mm - q_mm,
+                },
+            );
             next[i] = self.channels[i].towards(config, &lines[i]);
         }
         self.poses += 1;
@@ -144,7 +173,10 @@ impl RefineState {
     pub fn sigma(&self) -> [[f64; 2]; 3] {
         self.channels.map(|c| {
             let covariance = c.information.try_inverse().unwrap_or_else(Matrix3::zeros);
-            [covariance[(0, 0)].max(0.0).sqrt(), covariance[(1, 1)].max(0.0).sqrt()]
+            [
+                covariance[(0, 0)].max(0.0).sqrt(),
+                covariance[(1, 1)].max(0.0).sqrt(),
+            ]
         })
     }
 }
@@ -153,7 +185,9 @@ impl Channel {
     fn add(&mut self, config: &RefineConfig, row: &Row) {
         let h = Vector3::new(row.q_mm, row.side, 1.0);
         let error = row.excess_mm - h.dot(&self.estimate);
-        let Some(covariance) = self.information.try_inverse() else { return };
+        let Some(covariance) = self.information.try_inverse() else {
+            return;
+        };
         // the bound includes the uncertainty of the prediction
         let expected = h.dot(&(covariance * h));
         let learn = error * error <= config.outlier * config.outlier * (self.spread + expected);
@@ -161,7 +195,8 @@ impl Channel {
             let measured = self.information * h;
             let about = h.dot(&measured);
             if about > 0.0 {
-                self.information -= measured * measured.transpose() * ((1.0 - config.forgetting) / about);
+                self.information -=
+                    measured * measured.transpose() * ((1.0 - config.forgetting) / about);
             }
             self.information += h * h.transpose() / self.spread;
             if let Some(covariance) = self.information.try_inverse() {
@@ -170,7 +205,8 @@ impl Channel {
         }
         // what the estimate leaves; outliers count too, so that a lasting change is accepted eventually
         let left = (error * error - expected).max(0.0).min(10.0 * self.spread);
-        self.spread = (self.spread + SPREAD_GAIN * (left - self.spread)).max(ROW_SIGMA_MIN_MM * ROW_SIGMA_MIN_MM);
+        self.spread = (self.spread + SPREAD_GAIN * (left - self.spread))
+            .max(ROW_SIGMA_MIN_MM * ROW_SIGMA_MIN_MM);
     }
 
     /// The gains after a step from `line` towards the estimate, within the bounds.
@@ -181,7 +217,8 @@ impl Channel {
         let step = config.step_max * (1.0 + line.k_epsilon);
         Line {
             k_epsilon: line.k_epsilon + (k_epsilon - line.k_epsilon).clamp(-step, step),
-            k_lambda_mm: line.k_lambda_mm + (k_lambda_mm - line.k_lambda_mm).clamp(-config.step_max, config.step_max),
+            k_lambda_mm: line.k_lambda_mm
+                + (k_lambda_mm - line.k_lambda_mm).clamp(-config.step_max, config.step_max),
         }
     }
 }
@@ -191,9 +228,18 @@ mod tests {
     use super::*;
 
     const TRUTH: [Line; 3] = [
-        Line { k_epsilon: 2.22, k_lambda_mm: 0.9 },
-        Line { k_epsilon: 2.53, k_lambda_mm: 0.7 },
-        Line { k_epsilon: 2.21, k_lambda_mm: 1.1 },
+        Line {
+            k_epsilon: 2.22,
+            k_lambda_mm: 0.9,
+        },
+        Line {
+            k_epsilon: 2.53,
+            k_lambda_mm: 0.7,
+        },
+        Line {
+            k_epsilon: 2.21,
+            k_lambda_mm: 1.1,
+        },
     ];
 
     /// Poses out and back in twelve directions; the pistons have an offset that is no gain.
@@ -201,40 +247,75 @@ mod tests {
         let mut before = Vector3::<f64>::zeros();
         (0..n).map(move |i| {
             let at = if i % 10 < 5 { 1 + i % 5 } else { 5 - i % 5 };
-            let (beta, delta) = (0.26 * at as f64, (i / 10) as f64 * std::f64::consts::FRAC_PI_6);
+            let (beta, delta) = (
+                0.26 * at as f64,
+                (i / 10) as f64 * std::f64::consts::FRAC_PI_6,
+            );
             let bend = Vector2::new(beta * delta.cos(), beta * delta.sin());
-            let bellow_mm = Vector3::from_fn(|c, _| -4.04 * beta * (delta + c as f64 * 2.094).cos());
+            let bellow_mm =
+                Vector3::from_fn(|c, _| -4.04 * beta * (delta + c as f64 * 2.094).cos());
             let side = (bellow_mm - before).map(f64::signum);
             before = bellow_mm;
-            let piston_mm = Vector3::from_fn(|c, _| bellow_mm[c] * (1.0 + TRUTH[c].k_epsilon) + side[c] * TRUTH[c].k_lambda_mm + 0.2);
-            HeldPose { bend, piston_mm, play_output_mm: piston_mm, bellow_mm, side, weight: Vector3::repeat(1.0) }
+            let piston_mm = Vector3::from_fn(|c, _| {
+                bellow_mm[c] * (1.0 + TRUTH[c].k_epsilon) + side[c] * TRUTH[c].k_lambda_mm + 0.2
+            });
+            HeldPose {
+                bend,
+                piston_mm,
+                play_output_mm: piston_mm,
+                bellow_mm,
+                side,
+                weight: Vector3::repeat(1.0),
+            }
         })
     }
 
     fn unknown(line: Line) -> Prior {
-        Prior { line, k_epsilon_sigma: 0.5, k_lambda_sigma_mm: 0.24 }
+        Prior {
+            line,
+            k_epsilon_sigma: 0.5,
+            k_lambda_sigma_mm: 0.24,
+        }
     }
 
     fn start(scale: f64) -> [Line; 3] {
-        TRUTH.map(|l| Line { k_epsilon: l.k_epsilon * scale, k_lambda_mm: 0.9 })
+        TRUTH.map(|l| Line {
+            k_epsilon: l.k_epsilon * scale,
+            k_lambda_mm: 0.9,
+        })
     }
 
     #[test]
     fn gains_30_percent_off_converge_in_40_poses_in_spite_of_an_offset() {
         for scale in [0.7, 1.3] {
-            let config = RefineConfig { offset_sigma_mm: 0.3, ..RefineConfig::default() };
+            let config = RefineConfig {
+                offset_sigma_mm: 0.3,
+                ..RefineConfig::default()
+            };
             let mut now = start(scale);
             let mut state = RefineState::new(&config, &now.map(unknown));
             for pose in poses(40) {
                 now = state.learn(&config, &now, &pose).unwrap_or(now);
             }
             for (found, truth) in now.iter().zip(TRUTH) {
-                assert!((found.k_epsilon / truth.k_epsilon - 1.0).abs() < 0.03, "{scale} {now:?}");
-                assert!((found.k_lambda_mm - truth.k_lambda_mm).abs() < 0.05, "{scale} {now:?}");
+                assert!(
+                    (found.k_epsilon / truth.k_epsilon - 1.0).abs() < 0.03,
+                    "{scale} {now:?}"
+                );
+                assert!(
+                    (found.k_lambda_mm - truth.k_lambda_mm).abs() < 0.05,
+                    "{scale} {now:?}"
+                );
             }
             for (i, [k_epsilon, k_lambda_mm]) in state.sigma().into_iter().enumerate() {
-                assert!((now[i].k_epsilon - TRUTH[i].k_epsilon).abs() < 3.0 * k_epsilon, "{scale} {now:?} {k_epsilon}");
-                assert!((now[i].k_lambda_mm - TRUTH[i].k_lambda_mm).abs() < 3.0 * k_lambda_mm, "{scale} {now:?} {k_lambda_mm}");
+                assert!(
+                    (now[i].k_epsilon - TRUTH[i].k_epsilon).abs() < 3.0 * k_epsilon,
+                    "{scale} {now:?} {k_epsilon}"
+                );
+                assert!(
+                    (now[i].k_lambda_mm - TRUTH[i].k_lambda_mm).abs() < 3.0 * k_lambda_mm,
+                    "{scale} {now:?} {k_lambda_mm}"
+                );
             }
         }
     }
@@ -244,11 +325,24 @@ mod tests {
         let config = RefineConfig::default();
         let now = start(1.0);
         let mut state = RefineState::new(&config, &now.map(unknown));
-        let Some(pose) = poses(3).last() else { panic!("three poses") };
+        let Some(pose) = poses(3).last() else {
+            panic!("three poses")
+        };
         assert!(state.learn(&config, &now, &pose).is_some());
         let before = state;
         for _ in 0..10_000 {
-            assert!(state.learn(&config, &now, &HeldPose { piston_mm: pose.piston_mm * 1.2, ..pose }).is_none());
+            assert!(
+                state
+                    .learn(
+                        &config,
+                        &now,
+                        &HeldPose {
+                            piston_mm: pose.piston_mm * 1.2,
+                            ..pose
+                        }
+                    )
+                    .is_none()
+            );
         }
         assert_eq!(state, before);
     }
@@ -260,14 +354,29 @@ mod tests {
         let mut state = RefineState::new(&config, &now.map(unknown));
         for round in 0..200 {
             for pose in poses(60) {
-                let pose = HeldPose { piston_mm: pose.piston_mm * 4.0, ..pose };
+                let pose = HeldPose {
+                    piston_mm: pose.piston_mm * 4.0,
+                    ..pose
+                };
                 now = state.learn(&config, &now, &pose).unwrap_or(now);
             }
             for (line, truth) in now.iter().zip(TRUTH) {
-                assert!(line.k_epsilon <= truth.k_epsilon + 0.5 * (1.0 + truth.k_epsilon) + 1e-9, "round {round}");
-                assert!((0.0..=0.9 + LAMBDA_RANGE_MM + 1e-9).contains(&line.k_lambda_mm), "round {round}");
+                assert!(
+                    line.k_epsilon <= truth.k_epsilon + 0.5 * (1.0 + truth.k_epsilon) + 1e-9,
+                    "round {round}"
+                );
+                assert!(
+                    (0.0..=0.9 + LAMBDA_RANGE_MM + 1e-9).contains(&line.k_lambda_mm),
+                    "round {round}"
+                );
             }
-            assert!(state.sigma().iter().flatten().all(|s| s.is_finite() && *s > 0.0));
+            assert!(
+                state
+                    .sigma()
+                    .iter()
+                    .flatten()
+                    .all(|s| s.is_finite() && *s > 0.0)
+            );
         }
     }
 
@@ -280,8 +389,14 @@ mod tests {
             now = state.learn(&config, &now, &pose).unwrap_or(now);
         }
         let before = now[0];
-        let Some(pose) = poses(4).last() else { panic!("four poses") };
-        let outlier = HeldPose { bend: Vector2::new(-1.0, 0.0), piston_mm: pose.piston_mm * 2.0, ..pose };
+        let Some(pose) = poses(4).last() else {
+            panic!("four poses")
+        };
+        let outlier = HeldPose {
+            bend: Vector2::new(-1.0, 0.0),
+            piston_mm: pose.piston_mm * 2.0,
+            ..pose
+        };
         now = state.learn(&config, &now, &outlier).unwrap_or(now);
         assert!((now[0].k_epsilon - before.k_epsilon).abs() < 1e-3);
     }

@@ -17,7 +17,10 @@ pub struct Sides {
 impl Sides {
     /// Pistons that have rested at these positions, mm, on an unknown side.
     pub fn resting(piston_mm: Vector3<f64>) -> Self {
-        Self { last_mm: piston_mm, ..Self::default() }
+        Self {
+            last_mm: piston_mm,
+            ..Self::default()
+        }
     }
 
     /// Follows the pistons, mm.
@@ -39,7 +42,8 @@ impl Sides {
 
     /// Weight of the row of each channel (Eq. 26): 1 once the piston has certainly crossed its backlash, else 0.
     pub fn weight(&self) -> Vector3<f64> {
-        self.travel_mm.map(|t| if t >= SIDE_TRAVEL_MM { 1.0 } else { 0.0 })
+        self.travel_mm
+            .map(|t| if t >= SIDE_TRAVEL_MM { 1.0 } else { 0.0 })
     }
 }
 
@@ -56,6 +60,10 @@ mod tests {
             weights.push((sides.side[0], sides.weight()[0]));
         }
         assert_eq!(weights, [(1.0, 0.0), (1.0, 1.0), (-1.0, 0.0), (-1.0, 1.0)]);
-        assert_eq!((sides.side[1], sides.weight()[1]), (0.0, 0.0), "a piston at rest has no side");
+        assert_eq!(
+            (sides.side[1], sides.weight()[1]),
+            (0.0, 0.0),
+            "a piston at rest has no side"
+        );
     }
 }

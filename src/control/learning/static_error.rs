@@ -34,8 +34,12 @@ type Parameters = SVector<f64, N>;
 
 /// Standard deviation of each parameter before any motion, for bends in rad, and the time in which the random walk restores
 /// it, s.
-const SIGMA: [f64; N] = [0.25, 0.25, 0.25, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.03, 0.03, 0.1, 0.1, 0.1];
-const MEMORY_S: [f64; N] = [60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 20.0, 20.0, 60.0, 60.0, 60.0];
+const SIGMA: [f64; N] = [
+    0.25, 0.25, 0.25, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.03, 0.03, 0.1, 0.1, 0.1,
+];
+const MEMORY_S: [f64; N] = [
+    60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 20.0, 20.0, 60.0, 60.0, 60.0,
+];
 /// Standard deviation of rotation and offset of a base that sways, rad.
 const BASE_SIGMA: f64 = 0.15;
 /// Difference that no smooth function explains, rad (0.4°), and the time for which it stays the same, s.
@@ -131,12 +135,19 @@ impl StaticError {
         if sways == self.doubted.is_some() {
             return;
         }
-        let sigma = if sways { [BASE_SIGMA; 3] } else { [SIGMA[ROTATION], SIGMA[OFFSET], SIGMA[OFFSET + 1]] };
+        let sigma = if sways {
+            [BASE_SIGMA; 3]
+        } else {
+            [SIGMA[ROTATION], SIGMA[OFFSET], SIGMA[OFFSET + 1]]
+        };
         self.covariance.fixed_rows_mut::<3>(ROTATION).fill(0.0);
         self.covariance.fixed_columns_mut::<3>(ROTATION).fill(0.0);
         (0..3).for_each(|i| self.covariance[(ROTATION + i, ROTATION + i)] = sigma[i] * sigma[i]);
         match self.doubted.take() {
-            Some(before) => self.parameters.fixed_rows_mut::<3>(ROTATION).copy_from(&before),
+            Some(before) => self
+                .parameters
+                .fixed_rows_mut::<3>(ROTATION)
+                .copy_from(&before),
             None => self.doubted = Some(self.parameters.fixed_rows::<3>(ROTATION).into_owned()),
         }
     }
@@ -146,7 +157,9 @@ impl StaticError {
         self.due_s += dt_s;
         let crossed = (seen.sides - self.last_sides).amax() > 1e-9;
         self.last_sides = seen.sides;
-        self.rate = self.rate.max(if crossed { CROSSING_RAD_S } else { seen.rate });
+        self.rate = self
+            .rate
+            .max(if crossed { CROSSING_RAD_S } else { seen.rate });
         if self.due_s < PERIOD_S {
             return Vector2::zeros();
         }
@@ -156,25 +169,42 @@ impl StaticError {
         self.rate = moved.max(self.rate * (-dt_s / seen.response_s.max(dt_s)).exp());
         self.quiet = self.rate * seen.timing_s < QUIET_RAD;
         for i in 0..N {
-            let sigma = if self.doubted.is_some() && (ROTATION..BACKLASH).contains(&i) { BASE_SIGMA } else { SIGMA[i] };
+            let sigma = if self.doubted.is_some() && (ROTATION..BACKLASH).contains(&i) {
+                BASE_SIGMA
+            } else {
+                SIGMA[i]
+            };
             let most = sigma * sigma;
-            self.covariance[(i, i)] = (self.covariance[(i, i)] + most * dt_s / MEMORY_S[i]).min(most);
+            self.covariance[(i, i)] =
+                (self.covariance[(i, i)] + most * dt_s / MEMORY_S[i]).min(most);
         }
         let before = self.at(&seen.bend);
         let mut rows = rows(&seen.bend);
         for i in 0..3 {
-            let along = if seen.follows { -2.0 / 3.0 * seen.sides[i] } else { 0.0 } * Geometry::spoke(i);
-            rows.iter_mut().zip(along.iter()).for_each(|(row, &along)| row[BACKLASH + i] = along);
+            let along = if seen.follows {
+                -2.0 / 3.0 * seen.sides[i]
+            } else {
+                0.0
+            } * Geometry::spoke(i);
+            rows.iter_mut()
+                .zip(along.iter())
+                .for_each(|(row, &along)| row[BACKLASH + i] = along);
         }
         let misfit2 = (seen.unexplained - self.expected(&seen.bend)).norm_squared();
         // a sway may be larger than the estimate, which takes seconds
         let sway2 = misfit2.clamp(seen.sway2, SWAY_MAX * seen.sway2);
         let noise = REST_RAD.powi(2) + (TIMING * seen.timing_s * self.rate).powi(2) + SWAY * sway2;
-        let spread = rows.iter().map(|h| h.dot(&(self.covariance * h))).sum::<f64>() / 2.0;
+        let spread = rows
+            .iter()
+            .map(|h| h.dot(&(self.covariance * h)))
+            .sum::<f64>()
+            / 2.0;
         let weight = 1.0 - misfit2 / (OUTLIER * OUTLIER * (spread + noise));
         if weight > 0.0 {
             let noise = noise * SAME_S / (dt_s * weight * weight);
-            rows.iter().zip(seen.unexplained.iter()).for_each(|(h, &y)| self.update(h, y, noise));
+            rows.iter()
+                .zip(seen.unexplained.iter())
+                .for_each(|(h, &y)| self.update(h, y, noise));
         }
         self.at(&seen.bend) - before
     }
@@ -215,7 +245,8 @@ fn rows(bend: &Vector2<f64>) -> [Parameters; 2] {
         let spoke = Geometry::spoke(i);
         let p = spoke.dot(bend);
         for (row, along) in rows.iter_mut().zip(spoke.iter()) {
-            (row[i], row[EVEN + i], row[ODD + i]) = (2.0 / 3.0 * p * along, p * p * along, p * p * p * along);
+            (row[i], row[EVEN + i], row[ODD + i]) =
+                (2.0 / 3.0 * p * along, p * p * along, p * p * p * along);
         }
     }
     (rows[0][ROTATION], rows[1][ROTATION]) = (-bend.y, bend.x);
@@ -228,7 +259,16 @@ mod tests {
     use super::*;
 
     fn seen(bend: Vector2<f64>, unexplained: Vector2<f64>) -> Observed {
-        Observed { bend, unexplained, rate: 0.0, sides: Vector3::zeros(), follows: false, sway2: 0.0, timing_s: 0.01, response_s: 0.05 }
+        Observed {
+            bend,
+            unexplained,
+            rate: 0.0,
+            sides: Vector3::zeros(),
+            follows: false,
+            sway2: 0.0,
+            timing_s: 0.01,
+            response_s: 0.05,
+        }
     }
 
     /// A tip whose bellows have other gains, a curve and an offset.
@@ -261,8 +301,14 @@ mod tests {
         for k in 0..12 {
             let (sin, cos) = (f64::from(k) * 0.52).sin_cos();
             let bend = Vector2::new(cos, sin) * 0.9;
-            let (left, whole) = ((learner.at(&bend) - truth(&bend)).norm(), truth(&bend).norm());
-            assert!(left < 0.012 && left < 0.3 * whole.max(0.04), "{bend:?}: {left} of {whole}");
+            let (left, whole) = (
+                (learner.at(&bend) - truth(&bend)).norm(),
+                truth(&bend).norm(),
+            );
+            assert!(
+                left < 0.012 && left < 0.3 * whole.max(0.04),
+                "{bend:?}: {left} of {whole}"
+            );
         }
     }
 
@@ -273,11 +319,23 @@ mod tests {
             for k in 0..200 {
                 let bend = Vector2::new(0.005 * f64::from(k), 0.0);
                 // behind by 0.2 s at 1 rad/s
-                learner.learn(&Observed { rate: 1.0, timing_s, ..seen(bend, Vector2::new(0.2, 0.0)) }, 0.005);
+                learner.learn(
+                    &Observed {
+                        rate: 1.0,
+                        timing_s,
+                        ..seen(bend, Vector2::new(0.2, 0.0))
+                    },
+                    0.005,
+                );
             }
             learner.at(&Vector2::new(1.0, 0.0)).norm()
         };
-        assert!(learned(0.3) < 0.1 * learned(0.001), "{} {}", learned(0.3), learned(0.001));
+        assert!(
+            learned(0.3) < 0.1 * learned(0.001),
+            "{} {}",
+            learned(0.3),
+            learned(0.001)
+        );
     }
 
     #[test]
@@ -289,7 +347,11 @@ mod tests {
         for _ in 0..400 {
             learner.learn(&seen(bend, truth(&bend) + Vector2::new(0.4, 0.0)), 0.005);
         }
-        assert!((learner.at(&bend) - before).norm() < 1e-3, "{:?} {before:?}", learner.at(&bend));
+        assert!(
+            (learner.at(&bend) - before).norm() < 1e-3,
+            "{:?} {before:?}",
+            learner.at(&bend)
+        );
     }
 
     #[test]
@@ -300,8 +362,18 @@ mod tests {
             let (sin, cos) = (0.005 * f64::from(k) * 0.63).sin_cos();
             let (bend, rate) = (Vector2::new(cos, sin) * 0.5, Vector2::new(-sin, cos) * 0.3);
             let sides = Vector3::from_fn(|i, _| -Geometry::spoke(i).dot(&rate).signum());
-            let jumps = (0..3).map(|i| Geometry::spoke(i) * (-2.0 / 3.0 * (nu[i] - found[i]) * sides[i])).sum::<Vector2<f64>>();
-            learner.learn(&Observed { sides, follows: true, rate: 0.3, ..seen(bend, truth(&bend) + jumps) }, 0.005);
+            let jumps = (0..3)
+                .map(|i| Geometry::spoke(i) * (-2.0 / 3.0 * (nu[i] - found[i]) * sides[i]))
+                .sum::<Vector2<f64>>();
+            learner.learn(
+                &Observed {
+                    sides,
+                    follows: true,
+                    rate: 0.3,
+                    ..seen(bend, truth(&bend) + jumps)
+                },
+                0.005,
+            );
             found += learner.take_backlash();
         }
         assert!((found - nu).norm() < 0.01, "{found:?}");
@@ -312,10 +384,17 @@ mod tests {
         let mut learner = taught(2, truth);
         let bend = Vector2::new(0.3, 0.4);
         let before = learner.at(&bend);
-        let changed = (0..10).map(|_| learner.learn(&seen(bend, Vector2::new(0.05, 0.05)), 0.005)).sum::<Vector2<f64>>();
+        let changed = (0..10)
+            .map(|_| learner.learn(&seen(bend, Vector2::new(0.05, 0.05)), 0.005))
+            .sum::<Vector2<f64>>();
         assert!((learner.at(&bend) - before - changed).norm() < 1e-12 && changed.norm() > 0.0);
         // a gain error of ρ = 0.25 that the lines take over leaves none
-        let line = |k_epsilon| [Line { k_epsilon, k_lambda_mm: 0.5 }; 3];
+        let line = |k_epsilon| {
+            [Line {
+                k_epsilon,
+                k_lambda_mm: 0.5,
+            }; 3]
+        };
         let mut learner = StaticError::default();
         learner.parameters.fixed_rows_mut::<3>(0).fill(0.25);
         learner.change_lines(&line(2.0), &line(2.75));

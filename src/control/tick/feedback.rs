@@ -40,7 +40,8 @@ pub(super) fn hold(config: &LoopConfig, state: &mut LoopState, steps: &Steps) ->
             state.setpoint.length = Follower::resting(state.setpoint.length.at);
             // a target beyond the braking distance is given up; one within it is where the piston stops anyway
             let (at_mm, reach_mm) = (config.drive.piston_mm(steps), config.motion.braking_mm());
-            let stop_mm = at_mm + (state.targets_mm - at_mm).map(|to_go| to_go.clamp(-reach_mm, reach_mm));
+            let stop_mm =
+                at_mm + (state.targets_mm - at_mm).map(|to_go| to_go.clamp(-reach_mm, reach_mm));
             Hold::Holding { stop_mm }
         }
         unchanged => unchanged,
@@ -54,26 +55,41 @@ pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, input
     let mut pace = config.bend_pace;
     if let Some(f) = &config.feedback {
         // the feedforward leads a slow line by τ r̈; a gentler start keeps that within the pace of the pistons
-        pace.acceleration = pace.acceleration.min(LEAD_SHARE * pace.speed / (f.lead * state.dynamics.best.lag_s).max(1e-3));
+        pace.acceleration = pace
+            .acceleration
+            .min(LEAD_SHARE * pace.speed / (f.lead * state.dynamics.best.lag_s).max(1e-3));
     }
     if let Some(reference) = &input.reference {
         return path::advance(config, state, reference, &pace, dt_s);
     }
     let setpoint = &mut state.setpoint;
     setpoint.acceleration = None;
-    let (q, cut) = config.limits.bellows(&config.geometry.lengths(&setpoint.target), config.geometry.rest_length_mm);
+    let (q, cut) = config.limits.bellows(
+        &config.geometry.lengths(&setpoint.target),
+        config.geometry.rest_length_mm,
+    );
     if cut != Cut::None {
         setpoint.target = config.geometry.shape(&q);
     }
     let pace = setpoint.brake(&pace);
     setpoint.bend.step(&setpoint.target.bend.0, &pace, dt_s);
-    setpoint.length.step(&Vector1::new(setpoint.target.length.0), &config.length_pace, dt_s);
+    setpoint.length.step(
+        &Vector1::new(setpoint.target.length.0),
+        &config.length_pace,
+        dt_s,
+    );
     cut
 }
 
 /// PI feedback on what the model and its learned error do not explain. After the base has moved that is meaningless: the
 /// integral part keeps its value in that pose, and later poses have the feedforward and what was learned before.
-pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &Observation, moving: bool, dt_s: f64) {
+pub(super) fn feed_back(
+    config: &LoopConfig,
+    state: &mut LoopState,
+    observed: &Observation,
+    moving: bool,
+    dt_s: f64,
+) {
     let Some(f) = &config.feedback else { return };
     depart(state, moving);
     watch_sway(config, state, dt_s);
@@ -97,16 +113,36 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
     let (outer, dynamics) = (&mut state.feedback, &state.dynamics);
     let (gains, timing_s) = match state.setpoint.acceleration {
         // an error of timing is part of the error of a path, so the feedback takes it too
-        Some(_) => (PiGains::following(dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), 0.0),
-        None => (PiGains::new(dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), timing_s),
+        Some(_) => (
+            PiGains::following(dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution),
+            0.0,
+        ),
+        None => (
+            PiGains::new(dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution),
+            timing_s,
+        ),
     };
     outer.integral_s = gains.integral_s;
     let before = outer.pi;
-    let (setpoint, estimate) = (state.setpoint.bend.at, observed.predicted - observed.unexplained);
-    let learned = outer.error.expected(&setpoint) + outer.error_change(setpoint, estimate, SLOPE_MAX);
-    let unexplained = (observed.unexplained - learned) * if outer.sways { state.base.watch.share_of_tip() } else { 1.0 };
-    let (timing, integral_max) = (timing_s * observed.predicted_rate, f.integral_max_deg.to_radians());
-    outer.integral_full = outer.pi.step(unexplained, timing, &gains, integral_max, dt_s);
+    let (setpoint, estimate) = (
+        state.setpoint.bend.at,
+        observed.predicted - observed.unexplained,
+    );
+    let learned =
+        outer.error.expected(&setpoint) + outer.error_change(setpoint, estimate, SLOPE_MAX);
+    let unexplained = (observed.unexplained - learned)
+        * if outer.sways {
+            state.base.watch.share_of_tip()
+        } else {
+            1.0
+        };
+    let (timing, integral_max) = (
+        timing_s * observed.predicted_rate,
+        f.integral_max_deg.to_radians(),
+    );
+    outer.integral_full = outer
+        .pi
+        .step(unexplained, timing, &gains, integral_max, dt_s);
     if outer.obstruction.blocked && outer.pi.integral.norm() > before.integral.norm() {
         outer.pi = before;
     }
@@ -114,33 +150,66 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
 }
 
 /// Whether the tip hunts, is disturbed, stands or is obstructed.
-fn settle(f: &FeedbackConfig, state: &mut LoopState, observed: &Observation, to_go: &Vector2<f64>, moving: bool, dt_s: f64) {
+fn settle(
+    f: &FeedbackConfig,
+    state: &mut LoopState,
+    observed: &Observation,
+    to_go: &Vector2<f64>,
+    moving: bool,
+    dt_s: f64,
+) {
     let outer = &mut state.feedback;
     if !moving {
         let estimate = observed.predicted - observed.unexplained;
-        outer.hunting.step(state.setpoint.target.bend.0 - estimate, observed.predicted);
+        outer
+            .hunting
+            .step(state.setpoint.target.bend.0 - estimate, observed.predicted);
     }
-    outer.standstill.step(&f.standstill, outer.hunting.band_rad, *to_go, moving, dt_s);
-    outer.standstill_s = if outer.standstill.closed { outer.standstill_s + dt_s } else { 0.0 };
-    outer.obstruction.step(&f.obstruction, moving, &outer.feedback, &observed.settled, to_go);
+    outer
+        .standstill
+        .step(&f.standstill, outer.hunting.band_rad, *to_go, moving, dt_s);
+    outer.standstill_s = if outer.standstill.closed {
+        outer.standstill_s + dt_s
+    } else {
+        0.0
+    };
+    outer.obstruction.step(
+        &f.obstruction,
+        moving,
+        &outer.feedback,
+        &observed.settled,
+        to_go,
+    );
 }
 
 /// Learns the static error of the model, and on a path the half-width of the backlash.
-fn learn_error(config: &LoopConfig, state: &mut LoopState, observed: &Observation, timing_s: f64, dt_s: f64) {
+fn learn_error(
+    config: &LoopConfig,
+    state: &mut LoopState,
+    observed: &Observation,
+    timing_s: f64,
+    dt_s: f64,
+) {
     let seen = Observed {
         bend: observed.predicted - observed.unexplained,
         unexplained: observed.unexplained,
         rate: observed.predicted_rate,
         sides: Vector3::from_fn(|i, _| state.transmission.sides[i].side),
         follows: state.setpoint.acceleration.is_some(),
-        sway2: if state.feedback.sways { state.base.watch.sway_mean_square() } else { 0.0 },
+        sway2: if state.feedback.sways {
+            state.base.watch.sway_mean_square()
+        } else {
+            0.0
+        },
         timing_s: timing_s + state.dynamics.error_max_s(),
         response_s: state.dynamics.response_max_s,
     };
     let changed = state.feedback.error.learn(&seen, dt_s);
     state.feedback.pi.hand_over(-changed);
     if seen.follows && config.refine.enabled && config.feedforward.is_none() {
-        let shift = state.transmission.widen(config, &state.feedback.error.take_backlash());
+        let shift = state
+            .transmission
+            .widen(config, &state.feedback.error.take_backlash());
         state.feedback.pi.hand_over(shift);
         state.shift_model(shift);
     }
@@ -151,7 +220,12 @@ const SLOPE_MAX: f64 = 0.4;
 
 impl Feedback {
     /// Change of the learned error from one bend to another, per bend at most `slope_max`.
-    pub(super) fn error_change(&self, from: Vector2<f64>, to: Vector2<f64>, slope_max: f64) -> Vector2<f64> {
+    pub(super) fn error_change(
+        &self,
+        from: Vector2<f64>,
+        to: Vector2<f64>,
+        slope_max: f64,
+    ) -> Vector2<f64> {
         (self.error.at(&to) - self.error.at(&from)).cap_magnitude(slope_max * (to - from).norm())
     }
 }
@@ -170,8 +244,16 @@ fn depart(state: &mut LoopState, moving: bool) {
             }
         } else {
             let integral = outer.pi.integral;
-            let pi = PiState { integral, feedback: integral };
-            let now = Taught { pi, error: outer.error, refine: state.learning.refine, lines: state.transmission.lines };
+            let pi = PiState {
+                integral,
+                feedback: integral,
+            };
+            let now = Taught {
+                pi,
+                error: outer.error,
+                refine: state.learning.refine,
+                lines: state.transmission.lines,
+            };
             outer.taught.rotate_right(1);
             outer.taught[0] = Some(now);
         }
@@ -206,10 +288,20 @@ fn watch_sway(config: &LoopConfig, state: &mut LoopState, dt_s: f64) {
 
 /// Learns the dynamics during motion, and k_ε and k_λ from every new pose in which the tip rests: once it has settled, or at the
 /// latest when the set-point `departs`.
-pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Observation, estimate: Bend, departs: bool, dt_s: f64) {
+pub(super) fn learn(
+    config: &LoopConfig,
+    state: &mut LoopState,
+    observed: &Observation,
+    estimate: Bend,
+    departs: bool,
+    dt_s: f64,
+) {
     if config.feedback.is_some_and(|f| f.learn_dynamics) {
         let learning = &mut state.learning;
-        if learning.bank.step(observed.from_pistons.0, estimate.0, dt_s) {
+        if learning
+            .bank
+            .step(observed.from_pistons.0, estimate.0, dt_s)
+        {
             state.dynamics = learning.bank.assess(&learning.before, &state.dynamics);
         }
     }
@@ -221,7 +313,10 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Obser
         return;
     }
     let bend = observed.settled;
-    let bellow_mm = config.geometry.lengths(&Shape { bend: Bend(bend), length: Mm(state.setpoint.length.at.x) });
+    let bellow_mm = config.geometry.lengths(&Shape {
+        bend: Bend(bend),
+        length: Mm(state.setpoint.length.at.x),
+    });
     let lines = &mut state.transmission;
     let Sides { side, .. } = lines.pushes;
     let pose = HeldPose {
@@ -232,7 +327,10 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Obser
         side,
         weight: lines.pushes.weight(),
     };
-    let learned = state.learning.refine.learn(&config.refine, &lines.lines, &pose);
+    let learned = state
+        .learning
+        .refine
+        .learn(&config.refine, &lines.lines, &pose);
     if let Some(next) = learned {
         // bumpless: the pistons stay, so the same play outputs now mean another bend
         let before = lines.lines;
@@ -246,9 +344,20 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Obser
 }
 
 /// Steps the monitor for a controller that has reached its limits away from the target.
-pub(super) fn monitor_saturation(config: &LoopConfig, state: &mut LoopState, estimate: Bend, moving: bool, cut: Cut, dt_s: f64) {
+pub(super) fn monitor_saturation(
+    config: &LoopConfig,
+    state: &mut LoopState,
+    estimate: Bend,
+    moving: bool,
+    cut: Cut,
+    dt_s: f64,
+) {
     let Some(f) = &config.feedback else { return };
     let outer = &mut state.feedback;
-    let off = !outer.standstill.closed && (state.setpoint.target.bend.0 - estimate.0).norm() > f.obstruction.error_deg.to_radians();
-    outer.saturation.step(moving, off, outer.integral_full, cut, dt_s);
+    let off = !outer.standstill.closed
+        && (state.setpoint.target.bend.0 - estimate.0).norm()
+            > f.obstruction.error_deg.to_radians();
+    outer
+        .saturation
+        .step(moving, off, outer.integral_full, cut, dt_s);
 }

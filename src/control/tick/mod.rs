@@ -37,19 +37,35 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
     sense::estimate(config, state, input);
     let from_pistons = pistons::follow_steps(config, state, &input.steps, input.dt_s);
     let Some(estimate) = state.fusion.estimate() else {
-        return frame(config, state, input, &Observation::without_estimate(from_pistons), PistonOutput::resting(state));
+        return frame(
+            config,
+            state,
+            input,
+            &Observation::without_estimate(from_pistons),
+            PistonOutput::resting(state),
+        );
     };
     let bend = estimate.bend;
     state.setpoint.target_rests_s += input.dt_s;
     if let Some(command) = input.command {
-        state.setpoint.target = Shape { bend: command.bend, length: command.length };
+        state.setpoint.target = Shape {
+            bend: command.bend,
+            length: command.length,
+        };
         state.setpoint.target_rests_s = 0.0;
     }
     let holding = feedback::hold(config, state, &input.steps);
-    let setpoint_cut = if holding { Cut::None } else { feedback::advance_setpoint(config, state, input) };
+    let setpoint_cut = if holding {
+        Cut::None
+    } else {
+        feedback::advance_setpoint(config, state, input)
+    };
     let moving = !state.setpoint.has_arrived();
     let predicted_before = state.feedback.model.predicted();
-    let predicted = state.feedback.model.step(from_pistons.0, &state.dynamics.best, input.dt_s);
+    let predicted = state
+        .feedback
+        .model
+        .step(from_pistons.0, &state.dynamics.best, input.dt_s);
     sense::watch_base(config, state, input, predicted, bend);
     let observation = Observation {
         estimate: Some(estimate),
@@ -65,15 +81,34 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
         feedback::learn(config, state, &observation, bend, departs, input.dt_s);
     }
     let mut output = pistons::command(config, state, bend, moving, input.dt_s);
-    feedback::monitor_saturation(config, state, bend, moving || holding, output.cut, input.dt_s);
+    feedback::monitor_saturation(
+        config,
+        state,
+        bend,
+        moving || holding,
+        output.cut,
+        input.dt_s,
+    );
     if output.cut == Cut::None {
         output.cut = setpoint_cut;
     }
     frame(config, state, input, &observation, output)
 }
 
-fn frame(config: &LoopConfig, state: &LoopState, input: &Input, observation: &Observation, output: PistonOutput) -> Frame {
-    let &Observation { estimate, from_pistons, predicted, unexplained, .. } = observation;
+fn frame(
+    config: &LoopConfig,
+    state: &LoopState,
+    input: &Input,
+    observation: &Observation,
+    output: PistonOutput,
+) -> Frame {
+    let &Observation {
+        estimate,
+        from_pistons,
+        predicted,
+        unexplained,
+        ..
+    } = observation;
     let phase = match estimate {
         None => TickPhase::Aligning,
         Some(_) if state.setpoint.has_arrived() => TickPhase::Holding,
@@ -83,7 +118,10 @@ fn frame(config: &LoopConfig, state: &LoopState, input: &Input, observation: &Ob
         t: input.t,
         phase,
         target: state.setpoint.target,
-        setpoint: Shape { bend: Bend(state.setpoint.bend.at), length: Mm(state.setpoint.length.at.x) },
+        setpoint: Shape {
+            bend: Bend(state.setpoint.bend.at),
+            length: Mm(state.setpoint.length.at.x),
+        },
         estimate,
         bend_from_pistons: from_pistons,
         predicted,
@@ -110,7 +148,10 @@ fn frame(config: &LoopConfig, state: &LoopState, input: &Input, observation: &Ob
 
 fn senses(state: &LoopState, estimate: Option<TipEstimate>) -> Senses {
     Senses {
-        action: state.fusion.verdict().map_or(HealthAction::Use, |v| v.action()),
+        action: state
+            .fusion
+            .verdict()
+            .map_or(HealthAction::Use, |v| v.action()),
         in_force: state.fusion.in_force(),
         held: state.hold.is_holding(),
         disagrees: estimate.is_some_and(|e| e.disagrees),

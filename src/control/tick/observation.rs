@@ -21,6 +21,13 @@ pub(super) struct Observation {
 impl Observation {
     pub(super) fn without_estimate(from_pistons: Bend) -> Self {
         let zero = Vector2::zeros();
-        Self { estimate: None, from_pistons, predicted: zero, predicted_rate: 0.0, unexplained: zero, settled: zero }
+        Self {
+            estimate: None,
+            from_pistons,
+            predicted: zero,
+            predicted_rate: 0.0,
+            unexplained: zero,
+            settled: zero,
+        }
     }
 }

@@ -24,24 +24,51 @@ const CATCH_UP: f64 = 2.0;
 
 /// Moves the set-point onto the reference. Where the two differ, their difference is brought to zero within the pace; so a
 /// reference that jumps moves the tip no faster than a target does.
-pub(super) fn advance(config: &LoopConfig, state: &mut LoopState, reference: &Reference, pace: &Pace, dt_s: f64) -> Cut {
+pub(super) fn advance(
+    config: &LoopConfig,
+    state: &mut LoopState,
+    reference: &Reference,
+    pace: &Pace,
+    dt_s: f64,
+) -> Cut {
     let (reference, cut) = within_reach(&config.limits, &config.geometry, reference);
     let setpoint = &mut state.setpoint;
     let at = reference.shape.bend.0;
     let behind = setpoint.bend.at - (at - reference.rate * dt_s);
-    let mut difference = Follower { at: behind, velocity: setpoint.bend.velocity - reference.rate };
+    let mut difference = Follower {
+        at: behind,
+        velocity: setpoint.bend.velocity - reference.rate,
+    };
     let acceleration = CATCH_UP * pace.acceleration.max(reference.acceleration.norm());
-    difference.step(&Vector2::zeros(), &Pace { acceleration, ..*pace }, dt_s);
-    setpoint.bend = Follower { at: at + difference.at, velocity: reference.rate + difference.velocity };
+    difference.step(
+        &Vector2::zeros(),
+        &Pace {
+            acceleration,
+            ..*pace
+        },
+        dt_s,
+    );
+    setpoint.bend = Follower {
+        at: at + difference.at,
+        velocity: reference.rate + difference.velocity,
+    };
     setpoint.target = reference.shape;
     setpoint.target_rests_s = 0.0;
     setpoint.acceleration = Some(reference.acceleration);
-    setpoint.length.step(&Vector1::new(reference.shape.length.0), &config.length_pace, dt_s);
+    setpoint.length.step(
+        &Vector1::new(reference.shape.length.0),
+        &config.length_pace,
+        dt_s,
+    );
     cut
 }
 
 /// The reference within the range of the bellows; at its border it moves along the border only.
-fn within_reach(limits: &ActuatorLimits, geometry: &Geometry, reference: &Reference) -> (Reference, Cut) {
+fn within_reach(
+    limits: &ActuatorLimits,
+    geometry: &Geometry,
+    reference: &Reference,
+) -> (Reference, Cut) {
     let (q_mm, cut) = limits.bellows(&geometry.lengths(&reference.shape), geometry.rest_length_mm);
     if cut == Cut::None {
         return (*reference, cut);
@@ -49,16 +76,35 @@ fn within_reach(limits: &ActuatorLimits, geometry: &Geometry, reference: &Refere
     let shape = geometry.shape(&q_mm);
     let outward = shape.bend.0.try_normalize(1e-9).unwrap_or_default();
     let along = |v: Vector2<f64>| v - outward * v.dot(&outward).max(0.0);
-    (Reference { shape, rate: along(reference.rate), acceleration: along(reference.acceleration) }, cut)
+    (
+        Reference {
+            shape,
+            rate: along(reference.rate),
+            acceleration: along(reference.acceleration),
+        },
+        cut,
+    )
 }
 
 /// Velocity and acceleration of the bellow lengths, mm/s and mm/s², for a command that leads the set-point by `lead_s`;
 /// `None` without a reference that moves.
-pub(super) fn bellow_motion(config: &LoopConfig, setpoint: &SetPoint, lead_s: f64) -> Option<[Vector3<f64>; 2]> {
+pub(super) fn bellow_motion(
+    config: &LoopConfig,
+    setpoint: &SetPoint,
+    lead_s: f64,
+) -> Option<[Vector3<f64>; 2]> {
     let acceleration = setpoint.acceleration.filter(|_| !setpoint.has_arrived())?;
     let length = Mm(config.geometry.rest_length_mm);
-    let lengths = |v: Vector2<f64>| config.geometry.lengths(&Shape { bend: Bend(v), length });
-    Some([lengths(setpoint.bend.velocity + acceleration * lead_s), lengths(acceleration)])
+    let lengths = |v: Vector2<f64>| {
+        config.geometry.lengths(&Shape {
+            bend: Bend(v),
+            length,
+        })
+    };
+    Some([
+        lengths(setpoint.bend.velocity + acceleration * lead_s),
+        lengths(acceleration),
+    ])
 }
 
 /// A bellow on its way: length change in mm, speed and acceleration of the reference in mm/s and mm/s².
@@ -77,16 +123,43 @@ pub(super) struct Passing {
 ///
 /// Because a piston is sent to its target to stop there, the target is where a piston that passes the wanted position with
 /// the wanted speed would come to rest.
-pub(super) fn invert(line: &Line, before: SideState, passing: &Passing, limits: &MotionLimits, dt_s: f64) -> (f64, SideState) {
-    let [w_mm, speed, acceleration] = [passing.q_mm, passing.speed, passing.acceleration].map(|x| line.play_output_mm(x));
-    let crossing_s = (2.0 * (2.0 * CROSSING_COST_MM / acceleration.abs().max(1e-9)).sqrt()).clamp(CROSSING_S.0, CROSSING_S.1);
+pub(super) fn invert(
+    line: &Line,
+    before: SideState,
+    passing: &Passing,
+    limits: &MotionLimits,
+    dt_s: f64,
+) -> (f64, SideState) {
+    let [w_mm, speed, acceleration] =
+        [passing.q_mm, passing.speed, passing.acceleration].map(|x| line.play_output_mm(x));
+    let crossing_s = (2.0 * (2.0 * CROSSING_COST_MM / acceleration.abs().max(1e-9)).sqrt())
+        .clamp(CROSSING_S.0, CROSSING_S.1);
     let heading = speed + acceleration * crossing_s / 2.0;
-    let way = if heading.abs() > TURN_MM_S || before.way == 0.0 { heading.signum() } else { before.way };
+    let way = if heading.abs() > TURN_MM_S || before.way == 0.0 {
+        heading.signum()
+    } else {
+        before.way
+    };
     let most = 2.0 * dt_s / (crossing_s - STARTING_S);
-    let next = SideState { w_mm, side: before.side + (way - before.side).clamp(-most, most), way };
+    let next = SideState {
+        w_mm,
+        side: before.side + (way - before.side).clamp(-most, most),
+        way,
+    };
     let velocity_mm_s = speed.clamp(-limits.speed_max_mm_s, limits.speed_max_mm_s);
     let position_mm = w_mm + line.k_lambda_mm * next.side;
-    (Stop::from(MotionState { position_mm, velocity_mm_s, acceleration_mm_s2: 0.0 }, limits).end_mm, next)
+    (
+        Stop::from(
+            MotionState {
+                position_mm,
+                velocity_mm_s,
+                acceleration_mm_s2: 0.0,
+            },
+            limits,
+        )
+        .end_mm,
+        next,
+    )
 }
 
 #[cfg(test)]
@@ -97,7 +170,10 @@ mod tests {
     #[test]
     fn a_piston_crosses_its_backlash_before_the_play_output_turns_and_does_not_chatter() {
         let limits = MotionLimits::of_checked(&MotionConfig::default());
-        let line = Line { k_epsilon: 2.0, k_lambda_mm: 1.0 };
+        let line = Line {
+            k_epsilon: 2.0,
+            k_lambda_mm: 1.0,
+        };
         let (dt_s, rate) = (0.001, 2.0 * std::f64::consts::PI * 0.2);
         let (mut side, mut turned) = (SideState::default(), Vec::new());
         for k in 0..10_000 {
@@ -105,7 +181,11 @@ mod tests {
             let (sin, cos) = (rate * t).sin_cos();
             // 10 µm of noise on the bellow, as feedback makes it
             let q_mm = 2.0 * sin + 0.01 * f64::from(k * 7919 % 13 - 6) / 6.0;
-            let passing = Passing { q_mm, speed: 2.0 * rate * cos, acceleration: -2.0 * rate * rate * sin };
+            let passing = Passing {
+                q_mm,
+                speed: 2.0 * rate * cos,
+                acceleration: -2.0 * rate * rate * sin,
+            };
             let (_, next) = invert(&line, side, &passing, &limits, dt_s);
             if next.way != side.way {
                 turned.push(t);
@@ -122,10 +202,30 @@ mod tests {
     #[test]
     fn a_piston_that_passes_is_sent_to_where_it_would_stop() {
         let limits = MotionLimits::of_checked(&MotionConfig::default());
-        let line = Line { k_epsilon: 2.0, k_lambda_mm: 1.0 };
-        let passing = Passing { q_mm: 1.0, speed: 5.0, acceleration: 0.0 };
-        let (target, _) = invert(&line, SideState { w_mm: 3.0, side: 1.0, way: 1.0 }, &passing, &limits, 0.001);
+        let line = Line {
+            k_epsilon: 2.0,
+            k_lambda_mm: 1.0,
+        };
+        let passing = Passing {
+            q_mm: 1.0,
+            speed: 5.0,
+            acceleration: 0.0,
+        };
+        let (target, _) = invert(
+            &line,
+            SideState {
+                w_mm: 3.0,
+                side: 1.0,
+                way: 1.0,
+            },
+            &passing,
+            &limits,
+            0.001,
+        );
         // 15 mm/s stop within half of (15/600 + 600/30000) s
-        assert!((target - (3.0 + 1.0 + 15.0 * 0.0225)).abs() < 1e-3, "{target}");
+        assert!(
+            (target - (3.0 + 1.0 + 15.0 * 0.0225)).abs() < 1e-3,
+            "{target}"
+        );
     }
 }

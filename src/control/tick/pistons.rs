@@ -32,14 +32,24 @@ pub(super) struct PistonOutput {
 impl PistonOutput {
     /// The pistons stay at their targets.
     pub(super) fn resting(state: &LoopState) -> Self {
-        Self { command: Bend::STRAIGHT, bellow_mm: Vector3::zeros(), piston_target_mm: state.targets_mm, cut: Cut::None }
+        Self {
+            command: Bend::STRAIGHT,
+            bellow_mm: Vector3::zeros(),
+            piston_target_mm: state.targets_mm,
+            cut: Cut::None,
+        }
     }
 }
 
 /// Bend that the counted steps cause according to the transmission model. The play operator gives the output from which
 /// the gains are learned. The error is taken against the output that the inverse intended: the two differ while a feedback
 /// reversal has crossed only a share of the backlash, and then the integrator must act on the intended one.
-pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &Steps, dt_s: f64) -> Bend {
+pub(super) fn follow_steps(
+    config: &LoopConfig,
+    state: &mut LoopState,
+    steps: &Steps,
+    dt_s: f64,
+) -> Bend {
     let mut piston_mm = config.drive.piston_mm(steps);
     let t = &mut state.transmission;
     let mut described = config.feedforward.as_deref().zip(t.described.as_mut());
@@ -58,16 +68,27 @@ pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &S
 }
 
 /// Commands the pistons for the set-point plus feedback.
-pub(super) fn command(config: &LoopConfig, state: &mut LoopState, estimate: Bend, moving: bool, dt_s: f64) -> PistonOutput {
+pub(super) fn command(
+    config: &LoopConfig,
+    state: &mut LoopState,
+    estimate: Bend,
+    moving: bool,
+    dt_s: f64,
+) -> PistonOutput {
     let lead_s = lead_s(config, state);
     let setpoint = &state.setpoint;
     let (at, outer) = (setpoint.bend.at, &state.feedback);
     let ahead = at + ahead_of(setpoint, lead_s);
     let bend = Bend(ahead + outer.feedback + outer.error_change(at, ahead, LEAD_SLOPE_MAX));
-    let bend = if state.feedback.obstruction.blocked { press(config, state, bend, estimate) } else { bend };
+    let bend = if state.feedback.obstruction.blocked {
+        press(config, state, bend, estimate)
+    } else {
+        bend
+    };
     let length = Mm(setpoint.length.at.x);
     let wanted_mm = config.geometry.lengths(&Shape { bend, length });
-    let bellow_mm = wanted_mm.add_scalar(config.limits.relief(&wanted_mm, &state.transmission.lines));
+    let bellow_mm =
+        wanted_mm.add_scalar(config.limits.relief(&wanted_mm, &state.transmission.lines));
     let follows = !state.hold.is_holding() && !state.feedback.standstill.closed;
     let piston_mm = match state.hold {
         Hold::Holding { stop_mm } => stop_mm,
@@ -77,19 +98,42 @@ pub(super) fn command(config: &LoopConfig, state: &mut LoopState, estimate: Bend
         }
         _ => state.targets_mm,
     };
-    let estimated_mm = config.geometry.lengths(&Shape { bend: estimate, length });
+    let estimated_mm = config.geometry.lengths(&Shape {
+        bend: estimate,
+        length,
+    });
     let (allowed_mm, cut) = config.limits.pistons(&piston_mm, &estimated_mm);
-    state.targets_mm = if follows { ease(&mut state.hold, allowed_mm, dt_s) } else { allowed_mm };
-    PistonOutput { command: bend, bellow_mm, piston_target_mm: state.targets_mm, cut }
+    state.targets_mm = if follows {
+        ease(&mut state.hold, allowed_mm, dt_s)
+    } else {
+        allowed_mm
+    };
+    PistonOutput {
+        command: bend,
+        bellow_mm,
+        piston_target_mm: state.targets_mm,
+        cut,
+    }
 }
 
 /// The targets `wanted_mm`, approached no faster than calm corrections permit. Pressure on an obstruction is relieved at once.
-fn calmly(config: &LoopConfig, state: &LoopState, wanted_mm: &Vector3<f64>, estimate: Bend, dt_s: f64) -> Vector3<f64> {
+fn calmly(
+    config: &LoopConfig,
+    state: &LoopState,
+    wanted_mm: &Vector3<f64>,
+    estimate: Bend,
+    dt_s: f64,
+) -> Vector3<f64> {
     let error_rad = (state.setpoint.target.bend.0 - estimate.0).norm();
-    let speed = config.feedback.and_then(|f| state.feedback.calm.speed(&f.calm, error_rad));
-    let Some(speed) = speed.filter(|_| !state.feedback.obstruction.blocked) else { return *wanted_mm };
+    let speed = config
+        .feedback
+        .and_then(|f| state.feedback.calm.speed(&f.calm, error_rad));
+    let Some(speed) = speed.filter(|_| !state.feedback.obstruction.blocked) else {
+        return *wanted_mm;
+    };
     Vector3::from_fn(|i, _| {
-        let most_mm = state.transmission.lines[i].play_output_mm(speed * config.geometry.r_mm) * dt_s;
+        let most_mm =
+            state.transmission.lines[i].play_output_mm(speed * config.geometry.r_mm) * dt_s;
         state.targets_mm[i] + (wanted_mm[i] - state.targets_mm[i]).clamp(-most_mm, most_mm)
     })
 }
@@ -97,15 +141,24 @@ fn calmly(config: &LoopConfig, state: &LoopState, wanted_mm: &Vector3<f64>, esti
 /// The command against an obstruction: no further from the estimate than the configured pressure, beyond that which the
 /// estimated bend needs, allows.
 fn press(config: &LoopConfig, state: &LoopState, command: Bend, estimate: Bend) -> Bend {
-    let Some(f) = &config.feedback else { return command };
-    let stiffest = state.transmission.lines.iter().map(|l| 1.0 + l.k_epsilon).fold(1.0, f64::max);
+    let Some(f) = &config.feedback else {
+        return command;
+    };
+    let stiffest = state
+        .transmission
+        .lines
+        .iter()
+        .map(|l| 1.0 + l.k_epsilon)
+        .fold(1.0, f64::max);
     let kpa_per_rad = config.limits.pressure_kpa_per_mm * stiffest * config.geometry.r_mm;
     Bend(estimate.0 + (command.0 - estimate.0).cap_magnitude(f.obstruction.press_kpa / kpa_per_rad))
 }
 
 /// Time by which the feedforward leads the set-point, s.
 fn lead_s(config: &LoopConfig, state: &LoopState) -> f64 {
-    config.feedback.map_or(0.0, |f| f.lead * state.dynamics.best.lag_s)
+    config
+        .feedback
+        .map_or(0.0, |f| f.lead * state.dynamics.best.lag_s)
 }
 
 /// What the feedforward adds to the set-point, rad. Beyond a target at rest it would have to come back, and a reversal
@@ -113,8 +166,15 @@ fn lead_s(config: &LoopConfig, state: &LoopState) -> f64 {
 /// it loses by the reversal.
 fn ahead_of(setpoint: &SetPoint, lead_s: f64) -> Vector2<f64> {
     let ahead = setpoint.bend.velocity * lead_s;
-    let (way, to_go) = (ahead.norm(), (setpoint.target.bend.0 - setpoint.bend.at).norm());
-    if setpoint.target_rests_s > STREAM_PERIOD_S && way > to_go && lead_s < SLOW_S { ahead * (to_go / way) } else { ahead }
+    let (way, to_go) = (
+        ahead.norm(),
+        (setpoint.target.bend.0 - setpoint.bend.at).norm(),
+    );
+    if setpoint.target_rests_s > STREAM_PERIOD_S && way > to_go && lead_s < SLOW_S {
+        ahead * (to_go / way)
+    } else {
+        ahead
+    }
 }
 
 /// Targets with the offset that remains of a hold, so that they leave it without a jump.
@@ -141,15 +201,31 @@ fn invert_transmission(
     let motion = path::bellow_motion(config, &state.setpoint, lead_s(config, state));
     let (lines, backlash) = (&mut state.transmission, &mut state.feedback.backlash);
     let mut described = config.feedforward.as_deref().zip(lines.described.as_mut());
-    let bellow_mm = described.as_mut().map_or(*bellow_mm, |(machine, state)| state.invert(machine, bellow_mm));
+    let bellow_mm = described.as_mut().map_or(*bellow_mm, |(machine, state)| {
+        state.invert(machine, bellow_mm)
+    });
     let mut reversed = [false; 3];
     let piston_mm = Vector3::from_fn(|i, _| {
         let reach = if by_feedback { backlash.share(i) } else { 1.0 };
-        let wanted = Wanted { q_mm: bellow_mm[i], dt_s, reach };
+        let wanted = Wanted {
+            q_mm: bellow_mm[i],
+            dt_s,
+            reach,
+        };
         let (piston_mm, next) = match motion {
             Some([speed, acceleration]) => {
-                let passing = Passing { q_mm: bellow_mm[i], speed: speed[i], acceleration: acceleration[i] };
-                path::invert(&lines.lines[i], lines.sides[i], &passing, &config.motion.limits, dt_s)
+                let passing = Passing {
+                    q_mm: bellow_mm[i],
+                    speed: speed[i],
+                    acceleration: acceleration[i],
+                };
+                path::invert(
+                    &lines.lines[i],
+                    lines.sides[i],
+                    &passing,
+                    &config.motion.limits,
+                    dt_s,
+                )
             }
             None => config.side.invert(&lines.lines[i], lines.sides[i], &wanted),
         };
@@ -157,17 +233,37 @@ fn invert_transmission(
         lines.sides[i] = next;
         piston_mm
     });
-    let piston_mm = described.map_or(piston_mm, |(machine, state)| state.counted(machine, &piston_mm));
+    let piston_mm = described.map_or(piston_mm, |(machine, state)| {
+        state.counted(machine, &piston_mm)
+    });
     // a piston that crosses slowly is answered late
-    if !by_feedback || config.feedback.is_some_and(|f| state.feedback.calm.is_calm(&f.calm)) {
+    if !by_feedback
+        || config
+            .feedback
+            .is_some_and(|f| state.feedback.calm.is_calm(&f.calm))
+    {
         backlash.forget();
         return piston_mm;
     }
     let answer_s = state.dynamics.best.delay_s + 3.0 * state.dynamics.best.lag_s + CROSSING_S;
-    let worth_rad = config.feedback.map_or(0.0, |f| f.standstill.open_deg.to_radians());
+    let worth_rad = config
+        .feedback
+        .map_or(0.0, |f| f.standstill.open_deg.to_radians());
     // at its limit the feedback can correct nothing
-    let error = if state.feedback.integral_full { Vector2::zeros() } else { state.setpoint.target.bend.0 - estimate.0 };
-    let increments = backlash.step(reversed, &error, &Patience { answer_s, worth_rad }, dt_s);
+    let error = if state.feedback.integral_full {
+        Vector2::zeros()
+    } else {
+        state.setpoint.target.bend.0 - estimate.0
+    };
+    let increments = backlash.step(
+        reversed,
+        &error,
+        &Patience {
+            answer_s,
+            worth_rad,
+        },
+        dt_s,
+    );
     for (side, increment) in lines.sides.iter_mut().zip(increments) {
         side.side = (side.side + 2.0 * increment * side.way).clamp(-1.0, 1.0);
     }

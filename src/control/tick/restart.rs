@@ -84,8 +84,14 @@ impl LoopState {
     /// Restores the position of the pistons and the learned values, before an alignment.
     pub fn take_up(&mut self, config: &LoopConfig, remembered: &RestartState) {
         self.transmission.lines = Line::each(remembered.k_epsilon, remembered.k_lambda_mm);
-        let expected = Dynamics { lag_s: remembered.lag_s, delay_s: remembered.delay_s };
-        self.learning.before = DynamicsPrior { expected, uncertainty_s: remembered.dynamics_uncertainty_s };
+        let expected = Dynamics {
+            lag_s: remembered.lag_s,
+            delay_s: remembered.delay_s,
+        };
+        self.learning.before = DynamicsPrior {
+            expected,
+            uncertainty_s: remembered.dynamics_uncertainty_s,
+        };
         self.dynamics = self.learning.before.range();
         self.feedback.hunting = HuntingDetector::new(remembered.caution);
         self.transmission.play_output_mm = remembered.play_output_mm.into();

@@ -15,48 +15,92 @@ const STILL_AFTER_S: f64 = 0.5;
 /// Updates the fusion with the samples, the motors' field and whether the pistons rest.
 pub(super) fn estimate(config: &LoopConfig, state: &mut LoopState, input: &Input) {
     let motors = &mut state.motors;
-    motors.still_s = if input.steps == motors.last_steps { motors.still_s + input.dt_s } else { 0.0 };
-    for (idle_s, (now, before)) in motors.idle_s.iter_mut().zip(input.steps.0.iter().zip(motors.last_steps.0)) {
-        *idle_s = if *now == before { *idle_s + input.dt_s } else { 0.0 };
+    motors.still_s = if input.steps == motors.last_steps {
+        motors.still_s + input.dt_s
+    } else {
+        0.0
+    };
+    for (idle_s, (now, before)) in motors
+        .idle_s
+        .iter_mut()
+        .zip(input.steps.0.iter().zip(motors.last_steps.0))
+    {
+        *idle_s = if *now == before {
+            *idle_s + input.dt_s
+        } else {
+            0.0
+        };
     }
     motors.last_steps = input.steps;
     let energised = motors.idle_s.map(|s| s < config.motors_idle_after_s);
-    let coils_ut = config.motors.as_ref().map_or_else(Vector3::zeros, |m| m.at(&input.steps.0, &energised));
+    let coils_ut = config
+        .motors
+        .as_ref()
+        .map_or_else(Vector3::zeros, |m| m.at(&input.steps.0, &energised));
     let tip = match input.imu {
-        ImuReading::Sample(sample, quality) => ImuReading::Sample(config.imu.apply(&sample), quality),
+        ImuReading::Sample(sample, quality) => {
+            ImuReading::Sample(config.imu.apply(&sample), quality)
+        }
         other => other,
     };
     let still = motors.still_s >= STILL_AFTER_S;
     if let (Some(machine), Some(described), Some(rest)) = (
         config.feedforward.as_deref(),
         state.transmission.described.as_mut(),
-        state.fusion.alignment().filter(|_| config.feedback.is_some()),
+        state
+            .fusion
+            .alignment()
+            .filter(|_| config.feedback.is_some()),
     ) {
         described.zero(machine, rest.acc_rest_m_s2.normalize());
     }
-    state.fusion.update(&config.fuse, &FusionInput { now: input.t, tip, base: input.base_imu, coils_ut, still });
+    state.fusion.update(
+        &config.fuse,
+        &FusionInput {
+            now: input.t,
+            tip,
+            base: input.base_imu,
+            coils_ut,
+            still,
+        },
+    );
 }
 
 /// Detects a base that turns, if no base IMU measures it, and serves a request for a new alignment.
-pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Input, predicted: Vector2<f64>, estimate: Bend) {
+pub(super) fn watch_base(
+    config: &LoopConfig,
+    state: &mut LoopState,
+    input: &Input,
+    predicted: Vector2<f64>,
+    estimate: Bend,
+) {
     // from the play operators, not from the inverse: correcting for a base that has turned crosses the backlash and need
     // not end where it began
     let played = state.transmission.played_shape(&config.geometry).bend.0;
     if input.realign {
         let quiet = &state.base.quiet;
         let bend = Bend(quiet.estimate + played - quiet.played);
-        state.fusion.realign(if state.base.moved { bend } else { estimate });
+        state
+            .fusion
+            .realign(if state.base.moved { bend } else { estimate });
         return;
     }
     if state.fusion.realigning() {
-        state.base = BaseState { quiet: state.base.quiet, ..BaseState::default() };
+        state.base = BaseState {
+            quiet: state.base.quiet,
+            ..BaseState::default()
+        };
         return;
     }
     if state.fusion.tracks_base() {
         // also again: what was noticed while the base IMU was lost no longer counts
         (state.base.moved, state.base.watch) = (false, Watch::default());
     }
-    let Some(rate_rad_s) = state.fusion.rate_rad_s().filter(|_| !state.fusion.tracks_base()) else {
+    let Some(rate_rad_s) = state
+        .fusion
+        .rate_rad_s()
+        .filter(|_| !state.fusion.tracks_base())
+    else {
         return;
     };
     let observed = WatchInput {
@@ -72,7 +116,8 @@ pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Inp
     };
     let flagged = state.base.watch.step(&config.fuse.watch, &observed);
     if state.base.moved {
-        let unexplained = estimate.0 - state.base.quiet.estimate - (played - state.base.quiet.played);
+        let unexplained =
+            estimate.0 - state.base.quiet.estimate - (played - state.base.quiet.played);
         state.base.moved = !state.base.watch.returned(&unexplained, input.dt_s);
         return;
     }
@@ -84,10 +129,18 @@ pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Inp
             .or(state.feedback.taught[0])
             .map_or_else(Vector2::zeros, |taught| state.return_to(config, &taught));
         let learned = state.feedback.error.at(&state.setpoint.bend.at);
-        let integral = state.base.quiet.feedback * state.base.watch.share_of_tip() - learned + shift;
-        state.feedback.pi = PiState { integral, feedback: integral };
+        let integral =
+            state.base.quiet.feedback * state.base.watch.share_of_tip() - learned + shift;
+        state.feedback.pi = PiState {
+            integral,
+            feedback: integral,
+        };
     } else if state.base.watch.quiet() {
-        state.base.quiet = QuietPose { feedback: state.feedback.feedback, estimate: estimate.0, played };
+        state.base.quiet = QuietPose {
+            feedback: state.feedback.feedback,
+            estimate: estimate.0,
+            played,
+        };
         state.fusion.remember(input.t);
     }
 }

@@ -185,7 +185,9 @@ pub(super) enum Hold {
 }
 
 impl Hold {
-    pub(super) const RELEASED: Self = Self::Released { offset_mm: Vector3::new(0.0, 0.0, 0.0) };
+    pub(super) const RELEASED: Self = Self::Released {
+        offset_mm: Vector3::new(0.0, 0.0, 0.0),
+    };
 
     pub(super) fn is_holding(&self) -> bool {
         matches!(self, Self::Holding { .. })
@@ -197,8 +199,15 @@ impl LoopState {
     pub fn new(config: &LoopConfig) -> Self {
         Self {
             fusion: Fusion::default(),
-            motors: MotorActivity { last_steps: Steps::default(), idle_s: [f64::INFINITY; 3], still_s: 0.0 },
-            setpoint: SetPoint::resting(Shape { bend: Bend::STRAIGHT, length: Mm(config.geometry.rest_length_mm) }),
+            motors: MotorActivity {
+                last_steps: Steps::default(),
+                idle_s: [f64::INFINITY; 3],
+                still_s: 0.0,
+            },
+            setpoint: SetPoint::resting(Shape {
+                bend: Bend::STRAIGHT,
+                length: Mm(config.geometry.rest_length_mm),
+            }),
             transmission: Transmission {
                 lines: config.lines,
                 described: config.feedforward.as_deref().map(FeedforwardState::new),
@@ -250,10 +259,18 @@ impl LoopState {
         for i in 0..3 {
             let line = &lines.lines[i];
             let w_mm = line.play(lines.play_output_mm[i], piston_mm[i]);
-            let side = if line.k_lambda_mm > 0.0 { ((piston_mm[i] - w_mm) / line.k_lambda_mm).clamp(-1.0, 1.0) } else { 0.0 };
+            let side = if line.k_lambda_mm > 0.0 {
+                ((piston_mm[i] - w_mm) / line.k_lambda_mm).clamp(-1.0, 1.0)
+            } else {
+                0.0
+            };
             lines.play_output_mm[i] = w_mm;
             lines.intended_mm[i] = w_mm;
-            lines.sides[i] = SideState { w_mm, side, way: if side == 0.0 { 0.0 } else { side.signum() } };
+            lines.sides[i] = SideState {
+                w_mm,
+                side,
+                way: if side == 0.0 { 0.0 } else { side.signum() },
+            };
         }
         let mut given = lines.intended_shape(&config.geometry);
         if let Some(machine) = config.feedforward.as_deref() {
@@ -261,12 +278,29 @@ impl LoopState {
             given = described.advance(machine, &lines.intended_mm, SETTLED_S);
             lines.described = Some(described);
         }
-        let length = given.length.0.clamp(0.5 * config.geometry.rest_length_mm, 2.0 * config.geometry.rest_length_mm);
-        self.setpoint = SetPoint::resting(Shape { bend: at, length: Mm(length) });
+        let length = given.length.0.clamp(
+            0.5 * config.geometry.rest_length_mm,
+            2.0 * config.geometry.rest_length_mm,
+        );
+        self.setpoint = SetPoint::resting(Shape {
+            bend: at,
+            length: Mm(length),
+        });
         let feedback = given.bend.0 - at.0;
-        let (error, integral) = (self.feedback.error, feedback - self.feedback.error.at(&at.0));
-        let pi = PiState { integral, feedback: integral };
-        let taught = Taught { pi, error, refine: self.learning.refine, lines: self.transmission.lines };
+        let (error, integral) = (
+            self.feedback.error,
+            feedback - self.feedback.error.at(&at.0),
+        );
+        let pi = PiState {
+            integral,
+            feedback: integral,
+        };
+        let taught = Taught {
+            pi,
+            error,
+            refine: self.learning.refine,
+            lines: self.transmission.lines,
+        };
         let mut backlash = self.feedback.backlash;
         backlash.forget();
         self.feedback = Feedback {

@@ -63,14 +63,22 @@ impl LoopConfig {
     /// The same loop with a feedforward through `machine`, with the gains of the machine.
     #[must_use]
     pub fn fed_forward(self, machine: Arc<DescribedMachine>) -> Self {
-        Self { lines: machine.chain().lines, feedforward: Some(machine), ..self }
+        Self {
+            lines: machine.chain().lines,
+            feedforward: Some(machine),
+            ..self
+        }
     }
 
     /// The calibrated gains with their standard deviations.
     pub fn line_priors(&self) -> [Prior; 3] {
         std::array::from_fn(|i| {
             let [k_epsilon_sigma, k_lambda_sigma_mm] = self.line_sigmas[i];
-            Prior { line: self.lines[i], k_epsilon_sigma, k_lambda_sigma_mm }
+            Prior {
+                line: self.lines[i],
+                k_epsilon_sigma,
+                k_lambda_sigma_mm,
+            }
         })
     }
 }

@@ -31,7 +31,12 @@ const ROUNDS: usize = 6;
 pub type Answers = [Vec<&'static str>; 3];
 
 /// The verdicts of all three methods.
-pub fn answer(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3], found: &Candidates<Candidate>) -> Answers {
+pub fn answer(
+    log: &Observed,
+    catalogue: &[Box<dyn Effect>],
+    lines: &[Line; 3],
+    found: &Candidates<Candidate>,
+) -> Answers {
     let library = Library::new(log, catalogue, lines);
     [bic(log, found), library.sparse(), library.nearest()]
 }
@@ -39,8 +44,13 @@ pub fn answer(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3], 
 fn bic(log: &Observed, found: &Candidates<Candidate>) -> Vec<&'static str> {
     let n = log.duration_s() / CORRELATED_S * 3.0 * log.quantities().count() as f64;
     let rows = log.bins.len() as f64 * n / (log.duration_s() / CORRELATED_S).max(1.0);
-    let value = |c: &Candidate| n * (c.fitted.cost / rows).ln() + c.fitted.theta.len() as f64 * n.ln();
-    found.sets().chain([&found.nominal]).min_by(|a, b| value(a).total_cmp(&value(b))).map_or(vec![], |c| c.names.clone())
+    let value =
+        |c: &Candidate| n * (c.fitted.cost / rows).ln() + c.fitted.theta.len() as f64 * n.ln();
+    found
+        .sets()
+        .chain([&found.nominal])
+        .min_by(|a, b| value(a).total_cmp(&value(b)))
+        .map_or(vec![], |c| c.names.clone())
 }
 
 /// Sums over the tangents of the whole catalogue at the nominal fit, with the nominal parameters eliminated.
@@ -58,7 +68,11 @@ impl Library {
         let problem = Problem::new(log, Model::new(&[]));
         let (point, _) = fit(&problem, &nominal_theta(lines, log.rig.prior_lag_s), ROUNDS);
         let tangent = Tangent::new(&problem, &point);
-        let base = BaseFit { problem, point, tangent };
+        let base = BaseFit {
+            problem,
+            point,
+            tangent,
+        };
         let (mut columns, mut at) = (base.tangent.clone(), vec![NOMINAL]);
         for e in catalogue {
             let problem = Problem::new(log, Model::new(&[e.as_ref()]));
@@ -66,24 +80,42 @@ impl Library {
             columns.append(Tangent::grown(&problem, &here, &base), NOMINAL);
             at.push(columns.width());
         }
-        let sums = columns.parts(&base.point, log.bins.len(), 1, |_| Some(0)).swap_remove(0);
+        let sums = columns
+            .parts(&base.point, log.bins.len(), 1, |_| Some(0))
+            .swap_remove(0);
         let (n, k) = (columns.width(), NOMINAL);
         let ridge = DMatrix::identity(k, k) * 1e-6;
-        let inverse = (sums.normal.view((0, 0), (k, k)) + ridge).try_inverse().unwrap_or_else(|| DMatrix::zeros(k, k));
+        let inverse = (sums.normal.view((0, 0), (k, k)) + ridge)
+            .try_inverse()
+            .unwrap_or_else(|| DMatrix::zeros(k, k));
         let across = sums.normal.view((k, 0), (n - k, k)).clone_owned();
-        let normal = sums.normal.view((k, k), (n - k, n - k)) - &across * &inverse * across.transpose();
+        let normal =
+            sums.normal.view((k, k), (n - k, n - k)) - &across * &inverse * across.transpose();
         let gradient = sums.gradient.rows(k, n - k) - &across * &inverse * sums.gradient.rows(0, k);
         let at = at.iter().map(|a| a - NOMINAL).collect();
-        Self { names: catalogue.iter().map(|e| e.name()).collect(), at, normal, gradient, total: base.point.data() }
+        Self {
+            names: catalogue.iter().map(|e| e.name()).collect(),
+            at,
+            normal,
+            gradient,
+            total: base.point.data(),
+        }
     }
 
     /// Squares that these effects explain together.
     fn explained(&self, effects: &[usize]) -> f64 {
-        let columns: Vec<usize> = effects.iter().flat_map(|&g| self.at[g]..self.at[g + 1]).collect();
+        let columns: Vec<usize> = effects
+            .iter()
+            .flat_map(|&g| self.at[g]..self.at[g + 1])
+            .collect();
         let n = columns.len();
-        let normal = DMatrix::from_fn(n, n, |a, b| self.normal[(columns[a], columns[b])] + if a == b { 1.0 } else { 0.0 });
+        let normal = DMatrix::from_fn(n, n, |a, b| {
+            self.normal[(columns[a], columns[b])] + if a == b { 1.0 } else { 0.0 }
+        });
         let gradient = DVector::from_fn(n, |a, _| self.gradient[columns[a]]);
-        normal.cholesky().map_or(0.0, |c| c.solve(&gradient).dot(&gradient))
+        normal
+            .cholesky()
+            .map_or(0.0, |c| c.solve(&gradient).dot(&gradient))
     }
 
     fn sparse(&self) -> Vec<&'static str> {
@@ -93,8 +125,13 @@ impl Library {
             if kept.is_empty() || whole < NAMED * self.total {
                 return vec![];
             }
-            let without = |g: usize| self.explained(&kept.iter().copied().filter(|&k| k != g).collect::<Vec<_>>());
-            let share = kept.iter().map(|&g| (g, (whole - without(g)) / whole)).min_by(|a, b| a.1.total_cmp(&b.1));
+            let without = |g: usize| {
+                self.explained(&kept.iter().copied().filter(|&k| k != g).collect::<Vec<_>>())
+            };
+            let share = kept
+                .iter()
+                .map(|&g| (g, (whole - without(g)) / whole))
+                .min_by(|a, b| a.1.total_cmp(&b.1));
             match share {
                 Some((g, share)) if share < SPARSE && kept.len() > 1 => kept.retain(|&k| k != g),
                 _ => return kept.iter().map(|&k| self.names[k]).collect(),
@@ -105,6 +142,7 @@ impl Library {
     fn nearest(&self) -> Vec<&'static str> {
         let of = |g: usize| self.explained(&[g]);
         let best = (0..self.names.len()).max_by(|&a, &b| of(a).total_cmp(&of(b)));
-        best.filter(|&g| of(g) > NAMED * self.total).map_or(vec![], |g| vec![self.names[g]])
+        best.filter(|&g| of(g) > NAMED * self.total)
+            .map_or(vec![], |g| vec![self.names[g]])
     }
 }

@@ -75,25 +75,51 @@ pub struct Logs {
 /// tracker, one pair and one effect-free log per catalogue effect and round, and nine triples a round.
 pub fn questions(seed: u64, rounds: usize) -> Vec<Question> {
     let mut rng = StdRng::seed_from_u64(seed);
-    let (inside, outside): (Vec<&EffectName>, Vec<&EffectName>) = effect_names().partition(|e| e.in_catalogue);
+    let (inside, outside): (Vec<&EffectName>, Vec<&EffectName>) =
+        effect_names().partition(|e| e.in_catalogue);
     let mut out = Vec::new();
     for round in 0..rounds {
         for (n, e) in inside.iter().enumerate() {
             let other = inside[(n + rng.random_range(1..inside.len())) % inside.len()];
             for lab in [true, false] {
-                out.push(Question { content: Content::Single, names: vec![e.name], lab, seed: rng.next_u64() });
+                out.push(Question {
+                    content: Content::Single,
+                    names: vec![e.name],
+                    lab,
+                    seed: rng.next_u64(),
+                });
             }
             let lab = (n + round) % 2 == 0;
-            out.push(Question { content: Content::Pair, names: vec![e.name, other.name], lab, seed: rng.next_u64() });
-            out.push(Question { content: Content::None, names: vec![], lab, seed: rng.next_u64() });
+            out.push(Question {
+                content: Content::Pair,
+                names: vec![e.name, other.name],
+                lab,
+                seed: rng.next_u64(),
+            });
+            out.push(Question {
+                content: Content::None,
+                names: vec![],
+                lab,
+                seed: rng.next_u64(),
+            });
         }
         for n in 0..TRIPLES {
             let names = inside.sample(&mut rng, 3).map(|e| e.name).collect();
-            out.push(Question { content: Content::Triple, names, lab: (n + round) % 2 == 0, seed: rng.next_u64() });
+            out.push(Question {
+                content: Content::Triple,
+                names,
+                lab: (n + round) % 2 == 0,
+                seed: rng.next_u64(),
+            });
         }
         for e in &outside {
             for lab in [true, false] {
-                out.push(Question { content: Content::Outside, names: vec![e.name], lab, seed: rng.next_u64() });
+                out.push(Question {
+                    content: Content::Outside,
+                    names: vec![e.name],
+                    lab,
+                    seed: rng.next_u64(),
+                });
             }
         }
     }
@@ -115,12 +141,23 @@ impl Question {
             k_lambda_mm: bare.line.k_lambda_mm[i] * rng.random_range(0.9..1.1),
         });
         let (first, second) = (rng.next_u64(), rng.next_u64());
-        let of = |make: &PlantConfig, seed, lab| record(|noise| Ok(Sim::new(make, 0, noise, PERIOD_S)?), &lines, seed, lab);
+        let of = |make: &PlantConfig, seed, lab| {
+            record(
+                |noise| Ok(Sim::new(make, 0, noise, PERIOD_S)?),
+                &lines,
+                seed,
+                lab,
+            )
+        };
         let mut recorded = Recorded::new(of(&bare, first, true)?, &lines);
         let (mut make, mut hidden) = (bare, false);
         for name in &self.names {
             for draw in 0..DRAWS {
-                let severity = if draw + 1 == DRAWS { 1.0 } else { rng.random_range(0.0..1.0) };
+                let severity = if draw + 1 == DRAWS {
+                    1.0
+                } else {
+                    rng.random_range(0.0..1.0)
+                };
                 let with = make.clone().with_effect(name, severity, &mut rng)?;
                 let recorded_with = Recorded::new(of(&with, first, true)?, &lines);
                 let hides = recorded.hides(&recorded_with, self.lab);
@@ -134,7 +171,12 @@ impl Question {
         if !self.lab {
             log.reference = None;
         }
-        Ok(Logs { log, fresh: of(&make, second, self.lab)?, lines, hidden })
+        Ok(Logs {
+            log,
+            fresh: of(&make, second, self.lab)?,
+            lines,
+            hidden,
+        })
     }
 }
 
@@ -143,7 +185,11 @@ fn unit(rng: &mut StdRng) -> PlantConfig {
     let loud = rng.random_range(0.8..2.2);
     let chip = ImuConfig::default();
     let make = PlantConfig {
-        base: BaseConfig { pitch_deg: rng.random_range(0.0..100.0), roll_deg: rng.random_range(-90.0..90.0), ..BaseConfig::default() },
+        base: BaseConfig {
+            pitch_deg: rng.random_range(0.0..100.0),
+            roll_deg: rng.random_range(-90.0..90.0),
+            ..BaseConfig::default()
+        },
         imu: ImuConfig {
             period_s: 0.01,
             gyro_noise_deg_s_rthz: chip.gyro_noise_deg_s_rthz * loud,
@@ -179,7 +225,9 @@ pub struct Recorded {
 impl Recorded {
     /// Recalibrates the model of a log that was driven with the calibration `lines`.
     pub fn new(log: BendLog, lines: &[Line; 3]) -> Self {
-        let left_deg = Observed::new(&log, &Rig::default()).map(|o| recalibrated(&o, lines).held_out.rmse_deg).ok();
+        let left_deg = Observed::new(&log, &Rig::default())
+            .map(|o| recalibrated(&o, lines).held_out.rmse_deg)
+            .ok();
         Self { log, left_deg }
     }
 
@@ -187,31 +235,56 @@ impl Recorded {
     /// leaves of a sensor does not grow by what a diagnosis claims, so that the right verdict does not name it. Without `lab` the tracker
     /// does not count.
     pub fn hides(&self, with: &Self, lab: bool) -> bool {
-        let (Some(before), Some(after)) = (&self.left_deg, &with.left_deg) else { return true };
+        let (Some(before), Some(after)) = (&self.left_deg, &with.left_deg) else {
+            return true;
+        };
         let seen = |q: &Quantity| lab || *q != Quantity::Reference;
         difference_deg(&self.log, &with.log) < VISIBLE_DEG
-            || Quantity::ALL.into_iter().filter(seen).all(|q| after[q] - before[q] < CLAIM_DEG)
+            || Quantity::ALL
+                .into_iter()
+                .filter(seen)
+                .all(|q| after[q] - before[q] < CLAIM_DEG)
     }
 }
 
 /// Largest RMS difference of a signal between two logs, degrees (°/s for the gyroscope).
 pub fn difference_deg(a: &BendLog, b: &BendLog) -> f64 {
     let rms = |x: &[Vector3<f64>], y: &[Vector3<f64>], unit: f64| {
-        let (sum, n) =
-            x.iter().zip(y).map(|(x, y)| (x - y).norm_squared()).filter(|d| !d.is_nan()).fold((0.0, 0.0), |(s, n), d| (s + d, n + 1.0));
+        let (sum, n) = x
+            .iter()
+            .zip(y)
+            .map(|(x, y)| (x - y).norm_squared())
+            .filter(|d| !d.is_nan())
+            .fold((0.0, 0.0), |(s, n), d| (s + d, n + 1.0));
         (sum / f64::max(n, 1.0)).sqrt() / unit
     };
     let mut out: f64 = 0.0;
     if let (Some(x), Some(y)) = (&a.imu, &b.imu) {
-        let field = y.mag.iter().find(|m| !m.x.is_nan()).map_or(48.0, Vector3::norm);
+        let field = y
+            .mag
+            .iter()
+            .find(|m| !m.x.is_nan())
+            .map_or(48.0, Vector3::norm);
         // recalibration removes a constant difference of rates
-        let apart: Vec<Vector3<f64>> = x.gyr.iter().zip(&y.gyr).map(|(x, y)| x - y).filter(|d| !d.x.is_nan()).collect();
+        let apart: Vec<Vector3<f64>> = x
+            .gyr
+            .iter()
+            .zip(&y.gyr)
+            .map(|(x, y)| x - y)
+            .filter(|d| !d.x.is_nan())
+            .collect();
         let mean = apart.iter().sum::<Vector3<f64>>() / apart.len().max(1) as f64;
         let rate = rms(&apart, &vec![mean; apart.len()], 1.0);
-        out = rms(&x.acc, &y.acc, 9.81).max(rms(&x.mag, &y.mag, field)).max(rate).to_degrees();
+        out = rms(&x.acc, &y.acc, 9.81)
+            .max(rms(&x.mag, &y.mag, field))
+            .max(rate)
+            .to_degrees();
     }
     if let (Some(x), Some(y)) = (&a.reference, &b.reference) {
-        let angles = x.iter().zip(y).filter_map(|(x, y)| Some(x.as_ref()?.angle_to(y.as_ref()?).powi(2)));
+        let angles = x
+            .iter()
+            .zip(y)
+            .filter_map(|(x, y)| Some(x.as_ref()?.angle_to(y.as_ref()?).powi(2)));
         let n = x.len().max(1) as f64;
         out = out.max((angles.sum::<f64>() / n).sqrt().to_degrees());
     }

@@ -30,10 +30,17 @@ pub fn record<W: World>(
     let mut rng = StdRng::seed_from_u64(seed);
     let (path, command) = drive(&schedule::draw(&mut rng), lines, rng.random_range(8..20));
     let mut tip = machine(rng.random())?;
-    let (step_mm, periods) = (tip.info().step_mm, (DT_S / tip.info().period_s).round().max(1.0) as usize);
+    let (step_mm, periods) = (
+        tip.info().step_mm,
+        (DT_S / tip.info().period_s).round().max(1.0) as usize,
+    );
     let n = path.len();
     let nan = Vector3::repeat(f64::NAN);
-    let mut imus = [(); 2].map(|()| ImuColumns { acc: vec![nan; n], gyr: vec![nan; n], mag: vec![nan; n] });
+    let mut imus = [(); 2].map(|()| ImuColumns {
+        acc: vec![nan; n],
+        gyr: vec![nan; n],
+        mag: vec![nan; n],
+    });
     let (mut piston_mm, mut reference) = (Vec::with_capacity(n), Vec::with_capacity(n));
     let counted = |p: Vector3<f64>| Steps([p.x, p.y, p.z].map(|x| (x / step_mm).round() as i32));
     let mut before = Vector3::zeros();
@@ -43,13 +50,15 @@ pub fn record<W: World>(
             let out = tip.step(&counted(before.lerp(p, part as f64 / periods as f64)))?;
             for (imu, sample) in imus.iter_mut().zip([out.imu, out.base_imu]) {
                 if let Some(s) = sample {
-                    (imu.acc[k], imu.gyr[k], imu.mag[k]) = (s.acc_m_s2, s.gyro_rad_s, s.mag_ut.unwrap_or(nan));
+                    (imu.acc[k], imu.gyr[k], imu.mag[k]) =
+                        (s.acc_m_s2, s.gyro_rad_s, s.mag_ut.unwrap_or(nan));
                 }
             }
             last = out.truth.map(|r| r.quat());
         }
         piston_mm.push(Vector3::from(counted(*p).0.map(f64::from)) * step_mm);
-        let noise = Vector3::from_fn(|_, _| rng.sample::<f64, _>(StandardNormal)) * TRACKER_DEG.to_radians();
+        let noise = Vector3::from_fn(|_, _| rng.sample::<f64, _>(StandardNormal))
+            * TRACKER_DEG.to_radians();
         before = *p;
         reference.push(last.map(|q| q * UnitQuaternion::from_scaled_axis(noise)));
     }

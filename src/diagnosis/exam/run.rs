@@ -58,7 +58,8 @@ pub fn run(
         .par_iter()
         .enumerate()
         .map(|(n, q)| {
-            let left_out = (q.content == Content::Single && n % LEFT_OUT_EVERY == 0).then(|| q.names[0]);
+            let left_out =
+                (q.content == Content::Single && n % LEFT_OUT_EVERY == 0).then(|| q.names[0]);
             let answer = answer(n, &draw(q)?, catalogue, left_out);
             done();
             answer
@@ -67,15 +68,34 @@ pub fn run(
 }
 
 /// Answers question `n` from its logs and the calibration alone.
-fn answer(n: usize, logs: &Logs, catalogue: &[Box<dyn Effect>], left_out: Option<&str>) -> Result<Answer, ExamError> {
+fn answer(
+    n: usize,
+    logs: &Logs,
+    catalogue: &[Box<dyn Effect>],
+    left_out: Option<&str>,
+) -> Result<Answer, ExamError> {
     let observe = |log| Observed::new(log, &Rig::default()).map_err(|e| ExamError::Observe(n, e));
     let (log, fresh) = (observe(&logs.log)?, observe(&logs.fresh)?);
     let done = diagnose(&log, catalogue, &logs.lines, n as u64);
-    let fresh_closed = SavedModel::new("exam", catalogue, &done).check_on(&fresh, catalogue).closed;
+    let fresh_closed = SavedModel::new("exam", catalogue, &done)
+        .check_on(&fresh, catalogue)
+        .closed;
     let left_out = left_out.map(|name| {
-        let rest: Vec<Box<dyn Effect>> = effects::catalogue().into_iter().filter(|e| e.name() != name).collect();
-        diagnose(&log, &rest, &logs.lines, n as u64).document.verdict.kind
+        let rest: Vec<Box<dyn Effect>> = effects::catalogue()
+            .into_iter()
+            .filter(|e| e.name() != name)
+            .collect();
+        diagnose(&log, &rest, &logs.lines, n as u64)
+            .document
+            .verdict
+            .kind
     });
     let others = baseline::answer(&log, catalogue, &logs.lines, &done.found);
-    Ok(Answer { diagnosis: done.document, hidden: logs.hidden, fresh_closed, left_out, others })
+    Ok(Answer {
+        diagnosis: done.document,
+        hidden: logs.hidden,
+        fresh_closed,
+        left_out,
+        others,
+    })
 }

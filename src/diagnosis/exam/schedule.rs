@@ -16,7 +16,13 @@ pub const DT_S: f64 = 0.01;
 
 /// A random schedule of about 250 s.
 pub fn draw(rng: &mut StdRng) -> Vec<Row> {
-    let row = |bend_deg, dir_deg, len_mm, hold_s, speed_mm_s| Row { bend_deg, dir_deg, len_mm, hold_s, speed_mm_s };
+    let row = |bend_deg, dir_deg, len_mm, hold_s, speed_mm_s| Row {
+        bend_deg,
+        dir_deg,
+        len_mm,
+        hold_s,
+        speed_mm_s,
+    };
     let rest = |hold_s| row(0.0, 0.0, 20.0, hold_s, 20.0);
     let mut out = vec![rest(4.0)];
     let top = rng.random_range(68.0..78.0);
@@ -36,25 +42,44 @@ pub fn draw(rng: &mut StdRng) -> Vec<Row> {
     }
     for (bend, speed, back) in [(45.0, 8.0, false), (60.0, 24.0, true)] {
         let way = |k: i32| f64::from(if back { -k } else { k }) * 15.0 + turn;
-        out.extend((0..=24).map(|k| row(bend, way(k), 20.0, if k == 0 { 0.6 } else { 0.0 }, speed)));
+        out.extend(
+            (0..=24).map(|k| row(bend, way(k), 20.0, if k == 0 { 0.6 } else { 0.0 }, speed)),
+        );
     }
     for _ in 0..3 {
         let d = directions[rng.random_range(0..12)];
-        out.push(row(rng.random_range(0.6..1.0) * top, d, 20.0 + rng.random_range(0.0..3.0), rng.random_range(7.0..14.0), 20.0));
+        out.push(row(
+            rng.random_range(0.6..1.0) * top,
+            d,
+            20.0 + rng.random_range(0.0..3.0),
+            rng.random_range(7.0..14.0),
+            20.0,
+        ));
         out.push(rest(rng.random_range(2.0..6.0)));
     }
     for _ in 0..10 {
         let d = directions[rng.random_range(0..12)];
-        out.push(row(rng.random_range(10.0..top), d, 20.0, rng.random_range(0.2..1.0), rng.random_range(10.0..30.0)));
+        out.push(row(
+            rng.random_range(10.0..top),
+            d,
+            20.0,
+            rng.random_range(0.2..1.0),
+            rng.random_range(10.0..30.0),
+        ));
     }
     out.push(rest(4.0));
     out
 }
 
 /// Counted pistons row by row, mm, and the commanded bend, direction and length.
-pub fn drive(rows: &[Row], lines: &[Line; 3], rounding: usize) -> (Vec<Vector3<f64>>, Vec<Vector3<f64>>) {
+pub fn drive(
+    rows: &[Row],
+    lines: &[Line; 3],
+    rounding: usize,
+) -> (Vec<Vector3<f64>>, Vec<Vector3<f64>>) {
     let geometry = Geometry::default();
-    let (mut at, mut play_output, mut side) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
+    let (mut at, mut play_output, mut side) =
+        (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
     let (mut path, mut command) = (Vec::new(), Vec::new());
     for row in rows {
         let q = row.lengths(&geometry);
@@ -71,7 +96,9 @@ pub fn drive(rows: &[Row], lines: &[Line; 3], rounding: usize) -> (Vec<Vector3<f
         let still = (row.hold_s / DT_S) as usize;
         path.extend((1..=moving).map(|k| at + (to - at) * (k as f64 / moving as f64)));
         path.extend((0..still).map(|_| to));
-        command.extend((0..moving + still).map(|_| Vector3::new(row.bend_deg, row.dir_deg, row.len_mm)));
+        command.extend(
+            (0..moving + still).map(|_| Vector3::new(row.bend_deg, row.dir_deg, row.len_mm)),
+        );
         at = to;
     }
     (rounded(&path, rounding), command)

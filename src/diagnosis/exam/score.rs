@@ -22,7 +22,10 @@ pub struct Count {
 
 impl Count {
     fn of(marks: impl Iterator<Item = bool>) -> Self {
-        marks.fold(Self::default(), |c, right| Self { right: c.right + usize::from(right), of: c.of + 1 })
+        marks.fold(Self::default(), |c, right| Self {
+            right: c.right + usize::from(right),
+            of: c.of + 1,
+        })
     }
 
     /// Share of right answers; 0 without answers.
@@ -80,13 +83,30 @@ impl Reliability {
         let mut sums = [(0.0, Count::default()); 10];
         for (p, right) in said {
             let bin = &mut sums[((p * 10.0) as usize).min(9)];
-            *bin = (bin.0 + p, Count { right: bin.1.right + usize::from(right), of: bin.1.of + 1 });
+            *bin = (
+                bin.0 + p,
+                Count {
+                    right: bin.1.right + usize::from(right),
+                    of: bin.1.of + 1,
+                },
+            );
         }
         let all: usize = sums.iter().map(|b| b.1.of).sum();
-        let error = sums.iter().map(|(p, c)| (p - c.right as f64).abs()).sum::<f64>() / all.max(1) as f64;
+        let error = sums
+            .iter()
+            .map(|(p, c)| (p - c.right as f64).abs())
+            .sum::<f64>()
+            / all.max(1) as f64;
         let filled = sums.iter().filter(|b| b.1.of > 0);
-        let bin = |&(p, count): &(f64, Count)| ReliabilityBin { stated: p / count.of as f64, count, ci95: wilson(&count) };
-        Self { bins: filled.map(bin).collect(), error }
+        let bin = |&(p, count): &(f64, Count)| ReliabilityBin {
+            stated: p / count.of as f64,
+            count,
+            ci95: wilson(&count),
+        };
+        Self {
+            bins: filled.map(bin).collect(),
+            error,
+        }
     }
 }
 
@@ -151,24 +171,44 @@ impl Report {
     /// The diagnosis' own verdict.
     fn own(a: &Answer) -> Self {
         let v = &a.diagnosis.verdict;
-        Self { kind: v.kind, names: v.names.clone(), equivalent: v.equivalent.clone() }
+        Self {
+            kind: v.kind,
+            names: v.names.clone(),
+            equivalent: v.equivalent.clone(),
+        }
     }
 
     /// The verdict of another method.
     fn other(a: &Answer, which: usize) -> Self {
         let names = a.others[which].clone();
-        Self { kind: VerdictKind::new(names.is_empty(), false), names, equivalent: vec![] }
+        Self {
+            kind: VerdictKind::new(names.is_empty(), false),
+            names,
+            equivalent: vec![],
+        }
     }
 
     /// Whether it names the true effects, and nothing else. An effect counts as named if it is in a stated group with the
     /// given name.
     fn names_all(&self, truth: &[&str]) -> bool {
-        let same = |name: &str, truth: &str| name == truth || self.equivalent.iter().any(|g| g.contains(&name) && g.contains(&truth));
-        self.kind == VerdictKind::Effects && self.names.len() == truth.len() && truth.iter().all(|t| self.names.iter().any(|n| same(n, t)))
+        let same = |name: &str, truth: &str| {
+            name == truth
+                || self
+                    .equivalent
+                    .iter()
+                    .any(|g| g.contains(&name) && g.contains(&truth))
+        };
+        self.kind == VerdictKind::Effects
+            && self.names.len() == truth.len()
+            && truth.iter().all(|t| self.names.iter().any(|n| same(n, t)))
     }
 
     fn class(&self) -> String {
-        if self.kind == VerdictKind::Effects { joined(&self.names) } else { self.kind.name().to_owned() }
+        if self.kind == VerdictKind::Effects {
+            joined(&self.names)
+        } else {
+            self.kind.name().to_owned()
+        }
     }
 }
 
@@ -194,34 +234,84 @@ pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore
     let all: Vec<Answered<'_>> = questions.iter().zip(answers).collect();
     let [bic, sparse, nearest] = [0, 1, 2].map(|which| method(&all, |a| Report::other(a, which)));
     let covered = |a: &Answer| {
-        let ci = a.diagnosis.effects.first().map_or([0.0, 0.0], |e| e.closed_ci95);
+        let ci = a
+            .diagnosis
+            .effects
+            .first()
+            .map_or([0.0, 0.0], |e| e.closed_ci95);
         (ci[0]..=ci[1]).contains(&a.fresh_closed.clamp(-1.0, 1.0))
     };
     let stage = |q: &Question, a: &Answer| {
         let first = a.diagnosis.location.stages.first().map(|s| s.name);
         first == by_name(q.names[0]).map(|e| e.stage().name())
     };
-    let singles = |lab: bool| all.iter().filter(move |(q, _)| q.content == Content::Single && q.lab == lab);
-    let left_out = |lab| Count::of(singles(lab).filter_map(|(_, a)| a.left_out).map(|kind| kind == VerdictKind::Unknown));
-    let known = all.iter().filter(|(q, _)| !matches!(q.content, Content::None | Content::Outside));
+    let singles = |lab: bool| {
+        all.iter()
+            .filter(move |(q, _)| q.content == Content::Single && q.lab == lab)
+    };
+    let left_out = |lab| {
+        Count::of(
+            singles(lab)
+                .filter_map(|(_, a)| a.left_out)
+                .map(|kind| kind == VerdictKind::Unknown),
+        )
+    };
+    let known = all
+        .iter()
+        .filter(|(q, _)| !matches!(q.content, Content::None | Content::Outside));
     ExamScore {
         seed,
         logs: all.len(),
         diagnosis: method(&all, Report::own),
         stage: row(&all, Content::Single, stage),
         outside: outside(&all),
-        outside_visible: outside(&all.iter().copied().filter(|(_, a)| !a.hidden).collect::<Vec<_>>()),
-        left_out: Row { lab: left_out(true), field: left_out(false) },
+        outside_visible: outside(
+            &all.iter()
+                .copied()
+                .filter(|(_, a)| !a.hidden)
+                .collect::<Vec<_>>(),
+        ),
+        left_out: Row {
+            lab: left_out(true),
+            field: left_out(false),
+        },
         effects: Reliability::of(all.iter().flat_map(|(q, a)| {
-            let said = a.diagnosis.effects.iter().filter(|e| e.probability > PROBABLE);
-            said.map(|e| (e.probability, q.names.contains(&e.name) && q.content != Content::Outside))
+            let said = a
+                .diagnosis
+                .effects
+                .iter()
+                .filter(|e| e.probability > PROBABLE);
+            said.map(|e| {
+                (
+                    e.probability,
+                    q.names.contains(&e.name) && q.content != Content::Outside,
+                )
+            })
         })),
-        unknown: Reliability::of(all.iter().map(|(q, a)| (a.diagnosis.unknown.probability, q.content == Content::Outside))),
-        conformal: Row { lab: conformal(&all, true), field: conformal(&all, false) },
-        conformal_size: all.iter().map(|(_, a)| a.diagnosis.verdict.conformal.len() as f64).sum::<f64>() / all.len().max(1) as f64,
-        grouped: Count::of(all.iter().map(|(_, a)| !a.diagnosis.verdict.equivalent.is_empty())),
-        known_called_unknown: Count::of(known.map(|(_, a)| a.diagnosis.verdict.kind == VerdictKind::Unknown)),
-        fresh_closed: [true, false].map(|lab| median(singles(lab).map(|(_, a)| a.fresh_closed).collect())),
+        unknown: Reliability::of(all.iter().map(|(q, a)| {
+            (
+                a.diagnosis.unknown.probability,
+                q.content == Content::Outside,
+            )
+        })),
+        conformal: Row {
+            lab: conformal(&all, true),
+            field: conformal(&all, false),
+        },
+        conformal_size: all
+            .iter()
+            .map(|(_, a)| a.diagnosis.verdict.conformal.len() as f64)
+            .sum::<f64>()
+            / all.len().max(1) as f64,
+        grouped: Count::of(
+            all.iter()
+                .map(|(_, a)| !a.diagnosis.verdict.equivalent.is_empty()),
+        ),
+        known_called_unknown: Count::of(
+            known.map(|(_, a)| a.diagnosis.verdict.kind == VerdictKind::Unknown),
+        ),
+        fresh_closed: [true, false]
+            .map(|lab| median(singles(lab).map(|(_, a)| a.fresh_closed).collect())),
         coverage: row(&all, Content::Single, |_, a| covered(a)),
         bic,
         sparse,
@@ -231,12 +321,23 @@ pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore
 }
 
 fn row(all: &[Answered<'_>], content: Content, right: impl Fn(&Question, &Answer) -> bool) -> Row {
-    let count = |lab: bool| Count::of(all.iter().filter(|(q, _)| q.content == content && q.lab == lab).map(|(q, a)| right(q, a)));
-    Row { lab: count(true), field: count(false) }
+    let count = |lab: bool| {
+        Count::of(
+            all.iter()
+                .filter(|(q, _)| q.content == content && q.lab == lab)
+                .map(|(q, a)| right(q, a)),
+        )
+    };
+    Row {
+        lab: count(true),
+        field: count(false),
+    }
 }
 
 fn outside(all: &[Answered<'_>]) -> Row {
-    row(all, Content::Outside, |_, a| a.diagnosis.verdict.kind == VerdictKind::Unknown)
+    row(all, Content::Outside, |_, a| {
+        a.diagnosis.verdict.kind == VerdictKind::Unknown
+    })
 }
 
 fn method(all: &[Answered<'_>], report: impl Fn(&Answer) -> Report) -> Method {
@@ -244,7 +345,9 @@ fn method(all: &[Answered<'_>], report: impl Fn(&Answer) -> Report) -> Method {
         single: row(all, Content::Single, |q, a| report(a).names_all(&q.names)),
         pair: row(all, Content::Pair, |q, a| report(a).names_all(&q.names)),
         triple: row(all, Content::Triple, |q, a| report(a).names_all(&q.names)),
-        alarm: row(all, Content::None, |_, a| report(a).kind != VerdictKind::None),
+        alarm: row(all, Content::None, |_, a| {
+            report(a).kind != VerdictKind::None
+        }),
         macro_f1: macro_f1(all, |a| report(a).class()),
     }
 }
@@ -252,23 +355,37 @@ fn method(all: &[Answered<'_>], report: impl Fn(&Answer) -> Report) -> Method {
 fn confusion(all: &[Answered<'_>]) -> BTreeMap<String, BTreeMap<String, usize>> {
     let mut out: BTreeMap<String, BTreeMap<String, usize>> = BTreeMap::new();
     for (q, a) in all {
-        let truth = if q.content == Content::Outside { format!("unknown ({})", q.names[0]) } else { truth(q) };
-        *out.entry(truth).or_default().entry(Report::own(a).class()).or_default() += 1;
+        let truth = if q.content == Content::Outside {
+            format!("unknown ({})", q.names[0])
+        } else {
+            truth(q)
+        };
+        *out.entry(truth)
+            .or_default()
+            .entry(Report::own(a).class())
+            .or_default() += 1;
     }
     out
 }
 
 /// Mean F1 over the classes of single effects, effect-free logs and outside effects.
 fn macro_f1(all: &[Answered<'_>], answer: impl Fn(&Answer) -> String) -> f64 {
-    let asked: Vec<(String, String)> =
-        all.iter().filter(|(q, _)| !matches!(q.content, Content::Pair | Content::Triple)).map(|(q, a)| (truth(q), answer(a))).collect();
+    let asked: Vec<(String, String)> = all
+        .iter()
+        .filter(|(q, _)| !matches!(q.content, Content::Pair | Content::Triple))
+        .map(|(q, a)| (truth(q), answer(a)))
+        .collect();
     let mut classes: Vec<&String> = asked.iter().map(|(t, _)| t).collect();
     classes.sort();
     classes.dedup();
     let f1 = |c: &String| {
         let hit = asked.iter().filter(|(t, s)| t == c && s == c).count() as f64;
         let wrong = asked.iter().filter(|(t, s)| (t == c) != (s == c)).count() as f64;
-        if hit > 0.0 { 2.0 * hit / (2.0 * hit + wrong) } else { 0.0 }
+        if hit > 0.0 {
+            2.0 * hit / (2.0 * hit + wrong)
+        } else {
+            0.0
+        }
     };
     classes.iter().map(|c| f1(c)).sum::<f64>() / classes.len().max(1) as f64
 }
@@ -276,8 +393,18 @@ fn macro_f1(all: &[Answered<'_>], answer: impl Fn(&Answer) -> String) -> f64 {
 /// Logs whose conformal set contains the true statement.
 fn conformal(all: &[Answered<'_>], lab: bool) -> Count {
     let holds = |(q, a): &Answered<'_>| {
-        let class = |s: &StatementEntry| if s.kind == VerdictKind::Effects { joined(&s.names) } else { s.kind.name().to_owned() };
-        a.diagnosis.verdict.conformal.iter().any(|s| class(s) == truth(q))
+        let class = |s: &StatementEntry| {
+            if s.kind == VerdictKind::Effects {
+                joined(&s.names)
+            } else {
+                s.kind.name().to_owned()
+            }
+        };
+        a.diagnosis
+            .verdict
+            .conformal
+            .iter()
+            .any(|s| class(s) == truth(q))
     };
     Count::of(all.iter().filter(|(q, _)| q.lab == lab).map(holds))
 }

@@ -69,10 +69,23 @@ pub type Pair = (&'static str, &'static str, f64, f64);
 impl Design {
     /// Pairs in question, nearest first.
     pub fn pairs(&self) -> Vec<Pair> {
-        let focus: Vec<usize> = self.focus.iter().filter_map(|n| self.names.iter().position(|name| name == n)).collect();
-        let pair = |i: usize, j: usize| (self.names[i], self.names[j], self.distances.of[(i, j)], self.standard.of[(i, j)]);
-        let mut out: Vec<Pair> =
-            (0..focus.len()).flat_map(|a| focus[a + 1..].iter().map(move |&j| (a, j))).map(|(a, j)| pair(focus[a], j)).collect();
+        let focus: Vec<usize> = self
+            .focus
+            .iter()
+            .filter_map(|n| self.names.iter().position(|name| name == n))
+            .collect();
+        let pair = |i: usize, j: usize| {
+            (
+                self.names[i],
+                self.names[j],
+                self.distances.of[(i, j)],
+                self.standard.of[(i, j)],
+            )
+        };
+        let mut out: Vec<Pair> = (0..focus.len())
+            .flat_map(|a| focus[a + 1..].iter().map(move |&j| (a, j)))
+            .map(|(a, j)| pair(focus[a], j))
+            .collect();
         out.sort_by(|a, b| a.2.total_cmp(&b.2));
         out
     }
@@ -82,20 +95,35 @@ impl Design {
 pub fn design(request: &Request, progress: &mut dyn FnMut(usize)) -> Design {
     let mut rng = StdRng::seed_from_u64(request.seed);
     let (machine, like) = (&request.machine, request.like.as_ref());
-    let rivals: Vec<Rival> = catalogue().into_iter().map(|e| Rival::new(e, like, &mut rng)).collect();
+    let rivals: Vec<Rival> = catalogue()
+        .into_iter()
+        .map(|e| Rival::new(e, like, &mut rng))
+        .collect();
     let names: Vec<&'static str> = rivals.iter().map(|r| r.effect.name()).collect();
     let focus = focus(like, &names);
-    let evaluate = |rows: &[Row]| information(machine, rows, &rivals, request.tracker, request.seed);
+    let evaluate =
+        |rows: &[Row]| information(machine, rows, &rivals, request.tracker, request.seed);
     let standard = evaluate(&standard::rows(machine));
     let sizes = standard.as_ref().map(|i| i.sizes()).unwrap_or_default();
-    let scale: Vec<Vec<f64>> = sizes.iter().map(|s| s.iter().map(|x| (SIZE / x.max(1e-9)).min(ENLARGED_MAX)).collect()).collect();
+    let scale: Vec<Vec<f64>> = sizes
+        .iter()
+        .map(|s| {
+            s.iter()
+                .map(|x| (SIZE / x.max(1e-9)).min(ENLARGED_MAX))
+                .collect()
+        })
+        .collect();
     let distances = |rows: &[Row]| evaluate(rows).map(|i| i.distances(&scale));
     let mut search = LocalSearch {
         machine,
         distances: &distances,
         weight: weights(&names, &focus, request.tracker),
         enough: ENOUGH[usize::from(focus.len() < names.len())],
-        best: Evaluated { list: first_guess(machine.rig.geometry.rest_length_mm), cost: f64::INFINITY, distances: None },
+        best: Evaluated {
+            list: first_guess(machine.rig.geometry.rest_length_mm),
+            cost: f64::INFINITY,
+            distances: None,
+        },
     };
     search.best = search.evaluate(search.best.list.clone());
     progress(1);
@@ -104,24 +132,39 @@ pub fn design(request: &Request, progress: &mut dyn FnMut(usize)) -> Design {
         progress(tried);
     }
     let rows = schedule(machine, &search.best.list);
-    let empty = || Distances { of: DMatrix::zeros(names.len(), names.len()), duration_s: machine.duration_s(&rows) };
+    let empty = || Distances {
+        of: DMatrix::zeros(names.len(), names.len()),
+        duration_s: machine.duration_s(&rows),
+    };
     let distances = search.best.distances.clone().unwrap_or_else(empty);
     let standard = standard.map_or_else(empty, |i| i.distances(&scale));
-    Design { names: names.clone(), focus, distances, standard, rows }
+    Design {
+        names: names.clone(),
+        focus,
+        distances,
+        standard,
+        rows,
+    }
 }
 
 fn focus(like: Option<&SavedModel>, names: &[&'static str]) -> Vec<&'static str> {
     let asked = like.map(SavedModel::in_question).unwrap_or_default();
-    names.iter().copied().filter(|n| asked.is_empty() || asked.iter().any(|a| a == n)).collect()
+    names
+        .iter()
+        .copied()
+        .filter(|n| asked.is_empty() || asked.iter().any(|a| a == n))
+        .collect()
 }
 
 fn weights(names: &[&str], focus: &[&str], tracker: bool) -> DMatrix<f64> {
     let inside = |i: usize| focus.contains(&names[i]);
-    DMatrix::from_fn(names.len(), names.len(), |i, j| match (inside(i), inside(j)) {
-        _ if !separable(names[i], names[j], tracker) => 0.0,
-        (true, true) => 1.0,
-        (false, false) => OUTSIDE[0],
-        _ => OUTSIDE[1],
+    DMatrix::from_fn(names.len(), names.len(), |i, j| {
+        match (inside(i), inside(j)) {
+            _ if !separable(names[i], names[j], tracker) => 0.0,
+            (true, true) => 1.0,
+            (false, false) => OUTSIDE[0],
+            _ => OUTSIDE[1],
+        }
     })
 }
 
@@ -146,7 +189,11 @@ impl LocalSearch<'_> {
     /// cannot be diagnosed.
     fn evaluate(&self, list: Vec<Manoeuvre>) -> Evaluated {
         let rows = schedule(self.machine, &list);
-        let distances = if self.is_short(&list) { (self.distances)(&rows) } else { None };
+        let distances = if self.is_short(&list) {
+            (self.distances)(&rows)
+        } else {
+            None
+        };
         let cost = distances.as_ref().map_or(f64::INFINITY, |d| {
             let mut cost = 0.0;
             for i in 0..d.of.nrows() {
@@ -156,7 +203,11 @@ impl LocalSearch<'_> {
             }
             cost
         });
-        Evaluated { list, cost, distances }
+        Evaluated {
+            list,
+            cost,
+            distances,
+        }
     }
 
     fn is_short(&self, list: &[Manoeuvre]) -> bool {
@@ -165,7 +216,9 @@ impl LocalSearch<'_> {
 
     /// Evaluates a neighbour that is short enough, and keeps it if it is better.
     fn step(&mut self, rng: &mut StdRng) {
-        let near = (0..ATTEMPTS).map(|_| neighbour(&self.best.list, self.machine, rng)).find(|l| self.is_short(l));
+        let near = (0..ATTEMPTS)
+            .map(|_| neighbour(&self.best.list, self.machine, rng))
+            .find(|l| self.is_short(l));
         let Some(list) = near else { return };
         let next = self.evaluate(list);
         if next.cost < self.best.cost {
@@ -201,13 +254,28 @@ mod tests {
     use crate::model::transmission::Line;
 
     const PAPER: [Line; 3] = [
-        Line { k_epsilon: 2.22, k_lambda_mm: 0.87 },
-        Line { k_epsilon: 2.53, k_lambda_mm: 0.92 },
-        Line { k_epsilon: 2.21, k_lambda_mm: 0.81 },
+        Line {
+            k_epsilon: 2.22,
+            k_lambda_mm: 0.87,
+        },
+        Line {
+            k_epsilon: 2.53,
+            k_lambda_mm: 0.92,
+        },
+        Line {
+            k_epsilon: 2.21,
+            k_lambda_mm: 0.81,
+        },
     ];
 
     fn request(rounds: usize) -> Request {
-        Request { machine: Machine::new(Rig::default(), PAPER), like: None, tracker: false, seed: 1, rounds }
+        Request {
+            machine: Machine::new(Rig::default(), PAPER),
+            like: None,
+            tracker: false,
+            seed: 1,
+            rounds,
+        }
     }
 
     #[test]
@@ -234,7 +302,12 @@ mod tests {
     #[test]
     fn a_smaller_machine_gets_a_schedule_within_its_limits() {
         let mut small = request(2);
-        let rig = Rig { travel_mm: 20.0, speed_max_mm_s: 15.0, bellow_mm: [16.0, 26.0], ..Rig::default() };
+        let rig = Rig {
+            travel_mm: 20.0,
+            speed_max_mm_s: 15.0,
+            bellow_mm: [16.0, 26.0],
+            ..Rig::default()
+        };
         small.machine = Machine::new(rig, PAPER);
         let d = design(&small, &mut |_| ());
         assert!(d.rows.iter().all(|r| small.machine.reaches(r)));

@@ -41,7 +41,13 @@ pub struct Information {
 }
 
 /// Runs every rival over a schedule; `None` if the schedule is too short or moves too little to be diagnosed.
-pub fn information(machine: &Machine, rows: &[Row], rivals: &[Rival], tracker: bool, seed: u64) -> Option<Information> {
+pub fn information(
+    machine: &Machine,
+    rows: &[Row],
+    rivals: &[Rival],
+    tracker: bool,
+    seed: u64,
+) -> Option<Information> {
     let driven = machine.drive(rows, synthetic::PERIOD_S);
     let log = synthetic::observed(machine, &driven, tracker, seed).ok()?;
     let start = nominal_theta(&machine.lines, machine.rig.prior_lag_s);
@@ -53,17 +59,27 @@ pub fn information(machine: &Machine, rows: &[Row], rivals: &[Rival], tracker: b
         difference(&residual(&log, &none, &theta), &base, STEP)
     };
     let mut columns: Vec<Vec<f64>> = (0..NOMINAL).map(slope).collect();
-    let each: Vec<Vec<Vec<f64>>> = rivals.par_iter().map(|r| columns_of(&log, r, &start, &base)).collect();
+    let each: Vec<Vec<Vec<f64>>> = rivals
+        .par_iter()
+        .map(|r| columns_of(&log, r, &start, &base))
+        .collect();
     let mut spans = Vec::new();
     for (rival, own) in rivals.iter().zip(each) {
         let (first, slopes) = (columns.len(), counted(rival.effect.as_ref()));
-        spans.push(Span { slopes: (first, first + slopes), points: (first + slopes, first + own.len()) });
+        spans.push(Span {
+            slopes: (first, first + slopes),
+            points: (first + slopes, first + own.len()),
+        });
         columns.extend(own);
     }
     let matrix = DMatrix::from_iterator(base.len(), columns.len(), columns.into_iter().flatten());
     // a plain product is blocked for the cache, `tr_mul` is not
     let gram = matrix.transpose() * &matrix * (synthetic::PERIOD_S / CORRELATED_S);
-    Some(Information { gram: clear_of_nominal(gram), spans, duration_s: driven.duration_s })
+    Some(Information {
+        gram: clear_of_nominal(gram),
+        spans,
+        duration_s: driven.duration_s,
+    })
 }
 
 fn difference(to: &[f64], from: &[f64], by: f64) -> Vec<f64> {
@@ -76,14 +92,29 @@ fn columns_of(log: &Observed, rival: &Rival, start: &[f64], base: &[f64]) -> Vec
     let at = |point: &[f64]| residual(log, &model, &[start, point].concat());
     let here = at(&rival.points[0]);
     let mut out = Vec::new();
-    for (i, p) in rival.effect.params().iter().take(counted(rival.effect.as_ref())).enumerate() {
+    for (i, p) in rival
+        .effect
+        .params()
+        .iter()
+        .take(counted(rival.effect.as_ref()))
+        .enumerate()
+    {
         let mut moved = rival.points[0].clone();
-        let h = STEP * if moved[i] + STEP * p.scale > p.high { -1.0 } else { 1.0 };
+        let h = STEP
+            * if moved[i] + STEP * p.scale > p.high {
+                -1.0
+            } else {
+                1.0
+            };
         moved[i] += h * p.scale;
         out.push(difference(&at(&moved), &here, h));
     }
     out.push(difference(&here, base, 1.0));
-    out.extend(rival.points[1..].iter().map(|p| difference(&at(p), base, 1.0)));
+    out.extend(
+        rival.points[1..]
+            .iter()
+            .map(|p| difference(&at(p), base, 1.0)),
+    );
     out
 }
 
@@ -93,7 +124,8 @@ fn residual(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Vec<f64> {
     let mut out = Vec::new();
     let mut k = 0;
     while k < log.bins.len() {
-        let still = |b: usize| log.bins[b].idle_s > 0.3 && log.bins[b].t_s < log.bins[k].t_s + POOLED_S;
+        let still =
+            |b: usize| log.bins[b].idle_s > 0.3 && log.bins[b].t_s < log.bins[k].t_s + POOLED_S;
         let mut to = k + 1;
         while to < log.bins.len() && still(k) && still(to) {
             to += 1;
@@ -101,7 +133,12 @@ fn residual(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Vec<f64> {
         let n = ((to - k) as f64).sqrt();
         for q in log.quantities() {
             for axis in 0..3 {
-                out.push((k..to).map(|b| residual[q][b][axis] * log.bins[b].weight[q]).sum::<f64>() / n);
+                out.push(
+                    (k..to)
+                        .map(|b| residual[q][b][axis] * log.bins[b].weight[q])
+                        .sum::<f64>()
+                        / n,
+                );
             }
         }
         k = to;
@@ -134,7 +171,10 @@ impl Information {
     /// Size of every point of every effect after a recalibration, standard deviations.
     pub fn sizes(&self) -> Vec<Vec<f64>> {
         let size = |c: usize| self.gram[(c, c)].max(0.0).sqrt();
-        self.spans.iter().map(|s| (s.points.0..s.points.1).map(size).collect()).collect()
+        self.spans
+            .iter()
+            .map(|s| (s.points.0..s.points.1).map(size).collect())
+            .collect()
     }
 
     /// Distances with each point scaled by `scale`.
@@ -146,14 +186,21 @@ impl Information {
             for i in 0..n {
                 let s = self.spans[i];
                 for (c, size) in (s.points.0..s.points.1).zip(&scale[i]) {
-                    let left = if i == j { self.gram[(c, c)] } else { imitate.left(self, c) };
+                    let left = if i == j {
+                        self.gram[(c, c)]
+                    } else {
+                        imitate.left(self, c)
+                    };
                     let d = size * left.max(0.0).sqrt();
                     of[(i, j)] = of[(i, j)].min(d);
                     of[(j, i)] = of[(j, i)].min(d);
                 }
             }
         }
-        Distances { of, duration_s: self.duration_s }
+        Distances {
+            of,
+            duration_s: self.duration_s,
+        }
     }
 }
 
@@ -167,14 +214,25 @@ impl Imitation {
     fn new(info: &Information, span: Span) -> Self {
         let columns: Vec<usize> = (span.slopes.0..span.points.1).collect();
         let n = columns.len();
-        let gram = DMatrix::from_fn(n, n, |a, b| info.gram[(columns[a], columns[b])] + if a == b { PRIOR } else { 0.0 });
-        Self { solved: gram.cholesky(), columns }
+        let gram = DMatrix::from_fn(n, n, |a, b| {
+            info.gram[(columns[a], columns[b])] + if a == b { PRIOR } else { 0.0 }
+        });
+        Self {
+            solved: gram.cholesky(),
+            columns,
+        }
     }
 
     /// Square of what imitation leaves of column `c`.
     fn left(&self, info: &Information, c: usize) -> f64 {
-        let across = DVector::from_iterator(self.columns.len(), self.columns.iter().map(|&k| info.gram[(k, c)]));
-        let taken = self.solved.as_ref().map_or(0.0, |s| across.dot(&s.solve(&across)));
+        let across = DVector::from_iterator(
+            self.columns.len(),
+            self.columns.iter().map(|&k| info.gram[(k, c)]),
+        );
+        let taken = self
+            .solved
+            .as_ref()
+            .map_or(0.0, |s| across.dot(&s.solve(&across)));
         info.gram[(c, c)] - taken
     }
 }

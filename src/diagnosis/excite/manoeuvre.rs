@@ -73,20 +73,43 @@ impl Manoeuvre {
         let n = self.count.max(1);
         let part = |k: usize| k as f64 / n as f64;
         let mut rows: Vec<Row> = match self.kind {
-            ManoeuvreKind::Circle => {
-                (0..n).map(|k| pose(self.bend_deg, self.dir_deg + 360.0 * part(k), self.len_mm, self.hold_s)).collect()
-            }
-            ManoeuvreKind::Ladder => (1..=n).chain((1..n).rev()).map(|k| here(self.bend_deg * part(k))).collect(),
-            ManoeuvreKind::Nested => (0..n).map(|k| here(self.bend_deg * (1.0 - part(k)) * if k % 2 == 0 { 1.0 } else { -1.0 })).collect(),
-            ManoeuvreKind::Reversals => (0..2 * n).map(|k| here(self.bend_deg * if k % 2 == 0 { 1.0 } else { -1.0 })).collect(),
+            ManoeuvreKind::Circle => (0..n)
+                .map(|k| {
+                    pose(
+                        self.bend_deg,
+                        self.dir_deg + 360.0 * part(k),
+                        self.len_mm,
+                        self.hold_s,
+                    )
+                })
+                .collect(),
+            ManoeuvreKind::Ladder => (1..=n)
+                .chain((1..n).rev())
+                .map(|k| here(self.bend_deg * part(k)))
+                .collect(),
+            ManoeuvreKind::Nested => (0..n)
+                .map(|k| {
+                    here(self.bend_deg * (1.0 - part(k)) * if k % 2 == 0 { 1.0 } else { -1.0 })
+                })
+                .collect(),
+            ManoeuvreKind::Reversals => (0..2 * n)
+                .map(|k| here(self.bend_deg * if k % 2 == 0 { 1.0 } else { -1.0 }))
+                .collect(),
             ManoeuvreKind::Stroke => {
                 let lengths = [self.len_mm, 2.0 * rest_mm - self.len_mm];
-                (0..2 * n).map(|k| pose(self.bend_deg, self.dir_deg, lengths[k % 2], self.hold_s)).collect()
+                (0..2 * n)
+                    .map(|k| pose(self.bend_deg, self.dir_deg, lengths[k % 2], self.hold_s))
+                    .collect()
             }
-            ManoeuvreKind::Hold => vec![here(self.bend_deg), pose(0.0, 0.0, rest_mm, self.hold_s / 3.0)],
-            ManoeuvreKind::Single => {
-                (0..3).flat_map(|i| single(machine, i, self.bend_deg).map(|(b, d, l)| pose(b, d, l, self.hold_s))).collect()
-            }
+            ManoeuvreKind::Hold => vec![
+                here(self.bend_deg),
+                pose(0.0, 0.0, rest_mm, self.hold_s / 3.0),
+            ],
+            ManoeuvreKind::Single => (0..3)
+                .flat_map(|i| {
+                    single(machine, i, self.bend_deg).map(|(b, d, l)| pose(b, d, l, self.hold_s))
+                })
+                .collect(),
         };
         for row in &mut rows {
             *row = within(machine, row);
@@ -97,7 +120,9 @@ impl Manoeuvre {
     /// A manoeuvre of the same kind with one to three values changed.
     pub fn varied(&self, machine: &Machine, rng: &mut StdRng) -> Self {
         let mut m = *self;
-        let by = |rng: &mut StdRng, x: f64, range: (f64, f64)| (x * rng.random_range(0.6..1.6f64)).clamp(range.0, range.1);
+        let by = |rng: &mut StdRng, x: f64, range: (f64, f64)| {
+            (x * rng.random_range(0.6..1.6f64)).clamp(range.0, range.1)
+        };
         for _ in 0..rng.random_range(1..=3) {
             match rng.random_range(0..7) {
                 0 => m.bend_deg = by(rng, m.bend_deg, BEND_DEG),
@@ -143,7 +168,11 @@ fn random_length_mm(machine: &Machine, rng: &mut StdRng) -> f64 {
 
 /// Range of a hold, s.
 fn hold_range(kind: ManoeuvreKind) -> (f64, f64) {
-    if kind == ManoeuvreKind::Hold { (6.0, 30.0) } else { (0.15, 2.5) }
+    if kind == ManoeuvreKind::Hold {
+        (6.0, 30.0)
+    } else {
+        (0.15, 2.5)
+    }
 }
 
 /// Poses (β, δ, l) that shorten and lengthen bellow `i` while the other two keep their length.
@@ -152,14 +181,27 @@ fn single(machine: &Machine, i: usize, bend_deg: f64) -> [(f64, f64, f64); 2] {
     let q_mm = 1.5 * machine.rig.geometry.r_mm * bend_deg.to_radians();
     let towards_deg = -(i as f64) * (TAU / 3.0).to_degrees();
     let l = machine.rig.geometry.rest_length_mm;
-    [(bend_deg, towards_deg, l - q_mm / 3.0), (bend_deg, towards_deg + 180.0, l + q_mm / 3.0)]
+    [
+        (bend_deg, towards_deg, l - q_mm / 3.0),
+        (bend_deg, towards_deg + 180.0, l + q_mm / 3.0),
+    ]
 }
 
 /// The pose with its bend and its change of length scaled down until it is in reach.
 fn within(machine: &Machine, row: &Row) -> Row {
     let rest_mm = machine.rig.geometry.rest_length_mm;
-    let scaled = |s: f64| Row { bend_deg: row.bend_deg.abs() * s, len_mm: rest_mm + (row.len_mm - rest_mm) * s, ..*row }.rounded();
-    (0..40).map(|k| scaled(1.0 - 0.025 * f64::from(k))).find(|r| machine.reaches(r)).unwrap_or_else(|| scaled(0.0))
+    let scaled = |s: f64| {
+        Row {
+            bend_deg: row.bend_deg.abs() * s,
+            len_mm: rest_mm + (row.len_mm - rest_mm) * s,
+            ..*row
+        }
+        .rounded()
+    };
+    (0..40)
+        .map(|k| scaled(1.0 - 0.025 * f64::from(k)))
+        .find(|r| machine.reaches(r))
+        .unwrap_or_else(|| scaled(0.0))
 }
 
 /// Rows of a whole schedule: rest, manoeuvres, rest.
@@ -210,23 +252,52 @@ mod tests {
 
     #[test]
     fn every_manoeuvre_stays_within_the_machine() {
-        let machine = Machine::new(Rig::default(), [Line { k_epsilon: 2.5, k_lambda_mm: 0.9 }; 3]);
+        let machine = Machine::new(
+            Rig::default(),
+            [Line {
+                k_epsilon: 2.5,
+                k_lambda_mm: 0.9,
+            }; 3],
+        );
         let mut rng = StdRng::seed_from_u64(3);
         for _ in 0..300 {
             let m = Manoeuvre::any(&machine, &mut rng).varied(&machine, &mut rng);
             for row in m.rows(&machine) {
-                assert!(machine.reaches(&row) && row.bend_deg >= 0.0 && (0.0..360.0).contains(&row.dir_deg), "{m:?} {row:?}");
-                assert!(row.hold_s > 0.0 && (machine.speed_mm_s[0]..=machine.speed_mm_s[1]).contains(&row.speed_mm_s), "{row:?}");
+                assert!(
+                    machine.reaches(&row)
+                        && row.bend_deg >= 0.0
+                        && (0.0..360.0).contains(&row.dir_deg),
+                    "{m:?} {row:?}"
+                );
+                assert!(
+                    row.hold_s > 0.0
+                        && (machine.speed_mm_s[0]..=machine.speed_mm_s[1])
+                            .contains(&row.speed_mm_s),
+                    "{row:?}"
+                );
             }
         }
     }
 
     #[test]
     fn a_single_bellow_manoeuvre_moves_one_bellow() {
-        let machine = Machine::new(Rig::default(), [Line { k_epsilon: 2.2, k_lambda_mm: 0.9 }; 3]);
+        let machine = Machine::new(
+            Rig::default(),
+            [Line {
+                k_epsilon: 2.2,
+                k_lambda_mm: 0.9,
+            }; 3],
+        );
         for i in 0..3 {
             for (bend_deg, dir_deg, len_mm) in single(&machine, i, 30.0) {
-                let q = Row { bend_deg, dir_deg, len_mm, hold_s: 1.0, speed_mm_s: 9.0 }.lengths(&machine.rig.geometry);
+                let q = Row {
+                    bend_deg,
+                    dir_deg,
+                    len_mm,
+                    hold_s: 1.0,
+                    speed_mm_s: 9.0,
+                }
+                .lengths(&machine.rig.geometry);
                 for k in 0..3 {
                     assert!((q[k].abs() > 1.0) == (k == i), "bellow {i}: {q}");
                 }

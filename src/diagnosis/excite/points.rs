@@ -29,8 +29,17 @@ impl Rival {
     /// An effect at draws from its prior; events after the second do not happen.
     pub fn drawn(effect: Box<dyn Effect>, rng: &mut StdRng) -> Self {
         let (params, counted) = (effect.params(), counted(effect.as_ref()));
-        let mut point = || params.iter().enumerate().map(|(i, p)| if i < counted { draw(p, rng) } else { p.start }).collect();
-        Self { points: (0..DRAWS).map(|_| point()).collect(), effect }
+        let mut point = || {
+            params
+                .iter()
+                .enumerate()
+                .map(|(i, p)| if i < counted { draw(p, rng) } else { p.start })
+                .collect()
+        };
+        Self {
+            points: (0..DRAWS).map(|_| point()).collect(),
+            effect,
+        }
     }
 
     /// An effect at the values of a saved model, or at draws if the model does not have it. The draws are taken in either
@@ -38,14 +47,21 @@ impl Rival {
     pub fn new(effect: Box<dyn Effect>, model: Option<&SavedModel>, rng: &mut StdRng) -> Self {
         let saved = model.and_then(|m| m.params_of(effect.as_ref()));
         let drawn = Self::drawn(effect, rng);
-        Self { points: saved.map_or(drawn.points, |point| vec![point]), effect: drawn.effect }
+        Self {
+            points: saved.map_or(drawn.points, |point| vec![point]),
+            effect: drawn.effect,
+        }
     }
 }
 
 /// Number of parameters by which a schedule is judged.
 pub fn counted(effect: &dyn Effect) -> usize {
     let (all, events) = (effect.params().len(), effect.info().events);
-    if events > EVENTS_MAX { all / events * EVENTS_MAX } else { all }
+    if events > EVENTS_MAX {
+        all / events * EVENTS_MAX
+    } else {
+        all
+    }
 }
 
 /// A value 0.3 to 1.2 prior σ from the value without effect, on either side if the limits allow both.
@@ -54,7 +70,11 @@ fn draw(p: &Param, rng: &mut StdRng) -> f64 {
         return rng.random_range(EVENTS_S.0..EVENTS_S.1);
     }
     let two_sided = p.low < p.start - 0.1 * p.scale;
-    let sign = if two_sided && rng.random_bool(0.5) { -1.0 } else { 1.0 };
+    let sign = if two_sided && rng.random_bool(0.5) {
+        -1.0
+    } else {
+        1.0
+    };
     (p.start + sign * p.scale * rng.random_range(0.3..1.2)).clamp(p.low, p.high)
 }
 
@@ -72,8 +92,22 @@ mod tests {
             let r = Rival::drawn(e, &mut rng);
             assert_eq!(r.points.len(), DRAWS);
             for point in &r.points {
-                assert!(point.iter().zip(params).all(|(v, p)| (p.low..=p.high).contains(v)), "{}", r.effect.name());
-                assert!(point.iter().zip(params).any(|(v, p)| (v - p.start).abs() > 0.2 * p.scale), "{}", r.effect.name());
+                assert!(
+                    point
+                        .iter()
+                        .zip(params)
+                        .all(|(v, p)| (p.low..=p.high).contains(v)),
+                    "{}",
+                    r.effect.name()
+                );
+                assert!(
+                    point
+                        .iter()
+                        .zip(params)
+                        .any(|(v, p)| (v - p.start).abs() > 0.2 * p.scale),
+                    "{}",
+                    r.effect.name()
+                );
             }
         }
     }

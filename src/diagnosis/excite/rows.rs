@@ -42,12 +42,21 @@ pub struct Row {
 impl Row {
     /// A rest.
     pub fn rest(hold_s: f64, geometry: &Geometry) -> Self {
-        Self { bend_deg: 0.0, dir_deg: 0.0, len_mm: geometry.rest_length_mm, hold_s, speed_mm_s: REST_SPEED_MM_S }
+        Self {
+            bend_deg: 0.0,
+            dir_deg: 0.0,
+            len_mm: geometry.rest_length_mm,
+            hold_s,
+            speed_mm_s: REST_SPEED_MM_S,
+        }
     }
 
     /// Change of bellow lengths, mm.
     pub fn lengths(&self, geometry: &Geometry) -> Vector3<f64> {
-        geometry.lengths(&Shape { bend: Bend::from_deg(self.bend_deg, self.dir_deg), length: Mm(self.len_mm) })
+        geometry.lengths(&Shape {
+            bend: Bend::from_deg(self.bend_deg, self.dir_deg),
+            length: Mm(self.len_mm),
+        })
     }
 
     /// The row rounded to the digits that a file holds, so that the designed schedule is the written one.
@@ -79,8 +88,16 @@ pub struct Machine {
 impl Machine {
     /// A rig with these gains.
     pub fn new(rig: Rig, lines: [Line; 3]) -> Self {
-        let speed_mm_s = [SPEED_MIN_MM_S, (rig.speed_max_mm_s - SPEED_MARGIN_MM_S).max(SPEED_MIN_MM_S + 1.0)];
-        Self { rig, lines, travel_mm: TRAVEL_SHARE * rig.travel_mm, speed_mm_s }
+        let speed_mm_s = [
+            SPEED_MIN_MM_S,
+            (rig.speed_max_mm_s - SPEED_MARGIN_MM_S).max(SPEED_MIN_MM_S + 1.0),
+        ];
+        Self {
+            rig,
+            lines,
+            travel_mm: TRAVEL_SHARE * rig.travel_mm,
+            speed_mm_s,
+        }
     }
 
     /// Whether the machine reaches a pose from either side of the backlash.
@@ -89,7 +106,8 @@ impl Machine {
         (0..3).all(|i| {
             let bellow = self.rig.geometry.rest_length_mm + q[i];
             let piston = self.lines[i].piston_mm(q[i], q[i].signum());
-            (self.rig.bellow_mm[0]..=self.rig.bellow_mm[1]).contains(&bellow) && piston.abs() <= self.travel_mm
+            (self.rig.bellow_mm[0]..=self.rig.bellow_mm[1]).contains(&bellow)
+                && piston.abs() <= self.travel_mm
         })
     }
 
@@ -98,11 +116,23 @@ impl Machine {
         let side = Side::Band { band_mm: BAND_MM };
         let mut states = [SideState::default(); 3];
         let (mut from, mut begun_s) = (Vector3::zeros(), 0.0);
-        let mut out = Driven { t_s: vec![], piston_mm: vec![], duration_s: 0.0 };
+        let mut out = Driven {
+            t_s: vec![],
+            piston_mm: vec![],
+            duration_s: 0.0,
+        };
         for row in rows {
             let q = row.lengths(&self.rig.geometry);
             let to = Vector3::from_fn(|i, _| {
-                let (piston, next) = side.invert(&self.lines[i], states[i], &Wanted { q_mm: q[i], dt_s: 1.0, reach: 1.0 });
+                let (piston, next) = side.invert(
+                    &self.lines[i],
+                    states[i],
+                    &Wanted {
+                        q_mm: q[i],
+                        dt_s: 1.0,
+                        reach: 1.0,
+                    },
+                );
                 states[i] = next;
                 piston
             });
@@ -113,7 +143,11 @@ impl Machine {
                 if t > end_s {
                     break;
                 }
-                let share = if move_s > 0.0 { ((t - begun_s) / move_s).min(1.0) } else { 1.0 };
+                let share = if move_s > 0.0 {
+                    ((t - begun_s) / move_s).min(1.0)
+                } else {
+                    1.0
+                };
                 out.t_s.push(t);
                 out.piston_mm.push(from + (to - from) * share);
             }
@@ -164,7 +198,11 @@ pub fn csv(rows: &[Row]) -> String {
     let mut out = String::from("bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n");
     for r in rows {
         // writing to a String cannot fail
-        let _ = writeln!(out, "{:.2},{:.1},{:.2},{:.2},{:.1}", r.bend_deg, r.dir_deg, r.len_mm, r.hold_s, r.speed_mm_s);
+        let _ = writeln!(
+            out,
+            "{:.2},{:.1},{:.2},{:.2},{:.1}",
+            r.bend_deg, r.dir_deg, r.len_mm, r.hold_s, r.speed_mm_s
+        );
     }
     out
 }
@@ -184,15 +222,33 @@ const COLUMNS: [(&str, std::ops::RangeInclusive<f64>); 5] = [
 /// [`ReadError`] with file, line and column.
 pub fn read(path: &Path) -> Result<Vec<Row>, ReadError> {
     let names = COLUMNS.map(|c| c.0);
-    let table = Table::open(path, &Schema { required: &names, known: &|n| names.contains(&n), rows_min: 1 })?;
+    let table = Table::open(
+        path,
+        &Schema {
+            required: &names,
+            known: &|n| names.contains(&n),
+            rows_min: 1,
+        },
+    )?;
     for (name, allowed) in COLUMNS {
-        if let Some((k, value)) = table.complete(name)?.iter().enumerate().find(|(_, v)| !allowed.contains(v)) {
+        if let Some((k, value)) = table
+            .complete(name)?
+            .iter()
+            .enumerate()
+            .find(|(_, v)| !allowed.contains(v))
+        {
             let expected = format!("a number from {} to {}", allowed.start(), allowed.end());
             return Err(table.refuse(k, name, &value.to_string(), &expected));
         }
     }
     let [bend, dir, len, hold, speed] = table.group(names)?.unwrap_or_default();
-    let row = |k: usize| Row { bend_deg: bend[k], dir_deg: dir[k], len_mm: len[k], hold_s: hold[k], speed_mm_s: speed[k] };
+    let row = |k: usize| Row {
+        bend_deg: bend[k],
+        dir_deg: dir[k],
+        len_mm: len[k],
+        hold_s: hold[k],
+        speed_mm_s: speed[k],
+    };
     Ok((0..table.rows()).map(row).collect())
 }
 
@@ -200,17 +256,35 @@ pub fn read(path: &Path) -> Result<Vec<Row>, ReadError> {
 mod tests {
     use super::*;
 
-    const PAPER: Line = Line { k_epsilon: 2.2, k_lambda_mm: 0.87 };
+    const PAPER: Line = Line {
+        k_epsilon: 2.2,
+        k_lambda_mm: 0.87,
+    };
 
     #[test]
     fn the_fastest_piston_has_the_speed_of_the_row_and_all_arrive_together() {
         let machine = Machine::new(Rig::default(), [PAPER; 3]);
-        let rows =
-            [Row::rest(4.0, &machine.rig.geometry), Row { bend_deg: 60.0, dir_deg: 30.0, len_mm: 21.0, hold_s: 2.0, speed_mm_s: 10.0 }];
+        let rows = [
+            Row::rest(4.0, &machine.rig.geometry),
+            Row {
+                bend_deg: 60.0,
+                dir_deg: 30.0,
+                len_mm: 21.0,
+                hold_s: 2.0,
+                speed_mm_s: 10.0,
+            },
+        ];
         let d = machine.drive(&rows, 0.01);
-        let speed = d.piston_mm.windows(2).map(|w| (w[1] - w[0]).amax() / 0.01).fold(0.0, f64::max);
+        let speed = d
+            .piston_mm
+            .windows(2)
+            .map(|w| (w[1] - w[0]).amax() / 0.01)
+            .fold(0.0, f64::max);
         assert!((speed - 10.0).abs() < 0.01, "{speed}");
-        assert!(d.piston_mm[398].amax() == 0.0, "the pistons stand during the rest");
+        assert!(
+            d.piston_mm[398].amax() == 0.0,
+            "the pistons stand during the rest"
+        );
         let q = rows[1].lengths(&machine.rig.geometry);
         let end = d.piston_mm[d.piston_mm.len() - 1];
         for i in 0..3 {
@@ -223,16 +297,38 @@ mod tests {
     #[test]
     fn a_pose_beyond_bellow_or_travel_is_out_of_reach() {
         let machine = Machine::new(Rig::default(), [PAPER; 3]);
-        let row = |bend_deg, len_mm| Row { bend_deg, dir_deg: 0.0, len_mm, hold_s: 1.0, speed_mm_s: 10.0 };
+        let row = |bend_deg, len_mm| Row {
+            bend_deg,
+            dir_deg: 0.0,
+            len_mm,
+            hold_s: 1.0,
+            speed_mm_s: 10.0,
+        };
         assert!(machine.reaches(&row(75.0, 20.0)));
-        assert!(!machine.reaches(&row(75.0, 17.0)), "a bellow is shorter than 14 mm");
-        assert!(!machine.reaches(&row(0.0, 29.0)), "a piston is beyond its travel");
+        assert!(
+            !machine.reaches(&row(75.0, 17.0)),
+            "a bellow is shorter than 14 mm"
+        );
+        assert!(
+            !machine.reaches(&row(0.0, 29.0)),
+            "a piston is beyond its travel"
+        );
     }
 
     #[test]
     fn a_file_holds_the_rounded_row() {
-        let row = Row { bend_deg: 33.333_3, dir_deg: -0.04, len_mm: 20.0, hold_s: 0.5, speed_mm_s: 12.34 }.rounded();
-        assert_eq!(csv(&[row]), "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n33.33,0.0,20.00,0.50,12.3\n");
+        let row = Row {
+            bend_deg: 33.333_3,
+            dir_deg: -0.04,
+            len_mm: 20.0,
+            hold_s: 0.5,
+            speed_mm_s: 12.34,
+        }
+        .rounded();
+        assert_eq!(
+            csv(&[row]),
+            "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n33.33,0.0,20.00,0.50,12.3\n"
+        );
         assert_eq!(row.rounded(), row);
     }
 
@@ -240,13 +336,24 @@ mod tests {
     fn a_written_schedule_reads_back_and_errors_name_line_and_column() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.csv");
-        let rows =
-            [Row::rest(4.0, &Geometry::default()), Row { bend_deg: 60.0, dir_deg: 30.0, len_mm: 21.0, hold_s: 2.0, speed_mm_s: 10.0 }];
+        let rows = [
+            Row::rest(4.0, &Geometry::default()),
+            Row {
+                bend_deg: 60.0,
+                dir_deg: 30.0,
+                len_mm: 21.0,
+                hold_s: 2.0,
+                speed_mm_s: 10.0,
+            },
+        ];
         std::fs::write(&path, csv(&rows)).unwrap();
         assert_eq!(read(&path).unwrap(), rows);
         let head = "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n";
         let cases = [
-            (format!("{head}0,0,20,4,20\n10,0,20,-1,20\n"), "line 3, column hold_s: `-1` is not a number from 0 to 3600"),
+            (
+                format!("{head}0,0,20,4,20\n10,0,20,-1,20\n"),
+                "line 3, column hold_s: `-1` is not a number from 0 to 3600",
+            ),
             (format!("{head}0,0,20,4,x\n"), "line 2"),
             (format!("{head}0,0,20,4,NaN\n"), "line 2, column speed_mm_s"),
             (head.to_owned(), "no rows"),

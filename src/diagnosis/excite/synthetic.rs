@@ -22,15 +22,30 @@ const NOISE: [f64; 4] = [0.04, 0.004, 0.5, 0.002];
 ///
 /// # Errors
 /// [`ObserveError`] if the schedule is too short or moves too little to be diagnosed.
-pub fn observed(machine: &Machine, driven: &Driven, tracker: bool, seed: u64) -> Result<Observed, ObserveError> {
+pub fn observed(
+    machine: &Machine,
+    driven: &Driven,
+    tracker: bool,
+    seed: u64,
+) -> Result<Observed, ObserveError> {
     let mut rng = StdRng::seed_from_u64(seed);
     let tips = tips(machine, driven);
-    let mut noise = |size: f64| Vector3::from_fn(|_, _| size * (0..12).map(|_| rng.random_range(-0.5..0.5)).sum::<f64>());
+    let mut noise = |size: f64| {
+        Vector3::from_fn(|_, _| size * (0..12).map(|_| rng.random_range(-0.5..0.5)).sum::<f64>())
+    };
     let up = UP.normalize() * G_M_S2;
-    let mut imu = ImuColumns { acc: vec![], gyr: vec![], mag: vec![] };
+    let mut imu = ImuColumns {
+        acc: vec![],
+        gyr: vec![],
+        mag: vec![],
+    };
     let mut reference = Vec::new();
     for (k, r) in tips.iter().enumerate() {
-        let turn = if k == 0 { Vector3::zeros() } else { (tips[k - 1].inverse() * r).scaled_axis() / PERIOD_S };
+        let turn = if k == 0 {
+            Vector3::zeros()
+        } else {
+            (tips[k - 1].inverse() * r).scaled_axis() / PERIOD_S
+        };
         imu.acc.push(r.inverse() * up + noise(NOISE[0]));
         imu.gyr.push(turn + noise(NOISE[1]));
         imu.mag.push(r.inverse() * FIELD_UT + noise(NOISE[2]));

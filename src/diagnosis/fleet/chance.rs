@@ -24,7 +24,11 @@ pub fn rank_z(x: &[f64], y: &[f64]) -> f64 {
     let (x, y) = (centred(x), centred(y));
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let norm = (dot(&x, &x) * dot(&y, &y)).sqrt();
-    if norm > 0.0 { dot(&x, &y) / norm * (x.len() as f64 - 1.0).sqrt() } else { 0.0 }
+    if norm > 0.0 {
+        dot(&x, &y) / norm * (x.len() as f64 - 1.0).sqrt()
+    } else {
+        0.0
+    }
 }
 
 /// Probability that a standard normal number is at least as far from zero.
@@ -34,13 +38,16 @@ pub fn two_sided(z: f64) -> f64 {
 
 /// Probability that at least `hits` of `drawn` have what `all_hits` of `all` have (Fisher's exact test, one-sided).
 pub fn at_least(hits: usize, drawn: usize, all_hits: usize, all: usize) -> f64 {
-    let ln_choose = |n: usize, k: usize| lgamma(n as f64 + 1.0) - lgamma(k as f64 + 1.0) - lgamma((n - k) as f64 + 1.0);
+    let ln_choose = |n: usize, k: usize| {
+        lgamma(n as f64 + 1.0) - lgamma(k as f64 + 1.0) - lgamma((n - k) as f64 + 1.0)
+    };
     let term = |k: usize| {
         let others = drawn - k;
         if others > all - all_hits {
             0.0
         } else {
-            (ln_choose(all_hits, k) + ln_choose(all - all_hits, others) - ln_choose(all, drawn)).exp()
+            (ln_choose(all_hits, k) + ln_choose(all - all_hits, others) - ln_choose(all, drawn))
+                .exp()
         }
     };
     (hits..=drawn.min(all_hits)).map(term).sum::<f64>().min(1.0)

@@ -68,22 +68,40 @@ enum Quantity {
 
 impl Quantity {
     fn all() -> Vec<Self> {
-        catalogue().into_iter().map(|e| Self::Effect(e.name())).chain(GAINS.map(Self::Gain)).collect()
+        catalogue()
+            .into_iter()
+            .map(|e| Self::Effect(e.name()))
+            .chain(GAINS.map(Self::Gain))
+            .collect()
     }
 
     /// Its value; `None` if the row does not tell.
     fn of(self, row: &Row) -> Option<f64> {
         match self {
-            Self::Effect(name) => Some(f64::from(u8::from(row.names.split('+').any(|n| n == name)))),
-            Self::Gain(name) => row.numbers.get(name).copied().filter(|_| row.verdict == "none"),
+            Self::Effect(name) => {
+                Some(f64::from(u8::from(row.names.split('+').any(|n| n == name))))
+            }
+            Self::Gain(name) => row
+                .numbers
+                .get(name)
+                .copied()
+                .filter(|_| row.verdict == "none"),
         }
     }
 
     /// A finding; `None` if there are too few values, or if chance explains it.
-    fn finding(self, (lot, drifts): (Option<&str>, bool), here: &[f64], elsewhere: &[f64], p: f64) -> Option<Finding> {
+    fn finding(
+        self,
+        (lot, drifts): (Option<&str>, bool),
+        here: &[f64],
+        elsewhere: &[f64],
+        p: f64,
+    ) -> Option<Finding> {
         let (what, middle): (_, fn(&[f64]) -> f64) = match self {
             Self::Effect(name) => (name, |side| side.iter().sum::<f64>() / side.len() as f64),
-            Self::Gain(name) => (name, |side| spread(side.iter().copied()).map_or(f64::NAN, |s| s[0])),
+            Self::Gain(name) => (name, |side| {
+                spread(side.iter().copied()).map_or(f64::NAN, |s| s[0])
+            }),
         };
         let enough = here.len().min(elsewhere.len()) >= VALUES_MIN && p <= LEVEL;
         enough.then(|| Finding {
@@ -102,14 +120,28 @@ impl Lot {
         let (mut logs, mut counts) = (0_usize, BTreeMap::new());
         for row in rows {
             logs += 1;
-            let verdict = [row.verdict.as_str()].into_iter().filter(|kind| *kind != "effects");
-            for name in row.names.split('+').filter(|name| !name.is_empty()).chain(verdict) {
+            let verdict = [row.verdict.as_str()]
+                .into_iter()
+                .filter(|kind| *kind != "effects");
+            for name in row
+                .names
+                .split('+')
+                .filter(|name| !name.is_empty())
+                .chain(verdict)
+            {
                 *counts.entry(name.to_owned()).or_insert(0.0) += 1.0;
             }
         }
-        let mut shares: Vec<(String, f64)> = counts.into_iter().map(|(name, count)| (name, count / logs as f64)).collect();
+        let mut shares: Vec<(String, f64)> = counts
+            .into_iter()
+            .map(|(name, count)| (name, count / logs as f64))
+            .collect();
         shares.sort_by(|a, b| b.1.total_cmp(&a.1));
-        Self { name: name.to_owned(), logs, shares }
+        Self {
+            name: name.to_owned(),
+            logs,
+            shares,
+        }
     }
 }
 
@@ -119,21 +151,46 @@ impl Survey {
         let told: Vec<&Row> = rows.iter().filter(|row| row.refused.is_empty()).collect();
         let names: BTreeSet<&str> = told.iter().map(|row| row.lot.as_str()).collect();
         let mut lots = vec![Lot::new("all", told.iter().copied())];
-        lots.extend(names.iter().map(|name| Lot::new(name, told.iter().copied().filter(|row| row.lot == *name))));
+        lots.extend(
+            names
+                .iter()
+                .map(|name| Lot::new(name, told.iter().copied().filter(|row| row.lot == *name))),
+        );
         let quantities = Quantity::all();
         // every lot beside the others, its drift, and the common drift, of every quantity (Bonferroni)
         let comparisons = (quantities.len() * (2 * names.len() + 1)) as f64;
         let mut findings = Vec::new();
         for q in quantities {
             findings.extend(lots_apart(&told, q, &names, comparisons));
-            let drifting: Vec<Finding> = names.iter().filter_map(|lot| drifts(&told, q, Some(lot), comparisons)).collect();
-            let all = if drifting.is_empty() { drifts(&told, q, None, comparisons) } else { None };
+            let drifting: Vec<Finding> = names
+                .iter()
+                .filter_map(|lot| drifts(&told, q, Some(lot), comparisons))
+                .collect();
+            let all = if drifting.is_empty() {
+                drifts(&told, q, None, comparisons)
+            } else {
+                None
+            };
             findings.extend(drifting.into_iter().chain(all));
         }
         findings.sort_by(|a, b| a.p.total_cmp(&b.p));
-        let gain = |name| Some((name, spread(told.iter().filter_map(|row| Quantity::Gain(name).of(row)))?));
-        let gains = GAINS.iter().filter_map(|name| gain(*name)).map(|(name, spread)| (name.to_owned(), spread)).collect();
-        Self { refused: rows.len() - told.len(), lots, gains, findings }
+        let gain = |name| {
+            Some((
+                name,
+                spread(told.iter().filter_map(|row| Quantity::Gain(name).of(row)))?,
+            ))
+        };
+        let gains = GAINS
+            .iter()
+            .filter_map(|name| gain(*name))
+            .map(|(name, spread)| (name.to_owned(), spread))
+            .collect();
+        Self {
+            refused: rows.len() - told.len(),
+            lots,
+            gains,
+            findings,
+        }
     }
 }
 
@@ -142,7 +199,10 @@ impl Survey {
 fn lots_apart(rows: &[&Row], q: Quantity, lots: &BTreeSet<&str>, comparisons: f64) -> Vec<Finding> {
     let (mut found, mut rows, mut left) = (Vec::new(), rows.to_vec(), lots.clone());
     while left.len() > 1 {
-        let clearest = left.iter().filter_map(|lot| differs(&rows, q, lot, comparisons)).min_by(|a, b| a.p.total_cmp(&b.p));
+        let clearest = left
+            .iter()
+            .filter_map(|lot| differs(&rows, q, lot, comparisons))
+            .min_by(|a, b| a.p.total_cmp(&b.p));
         let Some(finding) = clearest else { break };
         left.retain(|lot| finding.lot.as_deref() != Some(lot));
         rows.retain(|row| left.contains(row.lot.as_str()));
@@ -153,15 +213,29 @@ fn lots_apart(rows: &[&Row], q: Quantity, lots: &BTreeSet<&str>, comparisons: f6
 
 /// Compares a lot with the others: whether it has an effect more often, or another gain.
 fn differs(rows: &[&Row], q: Quantity, lot: &str, comparisons: f64) -> Option<Finding> {
-    let side = |inside| rows.iter().filter(move |row| (row.lot == lot) == inside).filter_map(|row| q.of(row)).collect::<Vec<f64>>();
+    let side = |inside| {
+        rows.iter()
+            .filter(move |row| (row.lot == lot) == inside)
+            .filter_map(|row| q.of(row))
+            .collect::<Vec<f64>>()
+    };
     let [here, elsewhere] = [true, false].map(side);
     let p = match q {
         Quantity::Effect(_) => {
             let hits = |side: &[f64]| side.iter().filter(|x| **x > 0.0).count();
-            at_least(hits(&here), here.len(), hits(&here) + hits(&elsewhere), here.len() + elsewhere.len())
+            at_least(
+                hits(&here),
+                here.len(),
+                hits(&here) + hits(&elsewhere),
+                here.len() + elsewhere.len(),
+            )
         }
         Quantity::Gain(_) => {
-            let side: Vec<f64> = here.iter().map(|_| 1.0).chain(elsewhere.iter().map(|_| 0.0)).collect();
+            let side: Vec<f64> = here
+                .iter()
+                .map(|_| 1.0)
+                .chain(elsewhere.iter().map(|_| 0.0))
+                .collect();
             two_sided(rank_z(&side, &[here.as_slice(), &elsewhere].concat()))
         }
     };
@@ -171,14 +245,22 @@ fn differs(rows: &[&Row], q: Quantity, lot: &str, comparisons: f64) -> Option<Fi
 /// Compares later with earlier logs of a lot, or within every lot, so that a difference between lots is no drift.
 fn drifts(rows: &[&Row], q: Quantity, lot: Option<&str>, comparisons: f64) -> Option<Finding> {
     let mut lots: BTreeMap<&str, Vec<(&str, f64)>> = BTreeMap::new();
-    for row in rows.iter().filter(|row| !row.date.is_empty() && lot.is_none_or(|lot| row.lot == lot)) {
-        lots.entry(&row.lot).or_default().extend(q.of(row).map(|value| (row.date.as_str(), value)));
+    for row in rows
+        .iter()
+        .filter(|row| !row.date.is_empty() && lot.is_none_or(|lot| row.lot == lot))
+    {
+        lots.entry(&row.lot)
+            .or_default()
+            .extend(q.of(row).map(|value| (row.date.as_str(), value)));
     }
     let (mut here, mut elsewhere, mut sum) = (Vec::new(), Vec::new(), 0.0);
     for dated in lots.values_mut() {
         dated.sort_by_key(|(date, _)| *date);
         let (dates, values): (Vec<&str>, Vec<f64>) = dated.iter().copied().unzip();
-        let days: Vec<f64> = dates.iter().map(|day| dates.partition_point(|other| other < day) as f64).collect();
+        let days: Vec<f64> = dates
+            .iter()
+            .map(|day| dates.partition_point(|other| other < day) as f64)
+            .collect();
         sum += rank_z(&days, &values) * (values.len() as f64).sqrt();
         let (earlier, later) = values.split_at(values.len() / 2);
         elsewhere.extend_from_slice(earlier);
@@ -197,5 +279,8 @@ fn spread(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
     };
     let values: Vec<f64> = values.collect();
     let middle = median(values.clone())?;
-    Some([middle, SIGMA_PER_MAD * median(values.iter().map(|x| (x - middle).abs()).collect())?])
+    Some([
+        middle,
+        SIGMA_PER_MAD * median(values.iter().map(|x| (x - middle).abs()).collect())?,
+    ])
 }

@@ -8,7 +8,15 @@ use serde_json::{Map, Value};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Names of the gains in [`Row::numbers`]: k_ε and k_λ of the channels, and the lag of the pistons.
-pub const GAINS: [&str; 7] = ["k_epsilon_1", "k_epsilon_2", "k_epsilon_3", "k_lambda_1_mm", "k_lambda_2_mm", "k_lambda_3_mm", "lag_s"];
+pub const GAINS: [&str; 7] = [
+    "k_epsilon_1",
+    "k_epsilon_2",
+    "k_epsilon_3",
+    "k_lambda_1_mm",
+    "k_lambda_2_mm",
+    "k_lambda_3_mm",
+    "lag_s",
+];
 
 /// What is kept of the diagnosis of a log. A text that does not apply is empty.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -41,7 +49,11 @@ impl Row {
     /// Takes over the result of another row of the same log.
     pub fn take_result(&mut self, other: &Self) {
         self.numbers.clone_from(&other.numbers);
-        (self.refused, self.verdict, self.names) = (other.refused.clone(), other.verdict.clone(), other.names.clone());
+        (self.refused, self.verdict, self.names) = (
+            other.refused.clone(),
+            other.verdict.clone(),
+            other.names.clone(),
+        );
     }
 
     /// Fills in the result of a diagnosis.
@@ -52,7 +64,11 @@ impl Row {
         let gap = &document.gap;
         let theta = &done.chosen.fitted.theta;
         let lines = lines(theta);
-        let gains = lines.iter().map(|l| l.k_epsilon).chain(lines.iter().map(|l| l.k_lambda_mm)).chain([theta[6]]);
+        let gains = lines
+            .iter()
+            .map(|l| l.k_epsilon)
+            .chain(lines.iter().map(|l| l.k_lambda_mm))
+            .chain([theta[6]]);
         let named = [
             ("as_configured_deg", gap.as_configured_deg),
             ("recalibrated_deg", gap.recalibrated_deg),
@@ -60,22 +76,44 @@ impl Row {
             ("noise_floor_deg", gap.noise_floor_deg),
             ("p_unknown", document.unknown.probability),
         ];
-        let effects = document.effects.iter().map(|e| (format!("p_{}", e.name), e.probability));
-        let named = named.into_iter().chain(GAINS.into_iter().zip(gains)).map(|(name, value)| (name.to_owned(), value));
-        self.numbers = named.chain(effects).filter(|(_, value)| value.is_finite()).collect();
+        let effects = document
+            .effects
+            .iter()
+            .map(|e| (format!("p_{}", e.name), e.probability));
+        let named = named
+            .into_iter()
+            .chain(GAINS.into_iter().zip(gains))
+            .map(|(name, value)| (name.to_owned(), value));
+        self.numbers = named
+            .chain(effects)
+            .filter(|(_, value)| value.is_finite())
+            .collect();
     }
 }
 
 /// Rows as the columns of a table, texts first.
 pub fn table(rows: &[Row]) -> Vec<(String, Column)> {
-    let objects: Vec<Value> = rows.iter().map(|row| serde_json::to_value(row).unwrap_or_default()).collect();
+    let objects: Vec<Value> = rows
+        .iter()
+        .map(|row| serde_json::to_value(row).unwrap_or_default())
+        .collect();
     let cells = objects.iter().filter_map(Value::as_object).flatten();
-    let names: BTreeSet<(bool, &String)> = cells.map(|(name, value)| (value.is_number(), name)).collect();
+    let names: BTreeSet<(bool, &String)> = cells
+        .map(|(name, value)| (value.is_number(), name))
+        .collect();
     let column = |(number, name): (bool, &String)| {
         let cells = objects.iter().map(|object| &object[name.as_str()]);
         let column = match number {
-            true => Column::Numbers(cells.map(|cell| cell.as_f64().unwrap_or(f64::NAN)).collect()),
-            false => Column::Texts(cells.map(|cell| cell.as_str().unwrap_or_default().to_owned()).collect()),
+            true => Column::Numbers(
+                cells
+                    .map(|cell| cell.as_f64().unwrap_or(f64::NAN))
+                    .collect(),
+            ),
+            false => Column::Texts(
+                cells
+                    .map(|cell| cell.as_str().unwrap_or_default().to_owned())
+                    .collect(),
+            ),
         };
         (name.clone(), column)
     };
@@ -96,8 +134,16 @@ pub fn rows(table: &[(String, Column)]) -> Result<Vec<Row>, serde_json::Error> {
         Column::Texts(all) => Some(all[k].as_str().into()),
     };
     let row = |k| {
-        let cells = table.iter().filter_map(|(name, column)| Some((name.clone(), cell(column, k)?)));
+        let cells = table
+            .iter()
+            .filter_map(|(name, column)| Some((name.clone(), cell(column, k)?)));
         serde_json::from_value(Value::Object(cells.collect::<Map<String, Value>>()))
     };
-    (0..table.iter().map(|(_, column)| length(column)).min().unwrap_or(0)).map(row).collect()
+    (0..table
+        .iter()
+        .map(|(_, column)| length(column))
+        .min()
+        .unwrap_or(0))
+        .map(row)
+        .collect()
 }

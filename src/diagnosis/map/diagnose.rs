@@ -42,22 +42,51 @@ pub struct Searched<'a> {
 /// Searches a log; `None` if its inputs do not determine the nominal model.
 pub fn search<'a>(map: &MapFile, log: &'a Signals) -> Option<Searched<'a>> {
     let noise = noise(&log.output);
-    let (bench, nominal) = Bench::new(MapBase::new(map, log), &log.output, catalogue(map.nominal, log.clocked), noise * noise)?;
+    let (bench, nominal) = Bench::new(
+        MapBase::new(map, log),
+        &log.output,
+        catalogue(map.nominal, log.clocked),
+        noise * noise,
+    )?;
     let found = bench.search(nominal);
     let statements = statements(&found, noise * noise, variance(&log.output));
-    Some(Searched { bench, found, noise, statements })
+    Some(Searched {
+        bench,
+        found,
+        noise,
+        statements,
+    })
 }
 
 /// Diagnoses a log; `fresh` are other logs of the rig, on which the fitted model is evaluated.
 pub fn diagnose(map: &MapFile, log: &Signals, fresh: &[(String, Signals)], seed: u64) -> Document {
-    let Some(Searched { bench, found, noise, statements }) = search(map, log) else { return Document::empty(map) };
+    let Some(Searched {
+        bench,
+        found,
+        noise,
+        statements,
+    }) = search(map, log)
+    else {
+        return Document::empty(map);
+    };
     let posterior = Posterior::new(&HEAD, statements);
     let set = |names: &[&str]| found.set(names).unwrap_or(&found.nominal);
-    let verdict = decide(&posterior, |names| found.claimable(set(names)).names.clone());
+    let verdict = decide(&posterior, |names| {
+        found.claimable(set(names)).names.clone()
+    });
     let chosen = set(&verdict.names);
-    let judged = Judged { bench: &bench, nominal: &found.nominal, posterior: &posterior, seed };
+    let judged = Judged {
+        bench: &bench,
+        nominal: &found.nominal,
+        posterior: &posterior,
+        seed,
+    };
     let mut effects: Vec<Entry> = found.singles.iter().map(|s| judged.entry(s)).collect();
-    effects.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(b.closed.total_cmp(&a.closed)));
+    effects.sort_by(|a, b| {
+        b.probability
+            .total_cmp(&a.probability)
+            .then(b.closed.total_cmp(&a.closed))
+    });
     let mut notes = notes(log);
     let mut evaluated = Vec::new();
     for (name, other) in fresh {
@@ -71,10 +100,20 @@ pub fn diagnose(map: &MapFile, log: &Signals, fresh: &[(String, Signals)], seed:
         schema: 1,
         rig: "map",
         unit: map.output_unit.clone(),
-        gap: Figures { recalibrated: found.nominal.energy().sqrt(), explained: chosen.energy().sqrt(), noise_floor: noise },
-        set: (!chosen.names.is_empty()).then(|| judged.entry(chosen)).into_iter().collect(),
+        gap: Figures {
+            recalibrated: found.nominal.energy().sqrt(),
+            explained: chosen.energy().sqrt(),
+            noise_floor: noise,
+        },
+        set: (!chosen.names.is_empty())
+            .then(|| judged.entry(chosen))
+            .into_iter()
+            .collect(),
         effects,
-        unknown: Left { probability: verdict.doubt, rmse: left },
+        unknown: Left {
+            probability: verdict.doubt,
+            rmse: left,
+        },
         verdict: VerdictEntry {
             kind: verdict.kind,
             names: verdict.names,
@@ -98,7 +137,12 @@ impl Judged<'_> {
     fn entry(&self, set: &Set) -> Entry {
         let (before, after) = (self.nominal.energy(), set.energy());
         let closed = ((before - after) / self.bench.gap).clamp(-1.0, 1.0);
-        let ci = interval(&self.nominal.scores, &set.scores, before - self.bench.gap, self.seed);
+        let ci = interval(
+            &self.nominal.scores,
+            &set.scores,
+            before - self.bench.gap,
+            self.seed,
+        );
         let params = set.members.iter().filter(|m| !m.operator.eta.is_empty());
         Entry {
             name: set.names.join(" + "),
@@ -110,14 +154,28 @@ impl Judged<'_> {
             rmse_after: after.sqrt(),
             closed,
             closed_ci95: [ci[0].min(closed), ci[1].max(closed)],
-            params: params.map(|m| Parameter { of: m.operator.name, name: m.operator.eta, value: m.eta }).collect(),
+            params: params
+                .map(|m| Parameter {
+                    of: m.operator.name,
+                    name: m.operator.eta,
+                    value: m.eta,
+                })
+                .collect(),
         }
     }
 
     /// The fitted models on a fresh log; only the offset is set again.
     fn on_fresh(&self, chosen: &Set, name: &str, other: &Signals) -> Option<Fresh> {
-        let rmse = |set: &Set| self.bench.base.rmse_on(other, &set.members, &set.scores.coefficients);
-        Some(Fresh { log: name.to_owned(), before: rmse(self.nominal)?, after: rmse(chosen)? })
+        let rmse = |set: &Set| {
+            self.bench
+                .base
+                .rmse_on(other, &set.members, &set.scores.coefficients)
+        };
+        Some(Fresh {
+            log: name.to_owned(),
+            before: rmse(self.nominal)?,
+            after: rmse(chosen)?,
+        })
     }
 }
 
@@ -169,8 +227,16 @@ fn notes(log: &Signals) -> Vec<String> {
     }
     if let Some(m) = log.motion.as_ref().filter(|_| log.clocked) {
         let step = (m.len() / SPEEDS).max(1);
-        let at: Vec<(f64, f64)> = m.iter().zip(&log.t).step_by(step).map(|(m, t)| (*m, *t)).collect();
-        let mut speeds: Vec<f64> = at.windows(2).map(|w| ((w[1].0 - w[0].0) / (w[1].1 - w[0].1)).abs()).collect();
+        let at: Vec<(f64, f64)> = m
+            .iter()
+            .zip(&log.t)
+            .step_by(step)
+            .map(|(m, t)| (*m, *t))
+            .collect();
+        let mut speeds: Vec<f64> = at
+            .windows(2)
+            .map(|w| ((w[1].0 - w[0].0) / (w[1].1 - w[0].1)).abs())
+            .collect();
         speeds.sort_by(f64::total_cmp);
         let (low, high) = (speeds[speeds.len() / 10], speeds[speeds.len() * 9 / 10]);
         if low > 0.0 && high / low < ONE_SPEED {
@@ -192,9 +258,21 @@ mod tests {
     fn log(law: impl Fn(&[f64], &[f64]) -> Vec<f64>) -> Signals {
         let mut rng = StdRng::seed_from_u64(9);
         let t: Vec<f64> = (0..6000).map(|k| f64::from(k) * 0.01).collect();
-        let u: Vec<f64> = t.iter().map(|t| (1.0 + (0.21 * t).sin()) * (1.3 * t + 0.9 * (0.5 * t).sin()).sin()).collect();
-        let output = law(&u, &t).iter().map(|y| y + 0.01 * rng.random_range(-1.0..1.0)).collect();
-        Signals { inputs: vec![u.clone()], output, motion: Some(u), t, clocked: true }
+        let u: Vec<f64> = t
+            .iter()
+            .map(|t| (1.0 + (0.21 * t).sin()) * (1.3 * t + 0.9 * (0.5 * t).sin()).sin())
+            .collect();
+        let output = law(&u, &t)
+            .iter()
+            .map(|y| y + 0.01 * rng.random_range(-1.0..1.0))
+            .collect();
+        Signals {
+            inputs: vec![u.clone()],
+            output,
+            motion: Some(u),
+            t,
+            clocked: true,
+        }
     }
 
     fn diagnosis(law: impl Fn(&[f64], &[f64]) -> Vec<f64>) -> Document {
@@ -204,9 +282,23 @@ mod tests {
     #[test]
     fn a_known_cause_is_named_and_no_other() {
         let d = diagnosis(|u, _| play(u, 0.3).iter().map(|w| 2.0 * w + 1.0).collect());
-        assert_eq!((d.verdict.kind, d.verdict.names.as_slice()), (VerdictKind::Effects, &["play"][..]), "{:?}", d.set);
-        assert!(d.set[0].closed > 0.95 && d.set[0].closed_ci95[0] > 0.9, "{:?}", d.set);
-        let d = diagnosis(|u, t| u.iter().zip(t).map(|(u, t)| 3.0 * u + 0.4 * t / 60.0).collect());
+        assert_eq!(
+            (d.verdict.kind, d.verdict.names.as_slice()),
+            (VerdictKind::Effects, &["play"][..]),
+            "{:?}",
+            d.set
+        );
+        assert!(
+            d.set[0].closed > 0.95 && d.set[0].closed_ci95[0] > 0.9,
+            "{:?}",
+            d.set
+        );
+        let d = diagnosis(|u, t| {
+            u.iter()
+                .zip(t)
+                .map(|(u, t)| 3.0 * u + 0.4 * t / 60.0)
+                .collect()
+        });
         assert_eq!(d.verdict.names, ["drift"]);
         let d = diagnosis(|u, _| u.iter().map(|u| u + 0.2 * u.powi(3)).collect());
         assert_eq!(d.verdict.names, ["cubic"]);
@@ -216,21 +308,54 @@ mod tests {
     #[test]
     fn noise_is_not_taken_for_an_effect() {
         let mut rng = StdRng::seed_from_u64(4);
-        for (rows, seed) in [60, 200, 300, 500].into_iter().flat_map(|rows| (0..6).map(move |seed| (rows, seed))) {
+        for (rows, seed) in [60, 200, 300, 500]
+            .into_iter()
+            .flat_map(|rows| (0..6).map(move |seed| (rows, seed)))
+        {
             let t: Vec<f64> = (0..rows).map(f64::from).collect();
-            let u: Vec<f64> = t.iter().map(|t| (t * f64::from(seed + 3) * 0.04).sin()).collect();
-            let output = u.iter().map(|u| 2.0 * u + 0.03 * rng.random_range(-1.0..1.0)).collect();
-            let signals = Signals { inputs: vec![u.clone()], output, motion: Some(u), t, clocked: true };
+            let u: Vec<f64> = t
+                .iter()
+                .map(|t| (t * f64::from(seed + 3) * 0.04).sin())
+                .collect();
+            let output = u
+                .iter()
+                .map(|u| 2.0 * u + 0.03 * rng.random_range(-1.0..1.0))
+                .collect();
+            let signals = Signals {
+                inputs: vec![u.clone()],
+                output,
+                motion: Some(u),
+                t,
+                clocked: true,
+            };
             let d = diagnose(&toml::from_str(MAP).unwrap(), &signals, &[], 1);
             let noted = d.notes.iter().any(|n| n.contains("Record a longer log"));
-            assert!(if rows < 200 { noted } else { !noted && d.verdict.kind == VerdictKind::None }, "{rows} {seed}: {:?}", d.verdict);
+            assert!(
+                if rows < 200 {
+                    noted
+                } else {
+                    !noted && d.verdict.kind == VerdictKind::None
+                },
+                "{rows} {seed}: {:?}",
+                d.verdict
+            );
         }
     }
 
     #[test]
     fn no_effect_is_claimed_if_the_line_suffices_or_no_operator_helps() {
-        assert_eq!(diagnosis(|u, _| u.iter().map(|u| 3.0 * u - 1.0).collect()).verdict.kind, VerdictKind::None);
-        let d = diagnosis(|u, t| u.iter().zip(t).map(|(u, t)| u + 0.5 * (7.0 * t * t / 30.0).sin()).collect());
+        assert_eq!(
+            diagnosis(|u, _| u.iter().map(|u| 3.0 * u - 1.0).collect())
+                .verdict
+                .kind,
+            VerdictKind::None
+        );
+        let d = diagnosis(|u, t| {
+            u.iter()
+                .zip(t)
+                .map(|(u, t)| u + 0.5 * (7.0 * t * t / 30.0).sin())
+                .collect()
+        });
         assert_eq!(d.verdict.kind, VerdictKind::Unknown, "{:?}", d.set);
     }
 }

@@ -44,22 +44,35 @@ const NAMES: [&str; 17] = [
 
 /// All features.
 static LAYOUT: LazyLock<Layout> = LazyLock::new(|| {
-    let mut effects: Vec<&'static str> = DRIVEN.iter().chain(&STILL).chain(&RESONANT).map(|o| o.name).collect();
+    let mut effects: Vec<&'static str> = DRIVEN
+        .iter()
+        .chain(&STILL)
+        .chain(&RESONANT)
+        .map(|o| o.name)
+        .collect();
     effects.sort_unstable();
     effects.dedup();
-    Layout { common: &NAMES, effects }
+    Layout {
+        common: &NAMES,
+        effects,
+    }
 });
 
 /// The weights that diagnoses use.
-pub static HEAD: LazyLock<Head> = LazyLock::new(|| Head::built_in(include_str!("posterior.toml"), &LAYOUT));
+pub static HEAD: LazyLock<Head> =
+    LazyLock::new(|| Head::built_in(include_str!("posterior.toml"), &LAYOUT));
 
 /// All statements about a log whose noise has the variance `floor` and whose output has the variance `output`.
 pub fn statements(found: &Candidates<Set>, floor: f64, output: f64) -> Vec<Statement> {
     let nominal = &found.nominal;
     let reference = nominal.scores.density();
     let densities = |s: &Set| [0, 1].map(|k| reference[k] - s.scores.density()[k]);
-    let merit = |s: &&Set| densities(s).iter().sum::<f64>() - 2.0 * PER_EFFECT * s.names.len() as f64;
-    let best = found.sets().max_by(|a, b| merit(a).total_cmp(&merit(b))).unwrap_or(nominal);
+    let merit =
+        |s: &&Set| densities(s).iter().sum::<f64>() - 2.0 * PER_EFFECT * s.names.len() as f64;
+    let best = found
+        .sets()
+        .max_by(|a, b| merit(a).total_cmp(&merit(b)))
+        .unwrap_or(nominal);
     let density = |s: &Set| {
         let [long, short] = densities(s);
         let [slight, clear] = SLIGHT.map(|most| ((long + short) / 2.0 / most).min(1.0));
@@ -68,25 +81,51 @@ pub fn statements(found: &Candidates<Set>, floor: f64, output: f64) -> Vec<State
     let of_set = |s: &Set| {
         let columns: usize = s.members.iter().map(|m| m.columns.len()).sum();
         let [claim, second_claim] = found.claims(s);
-        let own = [s.names.len() as f64 - 1.0, columns as f64 / 8.0, claim, second_claim];
-        Statement { names: Some(s.names.clone()), features: features(density(s), own, [0.0; 4], [0.0; 5], &[]) }
+        let own = [
+            s.names.len() as f64 - 1.0,
+            columns as f64 / 8.0,
+            claim,
+            second_claim,
+        ];
+        Statement {
+            names: Some(s.names.clone()),
+            features: features(density(s), own, [0.0; 4], [0.0; 5], &[]),
+        }
     };
     let above = |s: &Set| (s.energy() - floor).max(0.0);
     let ratio = |of: f64, to: f64| (of / to.max(f64::MIN_POSITIVE)).max(LEAST * LEAST).ln() / 2.0;
     let noise = ratio(above(nominal), floor);
     let none = [1.0, noise, noise.min(0.0), ratio(above(nominal), output)];
-    let [noise, left] = [ratio(above(best), floor), ratio(above(best), above(nominal))];
+    let [noise, left] = [
+        ratio(above(best), floor),
+        ratio(above(best), above(nominal)),
+    ];
     let unknown = [1.0, noise, noise.min(0.0), left, (left - FORM).max(0.0)];
     let others = [
-        Statement { names: Some(vec![]), features: features([0.0; 4], [0.0; 4], none, [0.0; 5], &[]) },
-        Statement { names: None, features: features(density(best), [0.0; 4], [0.0; 4], unknown, &best.names) },
+        Statement {
+            names: Some(vec![]),
+            features: features([0.0; 4], [0.0; 4], none, [0.0; 5], &[]),
+        },
+        Statement {
+            names: None,
+            features: features(density(best), [0.0; 4], [0.0; 4], unknown, &best.names),
+        },
     ];
     found.sets().map(of_set).chain(others).collect()
 }
 
 /// Features of a statement: the densities, those of a set, of `none`, and of `unknown` with the operators of the best set.
-fn features(density: [f64; 4], set: [f64; 4], none: [f64; 4], unknown: [f64; 5], best: &[&str]) -> Vec<f64> {
-    LAYOUT.features(density.into_iter().chain(set).chain(none).chain(unknown), best)
+fn features(
+    density: [f64; 4],
+    set: [f64; 4],
+    none: [f64; 4],
+    unknown: [f64; 5],
+    best: &[&str],
+) -> Vec<f64> {
+    LAYOUT.features(
+        density.into_iter().chain(set).chain(none).chain(unknown),
+        best,
+    )
 }
 
 #[cfg(test)]
@@ -96,6 +135,9 @@ mod tests {
     #[test]
     fn the_weights_in_the_program_can_be_read() {
         let head = &*HEAD;
-        assert!(head.weights[1] > 0.0 && (0.5..1.0).contains(&head.conformal), "{head:?}");
+        assert!(
+            head.weights[1] > 0.0 && (0.5..1.0).contains(&head.conformal),
+            "{head:?}"
+        );
     }
 }

@@ -78,24 +78,40 @@ impl Check for MapFile {
     const REMEDY: &'static str = "docs/maps holds a map for each rig of docs/other-rigs.md";
 
     fn check(&self, to: &mut Checker) {
-        to.at("every").range(self.every as f64, 1.0..=10_000.0, "").hint("1 uses every row");
+        to.at("every")
+            .range(self.every as f64, 1.0..=10_000.0, "")
+            .hint("1 uses every row");
         if let Some(rate) = self.rate_hz {
-            to.at("rate_hz").range(rate, 1e-6..=1e7, "Hz").hint("rows per second");
-            to.at("rate_hz").holds(self.time.is_none(), "is given together with `time`").hint("a log has one clock: remove one of the two");
+            to.at("rate_hz")
+                .range(rate, 1e-6..=1e7, "Hz")
+                .hint("rows per second");
+            to.at("rate_hz")
+                .holds(self.time.is_none(), "is given together with `time`")
+                .hint("a log has one clock: remove one of the two");
         }
-        to.at("output").holds(!self.output.names().is_empty(), "names no column").hint("name the output column");
+        to.at("output")
+            .holds(!self.output.names().is_empty(), "names no column")
+            .hint("name the output column");
         let driven = self.input.as_ref().is_some_and(|i| !i.names().is_empty());
         match self.nominal {
             Nominal::Still => to
                 .at("input")
                 .holds(!driven, "is given although nominal = \"still\" has none")
                 .hint("remove the input, or set nominal = \"line\""),
-            Nominal::Line => to.at("output").holds(driven, "has no input").hint("name the input, or set nominal = \"still\""),
+            Nominal::Line => to
+                .at("output")
+                .holds(driven, "has no input")
+                .hint("name the input, or set nominal = \"still\""),
             Nominal::Resonance => {
                 let one = self.input.as_ref().is_some_and(|i| i.names().len() == 1);
-                to.at("nominal").holds(one, "an oscillator has one input").hint("name one column");
                 to.at("nominal")
-                    .holds(self.rate_hz.is_some() || self.time.is_some(), "an oscillator needs a clock")
+                    .holds(one, "an oscillator has one input")
+                    .hint("name one column");
+                to.at("nominal")
+                    .holds(
+                        self.rate_hz.is_some() || self.time.is_some(),
+                        "an oscillator needs a clock",
+                    )
                     .hint("give `time` or `rate_hz`");
             }
         }

@@ -51,7 +51,11 @@ pub const RESONANT: [Operator; 2] = [
 pub fn catalogue(nominal: Nominal, clocked: bool) -> Vec<Operator> {
     match nominal {
         Nominal::Still => STILL.to_vec(),
-        Nominal::Line => DRIVEN.iter().filter(|o| clocked || o.name != "periodic_time").copied().collect(),
+        Nominal::Line => DRIVEN
+            .iter()
+            .filter(|o| clocked || o.name != "periodic_time")
+            .copied()
+            .collect(),
         Nominal::Resonance => RESONANT.to_vec(),
     }
 }
@@ -59,8 +63,16 @@ pub fn catalogue(nominal: Nominal, clocked: bool) -> Vec<Operator> {
 fn spring(d: &Drive, power: i32) -> Vec<Vec<f64>> {
     // `Scale::drive` stores frequency and damping of the oscillator in the first two samples of `m`
     let (wh, zeta) = (d.m[0], d.m[1]);
-    let first = oscillator(&d.v.iter().map(|v| v.powi(power)).collect::<Vec<_>>(), wh, zeta);
-    let force: Vec<f64> = d.v.iter().zip(&first).map(|(v, f)| f64::from(power) * v.powi(power - 1) * f).collect();
+    let first = oscillator(
+        &d.v.iter().map(|v| v.powi(power)).collect::<Vec<_>>(),
+        wh,
+        zeta,
+    );
+    let force: Vec<f64> =
+        d.v.iter()
+            .zip(&first)
+            .map(|(v, f)| f64::from(power) * v.powi(power - 1) * f)
+            .collect();
     vec![first, oscillator(&force, wh, zeta)]
 }
 
@@ -69,10 +81,25 @@ impl MapBase {
     pub fn new(map: &MapFile, log: &Signals) -> Self {
         let swing = (map.nominal == Nominal::Resonance).then(|| resonance(log));
         let inputs = driven(log, swing);
-        let base: Vec<Vec<f64>> = [vec![1.0; log.output.len()]].into_iter().chain(inputs.clone()).collect();
-        let columns = Columns { of: base.iter().map(Vec::as_slice).collect(), signs: vec![] };
-        let weights = Task::new(&log.output).regress(&columns).map_or(vec![1.0; inputs.len()], |r| r.coefficients[1..].to_vec());
-        let mut scale = Scale { weights, middle: 0.0, half: 1.0, m_low: 0.0, m_range: 1.0, swing };
+        let base: Vec<Vec<f64>> = [vec![1.0; log.output.len()]]
+            .into_iter()
+            .chain(inputs.clone())
+            .collect();
+        let columns = Columns {
+            of: base.iter().map(Vec::as_slice).collect(),
+            signs: vec![],
+        };
+        let weights = Task::new(&log.output)
+            .regress(&columns)
+            .map_or(vec![1.0; inputs.len()], |r| r.coefficients[1..].to_vec());
+        let mut scale = Scale {
+            weights,
+            middle: 0.0,
+            half: 1.0,
+            m_low: 0.0,
+            m_range: 1.0,
+            swing,
+        };
         let (low, high) = range(&combined(&inputs, &scale.weights, log.output.len()));
         (scale.middle, scale.half) = ((low + high) / 2.0, ((high - low) / 2.0).max(1e-12));
         if let Some((low, high)) = log.motion.as_deref().map(range) {
@@ -84,7 +111,8 @@ impl MapBase {
 
     /// Columns of a set.
     fn columns<'a>(&'a self, members: &'a [Member]) -> Columns<'a> {
-        let (mut of, mut signs): (Vec<&[f64]>, _) = (self.base.iter().map(Vec::as_slice).collect(), vec![]);
+        let (mut of, mut signs): (Vec<&[f64]>, _) =
+            (self.base.iter().map(Vec::as_slice).collect(), vec![]);
         for m in members {
             signs.push((of.len(), m.operator.sign));
             of.extend(m.columns.iter().map(Vec::as_slice));
@@ -104,17 +132,31 @@ impl MapBase {
 
     /// RMSE of a fitted set on another log of the rig; only the offset is set again. `None` if that log is too far
     /// outside the fitted range for an extrapolation.
-    pub fn rmse_on(&self, other: &Signals, members: &[Member], coefficients: &[f64]) -> Option<f64> {
+    pub fn rmse_on(
+        &self,
+        other: &Signals,
+        members: &[Member],
+        coefficients: &[f64],
+    ) -> Option<f64> {
         let inputs = driven(other, self.scale.swing);
         let drive = self.scale.drive(other, &inputs);
         let (low, high) = range(&drive.v);
         if low.abs().max(high.abs()) > OUTSIDE {
             return None;
         }
-        let own = members.iter().flat_map(|m| (m.operator.columns)(&drive, m.eta));
+        let own = members
+            .iter()
+            .flat_map(|m| (m.operator.columns)(&drive, m.eta));
         let columns: Vec<Vec<f64>> = inputs.into_iter().chain(own).collect();
         let left: Vec<f64> = (0..other.output.len())
-            .map(|k| other.output[k] - columns.iter().zip(&coefficients[1..]).map(|(x, c)| x[k] * c).sum::<f64>())
+            .map(|k| {
+                other.output[k]
+                    - columns
+                        .iter()
+                        .zip(&coefficients[1..])
+                        .map(|(x, c)| x[k] * c)
+                        .sum::<f64>()
+            })
             .collect();
         let mean = left.iter().sum::<f64>() / left.len() as f64;
         Some((left.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / left.len() as f64).sqrt())
@@ -123,22 +165,39 @@ impl MapBase {
 
 impl Scale {
     fn drive(&self, log: &Signals, inputs: &[Vec<f64>]) -> Drive {
-        let v = combined(inputs, &self.weights, log.output.len()).iter().map(|x| (x - self.middle) / self.half).collect();
-        let mut m: Vec<f64> =
-            log.motion.as_ref().map_or(vec![0.0; log.output.len()], |m| m.iter().map(|x| (x - self.m_low) / self.m_range).collect());
+        let v = combined(inputs, &self.weights, log.output.len())
+            .iter()
+            .map(|x| (x - self.middle) / self.half)
+            .collect();
+        let mut m: Vec<f64> = log
+            .motion
+            .as_ref()
+            .map_or(vec![0.0; log.output.len()], |m| {
+                m.iter().map(|x| (x - self.m_low) / self.m_range).collect()
+            });
         if let Some((wh, zeta)) = self.swing {
             (m[0], m[1]) = (wh, zeta);
         }
-        Drive { v, m, m_range: self.m_range, t: log.t.clone() }
+        Drive {
+            v,
+            m,
+            m_range: self.m_range,
+            t: log.t.clone(),
+        }
     }
 }
 
 fn combined(inputs: &[Vec<f64>], weights: &[f64], rows: usize) -> Vec<f64> {
-    (0..rows).map(|k| inputs.iter().zip(weights).map(|(u, w)| u[k] * w).sum()).collect()
+    (0..rows)
+        .map(|k| inputs.iter().zip(weights).map(|(u, w)| u[k] * w).sum())
+        .collect()
 }
 
 fn range(x: &[f64]) -> (f64, f64) {
-    x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)))
+    x.iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| {
+            (l.min(*v), h.max(*v))
+        })
 }
 
 /// The inputs, filtered by the oscillator if there is one.
@@ -155,7 +214,11 @@ fn resonance(log: &Signals) -> (f64, f64) {
     let task = Task::new(&log.output);
     let cost = |wh: f64, zeta: f64| {
         let column = oscillator(&log.inputs[0], wh, zeta);
-        task.cost(&Columns { of: vec![&ones, &column], signs: vec![] }).unwrap_or(f64::INFINITY)
+        task.cost(&Columns {
+            of: vec![&ones, &column],
+            signs: vec![],
+        })
+        .unwrap_or(f64::INFINITY)
     };
     let mut best = (f64::INFINITY, 0.5, 0.05);
     for k in 0..40 {
@@ -170,9 +233,16 @@ fn resonance(log: &Signals) -> (f64, f64) {
     let mut step = 0.08;
     while step > 1e-4 {
         let (_, wh, zeta) = best;
-        let around =
-            [(wh * (1.0 + step), zeta), (wh / (1.0 + step), zeta), (wh, zeta * (1.0 + 4.0 * step)), (wh, zeta / (1.0 + 4.0 * step))];
-        let next = around.into_iter().map(|(w, z)| (cost(w, z), w, z)).min_by(|a, b| a.0.total_cmp(&b.0));
+        let around = [
+            (wh * (1.0 + step), zeta),
+            (wh / (1.0 + step), zeta),
+            (wh, zeta * (1.0 + 4.0 * step)),
+            (wh, zeta / (1.0 + 4.0 * step)),
+        ];
+        let next = around
+            .into_iter()
+            .map(|(w, z)| (cost(w, z), w, z))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
         match next.filter(|n| n.0 < best.0) {
             Some(better) => best = better,
             None => step /= 2.0,

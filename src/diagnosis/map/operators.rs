@@ -42,7 +42,13 @@ impl Operator {
         grid: fn(&Drive) -> Vec<f64>,
         columns: fn(&Drive, f64) -> Vec<Vec<f64>>,
     ) -> Self {
-        Self { name, eta, grid, columns, sign: 0 }
+        Self {
+            name,
+            eta,
+            grid,
+            columns,
+            sign: 0,
+        }
     }
 
     /// The operator with a required sign of its first coefficient.
@@ -65,19 +71,30 @@ pub fn kind(name: &str) -> &'static str {
 /// Operators for a rig with an input.
 pub const DRIVEN: [Operator; 15] = [
     // Play operator of one half-width. Separated by nested loops of several sizes.
-    Operator::new("play", "half-width / range", widths, |d, r| vec![play(&d.v, 2.0 * r)]).signed(1),
+    Operator::new("play", "half-width / range", widths, |d, r| {
+        vec![play(&d.v, 2.0 * r)]
+    })
+    .signed(1),
     // Prandtl-Ishlinskii: eight weighted plays (Kuhnen 2003). Separated by nested loops of several sizes.
-    Operator::new("hysteresis", "", none, |d, _| (1..=8).map(|k| play(&d.v, 0.12 * f64::from(k))).collect()),
+    Operator::new("hysteresis", "", none, |d, _| {
+        (1..=8).map(|k| play(&d.v, 0.12 * f64::from(k))).collect()
+    }),
     // Bouc-Wen with n = 1 and β = γ (Wen 1976). Separated by nested loops of several sizes.
-    Operator::new("bouc_wen", "yield / range", widths, |d, r| vec![bouc_wen(&d.v, 2.0 * r)]),
+    Operator::new("bouc_wen", "yield / range", widths, |d, r| {
+        vec![bouc_wen(&d.v, 2.0 * r)]
+    }),
     // Sign of the speed. Separated by several speeds, and loops of several sizes.
     Operator::new("coulomb", "", none, |d, _| vec![sign_of(&d.m, &d.t)]),
     // Sign of the speed times the load. Separated by two loads.
-    Operator::new("load_friction", "", none, |d, _| vec![times(&sign_of(&d.m, &d.t), &d.v, 1.0)]),
+    Operator::new("load_friction", "", none, |d, _| {
+        vec![times(&sign_of(&d.m, &d.t), &d.v, 1.0)]
+    }),
     // Speed. Separated by several speeds.
     Operator::new("viscous", "", none, |d, _| vec![speed(&d.m, &d.t)]),
     // Third power: symmetric stiffening or softening. Separated by several amplitudes.
-    Operator::new("cubic", "", none, |d, _| vec![d.v.iter().map(|v| v * v * v).collect()]),
+    Operator::new("cubic", "", none, |d, _| {
+        vec![d.v.iter().map(|v| v * v * v).collect()]
+    }),
     // Another slope on one side of a corner. Separated by amplitudes to both sides.
     Operator::new(
         "asymmetry",
@@ -86,9 +103,21 @@ pub const DRIVEN: [Operator; 15] = [
         |d, c| vec![d.v.iter().map(|v| (v - (2.0 * c - 1.0)).abs()).collect()],
     ),
     // First order. Separated by a step and a chirp.
-    Operator::new("lag", "time constant", |d| times_from(d, 1.0, 0.02), |d, tau| vec![follow(&d.v, &d.t, tau)]).signed(1),
+    Operator::new(
+        "lag",
+        "time constant",
+        |d| times_from(d, 1.0, 0.02),
+        |d, tau| vec![follow(&d.v, &d.t, tau)],
+    )
+    .signed(1),
     // Delayed input. Separated by a chirp: phase that grows with frequency.
-    Operator::new("delay", "dead time", |d| times_from(d, 1.0, 0.02), |d, tau| vec![late(&d.v, &d.t, tau)]).signed(1),
+    Operator::new(
+        "delay",
+        "dead time",
+        |d| times_from(d, 1.0, 0.02),
+        |d, tau| vec![late(&d.v, &d.t, tau)],
+    )
+    .signed(1),
     // Two Kelvin-Voigt elements, a factor 12 apart. Separated by hold, return, hold.
     Operator::new(
         "creep",
@@ -98,11 +127,27 @@ pub const DRIVEN: [Operator; 15] = [
     )
     .signed(1),
     // Exponential return after an input. Separated by a long hold, then a return to zero.
-    Operator::new("leak", "time constant", |d| times_from(d, 20.0, 0.5), |d, tau| vec![follow(&d.v, &d.t, tau)]).signed(-1),
+    Operator::new(
+        "leak",
+        "time constant",
+        |d| times_from(d, 20.0, 0.5),
+        |d, tau| vec![follow(&d.v, &d.t, tau)],
+    )
+    .signed(-1),
     // Sine of position, with a second harmonic. Separated by two speeds.
-    Operator::new("periodic_position", "period", |d| periods(d.m_range), |d, p| waves(d.m.iter().map(|m| m * d.m_range / p))),
+    Operator::new(
+        "periodic_position",
+        "period",
+        |d| periods(d.m_range),
+        |d, p| waves(d.m.iter().map(|m| m * d.m_range / p)),
+    ),
     // Sine of time, with a second harmonic. Separated by two speeds.
-    Operator::new("periodic_time", "period", |d| periods(d.t[d.t.len() - 1] - d.t[0]), |d, p| waves(d.t.iter().map(|t| t / p))),
+    Operator::new(
+        "periodic_time",
+        "period",
+        |d| periods(d.t[d.t.len() - 1] - d.t[0]),
+        |d, p| waves(d.t.iter().map(|t| t / p)),
+    ),
     DRIFT,
 ];
 
@@ -119,7 +164,12 @@ pub const STILL: [Operator; 3] = [
         |d, tau| vec![since(&d.t).iter().map(|t| (-t / tau).exp()).collect()],
     ),
     // Logarithm of time. Separated by a repetition after a long rest.
-    Operator::new("creep", "onset", |d| times_from(d, 1.0, 0.2), |d, tau| vec![since(&d.t).iter().map(|t| (1.0 + t / tau).ln()).collect()]),
+    Operator::new(
+        "creep",
+        "onset",
+        |d| times_from(d, 1.0, 0.2),
+        |d, tau| vec![since(&d.t).iter().map(|t| (1.0 + t / tau).ln()).collect()],
+    ),
     DRIFT,
 ];
 
@@ -128,14 +178,18 @@ pub fn none(_: &Drive) -> Vec<f64> {
     vec![0.0]
 }
 fn widths(_: &Drive) -> Vec<f64> {
-    (0..24).map(|k| 0.005 * 100f64.powf(f64::from(k) / 23.0)).collect()
+    (0..24)
+        .map(|k| 0.005 * 100f64.powf(f64::from(k) / 23.0))
+        .collect()
 }
 /// 24 times from a number of rows to a share of the log, uniform in the logarithm.
 fn times_from(d: &Drive, rows: f64, share: f64) -> Vec<f64> {
     let span = d.t[d.t.len() - 1] - d.t[0];
     let low = rows * span / (d.t.len() - 1) as f64;
     let high = (share * span).max(2.0 * low);
-    (0..24).map(|k| low * (high / low).powf(f64::from(k) / 23.0)).collect()
+    (0..24)
+        .map(|k| low * (high / low).powf(f64::from(k) / 23.0))
+        .collect()
 }
 /// Periods of which 6 to 150 fit in a range, a quarter apart; fewer than six are a trend.
 fn periods(range: f64) -> Vec<f64> {
@@ -155,7 +209,11 @@ fn bouc_wen(v: &[f64], z0: f64) -> Vec<f64> {
     let one = |&x: &f64| {
         let dv = x - before;
         before = x;
-        let loaded = if dv * z > 0.0 { 1.0 - z.abs() / z0 } else { 1.0 };
+        let loaded = if dv * z > 0.0 {
+            1.0 - z.abs() / z0
+        } else {
+            1.0
+        };
         z = (z + dv * loaded).clamp(-z0, z0);
         z
     };
@@ -164,12 +222,17 @@ fn bouc_wen(v: &[f64], z0: f64) -> Vec<f64> {
 /// Speed of the moving signal over five rows, ranges per second.
 fn speed(m: &[f64], t: &[f64]) -> Vec<f64> {
     let last = m.len() - 1;
-    (0..m.len()).map(|k| (k.saturating_sub(2), (k + 2).min(last))).map(|(a, b)| (m[b] - m[a]) / (t[b] - t[a])).collect()
+    (0..m.len())
+        .map(|k| (k.saturating_sub(2), (k + 2).min(last)))
+        .map(|(a, b)| (m[b] - m[a]) / (t[b] - t[a]))
+        .collect()
 }
 fn sign_of(m: &[f64], t: &[f64]) -> Vec<f64> {
     let s = speed(m, t);
     let usual = (s.iter().map(|x| x * x).sum::<f64>() / s.len() as f64).sqrt();
-    s.iter().map(|x| (x / (0.1 * usual).max(1e-12)).tanh()).collect()
+    s.iter()
+        .map(|x| (x / (0.1 * usual).max(1e-12)).tanh())
+        .collect()
 }
 fn times(a: &[f64], b: &[f64], shift: f64) -> Vec<f64> {
     a.iter().zip(b).map(|(x, y)| x * (y + shift)).collect()
@@ -191,7 +254,11 @@ fn late(v: &[f64], t: &[f64], by: f64) -> Vec<f64> {
             a += 1;
         }
         let b = (a + 1).min(t.len() - 1);
-        let share = if b > a { ((then - t[a]) / (t[b] - t[a])).clamp(0.0, 1.0) } else { 0.0 };
+        let share = if b > a {
+            ((then - t[a]) / (t[b] - t[a])).clamp(0.0, 1.0)
+        } else {
+            0.0
+        };
         v[a] + (v[b] - v[a]) * share
     };
     t.iter().map(one).collect()
@@ -225,7 +292,8 @@ pub fn oscillator(u: &[f64], wh: f64, zeta: f64) -> Vec<f64> {
 /// The next output from the last two inputs and the new one, and the last two outputs.
 pub fn oscillator_step(u: [f64; 3], y: [f64; 2], wh: f64, zeta: f64) -> f64 {
     let (k, w2) = (4.0 * zeta * wh, wh * wh);
-    (w2 * (u[2] + 2.0 * u[1] + u[0]) - (2.0 * w2 - 8.0) * y[1] - (4.0 - k + w2) * y[0]) / (4.0 + k + w2)
+    (w2 * (u[2] + 2.0 * u[1] + u[0]) - (2.0 * w2 - 8.0) * y[1] - (4.0 - k + w2) * y[0])
+        / (4.0 + k + w2)
 }
 
 #[cfg(test)]
@@ -247,13 +315,22 @@ mod tests {
 
     #[test]
     fn an_oscillator_passes_a_constant_and_rings_at_its_frequency() {
-        assert!(oscillator(&[1.0; 50], 0.3, 0.1).iter().all(|y| (y - 1.0).abs() < 1e-12));
+        assert!(
+            oscillator(&[1.0; 50], 0.3, 0.1)
+                .iter()
+                .all(|y| (y - 1.0).abs() < 1e-12)
+        );
         let mut kick = vec![0.0; 2000];
         kick[10] = 1.0;
         let y = oscillator(&kick, 0.1, 0.01);
-        let zeros: Vec<usize> = (20..600).filter(|&k| y[k - 1] < 0.0 && y[k] >= 0.0).collect();
+        let zeros: Vec<usize> = (20..600)
+            .filter(|&k| y[k - 1] < 0.0 && y[k] >= 0.0)
+            .collect();
         let period = (zeros[zeros.len() - 1] - zeros[0]) as f64 / (zeros.len() - 1) as f64;
         // wh = 2 tan(ω h / 2)
-        assert!((period - TAU / (2.0 * (0.1f64 / 2.0).atan())).abs() < 0.3, "{period}");
+        assert!(
+            (period - TAU / (2.0 * (0.1f64 / 2.0).atan())).abs() < 0.3,
+            "{period}"
+        );
     }
 }

@@ -31,9 +31,14 @@ impl Blocks {
         let length = rows as f64 / count as f64;
         let of = |k: usize| {
             let at = (k as f64 + 0.5) / length;
-            (MARGIN..1.0 - MARGIN).contains(&at.fract()).then_some((at as usize).min(count - 1))
+            (MARGIN..1.0 - MARGIN)
+                .contains(&at.fract())
+                .then_some((at as usize).min(count - 1))
         };
-        Self { of: (0..rows).map(of).collect(), count }
+        Self {
+            of: (0..rows).map(of).collect(),
+            count,
+        }
     }
 }
 
@@ -68,7 +73,11 @@ impl Normal {
             square += y[k] * y[k];
         }
         gram.fill_upper_triangle_with_lower_triangle();
-        Self { gram, right, square }
+        Self {
+            gram,
+            right,
+            square,
+        }
     }
 
     /// Coefficients with the least squares, scaled to a unit diagonal, with a ridge that matters only for nearly equal columns; `None` if
@@ -76,9 +85,17 @@ impl Normal {
     fn solve(&self, signs: &[(usize, i8)]) -> Option<DVector<f64>> {
         let size = self.gram.diagonal().map(|d| d.max(1e-300).sqrt());
         let n = self.gram.nrows();
-        let scaled = DMatrix::from_fn(n, n, |i, j| self.gram[(i, j)] / (size[i] * size[j]) + if i == j { 1e-9 } else { 0.0 });
-        let c = scaled.cholesky()?.solve(&self.right.component_div(&size)).component_div(&size);
-        let right = c.iter().all(|x| x.is_finite()) && signs.iter().all(|&(i, sign)| sign == 0 || c[i] * f64::from(sign) >= 0.0);
+        let scaled = DMatrix::from_fn(n, n, |i, j| {
+            self.gram[(i, j)] / (size[i] * size[j]) + if i == j { 1e-9 } else { 0.0 }
+        });
+        let c = scaled
+            .cholesky()?
+            .solve(&self.right.component_div(&size))
+            .component_div(&size);
+        let right = c.iter().all(|x| x.is_finite())
+            && signs
+                .iter()
+                .all(|&(i, sign)| sign == 0 || c[i] * f64::from(sign) >= 0.0);
         right.then_some(c)
     }
 }
@@ -107,7 +124,11 @@ impl Regressed {
     /// whose variance is unknown.
     pub fn density(&self) -> [f64; 2] {
         let of = |blocks: &Vec<(f64, f64)>| {
-            let logs: Vec<f64> = blocks.iter().filter(|b| b.1 > 0.0).map(|(s, n)| (s / n).max(f64::MIN_POSITIVE).ln()).collect();
+            let logs: Vec<f64> = blocks
+                .iter()
+                .filter(|b| b.1 > 0.0)
+                .map(|(s, n)| (s / n).max(f64::MIN_POSITIVE).ln())
+                .collect();
             logs.iter().sum::<f64>() / logs.len().max(1) as f64
         };
         [0, 1].map(|k| of(&self.blocks[k]))
@@ -121,7 +142,9 @@ pub fn variance(x: &[f64]) -> f64 {
 }
 
 fn mean_square(blocks: &[(f64, f64)]) -> f64 {
-    let (s, n) = blocks.iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+    let (s, n) = blocks
+        .iter()
+        .fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
     s / f64::max(n, 1.0)
 }
 
@@ -129,7 +152,10 @@ impl<'a> Task<'a> {
     /// Divides the rows of a signal into blocks.
     pub fn new(y: &'a [f64]) -> Self {
         let short = (y.len() / ROWS).clamp(LONG, SHORT);
-        Self { y, blocks: [LONG, short].map(|count| Blocks::new(y.len(), count)) }
+        Self {
+            y,
+            blocks: [LONG, short].map(|count| Blocks::new(y.len(), count)),
+        }
     }
 
     /// Sum of squares that a fit to all rows leaves; `None` if the columns do not determine the coefficients, or one does not have its
@@ -143,17 +169,32 @@ impl<'a> Task<'a> {
     /// Regresses on the columns; `None` as for [`Task::cost`].
     pub fn regress(&self, columns: &Columns<'_>) -> Option<Regressed> {
         let all = Normal::new(self.y, &columns.of, |_| true).solve(&columns.signs)?;
-        let blocks = [self.held_out(columns, &self.blocks[0])?, self.held_out(columns, &self.blocks[1])?];
-        Some(Regressed { blocks, coefficients: all.iter().copied().collect() })
+        let blocks = [
+            self.held_out(columns, &self.blocks[0])?,
+            self.held_out(columns, &self.blocks[1])?,
+        ];
+        Some(Regressed {
+            blocks,
+            coefficients: all.iter().copied().collect(),
+        })
     }
 
     fn held_out(&self, columns: &Columns<'_>, blocks: &Blocks) -> Option<Vec<(f64, f64)>> {
         let mut out = vec![(0.0, 0.0); blocks.count];
         for fold in 0..2 {
-            let c = Normal::new(self.y, &columns.of, |k| blocks.of[k].is_some_and(|b| b % 2 != fold)).solve(&columns.signs)?;
+            let c = Normal::new(self.y, &columns.of, |k| {
+                blocks.of[k].is_some_and(|b| b % 2 != fold)
+            })
+            .solve(&columns.signs)?;
             for (k, block) in blocks.of.iter().enumerate() {
                 if let Some(b) = block.filter(|b| b % 2 == fold) {
-                    let left = self.y[k] - columns.of.iter().zip(c.iter()).map(|(x, c)| x[k] * c).sum::<f64>();
+                    let left = self.y[k]
+                        - columns
+                            .of
+                            .iter()
+                            .zip(c.iter())
+                            .map(|(x, c)| x[k] * c)
+                            .sum::<f64>();
                     out[b] = (out[b].0 + left * left, out[b].1 + 1.0);
                 }
             }
@@ -170,13 +211,31 @@ mod tests {
     fn each_block_is_predicted_by_a_fit_to_the_other_fold() {
         // the slope differs between the long folds, so their held-out error is large
         let x: Vec<f64> = (0..1200).map(|k| (f64::from(k) * 0.1).sin()).collect();
-        let y: Vec<f64> = x.iter().enumerate().map(|(k, x)| x * if (k / 100) % 2 == 0 { 1.0 } else { 3.0 }).collect();
+        let y: Vec<f64> = x
+            .iter()
+            .enumerate()
+            .map(|(k, x)| x * if (k / 100) % 2 == 0 { 1.0 } else { 3.0 })
+            .collect();
         let task = Task::new(&y);
-        let columns = |sign| Columns { of: vec![x.as_slice()], signs: vec![(0, sign)] };
+        let columns = |sign| Columns {
+            of: vec![x.as_slice()],
+            signs: vec![(0, sign)],
+        };
         let r = task.regress(&columns(0)).unwrap();
-        assert!((r.coefficients[0] - 2.0).abs() < 0.05, "{:?}", r.coefficients);
-        assert!((r.energy() - 2.0).abs() < 0.1 && r.worse() == 0, "{}", r.energy());
-        assert!((task.cost(&columns(0)).unwrap() / 1200.0 - 0.5).abs() < 0.05, "a fit to all rows leaves a quarter of that");
+        assert!(
+            (r.coefficients[0] - 2.0).abs() < 0.05,
+            "{:?}",
+            r.coefficients
+        );
+        assert!(
+            (r.energy() - 2.0).abs() < 0.1 && r.worse() == 0,
+            "{}",
+            r.energy()
+        );
+        assert!(
+            (task.cost(&columns(0)).unwrap() / 1200.0 - 0.5).abs() < 0.05,
+            "a fit to all rows leaves a quarter of that"
+        );
         assert!(task.regress(&columns(-1)).is_none());
     }
 }

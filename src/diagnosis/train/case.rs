@@ -35,9 +35,21 @@ pub struct Case {
 impl Case {
     /// The case of a machine with these effects and the statements about its log.
     pub fn new(seed: u64, truth: Option<&[&str]>, statements: &[Statement]) -> Self {
-        let owned = |names: &[&str]| names.iter().map(|n| (*n).to_owned()).collect::<Vec<String>>();
-        let said = |s: &Statement| Said { names: s.names.as_deref().map(owned), features: s.features.clone() };
-        Self { seed, truth: truth.map(owned), said: statements.iter().map(said).collect() }
+        let owned = |names: &[&str]| {
+            names
+                .iter()
+                .map(|n| (*n).to_owned())
+                .collect::<Vec<String>>()
+        };
+        let said = |s: &Statement| Said {
+            names: s.names.as_deref().map(owned),
+            features: s.features.clone(),
+        };
+        Self {
+            seed,
+            truth: truth.map(owned),
+            said: statements.iter().map(said).collect(),
+        }
     }
 
     /// Searches the log of a unit.
@@ -47,14 +59,22 @@ impl Case {
     pub fn of_tip(seed: u64, unit: &Unit) -> Result<Self, ObserveError> {
         let log = Observed::new(&unit.log, &Rig::default())?;
         let found = search(&log, &catalogue(), &unit.lines);
-        Ok(Self::new(seed, unit.names.as_deref(), &statements(&log, &found)))
+        Ok(Self::new(
+            seed,
+            unit.names.as_deref(),
+            &statements(&log, &found),
+        ))
     }
 
     /// Searches the log of a random rig.
     pub fn of_rig(seed: u64) -> Self {
         let rig = rig::draw(seed);
         let searched = map::diagnose::search(&rig.map, &rig.signals);
-        Self::new(seed, rig.truth.as_deref(), &searched.map_or(vec![], |s| s.statements))
+        Self::new(
+            seed,
+            rig.truth.as_deref(),
+            &searched.map_or(vec![], |s| s.statements),
+        )
     }
 
     /// Index of the true statement; `None` if the search has not fitted the true set.

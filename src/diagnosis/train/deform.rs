@@ -32,16 +32,27 @@ impl Form {
             let [travel, time] = SHORTER.map(|most| most.powf(rng.random()));
             let travel = normal(rng) * travel / TRAVEL_MM;
             let [size, rate] = [(); 2].map(|()| rng.sample::<f64, _>(StandardNormal));
-            (depth * size, travel, rate * time / TIME_S, rng.random_range(0.0..TAU))
+            (
+                depth * size,
+                travel,
+                rate * time / TIME_S,
+                rng.random_range(0.0..TAU),
+            )
         });
         Self { waves, mean }
     }
 
     /// The function at these pistons, mm, and this time, s.
     pub fn at(&self, pistons_mm: &Vector3<f64>, t_s: f64) -> f64 {
-        let wave = |(size, travel, time, phase): &(f64, Vector3<f64>, f64, f64)| size * (travel.dot(pistons_mm) + time * t_s + phase).sin();
+        let wave = |(size, travel, time, phase): &(f64, Vector3<f64>, f64, f64)| {
+            size * (travel.dot(pistons_mm) + time * t_s + phase).sin()
+        };
         let factor = self.mean + self.waves.iter().map(wave).sum::<f64>();
-        if self.mean > 0.0 { factor.max(0.0) } else { factor }
+        if self.mean > 0.0 {
+            factor.max(0.0)
+        } else {
+            factor
+        }
     }
 }
 
@@ -60,12 +71,18 @@ pub struct Deformed {
 impl Deformed {
     /// The effect with a form drawn to this depth.
     pub fn new(effect: Box<dyn Effect>, rng: &mut StdRng, depth: f64) -> Self {
-        Self { effect, form: Form::draw(rng, 1.0, depth) }
+        Self {
+            effect,
+            form: Form::draw(rng, 1.0, depth),
+        }
     }
 
     /// A law that the catalogue lacks: the effect with a factor whose sign changes.
     pub fn foreign(effect: Box<dyn Effect>, rng: &mut StdRng) -> Self {
-        Self { effect, form: Form::draw(rng, 0.0, FOREIGN_DEPTH) }
+        Self {
+            effect,
+            form: Form::draw(rng, 0.0, FOREIGN_DEPTH),
+        }
     }
 
     fn change(&self, at: &Moment, signal: &mut Vector3<f64>, law: impl FnOnce(&mut Vector3<f64>)) {
@@ -97,7 +114,9 @@ impl Effect for Deformed {
     }
     fn base(&self, p: &[f64], at: &Moment) -> Option<UnitQuaternion<f64>> {
         let turn = self.effect.base(p, at)?;
-        Some(UnitQuaternion::from_scaled_axis(turn.scaled_axis() * self.form.at(&at.counted_mm, at.t_s)))
+        Some(UnitQuaternion::from_scaled_axis(
+            turn.scaled_axis() * self.form.at(&at.counted_mm, at.t_s),
+        ))
     }
     fn mount(&self, p: &[f64]) -> Option<UnitQuaternion<f64>> {
         self.effect.mount(p)
@@ -161,12 +180,24 @@ impl Outside {
     pub fn draw(rng: &mut StdRng, size: f64) -> Self {
         let two = |rng: &mut StdRng, s: f64| normal(rng).xy() * s * size;
         match rng.random_range(0..8) {
-            0 => Self::Ripple(normal(rng) * 0.5 * size, normal(rng) * 0.8, rng.random_range(0.0..TAU)),
+            0 => Self::Ripple(
+                normal(rng) * 0.5 * size,
+                normal(rng) * 0.8,
+                rng.random_range(0.0..TAU),
+            ),
             1 => Self::Swing(two(rng, 0.05), TAU / rng.random_range(1.5..9.0)),
-            2 => Self::Reading(rng.random_range(0..3), Matrix3::from_fn(|_, _| rng.sample::<f64, _>(StandardNormal) * 0.06 * size)),
+            2 => Self::Reading(
+                rng.random_range(0..3),
+                Matrix3::from_fn(|_, _| rng.sample::<f64, _>(StandardNormal) * 0.06 * size),
+            ),
             3 => Self::Product(normal(rng) * 0.03 * size),
             4 => Self::Wear(normal(rng) * 0.15 * size),
-            5 => Self::Jump(rng.random_range(0..3), rng.random_range(-8.0..8.0), rng.random_range(0.05..8.0), two(rng, 0.08)),
+            5 => Self::Jump(
+                rng.random_range(0..3),
+                rng.random_range(-8.0..8.0),
+                rng.random_range(0.05..8.0),
+                two(rng, 0.08),
+            ),
             // twice as often as the others
             _ => Self::Curl(two(rng, 0.1), rng.random_range(0.5..8.0)),
         }
@@ -179,7 +210,9 @@ impl Effect for Outside {
     }
     fn bellows(&self, _p: &[f64], m: &mut Memory, at: &Moment, q_mm: &mut Vector3<f64>) {
         match self {
-            Self::Ripple(amplitude, wave, phase) => *q_mm += amplitude * ((wave.dot(&at.counted_mm) + phase).sin() - phase.sin()),
+            Self::Ripple(amplitude, wave, phase) => {
+                *q_mm += amplitude * ((wave.dot(&at.counted_mm) + phase).sin() - phase.sin())
+            }
             Self::Product(gain) => {
                 let q = *q_mm;
                 *q_mm += Vector3::new(gain.x * q.y * q.z, gain.y * q.z * q.x, gain.z * q.x * q.y);
@@ -212,7 +245,11 @@ impl Effect for Outside {
     fn sensor(&self, _p: &[f64], m: &mut Memory, at: &Moment, reading: &mut ImuPrediction) {
         match self {
             Self::Reading(sensor, wrong) => {
-                let of = [&mut reading.acc_m_s2, &mut reading.gyro_rad_s, &mut reading.mag_ut];
+                let of = [
+                    &mut reading.acc_m_s2,
+                    &mut reading.gyro_rad_s,
+                    &mut reading.mag_ut,
+                ];
                 for (_, v) in of.into_iter().enumerate().filter(|(i, _)| i == sensor) {
                     *v += wrong * *v;
                 }

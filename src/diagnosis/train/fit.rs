@@ -27,25 +27,55 @@ pub struct Trained {
 /// Fits the weights of the named features to the cases with an even seed and checks them on those with an odd one, which also give the
 /// level of the conformal sets.
 pub fn fit(cases: &[Case], names: Vec<String>) -> Trained {
-    let of = |odd: u64| cases.iter().filter(move |c| c.seed % 2 == odd).filter_map(|c| Some((c, c.right()?)));
+    let of = |odd: u64| {
+        cases
+            .iter()
+            .filter(move |c| c.seed % 2 == odd)
+            .filter_map(|c| Some((c, c.right()?)))
+    };
     let (fitted, check): (Vec<_>, Vec<_>) = (of(0).collect(), of(1).collect());
     let mut w = DVector::zeros(names.len());
     let mut value = likelihood(&fitted, &w);
     for _ in 0..STEPS {
         let (gradient, curvature) = slopes(&fitted, &w);
-        let Some(step) = curvature.cholesky().map(|c| c.solve(&gradient)) else { break };
-        let tried = (0..20).map(|k| &w + &step * 0.5f64.powi(k)).map(|next| (likelihood(&fitted, &next), next));
-        let Some((better, next)) = tried.into_iter().find(|(v, _)| *v > value) else { break };
+        let Some(step) = curvature.cholesky().map(|c| c.solve(&gradient)) else {
+            break;
+        };
+        let tried = (0..20)
+            .map(|k| &w + &step * 0.5f64.powi(k))
+            .map(|next| (likelihood(&fitted, &next), next));
+        let Some((better, next)) = tried.into_iter().find(|(v, _)| *v > value) else {
+            break;
+        };
         let gained = better - value;
         (w, value) = (next, better);
         if gained < CONVERGED {
             break;
         }
     }
-    let p: Vec<(Vec<f64>, usize)> = check.iter().map(|(c, right)| (probabilities(c.features(), w.as_slice()), *right)).collect();
-    let loss = -p.iter().map(|(p, right)| p[*right].max(f64::MIN_POSITIVE).ln()).sum::<f64>() / p.len().max(1) as f64;
-    let logs = [fitted.len(), check.len(), cases.len() - fitted.len() - check.len()];
-    Trained { head: Head { names, weights: w.as_slice().to_vec(), conformal: level(&p) }, logs, loss }
+    let p: Vec<(Vec<f64>, usize)> = check
+        .iter()
+        .map(|(c, right)| (probabilities(c.features(), w.as_slice()), *right))
+        .collect();
+    let loss = -p
+        .iter()
+        .map(|(p, right)| p[*right].max(f64::MIN_POSITIVE).ln())
+        .sum::<f64>()
+        / p.len().max(1) as f64;
+    let logs = [
+        fitted.len(),
+        check.len(),
+        cases.len() - fitted.len() - check.len(),
+    ];
+    Trained {
+        head: Head {
+            names,
+            weights: w.as_slice().to_vec(),
+            conformal: level(&p),
+        },
+        logs,
+        loss,
+    }
 }
 
 /// The least level at which the sets contain the truth often enough.
@@ -54,13 +84,18 @@ fn level(p: &[(Vec<f64>, usize)]) -> f64 {
     let needed = |(p, right): &(Vec<f64>, usize)| p.iter().filter(|x| **x > p[*right]).sum::<f64>();
     let mut needed: Vec<f64> = p.iter().map(needed).collect();
     needed.sort_by(f64::total_cmp);
-    let at = ((COVERED * (needed.len() + 1) as f64).ceil() as usize).clamp(1, needed.len().max(1)) - 1;
+    let at =
+        ((COVERED * (needed.len() + 1) as f64).ceil() as usize).clamp(1, needed.len().max(1)) - 1;
     needed.get(at).map_or(COVERED, |x| (x + 1e-6).min(1.0))
 }
 
 /// Mean log-likelihood with the ridge.
 fn likelihood(cases: &[(&Case, usize)], w: &DVector<f64>) -> f64 {
-    let of = |(c, right): &(&Case, usize)| probabilities(c.features(), w.as_slice())[*right].max(f64::MIN_POSITIVE).ln();
+    let of = |(c, right): &(&Case, usize)| {
+        probabilities(c.features(), w.as_slice())[*right]
+            .max(f64::MIN_POSITIVE)
+            .ln()
+    };
     cases.iter().map(of).sum::<f64>() / cases.len().max(1) as f64 - RIDGE * w.norm_squared()
 }
 
@@ -72,7 +107,9 @@ fn slopes(cases: &[(&Case, usize)], w: &DVector<f64>) -> (DVector<f64>, DMatrix<
     for (c, right) in cases {
         let p = probabilities(c.features(), w.as_slice());
         let mut mean = DVector::zeros(size);
-        c.features().zip(&p).for_each(|(x, p)| mean.axpy(*p, &DVector::from_column_slice(x), 1.0));
+        c.features()
+            .zip(&p)
+            .for_each(|(x, p)| mean.axpy(*p, &DVector::from_column_slice(x), 1.0));
         gradient += (DVector::from_column_slice(&c.said[*right].features) - &mean) / n;
         for (x, p) in c.features().zip(&p) {
             let apart = DVector::from_column_slice(x) - &mean;
@@ -96,7 +133,9 @@ mod tests {
         let mut rng = StdRng::seed_from_u64(1);
         let truth: Vec<f64> = (0..12).map(|i| [1.0, -0.5, 0.0][i % 3]).collect();
         let mut case = |seed: u64| {
-            let features: Vec<Vec<f64>> = (0..6).map(|_| truth.iter().map(|_| rng.random_range(-2.0..2.0)).collect()).collect();
+            let features: Vec<Vec<f64>> = (0..6)
+                .map(|_| truth.iter().map(|_| rng.random_range(-2.0..2.0)).collect())
+                .collect();
             let p = probabilities(features.iter().map(Vec::as_slice), &truth);
             let mut drawn: f64 = rng.random();
             let right = p.iter().position(|p| {
@@ -104,16 +143,34 @@ mod tests {
                 drawn < 0.0
             });
             let name = |k: usize| Some(vec![k.to_string()]);
-            let said = features.into_iter().enumerate().map(|(k, features)| Said { names: name(k), features }).collect();
-            Case { seed, truth: name(right.unwrap_or(5)), said }
+            let said = features
+                .into_iter()
+                .enumerate()
+                .map(|(k, features)| Said {
+                    names: name(k),
+                    features,
+                })
+                .collect();
+            Case {
+                seed,
+                truth: name(right.unwrap_or(5)),
+                said,
+            }
         };
         let cases: Vec<Case> = (0..12_000).map(&mut case).collect();
         let trained = fit(&cases, truth.iter().map(f64::to_string).collect());
         let found = &trained.head.weights;
-        assert!(found.iter().zip(&truth).all(|(f, t)| (f - t).abs() < 0.15), "{found:?}");
+        assert!(
+            found.iter().zip(&truth).all(|(f, t)| (f - t).abs() < 0.15),
+            "{found:?}"
+        );
         let fresh: Vec<Case> = (12_000..15_000).map(&mut case).collect();
-        let holds =
-            |c: &&Case| c.right().is_some_and(|r| conformal_set(&probabilities(c.features(), found), trained.head.conformal).contains(&r));
+        let holds = |c: &&Case| {
+            c.right().is_some_and(|r| {
+                conformal_set(&probabilities(c.features(), found), trained.head.conformal)
+                    .contains(&r)
+            })
+        };
         let held = fresh.iter().filter(holds).count();
         assert!((2790..=2910).contains(&held), "95 % of 3,000: {held}");
         assert_eq!(trained.logs, [6000, 6000, 0]);

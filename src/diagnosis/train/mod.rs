@@ -29,5 +29,10 @@ fn contents<T>(mut catalogue: Vec<T>, rng: &mut StdRng) -> Vec<Option<T>> {
         21..27 => (0, false),
         _ => (usize::from(rng.random_bool(BESIDE)), true),
     };
-    catalogue.into_iter().take(known).map(Some).chain(foreign.then_some(None)).collect()
+    catalogue
+        .into_iter()
+        .take(known)
+        .map(Some)
+        .chain(foreign.then_some(None))
+        .collect()
 }

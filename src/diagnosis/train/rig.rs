@@ -58,29 +58,57 @@ pub fn draw(seed: u64) -> RandomRig {
     };
     let clocked = nominal != Nominal::Line || rng.random_bool(0.7);
     let rows = rng.random_range(ROWS);
-    let dt = if clocked { log_uniform(&mut rng, [0.01, 0.5]) } else { 1.0 };
+    let dt = if clocked {
+        log_uniform(&mut rng, [0.01, 0.5])
+    } else {
+        1.0
+    };
     let t: Vec<f64> = (0..rows).map(|k| k as f64 * dt).collect();
-    let inputs: Vec<Vec<f64>> = (0..number_of_inputs(nominal, &mut rng)).map(|_| input(&mut rng, &t)).collect();
+    let inputs: Vec<Vec<f64>> = (0..number_of_inputs(nominal, &mut rng))
+        .map(|_| input(&mut rng, &t))
+        .collect();
     let drive = drive(&inputs, &t, &mut rng);
     let noise = log_uniform(&mut rng, NOISE);
     let mut made = match nominal {
         Nominal::Resonance => Made::ringing(&inputs[0], &mut rng),
-        Nominal::Line | Nominal::Still => Made { line: drive.v.clone(), deviation: vec![0.0; rows], truth: Some(vec![]) },
+        Nominal::Line | Nominal::Still => Made {
+            line: drive.v.clone(),
+            deviation: vec![0.0; rows],
+            truth: Some(vec![]),
+        },
     };
     let imperfect = noise * rng.random_range(0.0..IMPERFECT);
-    sum(&mut made.deviation, &scaled(&outside(&drive, &mut rng), &inputs, imperfect));
+    sum(
+        &mut made.deviation,
+        &scaled(&outside(&drive, &mut rng), &inputs, imperfect),
+    );
     // the springs of an oscillator are drawn apart
-    let known = if nominal == Nominal::Resonance { vec![] } else { catalogue(nominal, clocked) };
+    let known = if nominal == Nominal::Resonance {
+        vec![]
+    } else {
+        catalogue(nominal, clocked)
+    };
     for wanted in contents(known, &mut rng) {
         let law = match &wanted {
             Some(operator) => effect(operator, &drive, &inputs, &mut rng),
             None => outside(&drive, &mut rng),
         };
         let size = log_uniform(&mut rng, [LEAST * noise, LARGEST]);
-        made.add(wanted.map(|o| o.name), &scaled(&law, &inputs, size), &inputs, noise);
+        made.add(
+            wanted.map(|o| o.name),
+            &scaled(&law, &inputs, size),
+            &inputs,
+            noise,
+        );
     }
-    let output = made.line.iter().zip(&made.deviation).map(|(y, d)| y + d + noise * normal(&mut rng)).collect();
-    let input = (!inputs.is_empty()).then(|| Columns::Many((0..inputs.len()).map(|k| k.to_string()).collect()));
+    let output = made
+        .line
+        .iter()
+        .zip(&made.deviation)
+        .map(|(y, d)| y + d + noise * normal(&mut rng))
+        .collect();
+    let input = (!inputs.is_empty())
+        .then(|| Columns::Many((0..inputs.len()).map(|k| k.to_string()).collect()));
     let map = MapFile {
         input,
         output: Columns::One("y".to_owned()),
@@ -92,7 +120,17 @@ pub fn draw(seed: u64) -> RandomRig {
         nominal,
         every: 1,
     };
-    RandomRig { map, signals: Signals { motion: inputs.first().cloned(), inputs, output, t, clocked }, truth: made.truth }
+    RandomRig {
+        map,
+        signals: Signals {
+            motion: inputs.first().cloned(),
+            inputs,
+            output,
+            t,
+            clocked,
+        },
+        truth: made.truth,
+    }
 }
 
 /// A rig in the making.
@@ -108,11 +146,22 @@ impl Made {
     /// An oscillator whose spring may be curved.
     fn ringing(u: &[f64], rng: &mut StdRng) -> Self {
         let (wh, zeta) = (rng.random_range(0.1..0.6), rng.random_range(0.03..0.3));
-        let curved =
-            [(); 2].map(|()| if rng.random_bool(0.5) { log_uniform(rng, CURVED) * [-1.0, 1.0][rng.random_range(0..2)] } else { 0.0 });
+        let curved = [(); 2].map(|()| {
+            if rng.random_bool(0.5) {
+                log_uniform(rng, CURVED) * [-1.0, 1.0][rng.random_range(0..2)]
+            } else {
+                0.0
+            }
+        });
         let of = |spring| ringing(u, spring, wh, zeta);
         let (line, whole) = (of([0.0; 2]), of(curved));
-        let apart = |from: &[f64]| whole.iter().zip(from).map(|(a, b)| a - b).collect::<Vec<f64>>();
+        let apart = |from: &[f64]| {
+            whole
+                .iter()
+                .zip(from)
+                .map(|(a, b)| a - b)
+                .collect::<Vec<f64>>()
+        };
         let deviation = apart(&line);
         let visible = |k: usize| {
             let mut without = curved;
@@ -120,8 +169,15 @@ impl Made {
             curved[k] != 0.0 && variance(&apart(&of(without))) > VISIBLE * variance(&deviation)
         };
         // the springs' own order is that of the catalogue: third power, square
-        let names = (0..2).filter(|&k| visible(1 - k)).map(|k| RESONANT[k].name).collect();
-        Self { line, deviation, truth: Some(names) }
+        let names = (0..2)
+            .filter(|&k| visible(1 - k))
+            .map(|k| RESONANT[k].name)
+            .collect();
+        Self {
+            line,
+            deviation,
+            truth: Some(names),
+        }
     }
 
     /// Adds a law, unless it is too small to be claimed.
@@ -147,15 +203,32 @@ fn number_of_inputs(nominal: Nominal, rng: &mut StdRng) -> usize {
 
 /// The signals that operators act on. A rig without an input has none.
 fn drive(inputs: &[Vec<f64>], t: &[f64], rng: &mut StdRng) -> Drive {
-    let weights: Vec<f64> = inputs.iter().map(|_| rng.random_range(0.3..1.0) * [-1.0, 1.0][rng.random_range(0..2)]).collect();
-    let line: Vec<f64> = (0..t.len()).map(|k| inputs.iter().zip(&weights).map(|(u, w)| u[k] * w).sum()).collect();
+    let weights: Vec<f64> = inputs
+        .iter()
+        .map(|_| rng.random_range(0.3..1.0) * [-1.0, 1.0][rng.random_range(0..2)])
+        .collect();
+    let line: Vec<f64> = (0..t.len())
+        .map(|k| inputs.iter().zip(&weights).map(|(u, w)| u[k] * w).sum())
+        .collect();
     let unit = |x: &[f64]| {
-        let (low, high) = x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+        let (low, high) = x
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| {
+                (l.min(*v), h.max(*v))
+            });
         let span = (high - low).max(1e-12);
-        (x.iter().map(|v| (v - low) / span).collect::<Vec<f64>>(), span)
+        (
+            x.iter().map(|v| (v - low) / span).collect::<Vec<f64>>(),
+            span,
+        )
     };
     let (m, m_range) = unit(inputs.first().unwrap_or(&line));
-    Drive { v: unit(&line).0.iter().map(|x| 2.0 * x - 1.0).collect(), m, m_range, t: t.to_vec() }
+    Drive {
+        v: unit(&line).0.iter().map(|x| 2.0 * x - 1.0).collect(),
+        m,
+        m_range,
+        t: t.to_vec(),
+    }
 }
 
 /// The deviation by an operator at a random η, in a random form that a recalibrated model does not take for another law.
@@ -164,7 +237,12 @@ fn effect(operator: &Operator, drive: &Drive, inputs: &[Vec<f64>], rng: &mut Std
     let mut depth = rng.random_range(0.0..DEPTH);
     loop {
         let deformed = changed(&law, &Form::draw(rng, 1.0, depth), drive);
-        if depth < LEAST_DEPTH || alike(&recalibrated(&law, inputs), &recalibrated(&deformed, inputs)) {
+        if depth < LEAST_DEPTH
+            || alike(
+                &recalibrated(&law, inputs),
+                &recalibrated(&deformed, inputs),
+            )
+        {
             return deformed;
         }
         depth /= 2.0;
@@ -192,13 +270,26 @@ fn pure(operator: &Operator, drive: &Drive, rng: &mut StdRng) -> Vec<f64> {
             }
         })
         .collect();
-    (0..drive.t.len()).map(|k| columns.iter().zip(&factors).map(|(x, f)| f * x[k]).sum::<f64>()).collect()
+    (0..drive.t.len())
+        .map(|k| {
+            columns
+                .iter()
+                .zip(&factors)
+                .map(|(x, f)| f * x[k])
+                .sum::<f64>()
+        })
+        .collect()
 }
 
 /// A law times a function of the drive and the time.
 fn changed(law: &[f64], form: &Form, drive: &Drive) -> Vec<f64> {
     let ((travel, time), span) = (FORM_SPAN, drive.t[drive.t.len() - 1]);
-    let at = |k: usize| form.at(&(Vector3::new(drive.v[k], drive.m[k], 0.0) * travel), drive.t[k] / span * time);
+    let at = |k: usize| {
+        form.at(
+            &(Vector3::new(drive.v[k], drive.m[k], 0.0) * travel),
+            drive.t[k] / span * time,
+        )
+    };
     law.iter().enumerate().map(|(k, x)| x * at(k)).collect()
 }
 
@@ -211,12 +302,19 @@ fn outside(drive: &Drive, rng: &mut StdRng) -> Vec<f64> {
         // a ripple over the drive that has no period
         0 => {
             let [first, rate] = [rng.random_range(0.5..4.0), rng.random_range(1.0..4.0)];
-            v.iter().map(|v| (TAU * (first * v + rate * v * v) + phase).sin()).collect()
+            v.iter()
+                .map(|v| (TAU * (first * v + rate * v * v) + phase).sin())
+                .collect()
         }
         // a wave in time whose frequency changes
         1 => {
             let [first, rate] = [rng.random_range(1.0..10.0), rng.random_range(3.0..30.0)];
-            drive.t.iter().map(|t| t / span).map(|x| (TAU * (first * x + rate * x * x) + phase).sin()).collect()
+            drive
+                .t
+                .iter()
+                .map(|t| t / span)
+                .map(|x| (TAU * (first * x + rate * x * x) + phase).sin())
+                .collect()
         }
         // a disturbance of its own
         2 | 3 => walk(rows, rng),
@@ -224,7 +322,10 @@ fn outside(drive: &Drive, rng: &mut StdRng) -> Vec<f64> {
         4 => walk(rows, rng).iter().zip(v).map(|(w, v)| w * v).collect(),
         // off while a memory of the drive is in a band
         5 => {
-            let (keep, low) = (1.0 - 1.0 / rng.random_range(2.0..60.0), rng.random_range(-0.7..0.4));
+            let (keep, low) = (
+                1.0 - 1.0 / rng.random_range(2.0..60.0),
+                rng.random_range(-0.7..0.4),
+            );
             let mut memory = 0.0;
             let jump = |v: &f64| {
                 memory = keep * memory + (1.0 - keep) * v;
@@ -233,7 +334,11 @@ fn outside(drive: &Drive, rng: &mut StdRng) -> Vec<f64> {
             v.iter().map(jump).collect()
         }
         // a law of the catalogue whose sign changes
-        _ => changed(&pure(DRIVEN.choose(rng).unwrap_or(&DRIVEN[0]), drive, rng), &Form::draw(rng, 0.0, FOREIGN_DEPTH), drive),
+        _ => changed(
+            &pure(DRIVEN.choose(rng).unwrap_or(&DRIVEN[0]), drive, rng),
+            &Form::draw(rng, 0.0, FOREIGN_DEPTH),
+            drive,
+        ),
     }
 }
 
@@ -249,9 +354,25 @@ fn scaled(law: &[f64], inputs: &[Vec<f64>], rms: f64) -> Vec<f64> {
 /// What a line of the inputs leaves of a signal.
 fn recalibrated(y: &[f64], inputs: &[Vec<f64>]) -> Vec<f64> {
     let ones = vec![1.0; y.len()];
-    let of: Vec<&[f64]> = [ones.as_slice()].into_iter().chain(inputs.iter().map(Vec::as_slice)).collect();
-    let Some(r) = Task::new(y).regress(&regress::Columns { of: of.clone(), signs: vec![] }) else { return y.to_vec() };
-    (0..y.len()).map(|k| y[k] - of.iter().zip(&r.coefficients).map(|(x, c)| x[k] * c).sum::<f64>()).collect()
+    let of: Vec<&[f64]> = [ones.as_slice()]
+        .into_iter()
+        .chain(inputs.iter().map(Vec::as_slice))
+        .collect();
+    let Some(r) = Task::new(y).regress(&regress::Columns {
+        of: of.clone(),
+        signs: vec![],
+    }) else {
+        return y.to_vec();
+    };
+    (0..y.len())
+        .map(|k| {
+            y[k] - of
+                .iter()
+                .zip(&r.coefficients)
+                .map(|(x, c)| x[k] * c)
+                .sum::<f64>()
+        })
+        .collect()
 }
 
 #[cfg(test)]

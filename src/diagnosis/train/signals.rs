@@ -12,24 +12,47 @@ pub fn input(rng: &mut StdRng, t: &[f64]) -> Vec<f64> {
     let cycles = rng.random_range(2.0..20.0);
     match rng.random_range(0..5) {
         0 => {
-            let waves: Vec<(f64, f64)> = (0..3).map(|_| (cycles * rng.random_range(0.3..1.5), rng.random_range(0.0..TAU))).collect();
+            let waves: Vec<(f64, f64)> = (0..3)
+                .map(|_| {
+                    (
+                        cycles * rng.random_range(0.3..1.5),
+                        rng.random_range(0.0..TAU),
+                    )
+                })
+                .collect();
             let loud = rng.random_range(0.0..0.9);
-            let at =
-                |t: &f64| (1.0 + loud * (TAU * t / span).sin()) * waves.iter().map(|(f, p)| (TAU * f * t / span + p).sin()).sum::<f64>();
+            let at = |t: &f64| {
+                (1.0 + loud * (TAU * t / span).sin())
+                    * waves
+                        .iter()
+                        .map(|(f, p)| (TAU * f * t / span + p).sin())
+                        .sum::<f64>()
+            };
             t.iter().map(at).collect()
         }
-        1 => t.iter().map(|t| (cycles * t / span).fract()).map(|phase| (2.0 * phase - 1.0).abs()).collect(),
+        1 => t
+            .iter()
+            .map(|t| (cycles * t / span).fract())
+            .map(|phase| (2.0 * phase - 1.0).abs())
+            .collect(),
         kind => {
             let (mut now, mut target, mut left, mut speed) = (0.0, 0.0f64, 0, 1.0f64);
             let length = (t.len() as f64 / cycles / 2.0).max(4.0);
             let mut smooth = 0.0;
             let step = |_: &f64| {
                 if left == 0 {
-                    (target, left) = (rng.random_range(-1.0..1.0), (length * rng.random_range(0.3..1.7)) as usize + 1);
+                    (target, left) = (
+                        rng.random_range(-1.0..1.0),
+                        (length * rng.random_range(0.3..1.7)) as usize + 1,
+                    );
                     speed = 2.0 / length * rng.random_range(0.7..3.0);
                 }
                 left -= 1;
-                now = if kind == 2 { target } else { now + (target - now).clamp(-speed, speed) };
+                now = if kind == 2 {
+                    target
+                } else {
+                    now + (target - now).clamp(-speed, speed)
+                };
                 smooth += (now - smooth) * if kind == 3 { 4.0 / length } else { 1.0 };
                 smooth
             };
@@ -54,7 +77,10 @@ pub fn walk(rows: usize, rng: &mut StdRng) -> Vec<f64> {
 /// linear one is 1.
 pub fn ringing(u: &[f64], [a, b]: [f64; 2], wh: f64, zeta: f64) -> Vec<f64> {
     const ITERATIONS: usize = 6;
-    let gain = 1.0 / oscillator(u, wh, zeta).iter().fold(1e-6, |m: f64, y| m.max(y.abs()));
+    let gain = 1.0
+        / oscillator(u, wh, zeta)
+            .iter()
+            .fold(1e-6, |m: f64, y| m.max(y.abs()));
     let force = |u: f64, y: f64| gain * u - a * y * y - b * y * y * y;
     let (mut f, mut y) = (vec![gain * u[0]; 3], vec![gain * u[0]; 3]);
     for x in u {

@@ -64,12 +64,23 @@ pub fn draw(seed: u64) -> Result<Unit, MachineError> {
     let wanted = contents(catalogue(), &mut rng);
     let lab = rng.random_bool(0.5);
     let bare = Bare::draw(&mut rng);
-    let lines = bare
-        .lines
-        .map(|l| Line { k_epsilon: l.k_epsilon * rng.random_range(0.94..1.06), k_lambda_mm: l.k_lambda_mm * rng.random_range(0.9..1.1) });
+    let lines = bare.lines.map(|l| Line {
+        k_epsilon: l.k_epsilon * rng.random_range(0.94..1.06),
+        k_lambda_mm: l.k_lambda_mm * rng.random_range(0.9..1.1),
+    });
     let (schedule, background) = (rng.next_u64(), rng.next_u64());
-    let record_of = |causes| record(|noise| Ok(Described::new(bare.machine(causes), STEP_MM, noise)), &lines, schedule, true);
-    let trial_deg = difference_deg(&record_of(vec![])?, &record_of(imperfections(background, TRIAL))?);
+    let record_of = |causes| {
+        record(
+            |noise| Ok(Described::new(bare.machine(causes), STEP_MM, noise)),
+            &lines,
+            schedule,
+            true,
+        )
+    };
+    let trial_deg = difference_deg(
+        &record_of(vec![])?,
+        &record_of(imperfections(background, TRIAL))?,
+    );
     let small = TRIAL * rng.random_range(0.0..IMPERFECT_DEG) / trial_deg.max(0.1);
     let record_with = |added: &[Added]| {
         let mut causes = imperfections(background, small);
@@ -80,8 +91,16 @@ pub fn draw(seed: u64) -> Result<Unit, MachineError> {
     let mut recorded = record_with(&added)?;
     for name in wanted.iter().map(|w| w.as_ref().map(|e| e.name())) {
         for draw in 0..DRAWS {
-            let size = if draw + 1 == DRAWS { LARGEST } else { rng.random_range(0.15..1.2) };
-            added.push(Added { name, seed: rng.next_u64(), size });
+            let size = if draw + 1 == DRAWS {
+                LARGEST
+            } else {
+                rng.random_range(0.15..1.2)
+            };
+            added.push(Added {
+                name,
+                seed: rng.next_u64(),
+                size,
+            });
             let with = record_with(&added)?;
             if !recorded.hides(&with, lab) {
                 recorded = with;
@@ -96,7 +115,12 @@ pub fn draw(seed: u64) -> Result<Unit, MachineError> {
     if !lab {
         log.reference = None;
     }
-    Ok(Unit { names, lab, log, lines })
+    Ok(Unit {
+        names,
+        lab,
+        log,
+        lines,
+    })
 }
 
 /// An effect of a unit, or a law that the catalogue lacks.
@@ -115,20 +139,38 @@ struct Bare {
 
 impl Bare {
     fn draw(rng: &mut StdRng) -> Self {
-        let lines = [(); 3].map(|()| Line { k_epsilon: rng.random_range(1.8..2.9), k_lambda_mm: rng.random_range(0.3..1.2) });
-        let direction = |rng: &mut StdRng| UnitQuaternion::from_euler_angles(0.0, 0.0, rng.random_range(-3.1..3.1)) * tilt(rng);
-        let field = Vector3::new(rng.random_range(15.0..28.0), 0.0, -rng.random_range(30.0..48.0));
+        let lines = [(); 3].map(|()| Line {
+            k_epsilon: rng.random_range(1.8..2.9),
+            k_lambda_mm: rng.random_range(0.3..1.2),
+        });
+        let direction = |rng: &mut StdRng| {
+            UnitQuaternion::from_euler_angles(0.0, 0.0, rng.random_range(-3.1..3.1)) * tilt(rng)
+        };
+        let field = Vector3::new(
+            rng.random_range(15.0..28.0),
+            0.0,
+            -rng.random_range(30.0..48.0),
+        );
         let turned = direction(rng);
         let gyro_bias_rad_s = Vector3::from_fn(|_, _| rng.sample::<f64, _>(StandardNormal)) * 0.008;
         Self {
             lines,
             lag_s: rng.random_range(0.012..0.035),
-            rest: RestReadings { up: turned * Vector3::z(), field_ut: turned * field, gyro_bias_rad_s },
+            rest: RestReadings {
+                up: turned * Vector3::z(),
+                field_ut: turned * field,
+                gyro_bias_rad_s,
+            },
         }
     }
 
     fn machine(&self, causes: Vec<Cause>) -> DescribedMachine {
-        DescribedMachine::new(Geometry::default(), self.rest, &nominal_theta(&self.lines, self.lag_s), causes)
+        DescribedMachine::new(
+            Geometry::default(),
+            self.rest,
+            &nominal_theta(&self.lines, self.lag_s),
+            causes,
+        )
     }
 }
 
@@ -140,11 +182,21 @@ fn tilt(rng: &mut StdRng) -> UnitQuaternion<f64> {
 /// Small effects that every unit of this seed has.
 fn imperfections(seed: u64, size: f64) -> Vec<Cause> {
     let mut rng = StdRng::seed_from_u64(seed);
-    let mut all: Vec<Box<dyn Effect>> = catalogue().into_iter().filter(|e| !e.info().is_event() && e.name() != "contact").collect();
+    let mut all: Vec<Box<dyn Effect>> = catalogue()
+        .into_iter()
+        .filter(|e| !e.info().is_event() && e.name() != "contact")
+        .collect();
     all.shuffle(&mut rng);
-    let mut causes: Vec<Cause> = all.into_iter().take(IMPERFECT).map(|e| drawn(e, &mut rng, size)).collect();
+    let mut causes: Vec<Cause> = all
+        .into_iter()
+        .take(IMPERFECT)
+        .map(|e| drawn(e, &mut rng, size))
+        .collect();
     causes.push((Box::new(Outside::draw(&mut rng, size)), vec![]));
-    causes.push((Box::new(Outside::Acceleration(rng.random_range(ARM_M))), vec![]));
+    causes.push((
+        Box::new(Outside::Acceleration(rng.random_range(ARM_M))),
+        vec![],
+    ));
     causes
 }
 
@@ -191,7 +243,9 @@ fn parameters(e: &dyn Effect, rng: &mut StdRng, size: f64) -> Vec<f64> {
     let info = e.info();
     // half of the units have the effect in every channel, the others in some
     let all = rng.random_bool(0.5);
-    let sizes: Vec<usize> = (0..info.params.len()).filter(|&i| info.params[i].start == 0.0).collect();
+    let sizes: Vec<usize> = (0..info.params.len())
+        .filter(|&i| info.params[i].start == 0.0)
+        .collect();
     let sure = sizes.choose(rng).copied();
     let mut one = |(i, x): (usize, &Param)| {
         let z: f64 = rng.sample(StandardNormal);
@@ -233,16 +287,37 @@ mod tests {
     #[test]
     fn laws_are_deformed() {
         let mut rng = StdRng::seed_from_u64(5);
-        let lines = [Line { k_epsilon: 2.2, k_lambda_mm: 0.8 }; 3];
-        for e in catalogue().into_iter().filter(|e| !KEEP_THEIR_FORM.contains(&e.name())) {
+        let lines = [Line {
+            k_epsilon: 2.2,
+            k_lambda_mm: 0.8,
+        }; 3];
+        for e in catalogue()
+            .into_iter()
+            .filter(|e| !KEEP_THEIR_FORM.contains(&e.name()))
+        {
             let name = e.name();
-            let p: Vec<f64> =
-                e.params().iter().enumerate().map(|(i, x)| (x.start + [0.5, 0.2][i % 2] * x.scale).clamp(x.low, x.high)).collect();
-            let deformed: Box<dyn Effect> = Box::new(Deformed::new(by_name(name).unwrap(), &mut rng, DEPTH));
+            let p: Vec<f64> = e
+                .params()
+                .iter()
+                .enumerate()
+                .map(|(i, x)| (x.start + [0.5, 0.2][i % 2] * x.scale).clamp(x.low, x.high))
+                .collect();
+            let deformed: Box<dyn Effect> =
+                Box::new(Deformed::new(by_name(name).unwrap(), &mut rng, DEPTH));
             let log = |e: Box<dyn Effect>| {
-                let machine =
-                    DescribedMachine::new(Geometry::default(), RestReadings::default(), &nominal_theta(&lines, 0.02), vec![(e, p.clone())]);
-                record(|noise| Ok(Described::new(machine, STEP_MM, noise)), &lines, 7, true).unwrap()
+                let machine = DescribedMachine::new(
+                    Geometry::default(),
+                    RestReadings::default(),
+                    &nominal_theta(&lines, 0.02),
+                    vec![(e, p.clone())],
+                );
+                record(
+                    |noise| Ok(Described::new(machine, STEP_MM, noise)),
+                    &lines,
+                    7,
+                    true,
+                )
+                .unwrap()
             };
             let apart = difference_deg(&log(e), &log(deformed));
             assert!(apart > 1e-3, "{name}: {apart}");

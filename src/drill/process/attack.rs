@@ -63,11 +63,15 @@ impl Attack {
                     stream.write_all(text.as_bytes())?;
                     Ok(stream)
                 };
-                all.kept = (0..64 * sockets.len()).filter_map(|n| connect(of(n)).ok()).collect();
+                all.kept = (0..64 * sockets.len())
+                    .filter_map(|n| connect(of(n)).ok())
+                    .collect();
             }
             Self::Stop => (0..4).for_each(|_| all.repeat(connecting(stop.clone(), 0))),
             Self::Connect(keep) => (0..4).for_each(|n| all.repeat(connecting(of(n), keep))),
-            Self::Flood(text, threads) => (0..threads).for_each(|n| all.repeat(flooding(of(n), text))),
+            Self::Flood(text, threads) => {
+                (0..threads).for_each(|n| all.repeat(flooding(of(n), text)))
+            }
             Self::Hang(thread) => all.hung = Some(HungThread::suspend(daemon.pid(), thread)?),
         }
         Ok(all)
@@ -102,7 +106,9 @@ fn flooding(path: PathBuf, text: &'static str) -> impl FnMut() {
     let mut answers = vec![0u8; 65536];
     move || {
         let Some(open) = &mut stream else {
-            stream = UnixStream::connect(&path).and_then(|s| s.set_nonblocking(true).map(|()| s)).ok();
+            stream = UnixStream::connect(&path)
+                .and_then(|s| s.set_nonblocking(true).map(|()| s))
+                .ok();
             return;
         };
         let over = |result: io::Result<usize>| match result {

@@ -30,7 +30,11 @@ const ATTACKS: [(&str, Attack, bool); 16] = [
     ("stop_in_a_flood_of_stop", Attack::Stop, false),
     ("client_flood", Flood(STATUS, 8), true),
     ("client_garbage", Flood("{]\n", 8), true),
-    ("client_10_mb_line", Flood("xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx", 8), true),
+    (
+        "client_10_mb_line",
+        Flood("xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx", 8),
+        true,
+    ),
     ("stop_among_readers", Flood(SUBSCRIBE, 16), true),
     ("stop_with_a_hung_disk", Hang("state"), true),
     ("stop_with_a_hung_status_thread", Hang("status"), true),
@@ -49,7 +53,14 @@ const HUNG_COMMANDS: &str = "hung_command_thread";
 /// # Errors
 /// A service that does not start.
 pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
-    let Plan { config, program, scratch, tries, selected, .. } = *plan;
+    let Plan {
+        config,
+        program,
+        scratch,
+        tries,
+        selected,
+        ..
+    } = *plan;
     let folder = scratch.join("attacks");
     let steps_allowed = Allowance::new(config).map_err(io::Error::other)?.stopping();
     let [socket_s, line_s] = ANSWER_MAX_S;
@@ -118,12 +129,19 @@ fn one(daemon: &Daemon, attack: Attack, tries: u32, moves: bool, row: &mut Row) 
          {fed} heartbeats; {} late cycles of {}",
         status["late_cycles"], status["cycles"]
     );
-    let (in_time, steps) = ((0..2).all(|way| slowest_s[way] <= ANSWER_MAX_S[way]), row.steps_after);
+    let (in_time, steps) = (
+        (0..2).all(|way| slowest_s[way] <= ANSWER_MAX_S[way]),
+        row.steps_after,
+    );
     row.require(in_time, |row| format!("too late: {}", row.message));
-    row.require(steps <= row.steps_allowed, |_| format!("{steps} microsteps after the answer"));
+    row.require(steps <= row.steps_allowed, |_| {
+        format!("{steps} microsteps after the answer")
+    });
     // a thread that hangs for long ends the heartbeat, as it must
     let beats = fed >= expected || matches!(attack, Hang(_));
-    row.require(beats, |_| format!("{fed} heartbeats in {expected} time-outs of the watchdog"));
+    row.require(beats, |_| {
+        format!("{fed} heartbeats in {expected} time-outs of the watchdog")
+    });
     Ok(())
 }
 
@@ -174,6 +192,8 @@ fn hung_commands(daemon: &Daemon, row: &mut Row) -> io::Result<()> {
         row.message = format!("the command thread was silent for {age_s} s");
     }
     let after_s = row.detected_s;
-    row.require(after_s.is_some_and(|s| s <= 2.0), |_| format!("stopped after {after_s:?} s"));
+    row.require(after_s.is_some_and(|s| s <= 2.0), |_| {
+        format!("stopped after {after_s:?} s")
+    });
     Ok(())
 }

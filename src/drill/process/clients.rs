@@ -8,7 +8,12 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// Names of the rows.
-pub const NAMES: [&str; 4] = ["two_clients", "stream_silent", "client_dies_in_motion", "sigterm_while_bent"];
+pub const NAMES: [&str; 4] = [
+    "two_clients",
+    "stream_silent",
+    "client_dies_in_motion",
+    "sigterm_while_bent",
+];
 
 /// Longest time until a tip that brakes accepts another motion, s.
 const BRAKED_MAX_S: f64 = 1.0;
@@ -17,7 +22,11 @@ const BRAKED_MAX_S: f64 = 1.0;
 pub fn rows(program: &Path, folder: &Path) -> io::Result<Vec<Row>> {
     let daemon = Daemon::start(program, folder)?;
     daemon.take_off()?;
-    let mut rows = vec![two_clients(&daemon)?, dead_man(&daemon)?, abandoned(&daemon)?];
+    let mut rows = vec![
+        two_clients(&daemon)?,
+        dead_man(&daemon)?,
+        abandoned(&daemon)?,
+    ];
     let (success, took_s) = daemon.end()?;
     let requires = "the tip returns to rest, then the service ends with success";
     let mut row = Row::new(NAMES[3], requires).ending("relaxed");
@@ -56,11 +65,15 @@ fn two_clients(daemon: &Daemon) -> io::Result<Row> {
     let (target, estimate) = (bend_deg("target"), bend_deg("estimate"));
     let requires = "all commands are accepted, and the tip settles within 1.5° of one target";
     let mut row = row(daemon, NAMES[0], requires, started)?;
-    row.message = format!("{accepted} commands of two clients were accepted; the last one is in effect: {target:.0}°");
+    row.message = format!(
+        "{accepted} commands of two clients were accepted; the last one is in effect: {target:.0}°"
+    );
     row.error_deg_after = (target - estimate).abs();
     let meant = [30.0, 50.0].iter().any(|b| (target - b).abs() < 0.1);
     row.require(meant, |_| format!("the target is {target}°"));
-    row.require(row.error_deg_after < 1.5, |row| format!("error {:.1}°", row.error_deg_after));
+    row.require(row.error_deg_after < 1.5, |row| {
+        format!("error {:.1}°", row.error_deg_after)
+    });
     Ok(row)
 }
 
@@ -68,7 +81,17 @@ fn two_clients(daemon: &Daemon) -> io::Result<Row> {
 fn dead_man(daemon: &Daemon) -> io::Result<Row> {
     let mut client = daemon.client()?;
     let (dir_deg, length_mm, t_s) = (30.0, None, None);
-    let mut stream = |bend_deg| ask(&mut client, &Request::Stream { bend_deg, dir_deg, length_mm, t_s });
+    let mut stream = |bend_deg| {
+        ask(
+            &mut client,
+            &Request::Stream {
+                bend_deg,
+                dir_deg,
+                length_mm,
+                t_s,
+            },
+        )
+    };
     for k in 0..20 {
         stream(30.0 + f64::from(k))?;
         std::thread::sleep(Duration::from_millis(20));
@@ -80,8 +103,13 @@ fn dead_man(daemon: &Daemon) -> io::Result<Row> {
     let mut row = row(daemon, NAMES[1], requires, started)?;
     row.message = "the stream of set-points paused for too long: stopped".to_owned();
     let (after_s, bend_deg) = (row.detected_s, status["estimate"]["bend_deg"].as_f64());
-    row.require(after_s.is_some_and(|s| s < 1.0), |_| format!("stopped after {after_s:?} s"));
-    row.require(bend_deg.is_some_and(|b| b < 74.0), |_| "moved to the last set-point");
+    row.require(after_s.is_some_and(|s| s < 1.0), |_| {
+        format!("stopped after {after_s:?} s")
+    });
+    row.require(
+        bend_deg.is_some_and(|b| b < 74.0),
+        |_| "moved to the last set-point",
+    );
     Ok(row)
 }
 
@@ -90,7 +118,14 @@ fn abandoned(daemon: &Daemon) -> io::Result<Row> {
     let mut client = daemon.client()?;
     let (action, name) = (RecordAction::Start, Some("x".to_owned()));
     let owned = true;
-    ask(&mut client, &Request::Record { action, name, owned })?;
+    ask(
+        &mut client,
+        &Request::Record {
+            action,
+            name,
+            owned,
+        },
+    )?;
     let away = Request::bend(10.0, 210.0, Some(20.0));
     insist(BRAKED_MAX_S, || ask(&mut client, &away))?;
     std::thread::sleep(Duration::from_millis(1000));
@@ -99,10 +134,17 @@ fn abandoned(daemon: &Daemon) -> io::Result<Row> {
     let status = daemon.until(5.0, "the hold", |s| s["mode"] == "holding")?;
     let requires = "the tip holds within 0.5 s, before the target, and the client's recording ends";
     let mut row = row(daemon, NAMES[2], requires, started)?;
-    let ended = daemon.until(5.0, "the end of the recording", |s| s["recording"].is_null())?;
-    row.message = ended["recording_ended"].as_str().unwrap_or_default().to_owned();
+    let ended = daemon.until(5.0, "the end of the recording", |s| {
+        s["recording"].is_null()
+    })?;
+    row.message = ended["recording_ended"]
+        .as_str()
+        .unwrap_or_default()
+        .to_owned();
     let (after_s, estimate) = (row.detected_s, &status["estimate"]);
-    row.require(after_s.is_some_and(|s| s <= 0.5), |_| format!("held after {after_s:?} s"));
+    row.require(after_s.is_some_and(|s| s <= 0.5), |_| {
+        format!("held after {after_s:?} s")
+    });
     let short = estimate["bend_deg"].as_f64().is_some_and(|b| b > 20.0);
     row.require(short, |_| format!("moved on: {estimate}"));
     Ok(row)

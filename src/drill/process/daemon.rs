@@ -46,7 +46,11 @@ impl Daemon {
         let notify = UnixDatagram::bind(&notify_path)?;
         notify.set_read_timeout(Some(Duration::from_millis(50)))?;
         let socket = folder.join("control.sock");
-        let sockets = [socket.clone(), folder.join("status.sock"), paths::stop_socket(&socket)];
+        let sockets = [
+            socket.clone(),
+            folder.join("status.sock"),
+            paths::stop_socket(&socket),
+        ];
         let child = Command::new(program)
             .args(["run", "--socket"])
             .arg(&socket)
@@ -61,15 +65,26 @@ impl Daemon {
             .stdout(Stdio::null())
             .stderr(std::fs::File::create(folder.join("log"))?)
             .spawn()?;
-        let mut daemon = Self { child, notify, program: program.to_owned(), sockets };
+        let mut daemon = Self {
+            child,
+            notify,
+            program: program.to_owned(),
+            sockets,
+        };
         let started = Instant::now();
         while started.elapsed().as_secs_f64() < START_MAX_S {
-            if daemon.notification().is_some_and(|text| text.contains("READY=1")) {
+            if daemon
+                .notification()
+                .is_some_and(|text| text.contains("READY=1"))
+            {
                 return Ok(daemon);
             }
             if let Some(status) = daemon.child.try_wait()? {
                 let log = std::fs::read_to_string(folder.join("log")).unwrap_or_default();
-                return Err(io::Error::other(format!("the service ended immediately ({status}): {}", log.trim())));
+                return Err(io::Error::other(format!(
+                    "the service ended immediately ({status}): {}",
+                    log.trim()
+                )));
             }
         }
         Err(io::Error::other("the service did not become ready"))
@@ -105,15 +120,30 @@ impl Daemon {
     /// # Errors
     /// An exit code other than 0.
     pub fn command(&self, name: &str) -> io::Result<()> {
-        let out = Command::new(&self.program).args([name, "--socket"]).arg(&self.sockets[0]).stdin(Stdio::null()).output()?;
-        if out.status.success() { Ok(()) } else { Err(io::Error::other(String::from_utf8_lossy(&out.stderr).trim().to_owned())) }
+        let out = Command::new(&self.program)
+            .args([name, "--socket"])
+            .arg(&self.sockets[0])
+            .stdin(Stdio::null())
+            .output()?;
+        if out.status.success() {
+            Ok(())
+        } else {
+            Err(io::Error::other(
+                String::from_utf8_lossy(&out.stderr).trim().to_owned(),
+            ))
+        }
     }
 
     /// Polls the status until `holds`, at most for a time, s. `what` names the condition in the error.
     ///
     /// # Errors
     /// A service that does not answer, or a condition that does not come to hold.
-    pub fn until(&self, seconds: f64, what: &str, holds: impl Fn(&Value) -> bool) -> io::Result<Value> {
+    pub fn until(
+        &self,
+        seconds: f64,
+        what: &str,
+        holds: impl Fn(&Value) -> bool,
+    ) -> io::Result<Value> {
         let mut client = self.client()?;
         let started = Instant::now();
         loop {
@@ -122,7 +152,10 @@ impl Daemon {
                 return Ok(status);
             }
             if started.elapsed().as_secs_f64() > seconds {
-                return Err(io::Error::other(format!("{what}: not reached within {seconds} s; mode {}", status["mode"])));
+                return Err(io::Error::other(format!(
+                    "{what}: not reached within {seconds} s; mode {}",
+                    status["mode"]
+                )));
             }
             std::thread::sleep(Duration::from_millis(20));
         }
@@ -183,7 +216,9 @@ impl Drop for Daemon {
 /// # Errors
 /// The failure, with the name of the command.
 pub fn ask(client: &mut Client, request: &Request) -> io::Result<Value> {
-    client.request(request).map_err(|f| io::Error::other(format!("{}: {}", request.name(), f.message)))
+    client
+        .request(request)
+        .map_err(|f| io::Error::other(format!("{}: {}", request.name(), f.message)))
 }
 
 /// A client of the service at a socket.
@@ -205,7 +240,9 @@ pub fn insist<T>(seconds: f64, mut work: impl FnMut() -> io::Result<T>) -> io::R
     let started = Instant::now();
     loop {
         match work() {
-            Err(_) if started.elapsed().as_secs_f64() < seconds => std::thread::sleep(Duration::from_millis(10)),
+            Err(_) if started.elapsed().as_secs_f64() < seconds => {
+                std::thread::sleep(Duration::from_millis(10))
+            }
             result => return result,
         }
     }
@@ -213,7 +250,9 @@ pub fn insist<T>(seconds: f64, mut work: impl FnMut() -> io::Result<T>) -> io::R
 
 #[allow(unsafe_code)]
 fn signal_to(pid: u32, signal: i32) {
-    let Ok(pid) = libc::pid_t::try_from(pid) else { return };
+    let Ok(pid) = libc::pid_t::try_from(pid) else {
+        return;
+    };
     // SAFETY: kill takes two integers; the child has not been waited for, so the number is still that of the child
     unsafe { libc::kill(pid, signal) };
 }

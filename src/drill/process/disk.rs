@@ -32,7 +32,11 @@ pub fn exercise(config: &BenchConfig, folder: &Path, harm: Option<Harm>) -> io::
     work(config, folder, harm).map_err(io::Error::other)
 }
 
-fn work(config: &BenchConfig, folder: &Path, harm: Option<Harm>) -> Result<(), Box<dyn Error + Send + Sync>> {
+fn work(
+    config: &BenchConfig,
+    folder: &Path,
+    harm: Option<Harm>,
+) -> Result<(), Box<dyn Error + Send + Sync>> {
     let (mut store, _) = Store::open(folder)?;
     let mut bench = config.bench(0, 1)?;
     bench.until(10.0, |t| t.mode == Mode::Disarmed)?;
@@ -66,7 +70,11 @@ fn work(config: &BenchConfig, folder: &Path, harm: Option<Harm>) -> Result<(), B
 /// Writes the memory and prints the result.
 fn write(store: &mut Store, armed: bool, restart: RestartState) -> io::Result<bool> {
     let restart = Some(restart);
-    let written = store.write(&Memory { armed, restart, ..Memory::default() });
+    let written = store.write(&Memory {
+        armed,
+        restart,
+        ..Memory::default()
+    });
     let mut out = io::stdout().lock();
     match &written {
         Ok(sequence) => writeln!(out, "{sequence} .")?,
@@ -87,10 +95,17 @@ fn do_harm(folder: &Path, harm: Harm) -> io::Result<()> {
         Harm::ReadOnly => {
             let mut mount = Command::new("mount");
             let done = mount.args(["-o", "remount,ro"]).arg(folder).status()?;
-            if done.success() { "the disk is read-only" } else { "the remount failed" }
+            if done.success() {
+                "the disk is read-only"
+            } else {
+                "the remount failed"
+            }
         }
         Harm::Limit => {
-            let none = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
+            let none = libc::rlimit {
+                rlim_cur: 0,
+                rlim_max: 0,
+            };
             // SAFETY: the limit is a live struct that is only read; ignoring SIGXFSZ makes writes fail instead of killing
             let result = unsafe {
                 libc::signal(libc::SIGXFSZ, libc::SIG_IGN);
@@ -117,7 +132,10 @@ pub fn full(program: &Path, folder: &Path) -> io::Result<Row> {
 /// A file system that becomes read-only: the drivers are not armed any more, and nothing is lost.
 pub fn read_only(program: &Path, folder: &Path) -> io::Result<Row> {
     let mut row = harmed("read_only_fs", program, folder, Harm::ReadOnly)?;
-    row.require(!row.message.contains(" 0 writes failed"), |_| "no write failed");
+    row.require(
+        !row.message.contains(" 0 writes failed"),
+        |_| "no write failed",
+    );
     Ok(row)
 }
 
@@ -132,7 +150,10 @@ fn harmed(name: &str, program: &Path, folder: &Path, harm: Harm) -> io::Result<R
     let started = Instant::now();
     let own_file_system = |flags: &&str| {
         let mut command = Command::new("unshare");
-        command.args([flags, "sh", "-c", script, "sh"]).arg(folder).arg(program);
+        command
+            .args([flags, "sh", "-c", script, "sh"])
+            .arg(folder)
+            .arg(program);
         let out = command.arg(argument).stderr(Stdio::inherit()).output();
         out.ok().filter(|out| out.status.success())
     };
@@ -141,7 +162,11 @@ fn harmed(name: &str, program: &Path, folder: &Path, harm: Harm) -> io::Result<R
         None => {
             let drill = |option: &str, more: &[&str]| {
                 let mut command = Command::new(program);
-                command.args(["drill", option]).arg(folder).args(more).output()
+                command
+                    .args(["drill", option])
+                    .arg(folder)
+                    .args(more)
+                    .output()
             };
             let out = drill("--exercise", &["--harm", "limit"])?;
             let recall = drill("--recall", &[])?;
@@ -159,15 +184,25 @@ fn assess(name: &str, text: &str, how: &str, took_s: f64) -> Row {
     let mut row = Row::new(name, requires).ending("disarmed");
     row.detected_s = Some(took_s);
     let after = || text.lines().skip_while(|l| !l.starts_with("harm:"));
-    row.require(after().count() > 0, |_| format!("the fault was not injected: {text}"));
+    row.require(after().count() > 0, |_| {
+        format!("the fault was not injected: {text}")
+    });
     let failed: Vec<&str> = after().filter(|l| l.starts_with("failed:")).collect();
-    let written = |l: &&str| l.ends_with('.') && !l.starts_with("recalled") && !l.starts_with("failed");
+    let written =
+        |l: &&str| l.ends_with('.') && !l.starts_with("recalled") && !l.starts_with("failed");
     let acknowledged = text.lines().rfind(written);
     let recalled = text.lines().rfind(|l| l.starts_with("recalled"));
     let same = |(r, a): (&str, &str)| r.starts_with(&format!("recalled {a}"));
-    row.require(recalled.zip(acknowledged).is_some_and(same), |_| format!("acknowledged {acknowledged:?}, recalled {recalled:?}"));
-    let (kept, failures) = (after().count().saturating_sub(2 + failed.len()), failed.len());
+    row.require(recalled.zip(acknowledged).is_some_and(same), |_| {
+        format!("acknowledged {acknowledged:?}, recalled {recalled:?}")
+    });
+    let (kept, failures) = (
+        after().count().saturating_sub(2 + failed.len()),
+        failed.len(),
+    );
     let reason = failed.first().copied().unwrap_or("");
-    row.message = format!("{kept} writes succeeded and {failures} writes failed afterwards, {how}; nothing lost. {reason}");
+    row.message = format!(
+        "{kept} writes succeeded and {failures} writes failed afterwards, {how}; nothing lost. {reason}"
+    );
     row
 }

@@ -16,9 +16,19 @@ impl HungThread {
     /// No such thread, or no permission to trace it.
     pub fn suspend(pid: u32, name: &str) -> io::Result<Self> {
         let tasks = std::fs::read_dir(format!("/proc/{pid}/task"))?.flatten();
-        let numbered = tasks.filter_map(|task| Some((task.path(), task.file_name().to_str()?.parse::<u32>().ok()?)));
-        let named = |path: &Path| std::fs::read_to_string(path.join("comm")).is_ok_and(|comm| comm.trim() == name);
-        let found = numbered.into_iter().find(|(path, tid)| if name == "hub" { *tid == pid } else { named(path) });
+        let numbered = tasks.filter_map(|task| {
+            Some((task.path(), task.file_name().to_str()?.parse::<u32>().ok()?))
+        });
+        let named = |path: &Path| {
+            std::fs::read_to_string(path.join("comm")).is_ok_and(|comm| comm.trim() == name)
+        };
+        let found = numbered.into_iter().find(|(path, tid)| {
+            if name == "hub" {
+                *tid == pid
+            } else {
+                named(path)
+            }
+        });
         let tid = found.and_then(|(_, tid)| libc::pid_t::try_from(tid).ok());
         let tid = tid.ok_or_else(|| io::Error::other(format!("there is no thread `{name}`")))?;
         trace(libc::PTRACE_SEIZE, tid)?;
@@ -41,5 +51,9 @@ fn trace(request: libc::c_uint, tid: libc::pid_t) -> io::Result<()> {
     let none = std::ptr::null_mut::<libc::c_void>();
     // SAFETY: these requests take no address and no data
     let result = unsafe { libc::ptrace(request, tid, none, none) };
-    if result < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
+    if result < 0 {
+        Err(io::Error::last_os_error())
+    } else {
+        Ok(())
+    }
 }

@@ -59,7 +59,14 @@ impl Damage {
 
 /// One row for each damage, which is done to a copy of the memory after each of the kills.
 pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
-    let Plan { config, program, scratch, kills, selected, .. } = *plan;
+    let Plan {
+        config,
+        program,
+        scratch,
+        kills,
+        selected,
+        ..
+    } = *plan;
     let folder = &scratch.join("kill");
     let mut rows: Vec<(Damage, Row, [u32; 3])> = Vec::new();
     for (damage, name) in Damage::ALL.into_iter().filter(|(_, name)| selected(name)) {
@@ -76,7 +83,10 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
         let paths = SLOTS.map(|name| folder.join(name));
         let slots = [std::fs::read(&paths[0])?, std::fs::read(&paths[1])?];
         for (damage, row, count) in &mut rows {
-            for (path, slot) in paths.iter().zip(damage.apply(slots.clone(), n as usize % 2)) {
+            for (path, slot) in paths
+                .iter()
+                .zip(damage.apply(slots.clone(), n as usize % 2))
+            {
                 std::fs::write(path, slot)?;
             }
             let started = Instant::now();
@@ -88,9 +98,13 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
                 // the kill may have torn a write, or cut its acknowledgement
                 let newest = (acknowledged..=acknowledged + 1).contains(&recall.sequence);
                 let recalled = recall.sequence;
-                row.require(recall.found == Found::Damaged || newest, |_| format!("kill {n}: recalled {recalled} after {acknowledged}"));
+                row.require(recall.found == Found::Damaged || newest, |_| {
+                    format!("kill {n}: recalled {recalled} after {acknowledged}")
+                });
             } else {
-                row.require(Belief::in_recall(&recall) == Belief::Lost, |_| format!("kill {n}: a damaged memory is believed"));
+                row.require(Belief::in_recall(&recall) == Belief::Lost, |_| {
+                    format!("kill {n}: a damaged memory is believed")
+                });
             }
             count[match start_at_rest(config, &recall, row, n).map_err(io::Error::other)? {
                 Mode::Disarmed => 0,
@@ -100,7 +114,9 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
         }
     }
     let concluded = |(_, mut row, [believed, lost, undecided]): (Damage, Row, [u32; 3])| {
-        row.require(undecided == 0, |_| format!("{undecided} starts came to no decision"));
+        row.require(undecided == 0, |_| {
+            format!("{undecided} starts came to no decision")
+        });
         row.message = format!("believed after {believed} kills, lost after {lost}");
         row
     };
@@ -109,12 +125,22 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
 
 /// Starts a supervisor from the memory on a machine whose pistons are at rest. It must not move, and what it believes must
 /// be true. Returns its mode.
-fn start_at_rest(config: &BenchConfig, recall: &Recall, row: &mut Row, n: u32) -> Result<Mode, MachineError> {
+fn start_at_rest(
+    config: &BenchConfig,
+    recall: &Recall,
+    row: &mut Row,
+    n: u32,
+) -> Result<Mode, MachineError> {
     let machine = FaultyMachine::new(config.sim(0, 3)?, &config.board.drive_limits());
     let memory = recall.memory.clone().unwrap_or_default();
     let belief = Belief::in_recall(recall);
     let (supervisor, restart) = (config.supervisor(machine.info()), memory.restart);
-    let start = Start { config: supervisor, restart, belief, unverified: false };
+    let start = Start {
+        config: supervisor,
+        restart,
+        belief,
+        unverified: false,
+    };
     let mut bench: Bench = config.bench_on(machine, None, 0.0);
     bench.runner = Runner::new(bench.runner.machine, start.supervisor());
     let output = bench.run(3.0)?;
@@ -123,12 +149,16 @@ fn start_at_rest(config: &BenchConfig, recall: &Recall, row: &mut Row, n: u32) -
     let remembered = memory.restart.map_or([0; 3], |r| r.steps.0);
     let steps = distance(&output.counted.0, &remembered);
     row.steps_after += steps;
-    row.require(steps == 0, |_| format!("kill {n}: moved by {steps} microsteps at the restart"));
+    row.require(steps == 0, |_| {
+        format!("kill {n}: moved by {steps} microsteps at the restart")
+    });
     if output.mode == Mode::Disarmed {
         let radius_mm = bench.runner.supervisor.config().tick.geometry.r_mm;
         let false_mm = recounted.bend_rad[0].hypot(recounted.bend_rad[1]) * radius_mm;
         row.error_deg_after = row.error_deg_after.max((false_mm / radius_mm).to_degrees());
-        row.require(false_mm <= BELIEVED_MAX_MM, |_| format!("kill {n}: {false_mm:.2} mm are believed falsely"));
+        row.require(false_mm <= BELIEVED_MAX_MM, |_| {
+            format!("kill {n}: {false_mm:.2} mm are believed falsely")
+        });
     }
     Ok(output.mode)
 }
@@ -152,6 +182,8 @@ fn kill_after(program: &Path, folder: &Path, after: Duration) -> io::Result<u64>
     child.wait()?;
     // a line without its end was cut by the kill and is not an acknowledgement
     let all = first.into_iter().chain(lines.map_while(Result::ok));
-    let last = all.filter_map(|line| line.strip_suffix(" .")?.parse().ok()).last();
+    let last = all
+        .filter_map(|line| line.strip_suffix(" .")?.parse().ok())
+        .last();
     last.ok_or(io::Error::other("the exercise wrote nothing"))
 }

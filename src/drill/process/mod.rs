@@ -26,7 +26,13 @@ use std::path::Path;
 /// # Errors
 /// The operating system's, if the service of the client rows cannot be started.
 pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
-    let Plan { config, program, scratch, selected, .. } = *plan;
+    let Plan {
+        config,
+        program,
+        scratch,
+        selected,
+        ..
+    } = *plan;
     let folder = |name: &str| scratch.join(name);
     type Single<'a> = (&'static str, &'a dyn Fn(&Path) -> io::Result<Row>);
     let single: [Single<'_>; 6] = [
@@ -34,8 +40,12 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
         ("disk_full", &|folder| disk::full(program, folder)),
         ("read_only_fs", &|folder| disk::read_only(program, folder)),
         ("restart_while_bent", &|_| restart::while_bent(config)),
-        ("stale_calibration", &|folder| restart::stale(program, folder)),
-        ("wrong_board_file", &|folder| restart::wrong_board(program, folder)),
+        ("stale_calibration", &|folder| {
+            restart::stale(program, folder)
+        }),
+        ("wrong_board_file", &|folder| {
+            restart::wrong_board(program, folder)
+        }),
     ];
     let mut rows = Vec::new();
     for (name, run) in single.into_iter().filter(|(name, _)| selected(name)) {

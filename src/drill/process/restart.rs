@@ -20,7 +20,8 @@ pub fn distance(a: &[i32; 3], b: &[i32; 3]) -> i64 {
 /// SIGSTOP during a move: the heartbeat stops, the manager kills the service and starts it again, and the new service, whose
 /// plant begins at rest, does not move before `arm`.
 pub fn stopped(program: &Path, folder: &Path) -> io::Result<Row> {
-    let requires = "the heartbeat stops; the next service is disarmed, at rest, and moves only after `arm`";
+    let requires =
+        "the heartbeat stops; the next service is disarmed, at rest, and moves only after `arm`";
     let mut row = Row::new("sigstop", requires);
     let daemon = Daemon::start(program, folder)?;
     daemon.take_off()?;
@@ -46,13 +47,24 @@ pub fn stopped(program: &Path, folder: &Path) -> io::Result<Row> {
     let decided = |s: &Value| s["mode"] != "aligning" && s["mode"] != "boot";
     let status = again.until(15.0, "a decision", decided)?;
     row.state = mode_of(&status);
-    row.require(row.state == "disarmed", |row| format!("mode {} although the plant started at rest", row.state));
+    row.require(row.state == "disarmed", |row| {
+        format!("mode {} although the plant started at rest", row.state)
+    });
     let counted = &status["counted"];
-    row.require(*counted == json!([0, 0, 0]), |_| format!("the pistons are counted at {counted}"));
+    row.require(*counted == json!([0, 0, 0]), |_| {
+        format!("the pistons are counted at {counted}")
+    });
     let bend = Request::bend(20.0, 0.0, None);
-    row.message = again.client()?.request(&bend).err().map(|refusal| refusal.message).unwrap_or_default();
+    row.message = again
+        .client()?
+        .request(&bend)
+        .err()
+        .map(|refusal| refusal.message)
+        .unwrap_or_default();
     let named = row.message.contains("arm");
-    row.require(named, |row| format!("`bend` was answered with `{}`", row.message));
+    row.require(named, |row| {
+        format!("`bend` was answered with `{}`", row.message)
+    });
     let (success, _) = again.end()?;
     row.require(success, |_| "the service did not end with success");
     Ok(row)
@@ -79,7 +91,12 @@ pub fn while_bent(config: &BenchConfig) -> io::Result<Row> {
 }
 
 /// Restarts the supervisor of a bent tip, which may have been `moved`.
-fn restart_bent(config: &BenchConfig, before: Bench, moved: bool, row: &mut Row) -> Result<(), MachineError> {
+fn restart_bent(
+    config: &BenchConfig,
+    before: Bench,
+    moved: bool,
+    row: &mut Row,
+) -> Result<(), MachineError> {
     let (restart, now_s) = (before.runner.supervisor.keep(), before.now_s);
     let mut machine = before.runner.machine;
     if moved {
@@ -96,7 +113,9 @@ fn restart_bent(config: &BenchConfig, before: Bench, moved: bool, row: &mut Row)
     let stood = output.steps == restart.steps && steps == 0;
     row.require(stood, |_| format!("moved by {steps} microsteps"));
     let (mode, expected) = (output.mode, if moved { Mode::Lost } else { Mode::Disarmed });
-    row.require(mode == expected, |_| format!("mode {mode} instead of {expected}"));
+    row.require(mode == expected, |_| {
+        format!("mode {mode} instead of {expected}")
+    });
     if !moved {
         row.detected_s = Some(bench.now_s - now_s - 1.0);
     }
@@ -110,7 +129,9 @@ fn restart_bent(config: &BenchConfig, before: Bench, moved: bool, row: &mut Row)
     bench.turn(Some(bend(35.0, 150.0)))?;
     bench.run(3.0)?;
     let error_deg = bench.error_deg(35.0, 150.0);
-    row.require(error_deg < 2.5, |_| format!("error {error_deg:.1}° after the restart"));
+    row.require(error_deg < 2.5, |_| {
+        format!("error {error_deg:.1}° after the restart")
+    });
     row.error_deg_after = error_deg;
     Ok(())
 }
@@ -119,26 +140,53 @@ fn restart_bent(config: &BenchConfig, before: Bench, moved: bool, row: &mut Row)
 pub fn stale(program: &Path, folder: &Path) -> io::Result<Row> {
     let text = "[transmission]\nk_epsilon = [2.2, 2.5, 2.2]\nk_lambda_mm = [0.9, 0.9, 0.8]\ntip = \"A-17\"\n";
     let row = Row::new("stale_calibration", REFUSED);
-    refused_start(program, folder, row, &["--tip", "B-3", "--calib"], text, &["A-17", "B-3"])
+    refused_start(
+        program,
+        folder,
+        row,
+        &["--tip", "B-3", "--calib"],
+        text,
+        &["A-17", "B-3"],
+    )
 }
 
 /// An invalid board file.
 pub fn wrong_board(program: &Path, folder: &Path) -> io::Result<Row> {
     let text = "[limits]\ntravel_mm = 3000.0\n\n[plant]\n";
     let row = Row::new("wrong_board_file", REFUSED);
-    refused_start(program, folder, row, &["--board"], text, &["limits.travel_mm", "line 2"])
+    refused_start(
+        program,
+        folder,
+        row,
+        &["--board"],
+        text,
+        &["limits.travel_mm", "line 2"],
+    )
 }
 
-const REFUSED: &str = "the start is refused with exit code 2 and a message that names the mend; no socket is created";
+const REFUSED: &str =
+    "the start is refused with exit code 2 and a message that names the mend; no socket is created";
 
 /// Starts the service with a file that it must refuse with exit code 2, with a message that contains `parts`.
-fn refused_start(program: &Path, folder: &Path, row: Row, options: &[&str], text: &str, parts: &[&str]) -> io::Result<Row> {
+fn refused_start(
+    program: &Path,
+    folder: &Path,
+    row: Row,
+    options: &[&str],
+    text: &str,
+    parts: &[&str],
+) -> io::Result<Row> {
     std::fs::create_dir_all(folder)?;
     let (file, socket) = (folder.join("file.toml"), folder.join("control.sock"));
     std::fs::write(&file, text)?;
     let started = Instant::now();
     let mut command = Command::new(program);
-    command.arg("run").args(options).arg(&file).arg("--socket").arg(&socket);
+    command
+        .arg("run")
+        .args(options)
+        .arg(&file)
+        .arg("--socket")
+        .arg(&socket);
     let out = command.arg("--state").arg(folder.join("state")).output()?;
     let mut row = row.ending("refused");
     row.detected_s = Some(started.elapsed().as_secs_f64());
@@ -147,7 +195,9 @@ fn refused_start(program: &Path, folder: &Path, row: Row, options: &[&str], text
     let is_frame = |word: &&str| word.chars().all(|c| "│╰╭─×·▶".contains(c));
     let words: Vec<&str> = stderr.split_whitespace().filter(|w| !is_frame(w)).collect();
     row.message = words.join(" ");
-    row.require(out.status.code() == Some(2), |_| format!("ended with {}", out.status));
+    row.require(out.status.code() == Some(2), |_| {
+        format!("ended with {}", out.status)
+    });
     row.require(!socket.exists(), |_| "the socket was created");
     let complete = parts.iter().all(|p| row.message.contains(p));
     row.require(complete, |row| format!("the message is `{}`", row.message));

@@ -99,7 +99,11 @@ impl Spread {
         self.sum_sq += before.dot(&(v - self.mean));
     }
     fn sigma(&self) -> f64 {
-        if self.n < 2 { 0.0 } else { (self.sum_sq / (3.0 * f64::from(self.n - 1))).sqrt() }
+        if self.n < 2 {
+            0.0
+        } else {
+            (self.sum_sq / (3.0 * f64::from(self.n - 1))).sqrt()
+        }
     }
 }
 
@@ -123,7 +127,10 @@ impl AlignState {
             return None;
         }
         if let Some(reason) = self.motion(config, sample) {
-            *self = Self { refused: Some(reason), ..Self::default() };
+            *self = Self {
+                refused: Some(reason),
+                ..Self::default()
+            };
         }
         let start_s = *self.start_s.get_or_insert(sample.t.0);
         self.repeated += u32::from(self.gyro.n > 0 && sample.gyro_rad_s == self.last_gyro);
@@ -134,7 +141,8 @@ impl AlignState {
             self.mag.add(m);
         }
         let duration_s = sample.t.0 - start_s;
-        (duration_s >= config.window_s && self.gyro.n >= SAMPLES_MIN).then(|| self.result(duration_s))
+        (duration_s >= config.window_s && self.gyro.n >= SAMPLES_MIN)
+            .then(|| self.result(duration_s))
     }
 
     fn motion(&self, config: &AlignConfig, sample: &ImuSample) -> Option<NotStill> {
@@ -187,7 +195,9 @@ mod tests {
     #[test]
     fn a_still_window_gives_bias_gravity_and_field() {
         let (config, mut state) = (AlignConfig::default(), AlignState::default());
-        let a = (0..1000).find_map(|i| state.add(&config, &sample(i, 0.0))).unwrap();
+        let a = (0..1000)
+            .find_map(|i| state.add(&config, &sample(i, 0.0)))
+            .unwrap();
         assert!((a.gyro_bias_rad_s - Vector3::new(0.01, 0.0, -0.02)).norm() < 1e-4);
         assert!((a.acc_rest_m_s2.y - 3.0).abs() < 1e-12);
         assert_eq!(a.mag_rest_ut, Some(Vector3::new(20.0, 0.0, -40.0)));
@@ -203,7 +213,9 @@ mod tests {
         }
         assert!(state.add(&config, &sample(300, 0.5)).is_none());
         assert_eq!(state.refused, Some(NotStill::Turning));
-        let a = (301..1000).find_map(|i| state.add(&config, &sample(i, 0.0))).unwrap();
+        let a = (301..1000)
+            .find_map(|i| state.add(&config, &sample(i, 0.0)))
+            .unwrap();
         assert!(a.samples > 300);
     }
 

@@ -31,7 +31,10 @@ pub struct BaseTurn {
 impl BaseTurn {
     /// A base that has not moved.
     pub fn none() -> Self {
-        Self { r_rest_now: UnitQuaternion::identity(), rate_rad_s: Vector3::zeros() }
+        Self {
+            r_rest_now: UnitQuaternion::identity(),
+            rate_rad_s: Vector3::zeros(),
+        }
     }
 }
 
@@ -105,7 +108,13 @@ const COMPARED_RAD_S: f64 = 0.1;
 
 impl BaseTracker {
     /// Processes a sample. `tip_up` is the mean specific force of the tip during its alignment, once complete.
-    pub fn update(&mut self, config: &BaseConfig, align: &AlignConfig, sample: &ImuSample, tip_up: Option<&Vector3<f64>>) {
+    pub fn update(
+        &mut self,
+        config: &BaseConfig,
+        align: &AlignConfig,
+        sample: &ImuSample,
+        tip_up: Option<&Vector3<f64>>,
+    ) {
         if !sample.is_finite() {
             return;
         }
@@ -142,13 +151,22 @@ impl BaseTracker {
 
     /// The rotation since alignment, in the axes of the tip's IMU during alignment.
     pub fn turn(&self) -> BaseTurn {
-        let (Self::Following(f) | Self::Lost(f)) = self else { return BaseTurn::none() };
-        BaseTurn { r_rest_now: f.to_tip * f.q_rest_now * f.to_tip.inverse(), rate_rad_s: f.to_tip * f.rate_rad_s }
+        let (Self::Following(f) | Self::Lost(f)) = self else {
+            return BaseTurn::none();
+        };
+        BaseTurn {
+            r_rest_now: f.to_tip * f.q_rest_now * f.to_tip.inverse(),
+            rate_rad_s: f.to_tip * f.rate_rad_s,
+        }
     }
 
     /// The alignment, once complete.
     pub fn rest(&self) -> Option<&Alignment> {
-        if let Self::Following(f) | Self::Lost(f) = self { Some(&f.rest) } else { None }
+        if let Self::Following(f) | Self::Lost(f) = self {
+            Some(&f.rest)
+        } else {
+            None
+        }
     }
 
     /// True while a base IMU is present and aligned.
@@ -171,8 +189,10 @@ impl BaseTracker {
 
 impl Follow {
     fn new(config: &BaseConfig, rest: &Alignment, tip_up: &Vector3<f64>, t_s: f64) -> Self {
-        let mount = UnitQuaternion::from_scaled_axis(Vector3::from(config.mount_deg).map(f64::to_radians));
-        let level = UnitQuaternion::rotation_between(&(mount * rest.acc_rest_m_s2), tip_up).unwrap_or_default();
+        let mount =
+            UnitQuaternion::from_scaled_axis(Vector3::from(config.mount_deg).map(f64::to_radians));
+        let level = UnitQuaternion::rotation_between(&(mount * rest.acc_rest_m_s2), tip_up)
+            .unwrap_or_default();
         Self {
             rest: *rest,
             bias_rad_s: rest.gyro_bias_rad_s,
@@ -189,9 +209,11 @@ impl Follow {
         if rate.norm() < COMPARED_RAD_S {
             return;
         }
-        let information = self.mount_variance * dt_s / (self.mount_variance * rate.norm_squared() * dt_s + RATE_VARIANCE);
+        let information = self.mount_variance * dt_s
+            / (self.mount_variance * rate.norm_squared() * dt_s + RATE_VARIANCE);
         let found = rate.cross(&(tip_rate_rad_s - rate)) * information;
-        self.to_tip = UnitQuaternion::from_scaled_axis(found.cap_magnitude(MOUNT_SIGMA_RAD)) * self.to_tip;
+        self.to_tip =
+            UnitQuaternion::from_scaled_axis(found.cap_magnitude(MOUNT_SIGMA_RAD)) * self.to_tip;
         // two of the three axes have been seen
         self.mount_variance *= 1.0 - 2.0 / 3.0 * information * rate.norm_squared();
     }
@@ -203,7 +225,8 @@ impl Follow {
         let usable = intake::usable(sample);
         if let Some(acc) = usable.acc_m_s2 {
             let predicted = self.q_rest_now.inverse() * self.rest.acc_rest_m_s2;
-            self.q_rest_now *= UnitQuaternion::rotation_between(&acc, &predicted).unwrap_or_default();
+            self.q_rest_now *=
+                UnitQuaternion::rotation_between(&acc, &predicted).unwrap_or_default();
         }
         if let (Some(mag), Some(rest)) = (usable.mag_ut, self.rest.mag_rest_ut) {
             let up = self.q_rest_now.inverse() * self.rest.acc_rest_m_s2.normalize();
@@ -220,13 +243,19 @@ impl Follow {
         };
         self.last_t_s = sample.t.0;
         let usable = intake::usable(sample);
-        let Some(gyro) = usable.gyro_rad_s else { return };
+        let Some(gyro) = usable.gyro_rad_s else {
+            return;
+        };
         self.rate_rad_s = gyro - self.bias_rad_s;
         let mut correction = Vector3::zeros();
         if let Some(acc) = usable.acc_m_s2 {
             correction += self.misfit(&acc, &self.rest.acc_rest_m_s2) / config.gravity_time_s;
         }
-        if let (Some(mag), Some(rest), true) = (usable.mag_ut, self.rest.mag_rest_ut, config.field_time_s > 0.0) {
+        if let (Some(mag), Some(rest), true) = (
+            usable.mag_ut,
+            self.rest.mag_rest_ut,
+            config.field_time_s > 0.0,
+        ) {
             // only the component about the vertical: the field must not change the tilt
             let up = self.q_rest_now.inverse() * self.rest.acc_rest_m_s2.normalize();
             correction += up * (self.misfit(&mag, &rest).dot(&up) / config.field_time_s);
@@ -254,7 +283,8 @@ impl Follow {
         self.window.length_s += dt_s;
         if self.window.length_s >= WINDOW_S {
             if let Some(before) = self.before.replace(self.window) {
-                self.bias_rad_s += before.turn_rad / before.length_s * intake::share(before.length_s, BIAS_TAU_S);
+                self.bias_rad_s +=
+                    before.turn_rad / before.length_s * intake::share(before.length_s, BIAS_TAU_S);
             }
             self.window = Window::default();
         }
@@ -280,39 +310,76 @@ mod tests {
     #[test]
     fn a_rotation_is_tracked_in_the_axes_of_the_tip() {
         // mounted a quarter turn about the vertical away from the tip IMU
-        let config = BaseConfig { mount_deg: [0.0, 0.0, 90.0], ..BaseConfig::default() };
-        let tip_up = UnitQuaternion::from_scaled_axis(Vector3::z() * std::f64::consts::FRAC_PI_2) * Vector3::new(2.0, 1.0, 9.5);
+        let config = BaseConfig {
+            mount_deg: [0.0, 0.0, 90.0],
+            ..BaseConfig::default()
+        };
+        let tip_up = UnitQuaternion::from_scaled_axis(Vector3::z() * std::f64::consts::FRAC_PI_2)
+            * Vector3::new(2.0, 1.0, 9.5);
         let (mut base, axis) = (BaseTracker::default(), Vector3::new(0.6, 0.0, 0.8));
         assert!(!base.follows());
         let (mut q, dt) = (UnitQuaternion::identity(), 0.002);
         for k in 0..10_000 {
             let t = f64::from(k) * dt;
-            let rate = if (5.0..6.0).contains(&t) { axis * 10f64.to_radians() } else { Vector3::zeros() };
+            let rate = if (5.0..6.0).contains(&t) {
+                axis * 10f64.to_radians()
+            } else {
+                Vector3::zeros()
+            };
             q *= UnitQuaternion::from_scaled_axis(rate * dt);
-            base.update(&config, &AlignConfig::default(), &sample(t, &q, rate), Some(&tip_up));
+            base.update(
+                &config,
+                &AlignConfig::default(),
+                &sample(t, &q, rate),
+                Some(&tip_up),
+            );
             if k == 2000 {
                 assert!(base.follows() && base.turn().r_rest_now.angle().to_degrees() < 0.05);
             }
         }
         let truth = Vector3::new(0.0, 0.6, 0.8) * 10f64.to_radians();
-        assert!((base.turn().r_rest_now.scaled_axis() - truth).norm().to_degrees() < 0.1, "{base:?}");
+        assert!(
+            (base.turn().r_rest_now.scaled_axis() - truth)
+                .norm()
+                .to_degrees()
+                < 0.1,
+            "{base:?}"
+        );
         base.restart();
         assert_eq!(base.turn(), BaseTurn::none());
     }
 
     /// A base that stands for 5 s and then swings about two axes, with the tip's IMU alike; the tracker at the end.
-    fn swung(mount: &UnitQuaternion<f64>, lost: impl Fn(f64) -> bool, compares: bool) -> (BaseTracker, UnitQuaternion<f64>) {
-        let (config, mut base, mut q, dt) = (BaseConfig::default(), BaseTracker::default(), UnitQuaternion::identity(), 0.002);
+    fn swung(
+        mount: &UnitQuaternion<f64>,
+        lost: impl Fn(f64) -> bool,
+        compares: bool,
+    ) -> (BaseTracker, UnitQuaternion<f64>) {
+        let (config, mut base, mut q, dt) = (
+            BaseConfig::default(),
+            BaseTracker::default(),
+            UnitQuaternion::identity(),
+            0.002,
+        );
         for k in 0..10_000 {
             let t = f64::from(k) * dt;
-            let swing = if t > 5.0 { Vector3::new(0.5 * t.cos(), 0.3 * (1.7 * t).sin(), 0.4 * (0.6 * t).cos()) } else { Vector3::zeros() };
+            let swing = if t > 5.0 {
+                Vector3::new(0.5 * t.cos(), 0.3 * (1.7 * t).sin(), 0.4 * (0.6 * t).cos())
+            } else {
+                Vector3::zeros()
+            };
             q *= UnitQuaternion::from_scaled_axis(swing * dt);
             if lost(t) {
                 base.lose();
                 continue;
             }
             let seen = sample(t, &(q * mount), mount.inverse() * swing);
-            base.update(&config, &AlignConfig::default(), &seen, Some(&Vector3::new(2.0, 1.0, 9.5)));
+            base.update(
+                &config,
+                &AlignConfig::default(),
+                &seen,
+                Some(&Vector3::new(2.0, 1.0, 9.5)),
+            );
             if compares && t > 5.0 {
                 base.compare(&swing, dt);
             }
@@ -327,14 +394,23 @@ mod tests {
             let (base, q) = swung(&mount, |_| false, compares);
             base.turn().r_rest_now.angle_to(&q).to_degrees()
         };
-        assert!(error(true) < 0.5 && error(true) < error(false), "{} {}", error(true), error(false));
+        assert!(
+            error(true) < 0.5 && error(true) < error(false),
+            "{} {}",
+            error(true),
+            error(false)
+        );
     }
 
     #[test]
     fn a_lost_imu_keeps_its_turn_and_comes_back_by_gravity_and_field() {
         let none = UnitQuaternion::identity();
         let (base, _) = swung(&none, |t| t > 10.0, false);
-        assert!(!base.follows() && base.turn().rate_rad_s == Vector3::zeros() && base.turn().r_rest_now != none);
+        assert!(
+            !base.follows()
+                && base.turn().rate_rad_s == Vector3::zeros()
+                && base.turn().r_rest_now != none
+        );
         let (base, q) = swung(&none, |t| (10.0..15.0).contains(&t), false);
         assert!(base.follows() && base.turn().r_rest_now.angle_to(&q).to_degrees() < 1.0);
     }

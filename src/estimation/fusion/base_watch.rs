@@ -56,7 +56,9 @@ parameters! {
 impl WatchConfig {
     /// Largest twist per bend that is the tip's own.
     fn twist_share(&self, input: &WatchInput) -> f64 {
-        input.twist_per_bend_max.map_or(self.twist_share, |shown| self.twist_share.min(shown))
+        input
+            .twist_per_bend_max
+            .map_or(self.twist_share, |shown| self.twist_share.min(shown))
     }
 }
 
@@ -139,7 +141,10 @@ const QUIET_RAD: f64 = 0.017;
 impl Watch {
     /// Processes one tick; true when the base has moved.
     pub fn step(&mut self, config: &WatchConfig, input: &WatchInput) -> bool {
-        let (model, setpoint) = self.last.replace((input.model, input.setpoint)).unwrap_or((input.model, input.setpoint));
+        let (model, setpoint) = self
+            .last
+            .replace((input.model, input.setpoint))
+            .unwrap_or((input.model, input.setpoint));
         let path = (input.setpoint - setpoint).norm();
         let decay = |tau_s: f64| (-input.dt_s / (tau_s + 2.0 * input.response_s)).exp();
         self.path_fast = self.path_fast * decay(PATH_FAST_S) + path;
@@ -150,8 +155,10 @@ impl Watch {
         // b = (φ_y, φ_x)
         let turned = Vector2::new(phi_rate.y, phi_rate.x) * input.dt_s;
         self.follow_bend(config, input, turned, input.model - model, fade);
-        self.sway.step(&input.estimate, phi_rate.z * input.dt_s, input.dt_s);
-        let held = (self.path_fast <= CONSTANT_RAD).then(|| (turned - (input.model - model), input.model - input.estimate));
+        self.sway
+            .step(&input.estimate, phi_rate.z * input.dt_s, input.dt_s);
+        let held = (self.path_fast <= CONSTANT_RAD)
+            .then(|| (turned - (input.model - model), input.model - input.estimate));
         self.sway.hold(held, input.dt_s);
         self.exceeds(config, input)
     }
@@ -176,7 +183,14 @@ impl Watch {
         self.sway.grows()
     }
 
-    fn follow_bend(&mut self, config: &WatchConfig, input: &WatchInput, turned: Vector2<f64>, modelled: Vector2<f64>, fade: f64) {
+    fn follow_bend(
+        &mut self,
+        config: &WatchConfig,
+        input: &WatchInput,
+        turned: Vector2<f64>,
+        modelled: Vector2<f64>,
+        fade: f64,
+    ) {
         if self.path_fast > CONSTANT_RAD {
             (self.settled, self.bend, self.onset) = (false, Vector2::zeros(), Onset::None);
         } else if self.settled {
@@ -186,7 +200,11 @@ impl Watch {
                 self.onset = Onset::None;
             } else if size > onset && self.onset == Onset::None {
                 let stood = input.still_s > 2.0 * input.response_s;
-                self.onset = if stood { Onset::Unprovoked } else { Onset::Driven };
+                self.onset = if stood {
+                    Onset::Unprovoked
+                } else {
+                    Onset::Driven
+                };
             }
         } else {
             self.settled = input.remaining.norm() < config.settled_deg.to_radians();
@@ -195,7 +213,11 @@ impl Watch {
 
     fn exceeds(&mut self, config: &WatchConfig, input: &WatchInput) -> bool {
         let twist_max = config.twist_deg.to_radians() + config.twist_share(input) * self.path_slow;
-        self.twisted_s = if self.twist.abs() > twist_max { self.twisted_s + input.dt_s } else { 0.0 };
+        self.twisted_s = if self.twist.abs() > twist_max {
+            self.twisted_s + input.dt_s
+        } else {
+            0.0
+        };
         let bent = self.bend.norm() > config.bend_deg.to_radians() + self.tolerated
             && self.onset == Onset::Unprovoked
             && !self.sway.is_disturbance();
@@ -214,8 +236,12 @@ impl Watch {
         let back = self.back_s >= RETURN_AFTER_S || self.sway.is_disturbance();
         if back {
             self.back_s = 0.0;
-            self.tolerated = self.tolerated.max(SWAY_MARGIN * self.excursion).min(SWAY_MAX_RAD);
-            (self.excursion, self.bend, self.onset, self.settled) = (0.0, Vector2::zeros(), Onset::None, false);
+            self.tolerated = self
+                .tolerated
+                .max(SWAY_MARGIN * self.excursion)
+                .min(SWAY_MAX_RAD);
+            (self.excursion, self.bend, self.onset, self.settled) =
+                (0.0, Vector2::zeros(), Onset::None, false);
         }
         back
     }
@@ -253,7 +279,11 @@ mod tests {
                 model: model(t),
                 setpoint: setpoint(t),
                 remaining,
-                still_s: if model(t) == model(t - DT_S) { 1.0 } else { 0.0 },
+                still_s: if model(t) == model(t - DT_S) {
+                    1.0
+                } else {
+                    0.0
+                },
                 response_s: 0.04,
                 twist_per_bend_max: None,
                 dt_s: DT_S,
@@ -267,26 +297,68 @@ mod tests {
     }
 
     fn turn(axis: Vector3<f64>, deg: f64, over_s: f64) -> impl Fn(f64) -> Vector3<f64> {
-        move |t| if (1.0..1.0 + over_s).contains(&t) { axis * (deg.to_radians() / over_s) } else { Vector3::zeros() }
+        move |t| {
+            if (1.0..1.0 + over_s).contains(&t) {
+                axis * (deg.to_radians() / over_s)
+            } else {
+                Vector3::zeros()
+            }
+        }
     }
 
     #[test]
     fn a_base_rotation_of_ten_degrees_is_detected_about_any_axis() {
-        for axis in [Vector3::x(), Vector3::y(), Vector3::z(), Vector3::new(0.6, 0.0, 0.8), Vector3::new(0.577, -0.577, 0.577)] {
+        for axis in [
+            Vector3::x(),
+            Vector3::y(),
+            Vector3::z(),
+            Vector3::new(0.6, 0.0, 0.8),
+            Vector3::new(0.577, -0.577, 0.577),
+        ] {
             for over_s in [0.05, 0.4, 1.0] {
-                let t = flagged(turn(axis, 10.0, over_s), constant, constant, Vector2::zeros());
-                assert!(t.is_some_and(|t| t - 1.0 < 1.0), "{axis} in {over_s} s: {t:?}");
+                let t = flagged(
+                    turn(axis, 10.0, over_s),
+                    constant,
+                    constant,
+                    Vector2::zeros(),
+                );
+                assert!(
+                    t.is_some_and(|t| t - 1.0 < 1.0),
+                    "{axis} in {over_s} s: {t:?}"
+                );
             }
         }
     }
 
     #[test]
     fn creep_and_an_obstructed_tip_raise_no_flag() {
-        let creep = flagged(|_| Vector3::x() * 1.5f64.to_radians(), constant, constant, Vector2::zeros());
+        let creep = flagged(
+            |_| Vector3::x() * 1.5f64.to_radians(),
+            constant,
+            constant,
+            Vector2::zeros(),
+        );
         assert_eq!(creep, None);
         let pushing = |t: f64| Vector2::new(0.7 + 0.1 * t, 0.0);
-        assert_eq!(flagged(|_| Vector3::zeros(), pushing, constant, Vector2::new(0.02, 0.0)), None);
-        assert_eq!(flagged(turn(Vector3::y(), 10.0, 0.3), constant, constant, Vector2::new(0.2, 0.0)), None, "the loop has not settled");
+        assert_eq!(
+            flagged(
+                |_| Vector3::zeros(),
+                pushing,
+                constant,
+                Vector2::new(0.02, 0.0)
+            ),
+            None
+        );
+        assert_eq!(
+            flagged(
+                turn(Vector3::y(), 10.0, 0.3),
+                constant,
+                constant,
+                Vector2::new(0.2, 0.0)
+            ),
+            None,
+            "the loop has not settled"
+        );
     }
 
     #[test]
@@ -312,8 +384,14 @@ mod tests {
                 watch.step(&WatchConfig::default(), &input)
             })
         };
-        assert!(!flags(None), "the default limit allows 11° of twist over half a radian");
-        assert!(flags(Some(0.1)) && !flags(Some(3.0)), "a smaller estimate lowers the limit, a larger one does not raise it");
+        assert!(
+            !flags(None),
+            "the default limit allows 11° of twist over half a radian"
+        );
+        assert!(
+            flags(Some(0.1)) && !flags(Some(3.0)),
+            "a smaller estimate lowers the limit, a larger one does not raise it"
+        );
     }
 
     #[test]
@@ -321,7 +399,13 @@ mod tests {
         // 60° within a second, with a fifth of the rate as twist and half of the bend missing from the model
         let commanded = |t: f64| Vector2::new((t - 1.0).clamp(0.0, 1.0) * 1.05, 0.0);
         let half = move |t: f64| commanded(t) * 0.5;
-        let rate = |t: f64| if (1.0..2.0).contains(&t) { Vector3::new(0.0, 1.05, 0.2) } else { Vector3::zeros() };
+        let rate = |t: f64| {
+            if (1.0..2.0).contains(&t) {
+                Vector3::new(0.0, 1.05, 0.2)
+            } else {
+                Vector3::zeros()
+            }
+        };
         assert_eq!(flagged(rate, half, commanded, Vector2::zeros()), None);
     }
 }

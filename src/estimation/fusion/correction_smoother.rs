@@ -46,7 +46,11 @@ mod tests {
     fn a_correction_is_spread_and_applied_in_full() {
         let mut smoother = CorrectionSmoother::default();
         smoother.step(&Vector2::new(0.2, 0.0), 0.005);
-        assert_eq!(smoother.offset, Vector2::zeros(), "corrections pass unsmoothed while unarmed");
+        assert_eq!(
+            smoother.offset,
+            Vector2::zeros(),
+            "corrections pass unsmoothed while unarmed"
+        );
         smoother.arm();
         let (mut estimate, mut output) = (0.0, 0.0);
         for k in 0..1000 {

@@ -43,7 +43,11 @@ impl EstimatorName {
     /// The independent estimator to compare with: Madgwick, or the bend filter if Madgwick is selected.
     #[must_use]
     pub fn second(self) -> Self {
-        if self == Self::Generic(FilterName::Madgwick) { Self::Bend } else { Self::Generic(FilterName::Madgwick) }
+        if self == Self::Generic(FilterName::Madgwick) {
+            Self::Bend
+        } else {
+            Self::Generic(FilterName::Madgwick)
+        }
     }
 }
 
@@ -58,7 +62,12 @@ impl TryFrom<String> for EstimatorName {
             return Ok(Self::Bend);
         }
         let generic = name.parse().map(Self::Generic);
-        generic.map_err(|_| format!("there is no estimator \"{name}\"; use one of {}", Self::NAMES.join(", ")))
+        generic.map_err(|_| {
+            format!(
+                "there is no estimator \"{name}\"; use one of {}",
+                Self::NAMES.join(", ")
+            )
+        })
     }
 }
 
@@ -70,7 +79,10 @@ impl From<EstimatorName> for String {
 
 /// An estimator with its state; it dereferences to [`TipEstimator`].
 #[derive(Debug, Clone)]
-#[allow(clippy::large_enum_variant, reason = "lives in the state of the loop, which may not allocate")]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "lives in the state of the loop, which may not allocate"
+)]
 pub enum Estimator {
     /// The bend-constrained filter.
     Bend(BendFilter),
@@ -99,9 +111,17 @@ impl DerefMut for Estimator {
 
 impl Estimator {
     /// The named estimator, starting from the alignment, updated at most once in `period_s`.
-    pub fn new(name: EstimatorName, bend: &BendFilterConfig, alignment: &Alignment, period_s: f64) -> Self {
+    pub fn new(
+        name: EstimatorName,
+        bend: &BendFilterConfig,
+        alignment: &Alignment,
+        period_s: f64,
+    ) -> Self {
         let (imu_s, mag_s) = alignment.periods_s();
-        let periods = Periods { imu_s: imu_s.max(period_s), mag_s: mag_s.max(period_s).min(1.0) };
+        let periods = Periods {
+            imu_s: imu_s.max(period_s),
+            mag_s: mag_s.max(period_s).min(1.0),
+        };
         match name {
             EstimatorName::Bend => Self::Bend(BendFilter::new(bend, alignment)),
             EstimatorName::Generic(name) => Self::Generic(Generic::new(name, periods, alignment)),
@@ -110,7 +130,14 @@ impl Estimator {
 
     /// Restarts from an alignment during which the tip was at `bend`, 1 σ `sigma_rad`. The bend filter keeps its
     /// estimates of the sensor errors; a generic filter starts anew.
-    pub fn rebase(&mut self, name: EstimatorName, config: &BendFilterConfig, now: &Alignment, bend: Bend, sigma_rad: f64) {
+    pub fn rebase(
+        &mut self,
+        name: EstimatorName,
+        config: &BendFilterConfig,
+        now: &Alignment,
+        bend: Bend,
+        sigma_rad: f64,
+    ) {
         if let Self::Bend(f) = self {
             f.rebase(now, bend, sigma_rad);
             return;
@@ -123,6 +150,10 @@ impl Estimator {
 
     /// The bend filter, if it is the selected estimator.
     pub fn as_bend(&self) -> Option<&BendFilter> {
-        if let Self::Bend(f) = self { Some(f) } else { None }
+        if let Self::Bend(f) = self {
+            Some(f)
+        } else {
+            None
+        }
     }
 }

@@ -37,7 +37,10 @@ pub struct FieldShape {
 impl FieldShape {
     /// Shape of a field given in the world frame, µT.
     pub fn of(field_world: &Vector3<f64>) -> Self {
-        Self { strength_ut: field_world.norm(), dip_rad: (-field_world.z).atan2(field_world.xy().norm()) }
+        Self {
+            strength_ut: field_world.norm(),
+            dip_rad: (-field_world.z).atan2(field_world.xy().norm()),
+        }
     }
     fn near(&self, other: &Self) -> bool {
         (self.strength_ut - other.strength_ut).abs() < STRENGTH_SHARE * other.strength_ut
@@ -72,7 +75,11 @@ impl FieldGate {
     /// Returns the weight of its heading, 0 to 1. The first field becomes the reference.
     pub fn update(&mut self, field_world: &Vector3<f64>, turning_rad_s: f64, dt_s: f64) -> f64 {
         let now = FieldShape::of(field_world);
-        let first = Shapes { reference: now, candidate: now, candidate_s: 0.0 };
+        let first = Shapes {
+            reference: now,
+            candidate: now,
+            candidate_s: 0.0,
+        };
         let mut shapes = self.shapes.unwrap_or(first);
         self.compare(&mut shapes, &now, dt_s);
         self.update_candidate(&mut shapes, &now, turning_rad_s, dt_s);
@@ -93,7 +100,13 @@ impl FieldGate {
         }
     }
 
-    fn update_candidate(&mut self, shapes: &mut Shapes, now: &FieldShape, turning_rad_s: f64, dt_s: f64) {
+    fn update_candidate(
+        &mut self,
+        shapes: &mut Shapes,
+        now: &FieldShape,
+        turning_rad_s: f64,
+        dt_s: f64,
+    ) {
         if !now.near(&shapes.candidate) {
             (shapes.candidate, shapes.candidate_s) = (*now, 0.0);
             return;
@@ -142,7 +155,11 @@ mod tests {
         for _ in 0..200 {
             gate.update(&magnet, 0.0, 0.01);
         }
-        assert_eq!(gate.update(&magnet, 0.0, 0.01), 0.5, "the rejection is limited");
+        assert_eq!(
+            gate.update(&magnet, 0.0, 0.01),
+            0.5,
+            "the rejection is limited"
+        );
         for _ in 0..60 {
             gate.update(&EARTH, 0.0, 0.01);
         }

@@ -96,15 +96,22 @@ pub trait TipEstimator {
 /// is the shortest rotation that levels, and the heading is arbitrary.
 pub fn level(up: &Vector3<f64>, field: Option<&Vector3<f64>>) -> Rotation<World, Sensor> {
     let up = up.normalize();
-    let west = field.map(|m| up.cross(m)).and_then(|w| w.try_normalize(1e-9));
+    let west = field
+        .map(|m| up.cross(m))
+        .and_then(|w| w.try_normalize(1e-9));
     let q = match west {
         Some(west) => {
             let north = west.cross(&up);
-            let rows = nalgebra::Matrix3::from_rows(&[north.transpose(), west.transpose(), up.transpose()]);
+            let rows = nalgebra::Matrix3::from_rows(&[
+                north.transpose(),
+                west.transpose(),
+                up.transpose(),
+            ]);
             UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(rows))
         }
-        None => UnitQuaternion::rotation_between(&up, &Vector3::z())
-            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)),
+        None => UnitQuaternion::rotation_between(&up, &Vector3::z()).unwrap_or_else(|| {
+            UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
+        }),
     };
     Rotation::assert_frames(q)
 }

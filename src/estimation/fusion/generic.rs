@@ -36,16 +36,30 @@ impl Generic {
     pub fn new(name: FilterName, periods: Periods, alignment: &Alignment) -> Self {
         let mut filter = name.build(periods);
         let mag = alignment.mag_rest_ut.as_ref();
-        if let Some(field) = mag.and_then(|mag| FieldReference::from_rest(&alignment.acc_rest_m_s2, mag)) {
+        if let Some(field) =
+            mag.and_then(|mag| FieldReference::from_rest(&alignment.acc_rest_m_s2, mag))
+        {
             filter.set_field_reference(field.norm_ut, field.dip_rad);
         }
-        let still =
-            ImuSample { t: Seconds(0.0), gyro_rad_s: Vector3::zeros(), acc_m_s2: alignment.acc_rest_m_s2, mag_ut: alignment.mag_rest_ut };
+        let still = ImuSample {
+            t: Seconds(0.0),
+            gyro_rad_s: Vector3::zeros(),
+            acc_m_s2: alignment.acc_rest_m_s2,
+            mag_ut: alignment.mag_rest_ut,
+        };
         for k in 0..PRIME_STEPS {
-            filter.update(&still, PRIME_STEP_S * PRIME_SHRINK.powi((k - PRIME_STEPS / 2).max(0)));
+            filter.update(
+                &still,
+                PRIME_STEP_S * PRIME_SHRINK.powi((k - PRIME_STEPS / 2).max(0)),
+            );
         }
         let r_world_base = filter.orientation().quat();
-        Self { filter, gyro_bias_rad_s: alignment.gyro_bias_rad_s, r_world_base, r_base_tip: UnitQuaternion::identity() }
+        Self {
+            filter,
+            gyro_bias_rad_s: alignment.gyro_bias_rad_s,
+            r_world_base,
+            r_base_tip: UnitQuaternion::identity(),
+        }
     }
 
     /// Sets the bend that the tip had during the alignment.
@@ -66,7 +80,11 @@ impl TipEstimator for Generic {
             t: sample.t,
             gyro_rad_s: sample.gyro_rad_s - self.gyro_bias_rad_s,
             // a zero vector has no direction, so the filter leaves it out
-            acc_m_s2: if mask.acc { sample.acc_m_s2 } else { Vector3::zeros() },
+            acc_m_s2: if mask.acc {
+                sample.acc_m_s2
+            } else {
+                Vector3::zeros()
+            },
             mag_ut: sample.mag_ut.filter(|_| mask.mag),
         };
         self.filter.update(&masked, dt_s);
@@ -112,10 +130,24 @@ mod tests {
     fn a_bend_is_estimated_in_the_base_frame() {
         let truth = Bend::from_deg(60.0, 130.0);
         for name in FilterName::ALL {
-            for base in [UnitQuaternion::from_euler_angles(0.4, 0.9, -2.0), UnitQuaternion::from_euler_angles(2.8, 0.1, 1.0)] {
+            for base in [
+                UnitQuaternion::from_euler_angles(0.4, 0.9, -2.0),
+                UnitQuaternion::from_euler_angles(2.8, 0.1, 1.0),
+            ] {
                 let rest = alignment(&base);
-                let mut filter = Generic::new(name, Periods { imu_s: 0.002, mag_s: 0.01 }, &rest);
-                let mask = MeasurementMask { acc: true, mag: true, still: false };
+                let mut filter = Generic::new(
+                    name,
+                    Periods {
+                        imu_s: 0.002,
+                        mag_s: 0.01,
+                    },
+                    &rest,
+                );
+                let mask = MeasurementMask {
+                    acc: true,
+                    mag: true,
+                    still: false,
+                };
                 let mut before = UnitQuaternion::identity();
                 for k in 1..=1500 {
                     let t = f64::from(k) * 0.002;
@@ -123,7 +155,8 @@ mod tests {
                     let back = (base * q).inverse();
                     let sample = ImuSample {
                         t: Seconds(t),
-                        gyro_rad_s: (before.inverse() * q).scaled_axis() / 0.002 + rest.gyro_bias_rad_s,
+                        gyro_rad_s: (before.inverse() * q).scaled_axis() / 0.002
+                            + rest.gyro_bias_rad_s,
                         acc_m_s2: back * Vector3::new(0.0, 0.0, 9.81),
                         mag_ut: (k % 5 == 0).then(|| back * Vector3::new(20.0, 0.0, -40.0)),
                     };

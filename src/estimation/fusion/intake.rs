@@ -88,7 +88,11 @@ mod tests {
         assert!(good.gyro_rad_s.is_some() && good.acc_m_s2.is_some() && good.mag_ut.is_some());
         for bad in [f64::NAN, f64::INFINITY, -1e30] {
             let u = usable(&sample(bad, bad, bad));
-            assert_eq!((u.gyro_rad_s, u.acc_m_s2, u.mag_ut), (None, None, None), "{bad}");
+            assert_eq!(
+                (u.gyro_rad_s, u.acc_m_s2, u.mag_ut),
+                (None, None, None),
+                "{bad}"
+            );
         }
         assert_eq!(usable(&sample(0.0, 0.0, 40.0)).acc_m_s2, None);
         assert_eq!(usable(&sample(0.0, 9.81, 0.0)).mag_ut, None);

@@ -53,7 +53,11 @@ pub struct MadgwickConfig {
 
 impl Default for MadgwickConfig {
     fn default() -> Self {
-        Self { beta_gravity: 0.02, beta_field: 0.008, input_tau_s: 2.0 }
+        Self {
+            beta_gravity: 0.02,
+            beta_field: 0.008,
+            input_tau_s: 2.0,
+        }
     }
 }
 
@@ -76,7 +80,10 @@ pub struct Madgwick {
 impl Madgwick {
     /// A filter that levels itself with the first sample.
     pub fn new(config: MadgwickConfig) -> Self {
-        Self { config, ..Self::default() }
+        Self {
+            config,
+            ..Self::default()
+        }
     }
 
     /// Updates the bias at standstill, and the rate without it.
@@ -87,7 +94,8 @@ impl Madgwick {
         };
         match acc {
             Some(acc) if self.standstill.update(&gyro, &acc, dt_s) => {
-                self.bias += intake::share(dt_s, BIAS_STILL_TAU_S) * (self.standstill.gyro_mean_rad_s() - self.bias);
+                self.bias += intake::share(dt_s, BIAS_STILL_TAU_S)
+                    * (self.standstill.gyro_mean_rad_s() - self.bias);
             }
             Some(_) => {}
             None => self.standstill.miss(dt_s),
@@ -115,9 +123,13 @@ impl Madgwick {
     fn descend_on_gravity(&mut self, quat: UnitQuaternion<f64>, dt_s: f64) -> UnitQuaternion<f64> {
         let step = |beta| ahrs::Madgwick::new_with_quat(dt_s, beta, quat);
         let by_gyro = *step(0.0).update_gyro(&self.rate);
-        let Some(force) = self.force else { return by_gyro };
+        let Some(force) = self.force else {
+            return by_gyro;
+        };
         let mut filter = step(self.gain(self.config.beta_gravity));
-        let Ok(&levelled) = filter.update_imu(&self.rate, &force) else { return by_gyro };
+        let Ok(&levelled) = filter.update_imu(&self.rate, &force) else {
+            return by_gyro;
+        };
         if !self.standstill.standstill() && self.age_s > SETTLING_S {
             let turned = (by_gyro.inverse() * levelled).scaled_axis();
             self.bias -= turned * BIAS_MOTION_PER_S;
@@ -127,15 +139,31 @@ impl Madgwick {
     }
 
     /// Descent on the field, which corrects the heading, scaled by the weight of the gate.
-    fn descend_on_field(&self, quat: UnitQuaternion<f64>, weight: f64, dt_s: f64) -> UnitQuaternion<f64> {
-        let (Some(force), Some(field)) = (self.force, self.field) else { return quat };
-        let mut filter = ahrs::Madgwick::new_with_quat(dt_s, weight * self.gain(self.config.beta_field), quat);
-        filter.update(&Vector3::zeros(), &force, &field).copied().unwrap_or(quat)
+    fn descend_on_field(
+        &self,
+        quat: UnitQuaternion<f64>,
+        weight: f64,
+        dt_s: f64,
+    ) -> UnitQuaternion<f64> {
+        let (Some(force), Some(field)) = (self.force, self.field) else {
+            return quat;
+        };
+        let mut filter =
+            ahrs::Madgwick::new_with_quat(dt_s, weight * self.gain(self.config.beta_field), quat);
+        filter
+            .update(&Vector3::zeros(), &force, &field)
+            .copied()
+            .unwrap_or(quat)
     }
 }
 
 /// Low-pass in axes that turn with the sensor.
-fn low_pass(state: &mut Option<Vector3<f64>>, new: Option<Vector3<f64>>, turn: &UnitQuaternion<f64>, share: f64) {
+fn low_pass(
+    state: &mut Option<Vector3<f64>>,
+    new: Option<Vector3<f64>>,
+    turn: &UnitQuaternion<f64>,
+    share: f64,
+) {
     let turned = state.map(|v| turn * v);
     *state = match (turned, new) {
         (Some(v), Some(new)) => Some(v + share * (new - v)),
@@ -158,7 +186,10 @@ impl OrientationFilter for Madgwick {
         self.update_rate(usable.gyro_rad_s, usable.acc_m_s2, dt_s);
         let turn = UnitQuaternion::from_scaled_axis(-self.rate * dt_s);
         let had_north = self.field.is_some();
-        let (force_share, field_share) = (self.input_share(dt_s), self.input_share(self.field_age_s + dt_s));
+        let (force_share, field_share) = (
+            self.input_share(dt_s),
+            self.input_share(self.field_age_s + dt_s),
+        );
         self.age_s += dt_s;
         self.field_age_s += dt_s;
         low_pass(&mut self.force, usable.acc_m_s2, &turn, force_share);
@@ -182,7 +213,8 @@ impl OrientationFilter for Madgwick {
     }
 
     fn orientation(&self) -> Rotation<World, Sensor> {
-        self.quat.map_or_else(Rotation::identity, Rotation::assert_frames)
+        self.quat
+            .map_or_else(Rotation::identity, Rotation::assert_frames)
     }
 
     fn gyro_bias_rad_s(&self) -> Vector3<f64> {

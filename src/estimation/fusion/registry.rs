@@ -48,7 +48,10 @@ impl FilterName {
 
 /// A filter by value; it dereferences to [`OrientationFilter`].
 #[derive(Debug, Clone)]
-#[allow(clippy::large_enum_variant, reason = "lives in the state of the loop, which may not allocate")]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "lives in the state of the loop, which may not allocate"
+)]
 pub enum Filter {
     /// Gradient descent.
     Madgwick(Madgwick),
@@ -90,7 +93,12 @@ pub struct UnknownFilter {
 impl FromStr for FilterName {
     type Err = UnknownFilter;
     fn from_str(name: &str) -> Result<Self, UnknownFilter> {
-        Self::ALL.into_iter().find(|f| f.name() == name).ok_or_else(|| UnknownFilter { name: name.to_owned() })
+        Self::ALL
+            .into_iter()
+            .find(|f| f.name() == name)
+            .ok_or_else(|| UnknownFilter {
+                name: name.to_owned(),
+            })
     }
 }
 
@@ -104,6 +112,12 @@ mod tests {
             assert_eq!(f.name().parse(), Ok(f));
             assert_eq!(serde_json::to_string(&f).unwrap(), format!("\"{f}\""));
         }
-        assert!("kalman".parse::<FilterName>().unwrap_err().to_string().contains("madgwick, vqf, vqf-long, mekf"));
+        assert!(
+            "kalman"
+                .parse::<FilterName>()
+                .unwrap_err()
+                .to_string()
+                .contains("madgwick, vqf, vqf-long, mekf")
+        );
     }
 }

@@ -55,11 +55,24 @@ pub struct Second {
 impl Second {
     /// Starts in agreement.
     pub fn new(estimator: Estimator) -> Self {
-        Self { estimator, average: Average::default(), changed_s: 0.0, angle_rad: 0.0, disagrees: false }
+        Self {
+            estimator,
+            average: Average::default(),
+            changed_s: 0.0,
+            angle_rad: 0.0,
+            disagrees: false,
+        }
     }
 
     /// Adds a sample; true when a period is complete and the estimator has processed its mean.
-    pub fn add(&mut self, config: &SecondConfig, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, base: &BaseTurn) -> bool {
+    pub fn add(
+        &mut self,
+        config: &SecondConfig,
+        sample: &ImuSample,
+        dt_s: f64,
+        mask: MeasurementMask,
+        base: &BaseTurn,
+    ) -> bool {
         let sum = &mut self.average;
         sum.turn *= UnitQuaternion::from_scaled_axis(sample.gyro_rad_s * dt_s);
         sum.length_s += dt_s;
@@ -79,25 +92,53 @@ impl Second {
             acc_m_s2: sum.acc / f64::from(sum.acc_n.max(1)),
             mag_ut: (sum.mag_n > 0).then(|| sum.mag / f64::from(sum.mag_n)),
         };
-        let mask = MeasurementMask { acc: sum.acc_n > 0, mag: sum.mag_n > 0, ..mask };
+        let mask = MeasurementMask {
+            acc: sum.acc_n > 0,
+            mag: sum.mag_n > 0,
+            ..mask
+        };
         self.estimator.update(&mean, sum.length_s, mask, base);
         true
     }
 
     /// Restarts from one sample after a gap of `gap_s`.
-    pub fn recover(&mut self, sample: &ImuSample, gap_s: f64, mask: MeasurementMask, base: &BaseTurn) {
+    pub fn recover(
+        &mut self,
+        sample: &ImuSample,
+        gap_s: f64,
+        mask: MeasurementMask,
+        base: &BaseTurn,
+    ) {
         self.average = Average::default();
         self.estimator.recover(sample, gap_s, mask, base);
     }
 
     /// Compares with the selected estimator once per period. `up` is the specific force during alignment, `field`
     /// is true if the heading can be compared, `rate_rad_s` the angular rate of the tip.
-    pub fn compare(&mut self, config: &SecondConfig, first: &dyn TipEstimator, up: &Vector3<f64>, field: bool, rate_rad_s: f64) {
-        let (a, b) = (first.r_base_tip().quat(), self.estimator.r_base_tip().quat());
-        self.angle_rad = if field { (a * Vector3::z()).angle(&(b * Vector3::z())) } else { (a.inverse() * up).angle(&(b.inverse() * up)) };
+    pub fn compare(
+        &mut self,
+        config: &SecondConfig,
+        first: &dyn TipEstimator,
+        up: &Vector3<f64>,
+        field: bool,
+        rate_rad_s: f64,
+    ) {
+        let (a, b) = (
+            first.r_base_tip().quat(),
+            self.estimator.r_base_tip().quat(),
+        );
+        self.angle_rad = if field {
+            (a * Vector3::z()).angle(&(b * Vector3::z()))
+        } else {
+            (a.inverse() * up).angle(&(b.inverse() * up))
+        };
         let allowed = config.angle_deg.to_radians() + config.angle_per_rate_s * rate_rad_s;
         let differs = self.angle_rad > allowed;
-        self.changed_s = if differs == self.disagrees { 0.0 } else { self.changed_s + config.period_s };
+        self.changed_s = if differs == self.disagrees {
+            0.0
+        } else {
+            self.changed_s + config.period_s
+        };
         if self.changed_s >= config.time_s {
             (self.disagrees, self.changed_s) = (differs, 0.0);
         }

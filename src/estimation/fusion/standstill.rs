@@ -45,8 +45,13 @@ impl StandstillDetector {
         *gyro_mean += share * (gyro - *gyro_mean);
         *acc_mean += share * (acc - *acc_mean);
         let mean = *gyro_mean;
-        let still = (gyro - mean).norm() < GYRO_DEVIATION_DEG_S.to_radians() && (acc - *acc_mean).norm() < ACC_DEVIATION_M_S2;
-        self.still_s = if still && self.may_be_bias(&mean) { self.still_s + dt_s } else { 0.0 };
+        let still = (gyro - mean).norm() < GYRO_DEVIATION_DEG_S.to_radians()
+            && (acc - *acc_mean).norm() < ACC_DEVIATION_M_S2;
+        self.still_s = if still && self.may_be_bias(&mean) {
+            self.still_s + dt_s
+        } else {
+            0.0
+        };
         if self.standstill() {
             self.known = Some((mean, 0.0));
         } else if let Some((_, since_s)) = &mut self.known {
@@ -56,9 +61,12 @@ impl StandstillDetector {
     }
 
     fn may_be_bias(&self, mean: &Vector3<f64>) -> bool {
-        let change_deg_s = |since_s: f64| (BIAS_CHANGE_DEG_S + BIAS_CHANGE_DEG_S2 * since_s).min(BIAS_MAX_DEG_S);
+        let change_deg_s =
+            |since_s: f64| (BIAS_CHANGE_DEG_S + BIAS_CHANGE_DEG_S2 * since_s).min(BIAS_MAX_DEG_S);
         mean.amax() < BIAS_MAX_DEG_S.to_radians()
-            && self.known.is_none_or(|(bias, since_s)| (mean - bias).amax() < change_deg_s(since_s).to_radians())
+            && self.known.is_none_or(|(bias, since_s)| {
+                (mean - bias).amax() < change_deg_s(since_s).to_radians()
+            })
     }
     /// Counts a lost sample. After `MISSED_MAX_S` without samples the sensor may have moved.
     pub fn miss(&mut self, dt_s: f64) {
@@ -87,7 +95,10 @@ mod tests {
         let up = Vector3::new(0.0, 0.0, 9.81);
         let mut detector = StandstillDetector::default();
         for k in 0..149 {
-            assert!(!detector.update(&bias, &up, 0.01), "standstill after {k} samples");
+            assert!(
+                !detector.update(&bias, &up, 0.01),
+                "standstill after {k} samples"
+            );
         }
         assert!((0..2).any(|_| detector.update(&bias, &up, 0.01)));
         assert!((detector.gyro_mean_rad_s() - bias).norm() < 1e-12);
@@ -105,11 +116,21 @@ mod tests {
     fn slow_rotation_is_not_standstill_once_the_bias_is_known() {
         let mut detector = StandstillDetector::default();
         let (bias, up) = (Vector3::new(0.07, 0.0, 0.0), Vector3::new(0.0, 0.0, 9.81));
-        assert!((0..300).any(|_| detector.update(&bias, &up, 0.01)), "4 °/s of bias is accepted at the first standstill");
+        assert!(
+            (0..300).any(|_| detector.update(&bias, &up, 0.01)),
+            "4 °/s of bias is accepted at the first standstill"
+        );
         let turning = bias + Vector3::new(0.0, 0.0, 0.04);
-        let settled = (0..1000).skip(300).map(|_| detector.update(&turning, &up, 0.01)).filter(|r| *r).count();
+        let settled = (0..1000)
+            .skip(300)
+            .map(|_| detector.update(&turning, &up, 0.01))
+            .filter(|r| *r)
+            .count();
         assert_eq!(settled, 0, "2.3 °/s of rotation is no standstill");
-        assert!((0..300).any(|_| detector.update(&bias, &up, 0.01)), "standstill is found again");
+        assert!(
+            (0..300).any(|_| detector.update(&bias, &up, 0.01)),
+            "standstill is found again"
+        );
     }
 
     #[test]

@@ -69,7 +69,9 @@ impl Sway {
         self.bend = self.bend * fade + bend - before;
         self.moment += (self.bend * self.bend.transpose() - self.moment) * k;
         self.cross += (self.bend * self.twist - self.cross) * k;
-        let torsion = (self.moment + Matrix3::identity() * RIDGE).cholesky().map_or_else(Vector3::zeros, |m| m.solve(&self.cross));
+        let torsion = (self.moment + Matrix3::identity() * RIDGE)
+            .cholesky()
+            .map_or_else(Vector3::zeros, |m| m.solve(&self.cross));
         let explained = torsion.dot(&self.bend);
         let unknown = self.bend.xy().norm() * RIDGE / (RIDGE + self.moment.trace());
         let own = TORSION_SHARE * unknown + TORSION_FORM * explained.abs();
@@ -104,13 +106,18 @@ impl Sway {
 
     /// Something bends the tip in hold after hold, such as breath.
     pub fn is_disturbance(&self) -> bool {
-        self.disturbed2 > DISTURBED_RAD * DISTURBED_RAD && self.mean_square() < DISTURBED_SHARE * self.disturbed2
+        self.disturbed2 > DISTURBED_RAD * DISTURBED_RAD
+            && self.mean_square() < DISTURBED_SHARE * self.disturbed2
     }
 
     /// Share of the unexplained bend that is due to the tip and not to a swaying base, 0 to 1; 1 for a base that stands.
     pub fn share_of_tip(&self) -> f64 {
         let sway2 = HARM * self.mean_square();
-        if sway2 > 0.0 { (1.0 - sway2 / self.unexplained2).clamp(0.0, 1.0) } else { 1.0 }
+        if sway2 > 0.0 {
+            (1.0 - sway2 / self.unexplained2).clamp(0.0, 1.0)
+        } else {
+            1.0
+        }
     }
 }
 
@@ -156,6 +163,10 @@ mod tests {
         let breath = swaying(Vector3::new(1.0, 0.0, 0.1), 3.0);
         assert!(breath.share_of_tip() == 1.0 && breath.is_disturbance());
         let base = swaying(Vector3::new(0.6, 0.5, 0.62), 5.0);
-        assert!(base.share_of_tip() < 0.3 && !base.is_disturbance(), "{}", base.share_of_tip());
+        assert!(
+            base.share_of_tip() < 0.3 && !base.is_disturbance(),
+            "{}",
+            base.share_of_tip()
+        );
     }
 }

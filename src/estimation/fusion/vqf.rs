@@ -37,14 +37,20 @@ pub struct VqfConfig {
 
 impl Default for VqfConfig {
     fn default() -> Self {
-        Self { tau_acc_s: 3.0, tau_mag_s: 9.0 }
+        Self {
+            tau_acc_s: 3.0,
+            tau_mag_s: 9.0,
+        }
     }
 }
 
 impl VqfConfig {
     /// The settings of `vqf-long`.
     pub fn long() -> Self {
-        Self { tau_mag_s: TAU_MAG_LONG_S, ..Self::default() }
+        Self {
+            tau_mag_s: TAU_MAG_LONG_S,
+            ..Self::default()
+        }
     }
 }
 
@@ -61,8 +67,11 @@ pub struct Vqf {
 impl Vqf {
     /// A filter for samples of the given nominal periods.
     pub fn new(periods: Periods, config: VqfConfig) -> Self {
-        let params =
-            vqf_rs::Params { tau_acc: config.tau_acc_s.max(1e-3), tau_mag: config.tau_mag_s.max(0.0), ..vqf_rs::Params::default() };
+        let params = vqf_rs::Params {
+            tau_acc: config.tau_acc_s.max(1e-3),
+            tau_mag: config.tau_mag_s.max(0.0),
+            ..vqf_rs::Params::default()
+        };
         let imu_s = period_or(periods.imu_s, 0.005);
         let mag_s = period_or(periods.mag_s, imu_s);
         Self {
@@ -107,14 +116,18 @@ impl Clone for Vqf {
     fn clone(&self) -> Self {
         let mut copy = Self::new(self.periods, self.config);
         *copy.inner.state_mut() = *self.inner.state();
-        (copy.last_gyro, copy.levelled, copy.north_found) = (self.last_gyro, self.levelled, self.north_found);
+        (copy.last_gyro, copy.levelled, copy.north_found) =
+            (self.last_gyro, self.levelled, self.north_found);
         copy
     }
 }
 
 impl std::fmt::Debug for Vqf {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Vqf").field("config", &self.config).field("orientation", &self.orientation()).finish_non_exhaustive()
+        f.debug_struct("Vqf")
+            .field("config", &self.config)
+            .field("orientation", &self.orientation())
+            .finish_non_exhaustive()
     }
 }
 
@@ -142,8 +155,13 @@ impl OrientationFilter for Vqf {
 
     /// The world frame of VQF has y to the north, this crate's has x there.
     fn orientation(&self) -> Rotation<World, Sensor> {
-        let r_world_enu = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -std::f64::consts::FRAC_PI_2);
-        if self.levelled { Rotation::assert_frames(r_world_enu * unit(self.inner.quat_9d())) } else { Rotation::identity() }
+        let r_world_enu =
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -std::f64::consts::FRAC_PI_2);
+        if self.levelled {
+            Rotation::assert_frames(r_world_enu * unit(self.inner.quat_9d()))
+        } else {
+            Rotation::identity()
+        }
     }
 
     fn gyro_bias_rad_s(&self) -> Vector3<f64> {
@@ -167,7 +185,11 @@ impl OrientationFilter for Vqf {
 
 /// The crate asserts positive periods, so an invalid one is replaced.
 fn period_or(period_s: f64, fallback_s: f64) -> f64 {
-    if period_s.is_finite() && period_s > 0.0 { period_s } else { fallback_s }
+    if period_s.is_finite() && period_s > 0.0 {
+        period_s
+    } else {
+        fallback_s
+    }
 }
 
 fn unit(q: vqf_rs::Quaternion) -> UnitQuaternion<f64> {

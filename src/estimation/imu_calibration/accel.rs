@@ -94,7 +94,8 @@ impl LeastSquaresProblem<f64, Dyn, U6> for Norms<'_> {
 /// Noise of the mean norm of a rest, as a share of g: white noise averaged over the samples, plus one part in 20 000
 /// for temperature and a yielding table.
 fn mean_noise(rest: &Rest) -> f64 {
-    let white = rest.acc_std_m_s2.norm() / 3.0_f64.sqrt() / (rest.samples as f64).sqrt() / GRAVITY_M_S2;
+    let white =
+        rest.acc_std_m_s2.norm() / 3.0_f64.sqrt() / (rest.samples as f64).sqrt() / GRAVITY_M_S2;
     white.hypot(5e-5)
 }
 
@@ -117,15 +118,26 @@ pub fn six_positions(rests: &[Rest]) -> Result<AccFit, Refusal> {
         p[i] = 0.5 * (up + down) / GRAVITY_M_S2;
         p[3 + i] = 2.0 * GRAVITY_M_S2 / (up - down);
     }
-    let (fit, report) = LevenbergMarquardt::new().with_tol(1e-13).minimize(Norms { rests, p });
-    let (Some(r), Some(j)) = (fit.residuals(), fit.jacobian()) else { return Err(Refusal::NotAnEllipsoid) };
+    let (fit, report) = LevenbergMarquardt::new()
+        .with_tol(1e-13)
+        .minimize(Norms { rests, p });
+    let (Some(r), Some(j)) = (fit.residuals(), fit.jacobian()) else {
+        return Err(Refusal::NotAnEllipsoid);
+    };
     if !report.objective_function.is_finite() {
         return Err(Refusal::NotAnEllipsoid);
     }
     let spare = rests.len() as f64 - 6.0;
     let expected = rests.iter().map(|r| mean_noise(r).powi(2)).sum::<f64>() / rests.len() as f64;
-    let observed = if spare > 0.0 { r.norm_squared() / spare } else { 0.0 };
-    let cov = (j.transpose() * j).try_inverse().ok_or(Refusal::NotAnEllipsoid)? * expected.max(observed);
+    let observed = if spare > 0.0 {
+        r.norm_squared() / spare
+    } else {
+        0.0
+    };
+    let cov = (j.transpose() * j)
+        .try_inverse()
+        .ok_or(Refusal::NotAnEllipsoid)?
+        * expected.max(observed);
     let sigma = cov.diagonal().map(|v| v.max(0.0).sqrt());
     let residual_m_s2 = GRAVITY_M_S2 * (r.norm_squared() / rests.len() as f64).sqrt();
     check_residual(residual_m_s2, GRAVITY_M_S2, "m/s²")?;
@@ -147,7 +159,13 @@ pub fn ellipsoid(rests: &[Rest]) -> Result<AccFit, Refusal> {
     let points: Vec<Vector3<f64>> = rests.iter().map(|r| r.acc_m_s2).collect();
     let e = ellipsoid::fit(&points)?;
     let advice = "place the sensor in more attitudes, upside down too";
-    let coverage = e.check(&points, GRAVITY_M_S2, "the accelerometer bias", advice, "m/s²")?;
+    let coverage = e.check(
+        &points,
+        GRAVITY_M_S2,
+        "the accelerometer bias",
+        advice,
+        "m/s²",
+    )?;
     Ok(AccFit {
         bias_m_s2: e.centre,
         bias_sigma_m_s2: e.centre_sigma,
@@ -170,13 +188,22 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
 
     fn normal(rng: &mut StdRng, sigma: f64) -> Vector3<f64> {
-        Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng))
+        Vector3::from_fn(|_, _| {
+            sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng)
+        })
     }
 
     /// The raw mean of a rest whose true force is g along `up`, measured with bias and scale errors.
-    fn measured(up: Vector3<f64>, bias: Vector3<f64>, matrix: &Matrix3<f64>, rng: &mut StdRng) -> Rest {
+    fn measured(
+        up: Vector3<f64>,
+        bias: Vector3<f64>,
+        matrix: &Matrix3<f64>,
+        rng: &mut StdRng,
+    ) -> Rest {
         let ideal = up.normalize() * GRAVITY_M_S2;
-        let acc_m_s2 = matrix.try_inverse().expect("near 1") * ideal + bias + normal(rng, 0.03 / 500.0_f64.sqrt());
+        let acc_m_s2 = matrix.try_inverse().expect("near 1") * ideal
+            + bias
+            + normal(rng, 0.03 / 500.0_f64.sqrt());
         Rest {
             first: 0,
             samples: 500,
@@ -190,7 +217,14 @@ mod tests {
     }
 
     fn six(tilt_deg: f64, bias: Vector3<f64>, scale: Vector3<f64>, rng: &mut StdRng) -> Vec<Rest> {
-        let faces = [Vector3::x(), -Vector3::x(), Vector3::y(), -Vector3::y(), Vector3::z(), -Vector3::z()];
+        let faces = [
+            Vector3::x(),
+            -Vector3::x(),
+            Vector3::y(),
+            -Vector3::y(),
+            Vector3::z(),
+            -Vector3::z(),
+        ];
         faces
             .iter()
             .cycle()
@@ -204,14 +238,21 @@ mod tests {
 
     #[test]
     fn six_tilted_faces_give_bias_and_scale() {
-        let (bias, scale) = (Vector3::new(0.4, -0.25, 0.6), Vector3::new(1.02, 0.985, 1.01));
+        let (bias, scale) = (
+            Vector3::new(0.4, -0.25, 0.6),
+            Vector3::new(1.02, 0.985, 1.01),
+        );
         for seed in 0..20 {
             let rests = six(6.0, bias, scale, &mut StdRng::seed_from_u64(seed));
             let fit = six_positions(&rests).expect("six faces");
             let z = (fit.bias_m_s2 - bias).component_div(&fit.bias_sigma_m_s2);
             let zs = (fit.matrix.diagonal() - scale).component_div(&fit.matrix_sigma.diagonal());
             assert!(z.amax() < 5.0 && zs.amax() < 5.0, "seed {seed}: {z} {zs}");
-            assert!((fit.bias_m_s2 - bias).amax() < 0.02, "{}", fit.bias_m_s2 - bias);
+            assert!(
+                (fit.bias_m_s2 - bias).amax() < 0.02,
+                "{}",
+                fit.bias_m_s2 - bias
+            );
             assert!((fit.matrix.diagonal() - scale).amax() < 1e-3);
         }
     }
@@ -239,11 +280,26 @@ mod tests {
                 })
                 .collect();
             let fit = ellipsoid(&rests).expect("covered");
-            worst = worst.max((fit.bias_m_s2 - bias).component_div(&fit.bias_sigma_m_s2).amax());
-            worst = worst.max((fit.matrix - matrix).component_div(&fit.matrix_sigma).amax());
-            assert!((fit.matrix - matrix).amax() < 1e-3, "{}", fit.matrix - matrix);
+            worst = worst.max(
+                (fit.bias_m_s2 - bias)
+                    .component_div(&fit.bias_sigma_m_s2)
+                    .amax(),
+            );
+            worst = worst.max(
+                (fit.matrix - matrix)
+                    .component_div(&fit.matrix_sigma)
+                    .amax(),
+            );
+            assert!(
+                (fit.matrix - matrix).amax() < 1e-3,
+                "{}",
+                fit.matrix - matrix
+            );
         }
-        assert!(worst > 0.5 && worst < 5.0, "the sigmas match the errors: {worst}");
+        assert!(
+            worst > 0.5 && worst < 5.0,
+            "the sigmas match the errors: {worst}"
+        );
     }
 
     #[test]
@@ -256,7 +312,13 @@ mod tests {
             })
             .collect();
         let refused = ellipsoid(&rests).unwrap_err();
-        assert!(matches!(refused, Refusal::PoorCoverage { .. } | Refusal::TooUncertain { .. }), "{refused}");
+        assert!(
+            matches!(
+                refused,
+                Refusal::PoorCoverage { .. } | Refusal::TooUncertain { .. }
+            ),
+            "{refused}"
+        );
     }
 
     #[test]
@@ -282,7 +344,10 @@ mod tests {
         }
         let rests = still::rests(&samples);
         assert_eq!(rests.len(), 3, "{rests:?}");
-        for (rest, up) in rests.iter().zip([Vector3::z(), Vector3::x(), -Vector3::z()]) {
+        for (rest, up) in rests
+            .iter()
+            .zip([Vector3::z(), Vector3::x(), -Vector3::z()])
+        {
             assert!((rest.acc_m_s2 - up * GRAVITY_M_S2).norm() < 0.02);
             assert!(rest.duration_s >= 2.0);
         }

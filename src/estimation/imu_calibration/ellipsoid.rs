@@ -54,14 +54,27 @@ impl Ellipsoid {
         advice: &'static str,
         unit: &'static str,
     ) -> Result<f64, Refusal> {
-        let directions: Vec<Vector3<f64>> = points.iter().map(|x| self.shape * (x - self.centre)).collect();
+        let directions: Vec<Vector3<f64>> = points
+            .iter()
+            .map(|x| self.shape * (x - self.centre))
+            .collect();
         let have = coverage(directions.iter());
         if have < COVERAGE_MIN {
-            return Err(Refusal::PoorCoverage { what: "the sphere", have, want: COVERAGE_MIN, advice });
+            return Err(Refusal::PoorCoverage {
+                what: "the sphere",
+                have,
+                want: COVERAGE_MIN,
+                advice,
+            });
         }
         let (sigma, limit) = (self.centre_sigma.amax(), CENTRE_SIGMA_MAX * radius);
         if sigma > limit {
-            return Err(Refusal::TooUncertain { what: quantity, sigma, limit, unit });
+            return Err(Refusal::TooUncertain {
+                what: quantity,
+                sigma,
+                limit,
+                unit,
+            });
         }
         check_residual(self.residual * radius, radius, unit)?;
         Ok(have)
@@ -110,7 +123,10 @@ impl LeastSquaresProblem<f64, Dyn, U9> for Distance<'_> {
     }
     fn residuals(&self) -> Option<DVector<f64>> {
         let (b, m) = unpack(&self.p);
-        Some(DVector::from_iterator(self.points.len(), self.points.iter().map(|x| (m * (x - b)).norm() - 1.0)))
+        Some(DVector::from_iterator(
+            self.points.len(),
+            self.points.iter().map(|x| (m * (x - b)).norm() - 1.0),
+        ))
     }
     fn jacobian(&self) -> Option<OMatrix<f64, Dyn, U9>> {
         let (b, m) = unpack(&self.p);
@@ -155,7 +171,10 @@ fn algebraic(points: &[Vector3<f64>]) -> Option<Parameters> {
         return None;
     }
     let root = Matrix3::from_diagonal(&eigen.eigenvalues.map(f64::sqrt));
-    Some(pack(&b, &(eigen.eigenvectors * root * eigen.eigenvectors.transpose())))
+    Some(pack(
+        &b,
+        &(eigen.eigenvectors * root * eigen.eigenvectors.transpose()),
+    ))
 }
 
 fn refine(points: &[Vector3<f64>], start: Parameters) -> Option<Parameters> {
@@ -179,7 +198,10 @@ fn covariance(points: &[Vector3<f64>], p: Parameters) -> Option<(SMatrix<f64, 9,
     let problem = Distance { points, p };
     let (r, j) = (problem.residuals()?, problem.jacobian()?);
     let variance = correlation(r.as_slice()) * r.norm_squared() / (points.len() as f64 - 9.0);
-    Some(((j.transpose() * j).try_inverse()? * variance, (r.norm_squared() / points.len() as f64).sqrt()))
+    Some((
+        (j.transpose() * j).try_inverse()? * variance,
+        (r.norm_squared() / points.len() as f64).sqrt(),
+    ))
 }
 
 /// Variance of block means relative to that of independent residuals, at least 1.
@@ -189,7 +211,9 @@ fn correlation(residuals: &[f64]) -> f64 {
         return 1.0; // too few blocks for an estimate
     }
     let power = residuals.iter().map(|r| r * r).sum::<f64>() / residuals.len() as f64;
-    let means = residuals.chunks_exact(size).map(|b| b.iter().sum::<f64>() / size as f64);
+    let means = residuals
+        .chunks_exact(size)
+        .map(|b| b.iter().sum::<f64>() / size as f64);
     let spread = means.map(|m| m * m).sum::<f64>() / (residuals.len() / size) as f64;
     (size as f64 * spread / power.max(1e-300)).max(1.0)
 }
@@ -197,7 +221,11 @@ fn correlation(residuals: &[f64]) -> f64 {
 /// Refuses a residual `rms` beyond [`RESIDUAL_MAX`] of the radius.
 pub(super) fn check_residual(rms: f64, radius: f64, unit: &'static str) -> Result<(), Refusal> {
     let limit = RESIDUAL_MAX * radius;
-    if rms <= limit { Ok(()) } else { Err(Refusal::PoorFit { rms, limit, unit }) }
+    if rms <= limit {
+        Ok(())
+    } else {
+        Err(Refusal::PoorFit { rms, limit, unit })
+    }
 }
 
 /// Fits an ellipsoid.
@@ -212,7 +240,12 @@ pub(super) fn fit(points: &[Vector3<f64>]) -> Result<Ellipsoid, Refusal> {
     let every = points.len().div_ceil(POINTS_MAX);
     let points: Vec<Vector3<f64>> = points.iter().step_by(every).copied().collect();
     let mean = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
-    let scale = (points.iter().map(|x| (x - mean).norm_squared()).sum::<f64>() / points.len() as f64).sqrt();
+    let scale = (points
+        .iter()
+        .map(|x| (x - mean).norm_squared())
+        .sum::<f64>()
+        / points.len() as f64)
+        .sqrt();
     if scale < 1e-9 {
         return Err(Refusal::NotAnEllipsoid);
     }

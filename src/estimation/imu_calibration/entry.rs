@@ -29,7 +29,12 @@ pub struct Pedigree<'a> {
 impl Pedigree<'_> {
     /// An entry with this pedigree.
     pub(super) fn entry<T>(self, value: T, sigma: T) -> Entry<T> {
-        Entry { value, sigma, date: self.date.to_owned(), source: self.source.to_owned() }
+        Entry {
+            value,
+            sigma,
+            date: self.date.to_owned(),
+            source: self.source.to_owned(),
+        }
     }
 }
 

@@ -34,14 +34,21 @@ pub fn at_rest(samples: &[ImuSample]) -> Result<GyroBias, Refusal> {
     let rest = still::rest(samples)?;
     let (have, limit) = (rest.gyro_rad_s.amax(), MEAN_MAX_RAD_S);
     if have > limit {
-        return Err(Refusal::Moving { what: "the mean of the gyroscope", have, limit, unit: "rad/s" });
+        return Err(Refusal::Moving {
+            what: "the mean of the gyroscope",
+            have,
+            limit,
+            unit: "rad/s",
+        });
     }
     let white = rest.gyro_std_rad_s / (rest.samples as f64).sqrt();
     let size = samples.len() / BLOCKS;
     let squares: Vector3<f64> = samples
         .chunks_exact(size)
         .take(BLOCKS)
-        .map(|block| block.iter().map(|s| s.gyro_rad_s).sum::<Vector3<f64>>() / size as f64 - rest.gyro_rad_s)
+        .map(|block| {
+            block.iter().map(|s| s.gyro_rad_s).sum::<Vector3<f64>>() / size as f64 - rest.gyro_rad_s
+        })
         .map(|d| d.component_mul(&d))
         .sum();
     let coloured = squares.map(|s| (s / (BLOCKS * (BLOCKS - 1)) as f64).sqrt());
@@ -64,8 +71,11 @@ mod tests {
     /// A rest of `n` samples at 500 Hz; `rate` is a true rotation.
     fn recording(n: u32, bias: Vector3<f64>, rate: Vector3<f64>, seed: u64) -> Vec<ImuSample> {
         let mut rng = StdRng::seed_from_u64(seed);
-        let mut noise =
-            move |sigma: f64| Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng));
+        let mut noise = move |sigma: f64| {
+            Vector3::from_fn(|_, _| {
+                sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng)
+            })
+        };
         (0..n)
             .map(|k| {
                 let t = f64::from(k) * 0.002;
@@ -74,7 +84,8 @@ mod tests {
                     t: Seconds(t),
                     gyro_rad_s: bias + rate + noise(0.004),
                     acc_m_s2: back * Vector3::new(0.0, 0.0, 9.81) + noise(0.03),
-                    mag_ut: (k % 5 == 0).then(|| back * Vector3::new(20.0, 0.0, -45.0) + noise(0.5)),
+                    mag_ut: (k % 5 == 0)
+                        .then(|| back * Vector3::new(20.0, 0.0, -45.0) + noise(0.5)),
                 }
             })
             .collect()
@@ -91,14 +102,26 @@ mod tests {
             assert!(fit.sigma_rad_s.amax() < 4e-4, "2 s of 0.004 rad/s noise");
             chi2 += z.norm_squared() / 120.0;
         }
-        assert!((0.5..1.6).contains(&chi2), "the sigma matches the errors: {chi2}");
+        assert!(
+            (0.5..1.6).contains(&chi2),
+            "the sigma matches the errors: {chi2}"
+        );
     }
 
     #[test]
     fn slow_steady_rotation_is_refused() {
         let slow = Vector3::new(0.01, 0.0, 0.0); // 0.57 °/s, less than a typical bias
         let refused = at_rest(&recording(1000, Vector3::zeros(), slow, 1)).unwrap_err();
-        assert!(matches!(refused, Refusal::Moving { what: "the rotation from start to end", .. }), "{refused}");
+        assert!(
+            matches!(
+                refused,
+                Refusal::Moving {
+                    what: "the rotation from start to end",
+                    ..
+                }
+            ),
+            "{refused}"
+        );
         let yaw = Vector3::new(0.0, 0.0, 0.02); // only the field observes it
         assert!(at_rest(&recording(2000, Vector3::zeros(), yaw, 2)).is_err());
         let mut shaken = recording(1000, Vector3::zeros(), Vector3::zeros(), 3);
@@ -109,8 +132,17 @@ mod tests {
     #[test]
     fn short_and_non_finite_recordings_are_refused() {
         let still = |n| recording(n, Vector3::zeros(), Vector3::zeros(), 4);
-        assert!(matches!(at_rest(&[]), Err(Refusal::TooFewSamples { have: 0, .. })));
-        assert!(matches!(at_rest(&still(400)), Err(Refusal::TooFewSamples { have: 400, want: 502 })));
+        assert!(matches!(
+            at_rest(&[]),
+            Err(Refusal::TooFewSamples { have: 0, .. })
+        ));
+        assert!(matches!(
+            at_rest(&still(400)),
+            Err(Refusal::TooFewSamples {
+                have: 400,
+                want: 502
+            })
+        ));
         let mut broken = still(1000);
         broken[7].acc_m_s2.x = f64::NAN;
         assert_eq!(at_rest(&broken), Err(Refusal::NotFinite { index: 7 }));

@@ -37,7 +37,13 @@ pub struct MagFit {
 pub fn ellipsoid(readings_ut: &[Vector3<f64>]) -> Result<MagFit, Refusal> {
     let e = ellipsoid::fit(readings_ut)?;
     let field_ut = e.radius();
-    let coverage = e.check(readings_ut, field_ut, "the hard iron", "turn the sensor about all three axes, upside down too", "µT")?;
+    let coverage = e.check(
+        readings_ut,
+        field_ut,
+        "the hard iron",
+        "turn the sensor about all three axes, upside down too",
+        "µT",
+    )?;
     Ok(MagFit {
         bias_ut: e.centre,
         bias_sigma_ut: e.centre_sigma,
@@ -60,17 +66,26 @@ mod tests {
     const FIELD_UT: f64 = 49.0;
 
     fn normal(rng: &mut StdRng, sigma: f64) -> Vector3<f64> {
-        Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng))
+        Vector3::from_fn(|_, _| {
+            sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng)
+        })
     }
 
     fn truth() -> (Vector3<f64>, Matrix3<f64>) {
         let m: Matrix3<f64> = Matrix3::new(1.12, 0.04, -0.03, 0.04, 0.93, 0.05, -0.03, 0.05, 1.01);
         // the part tolerates 300 µT of hard iron
-        (Vector3::new(-140.0, 60.0, 210.0), m / m.determinant().cbrt())
+        (
+            Vector3::new(-140.0, 60.0, 210.0),
+            m / m.determinant().cbrt(),
+        )
     }
 
     /// Readings of a random tumble, with directions taken through `shape`.
-    fn tumble(n: usize, seed: u64, shape: impl Fn(Vector3<f64>) -> Vector3<f64>) -> Vec<Vector3<f64>> {
+    fn tumble(
+        n: usize,
+        seed: u64,
+        shape: impl Fn(Vector3<f64>) -> Vector3<f64>,
+    ) -> Vec<Vector3<f64>> {
         let mut rng = StdRng::seed_from_u64(seed);
         let (bias, matrix) = truth();
         let inverse = matrix.try_inverse().expect("near 1");
@@ -95,7 +110,10 @@ mod tests {
             assert!((fit.matrix.determinant() - 1.0).abs() < 1e-9);
             chi2 += z.norm_squared() / 60.0;
         }
-        assert!((0.4..2.0).contains(&chi2), "the sigma of the hard iron matches the errors: {chi2}");
+        assert!(
+            (0.4..2.0).contains(&chi2),
+            "the sigma of the hard iron matches the errors: {chi2}"
+        );
     }
 
     #[test]
@@ -106,19 +124,31 @@ mod tests {
         }
         let fit = ellipsoid(&readings).expect("2 % outliers");
         assert!((25..60).contains(&fit.outliers), "{}", fit.outliers);
-        assert!((fit.bias_ut - truth().0).norm() < 0.2, "{}", fit.bias_ut - truth().0);
+        assert!(
+            (fit.bias_ut - truth().0).norm() < 0.2,
+            "{}",
+            fit.bias_ut - truth().0
+        );
     }
 
     #[test]
     fn four_fifths_of_the_sphere_suffice_and_a_cap_is_refused() {
         let wide = tumble(1500, 4, |d| if d.normalize().z < -0.6 { -d } else { d });
         ellipsoid(&wide).expect("four fifths of the sphere");
-        let cap = tumble(1500, 5, |d| Vector3::new(d.x * 0.4, d.y * 0.4, d.z.abs() + 1.0));
+        let cap = tumble(1500, 5, |d| {
+            Vector3::new(d.x * 0.4, d.y * 0.4, d.z.abs() + 1.0)
+        });
         let refused = ellipsoid(&cap).unwrap_err();
-        assert!(matches!(refused, Refusal::PoorCoverage { .. } | Refusal::Flat { .. }), "{refused}");
+        assert!(
+            matches!(refused, Refusal::PoorCoverage { .. } | Refusal::Flat { .. }),
+            "{refused}"
+        );
         let disc = tumble(1500, 6, |d| Vector3::new(d.x, d.y, 0.0));
         let refused = ellipsoid(&disc).unwrap_err();
-        assert!(matches!(refused, Refusal::Flat { ratio, .. } if ratio > 2.0), "one axis only: {refused}");
+        assert!(
+            matches!(refused, Refusal::Flat { ratio, .. } if ratio > 2.0),
+            "one axis only: {refused}"
+        );
     }
 
     #[test]
@@ -129,8 +159,14 @@ mod tests {
         }
         let refused = ellipsoid(&readings).unwrap_err();
         assert!(matches!(refused, Refusal::PoorFit { .. }), "{refused}");
-        assert!(matches!(ellipsoid(&readings[..10]), Err(Refusal::TooFewSamples { .. })));
-        assert_eq!(ellipsoid(&[Vector3::zeros(); 100]), Err(Refusal::NotAnEllipsoid));
+        assert!(matches!(
+            ellipsoid(&readings[..10]),
+            Err(Refusal::TooFewSamples { .. })
+        ));
+        assert_eq!(
+            ellipsoid(&[Vector3::zeros(); 100]),
+            Err(Refusal::NotAnEllipsoid)
+        );
         readings[9].y = f64::INFINITY;
         assert_eq!(ellipsoid(&readings), Err(Refusal::NotFinite { index: 9 }));
     }

@@ -80,9 +80,16 @@ impl ImuCalibration {
     }
     /// The correction to apply to every sample.
     pub fn correction(&self) -> Correction {
-        let vector = |e: &Option<Entry<[f64; 3]>>| e.as_ref().map_or_else(Vector3::zeros, |e| e.value.into());
-        let table = |e: &Option<Entry<Rows>>| e.as_ref().map_or_else(Matrix3::identity, |e| matrix(&e.value));
-        let mount = UnitQuaternion::from_scaled_axis(vector(&self.mount_deg).map(f64::to_radians)).to_rotation_matrix().into_inner();
+        let vector = |e: &Option<Entry<[f64; 3]>>| {
+            e.as_ref().map_or_else(Vector3::zeros, |e| e.value.into())
+        };
+        let table = |e: &Option<Entry<Rows>>| {
+            e.as_ref()
+                .map_or_else(Matrix3::identity, |e| matrix(&e.value))
+        };
+        let mount = UnitQuaternion::from_scaled_axis(vector(&self.mount_deg).map(f64::to_radians))
+            .to_rotation_matrix()
+            .into_inner();
         Correction {
             gyro_bias_rad_s: vector(&self.gyro_bias_rad_s),
             gyro_matrix: mount,
@@ -137,11 +144,17 @@ mod tests {
             mag_ut: Some(Vector3::new(30.0, -10.0, 5.0)),
         };
         assert_eq!(ImuCalibration::default().correction().apply(&raw), raw);
-        let from = Pedigree { date: "2025-01-31", source: "tumble.csv" };
+        let from = Pedigree {
+            date: "2025-01-31",
+            source: "tumble.csv",
+        };
         let calibration = ImuCalibration {
             gyro_bias_rad_s: Some(from.entry([0.1, 0.0, -0.1], [1e-4; 3])),
             mag_bias_ut: Some(from.entry([10.0, -20.0, 0.0], [0.1; 3])),
-            mag_matrix: Some(from.entry([[2.0, 0.0, 0.0], [0.0, 0.5, 0.1], [0.0, 0.1, 1.0]], [[0.0; 3]; 3])),
+            mag_matrix: Some(from.entry(
+                [[2.0, 0.0, 0.0], [0.0, 0.5, 0.1], [0.0, 0.1, 1.0]],
+                [[0.0; 3]; 3],
+            )),
             ..ImuCalibration::default()
         };
         let text = toml::to_string(&calibration).expect("serialises");
@@ -156,9 +169,20 @@ mod tests {
 
     #[test]
     fn the_mount_rotates_all_three_sensors() {
-        let from = Pedigree { date: "2025-01-31", source: "bends.csv" };
-        let turned = ImuCalibration { mount_deg: Some(from.entry([0.0, 0.0, 90.0], [0.1; 3])), ..ImuCalibration::default() };
-        let raw = ImuSample { t: Seconds(0.0), gyro_rad_s: Vector3::x(), acc_m_s2: Vector3::x(), mag_ut: Some(Vector3::x()) };
+        let from = Pedigree {
+            date: "2025-01-31",
+            source: "bends.csv",
+        };
+        let turned = ImuCalibration {
+            mount_deg: Some(from.entry([0.0, 0.0, 90.0], [0.1; 3])),
+            ..ImuCalibration::default()
+        };
+        let raw = ImuSample {
+            t: Seconds(0.0),
+            gyro_rad_s: Vector3::x(),
+            acc_m_s2: Vector3::x(),
+            mag_ut: Some(Vector3::x()),
+        };
         let s = turned.correction().apply(&raw);
         for v in [s.gyro_rad_s, s.acc_m_s2, s.mag_ut.unwrap_or_default()] {
             assert!((v - Vector3::y()).norm() < 1e-12);

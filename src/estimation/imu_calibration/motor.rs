@@ -71,8 +71,13 @@ impl MotorField {
         let mut field = Vector3::zeros();
         for i in 0..3 {
             let (sin, cos) = phase_rad(counts[i]).sin_cos();
-            let strength = if energised[i] { 1.0 } else { self.idle_factor[i] };
-            field += strength * (cos * Vector3::from(self.cos_ut[i]) + sin * Vector3::from(self.sin_ut[i]));
+            let strength = if energised[i] {
+                1.0
+            } else {
+                self.idle_factor[i]
+            };
+            field += strength
+                * (cos * Vector3::from(self.cos_ut[i]) + sin * Vector3::from(self.sin_ut[i]));
         }
         field
     }
@@ -120,7 +125,15 @@ fn normal(samples: &[MotorSample], p: &SVector<f64, SIZE>) -> Normal {
             let full = p.fixed_rows::<3>(c) * cos + p.fixed_rows::<3>(q) * sin;
             let strength = if s.energised[i] { 1.0 } else { p[k] };
             residual -= full * strength;
-            *term = (strength * cos, strength * sin, if s.energised[i] { Vector3::zeros() } else { full });
+            *term = (
+                strength * cos,
+                strength * sin,
+                if s.energised[i] {
+                    Vector3::zeros()
+                } else {
+                    full
+                },
+            );
         }
         squares += residual.norm_squared();
         for axis in 0..3 {
@@ -152,14 +165,22 @@ fn normal(samples: &[MotorSample], p: &SVector<f64, SIZE>) -> Normal {
 /// not finite.
 pub fn fit(samples: &[MotorSample], from: Pedigree<'_>) -> Result<MotorFit, Refusal> {
     Refusal::unless_enough(samples.len(), 4 * SIZE)?;
-    if let Some(index) = samples.iter().position(|s| !s.mag_ut.iter().all(|x| x.is_finite())) {
+    if let Some(index) = samples
+        .iter()
+        .position(|s| !s.mag_ut.iter().all(|x| x.is_finite()))
+    {
         return Err(Refusal::NotFinite { index });
     }
     let coverage = [0, 1, 2].map(|motor| coverage(samples, motor));
     let have = coverage.into_iter().fold(1.0, f64::min);
     if have < COVERAGE_MIN {
         let advice = "step every motor through a complete cycle of 64 microsteps";
-        return Err(Refusal::PoorCoverage { what: "a coil cycle", have, want: COVERAGE_MIN, advice });
+        return Err(Refusal::PoorCoverage {
+            what: "a coil cycle",
+            have,
+            want: COVERAGE_MIN,
+            advice,
+        });
     }
     let mut p = SVector::<f64, SIZE>::zeros();
     for i in 0..3 {
@@ -187,7 +208,12 @@ pub fn fit(samples: &[MotorSample], from: Pedigree<'_>) -> Result<MotorFit, Refu
 }
 
 fn too_uncertain(sigma: f64) -> Refusal {
-    Refusal::TooUncertain { what: "the field of a motor", sigma, limit: SIGMA_MAX_UT, unit: "µT" }
+    Refusal::TooUncertain {
+        what: "the field of a motor",
+        sigma,
+        limit: SIGMA_MAX_UT,
+        unit: "µT",
+    }
 }
 
 fn report(
@@ -198,7 +224,8 @@ fn report(
     from: Pedigree<'_>,
 ) -> Result<MotorFit, Refusal> {
     let triple = |v: &SVector<f64, SIZE>, at: usize| [v[at], v[at + 1], v[at + 2]];
-    let pick = |v: &SVector<f64, SIZE>, part: fn(usize) -> usize| [0, 1, 2].map(|i| triple(v, part(i)));
+    let pick =
+        |v: &SVector<f64, SIZE>, part: fn(usize) -> usize| [0, 1, 2].map(|i| triple(v, part(i)));
     let idle = |v: &SVector<f64, SIZE>| [0, 1, 2].map(|i| v[place(i).2]);
     let field = MotorField {
         cos_ut: pick(p, |i| place(i).0),
@@ -210,11 +237,22 @@ fn report(
         date: from.date.to_owned(),
         source: from.source.to_owned(),
     };
-    let worst = field.cos_sigma_ut.iter().chain(&field.sin_sigma_ut).flatten().copied().fold(0.0, f64::max);
+    let worst = field
+        .cos_sigma_ut
+        .iter()
+        .chain(&field.sin_sigma_ut)
+        .flatten()
+        .copied()
+        .fold(0.0, f64::max);
     if worst > SIGMA_MAX_UT {
         return Err(too_uncertain(worst));
     }
-    Ok(MotorFit { field, ambient_ut: p.fixed_rows::<3>(0).into_owned(), residual_ut: variance.sqrt(), coverage })
+    Ok(MotorFit {
+        field,
+        ambient_ut: p.fixed_rows::<3>(0).into_owned(),
+        residual_ut: variance.sqrt(),
+        coverage,
+    })
 }
 
 #[cfg(test)]
@@ -224,7 +262,10 @@ mod tests {
     use rand::rngs::StdRng;
     use rand_distr::{Distribution, StandardNormal};
 
-    const FROM: Pedigree<'_> = Pedigree { date: "2025-01-31", source: "steps.csv" };
+    const FROM: Pedigree<'_> = Pedigree {
+        date: "2025-01-31",
+        source: "steps.csv",
+    };
 
     fn truth() -> MotorField {
         MotorField {
@@ -254,16 +295,25 @@ mod tests {
                     counts = [counts[0]; 3];
                 }
                 let energised = [true; 3].map(|_| moving || !idles);
-                let noise = Vector3::from_fn(|_, _| noise_ut * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng));
+                let noise = Vector3::from_fn(|_, _| {
+                    noise_ut
+                        * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng)
+                });
                 let mag_ut = ambient + truth.at(&counts, &energised) + noise;
-                samples.push(MotorSample { mag_ut, counts, energised });
+                samples.push(MotorSample {
+                    mag_ut,
+                    counts,
+                    energised,
+                });
             }
         }
         samples
     }
 
     fn scores(have: &Rows, want: &Rows, sigma: &Rows) -> Vec<f64> {
-        (0..9).map(|k| (have[k / 3][k % 3] - want[k / 3][k % 3]) / sigma[k / 3][k % 3]).collect()
+        (0..9)
+            .map(|k| (have[k / 3][k % 3] - want[k / 3][k % 3]) / sigma[k / 3][k % 3])
+            .collect()
     }
 
     #[test]
@@ -286,14 +336,28 @@ mod tests {
             let (counts, on) = ([17, 40, -9], [true; 3]);
             assert!((f.at(&counts, &on) - truth.at(&counts, &on)).amax() < 0.5);
         }
-        assert!((0.6..1.6).contains(&(chi2 / n)), "the sigmas match the errors: {}", chi2 / n);
+        assert!(
+            (0.6..1.6).contains(&(chi2 / n)),
+            "the sigmas match the errors: {}",
+            chi2 / n
+        );
     }
 
     #[test]
     fn a_motor_that_never_idles_keeps_the_prior() {
         let fit = fit(&recording(1, 0.5, false, false), FROM).expect("stepped");
-        assert_eq!(fit.field.idle_factor.map(|k| (k * 1e6).round() / 1e6), [0.5; 3]);
-        assert!(fit.field.idle_sigma.iter().all(|s| (s - 0.289).abs() < 1e-3), "{:?}", fit.field.idle_sigma);
+        assert_eq!(
+            fit.field.idle_factor.map(|k| (k * 1e6).round() / 1e6),
+            [0.5; 3]
+        );
+        assert!(
+            fit.field
+                .idle_sigma
+                .iter()
+                .all(|s| (s - 0.289).abs() < 1e-3),
+            "{:?}",
+            fit.field.idle_sigma
+        );
     }
 
     #[test]
@@ -304,10 +368,19 @@ mod tests {
 
     #[test]
     fn a_motor_without_steps_is_refused() {
-        let samples: Vec<_> = recording(3, 0.5, true, false).into_iter().take(700).collect();
+        let samples: Vec<_> = recording(3, 0.5, true, false)
+            .into_iter()
+            .take(700)
+            .collect();
         let refused = fit(&samples, FROM).unwrap_err();
-        assert!(matches!(refused, Refusal::PoorCoverage { have, .. } if have < 0.1), "{refused}");
-        assert!(matches!(fit(&samples[..50], FROM), Err(Refusal::TooFewSamples { .. })));
+        assert!(
+            matches!(refused, Refusal::PoorCoverage { have, .. } if have < 0.1),
+            "{refused}"
+        );
+        assert!(matches!(
+            fit(&samples[..50], FROM),
+            Err(Refusal::TooFewSamples { .. })
+        ));
     }
 
     #[test]
@@ -315,6 +388,9 @@ mod tests {
         let t = truth();
         let on = [true; 3];
         assert!((t.at(&[0, 0, 0], &on) - t.at(&[64, -64, 128], &on)).amax() < 1e-12);
-        assert!((t.at(&[16, 0, 0], &on) - t.at(&[0, 0, 0], &on) - Vector3::new(-7.0, 7.0, 1.0)).amax() < 1e-12);
+        assert!(
+            (t.at(&[16, 0, 0], &on) - t.at(&[0, 0, 0], &on) - Vector3::new(-7.0, 7.0, 1.0)).amax()
+                < 1e-12
+        );
     }
 }

@@ -66,14 +66,25 @@ pub struct Mount {
 /// [`Refusal`] if there are fewer than four bends of at least 10°, their directions are too similar, or they do not
 /// share a plane.
 pub fn from_bends(bends: &[BendTurn]) -> Result<Mount, Refusal> {
-    if let Some(index) = bends.iter().position(|b| !b.turn_rad.iter().all(|x| x.is_finite())) {
+    if let Some(index) = bends
+        .iter()
+        .position(|b| !b.turn_rad.iter().all(|x| x.is_finite()))
+    {
         return Err(Refusal::NotFinite { index });
     }
-    let used: Vec<BendTurn> = bends.iter().filter(|b| b.turn_rad.norm() >= BEND_MIN_DEG.to_radians()).copied().collect();
+    let used: Vec<BendTurn> = bends
+        .iter()
+        .filter(|b| b.turn_rad.norm() >= BEND_MIN_DEG.to_radians())
+        .copied()
+        .collect();
     Refusal::unless_enough(used.len(), BENDS_MIN)?;
     let weight: f64 = used.iter().map(|b| b.turn_rad.norm_squared()).sum();
     // weights are |turn|², since the error of an integrated gyroscope does not depend on the angle
-    let scatter: Matrix3<f64> = used.iter().map(|b| b.turn_rad * b.turn_rad.transpose()).sum::<Matrix3<f64>>() / weight;
+    let scatter: Matrix3<f64> = used
+        .iter()
+        .map(|b| b.turn_rad * b.turn_rad.transpose())
+        .sum::<Matrix3<f64>>()
+        / weight;
     let eigen = scatter.symmetric_eigen();
     let order = {
         let mut order = [0, 1, 2];
@@ -83,11 +94,19 @@ pub fn from_bends(bends: &[BendTurn]) -> Result<Mount, Refusal> {
     let spread = eigen.eigenvalues[order[1]];
     if spread < SPREAD_MIN {
         let advice = "bend in all directions, at most 90° apart";
-        return Err(Refusal::PoorCoverage { what: "the plane of bends", have: spread, want: SPREAD_MIN, advice });
+        return Err(Refusal::PoorCoverage {
+            what: "the plane of bends",
+            have: spread,
+            want: SPREAD_MIN,
+            advice,
+        });
     }
     let (q, yaw_known) = match directed(&used) {
         Some(q) => (q, true),
-        None => (upright(&eigen.eigenvectors.column(order[0]).into_owned()), false),
+        None => (
+            upright(&eigen.eigenvectors.column(order[0]).into_owned()),
+            false,
+        ),
     };
     evaluate(&used, q, yaw_known, spread)
 }
@@ -112,7 +131,12 @@ fn upright(normal: &Vector3<f64>) -> UnitQuaternion<f64> {
 }
 
 /// Residuals and sigmas of a rotation; refuses bends that do not share a plane.
-fn evaluate(bends: &[BendTurn], q: UnitQuaternion<f64>, yaw_known: bool, spread: f64) -> Result<Mount, Refusal> {
+fn evaluate(
+    bends: &[BendTurn],
+    q: UnitQuaternion<f64>,
+    yaw_known: bool,
+    spread: f64,
+) -> Result<Mount, Refusal> {
     let turned: Vec<Vector3<f64>> = bends.iter().map(|b| q * b.turn_rad).collect();
     let weight: f64 = turned.iter().map(|t| t.norm_squared()).sum();
     let twist_per_bend = turned.iter().map(|t| t.z * t.norm()).sum::<f64>() / weight;
@@ -120,14 +144,28 @@ fn evaluate(bends: &[BendTurn], q: UnitQuaternion<f64>, yaw_known: bool, spread:
     let squares: f64 = turned.iter().map(|t| lift(t).powi(2)).sum();
     let out_of_plane_rad = (squares / weight).sqrt();
     let limit = OUT_OF_PLANE_MAX_DEG;
-    let rms = (turned.iter().map(|t| t.z * t.z).sum::<f64>() / weight).sqrt().to_degrees();
+    let rms = (turned.iter().map(|t| t.z * t.z).sum::<f64>() / weight)
+        .sqrt()
+        .to_degrees();
     if rms > limit {
-        return Err(Refusal::PoorFit { rms, limit, unit: "deg" });
+        return Err(Refusal::PoorFit {
+            rms,
+            limit,
+            unit: "deg",
+        });
     }
     // a rotation ε of the frame lifts a turn t by (ε × t)·z = ε_x t_y − ε_y t_x
-    let information: Matrix2<f64> = turned.iter().map(|t| Vector2::new(t.y, -t.x)).map(|d| d * d.transpose()).sum();
+    let information: Matrix2<f64> = turned
+        .iter()
+        .map(|t| Vector2::new(t.y, -t.x))
+        .map(|d| d * d.transpose())
+        .sum();
     let spare = (bends.len() as f64 - 3.0).max(1.0);
-    let tilt = information.try_inverse().ok_or(Refusal::NotAnEllipsoid)?.diagonal().map(|v| v * squares / spare);
+    let tilt = information
+        .try_inverse()
+        .ok_or(Refusal::NotAnEllipsoid)?
+        .diagonal()
+        .map(|v| v * squares / spare);
     let yaw = yaw_sigma(bends, &turned, weight).filter(|_| yaw_known);
     let unknown = std::f64::consts::PI / 3.0_f64.sqrt();
     Ok(Mount {
@@ -161,7 +199,9 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
 
     fn normal(rng: &mut StdRng, sigma: f64) -> Vector3<f64> {
-        Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng))
+        Vector3::from_fn(|_, _| {
+            sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng)
+        })
     }
 
     fn mounted() -> UnitQuaternion<f64> {
@@ -179,10 +219,13 @@ mod tests {
         (0..=200)
             .map(|k| {
                 let t = f64::from(k) * 0.005;
-                let rate_tip = (attitude(t - h).inverse() * attitude(t + h)).scaled_axis() / (2.0 * h);
+                let rate_tip =
+                    (attitude(t - h).inverse() * attitude(t + h)).scaled_axis() / (2.0 * h);
                 ImuSample {
                     t: Seconds(t),
-                    gyro_rad_s: mounted().inverse() * rate_tip + Vector3::new(0.01, 0.0, -0.02) + normal(rng, 0.01),
+                    gyro_rad_s: mounted().inverse() * rate_tip
+                        + Vector3::new(0.01, 0.0, -0.02)
+                        + normal(rng, 0.01),
                     acc_m_s2: Vector3::z() * 9.81,
                     mag_ut: None,
                 }
@@ -195,7 +238,10 @@ mod tests {
             .map(|k| {
                 let delta = std::f64::consts::TAU * f64::from(k) / f64::from(n);
                 let turn_rad = turn_of(&bend(delta, twist, rng), &Vector3::new(0.01, 0.0, -0.02));
-                BendTurn { turn_rad, direction_rad: known.then_some(delta) }
+                BendTurn {
+                    turn_rad,
+                    direction_rad: known.then_some(delta),
+                }
             })
             .collect()
     }
@@ -209,11 +255,18 @@ mod tests {
             let error = (fit.r_tip_sensor.quat() * mounted().inverse()).scaled_axis();
             let z = error.component_div(&fit.sigma_rad);
             assert!(z.amax() < 5.0, "seed {seed}: {z}");
-            assert!(error.norm() < 0.2_f64.to_radians(), "{}", error.norm().to_degrees());
+            assert!(
+                error.norm() < 0.2_f64.to_radians(),
+                "{}",
+                error.norm().to_degrees()
+            );
             assert!((fit.spread - 0.5).abs() < 0.01);
             chi2 += z.norm_squared() / 60.0;
         }
-        assert!((0.3..2.0).contains(&chi2), "the sigmas match the errors: {chi2}");
+        assert!(
+            (0.3..2.0).contains(&chi2),
+            "the sigmas match the errors: {chi2}"
+        );
     }
 
     #[test]
@@ -221,16 +274,30 @@ mod tests {
         let fit = from_bends(&bends(8, false, 0.0, &mut StdRng::seed_from_u64(1))).expect("round");
         let axis = fit.r_tip_sensor.inverse().apply(&Vector3::z());
         let want = mounted().inverse() * Vector3::z();
-        assert!(axis.angle(&want).to_degrees() < 0.2, "{}", axis.angle(&want).to_degrees());
+        assert!(
+            axis.angle(&want).to_degrees() < 0.2,
+            "{}",
+            axis.angle(&want).to_degrees()
+        );
         assert!(fit.sigma_rad.z > 1.8 && fit.sigma_rad.x < 0.01);
-        assert!(fit.r_tip_sensor.quat().scaled_axis().z.abs() < 1e-9, "there is no component about z");
+        assert!(
+            fit.r_tip_sensor.quat().scaled_axis().z.abs() < 1e-9,
+            "there is no component about z"
+        );
     }
 
     #[test]
     fn a_twist_is_reported_and_does_not_tilt_the_mount() {
         let fit = from_bends(&bends(12, true, 0.06, &mut StdRng::seed_from_u64(2))).expect("round");
-        assert!((fit.twist_per_bend - 0.06).abs() < 0.01, "{}", fit.twist_per_bend);
-        let tilt = (fit.r_tip_sensor.quat() * mounted().inverse()).scaled_axis().xy().norm();
+        assert!(
+            (fit.twist_per_bend - 0.06).abs() < 0.01,
+            "{}",
+            fit.twist_per_bend
+        );
+        let tilt = (fit.r_tip_sensor.quat() * mounted().inverse())
+            .scaled_axis()
+            .xy()
+            .norm();
         assert!(tilt.to_degrees() < 0.3, "{}", tilt.to_degrees());
     }
 
@@ -239,10 +306,31 @@ mod tests {
         let mut rng = StdRng::seed_from_u64(3);
         let all = bends(12, true, 0.0, &mut rng);
         let one_way: Vec<_> = [0, 6, 0, 6, 0].map(|k| all[k]).to_vec();
-        assert!(matches!(from_bends(&one_way), Err(Refusal::PoorCoverage { .. })));
-        let small: Vec<_> = all.iter().map(|b| BendTurn { turn_rad: b.turn_rad * 0.1, ..*b }).collect();
-        assert!(matches!(from_bends(&small), Err(Refusal::TooFewSamples { have: 0, want: 4 })));
-        let wild: Vec<_> = all.iter().map(|b| BendTurn { turn_rad: b.turn_rad + normal(&mut rng, 0.3), ..*b }).collect();
-        assert!(matches!(from_bends(&wild), Err(Refusal::PoorFit { unit: "deg", .. })));
+        assert!(matches!(
+            from_bends(&one_way),
+            Err(Refusal::PoorCoverage { .. })
+        ));
+        let small: Vec<_> = all
+            .iter()
+            .map(|b| BendTurn {
+                turn_rad: b.turn_rad * 0.1,
+                ..*b
+            })
+            .collect();
+        assert!(matches!(
+            from_bends(&small),
+            Err(Refusal::TooFewSamples { have: 0, want: 4 })
+        ));
+        let wild: Vec<_> = all
+            .iter()
+            .map(|b| BendTurn {
+                turn_rad: b.turn_rad + normal(&mut rng, 0.3),
+                ..*b
+            })
+            .collect();
+        assert!(matches!(
+            from_bends(&wild),
+            Err(Refusal::PoorFit { unit: "deg", .. })
+        ));
     }
 }

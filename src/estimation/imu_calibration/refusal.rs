@@ -18,7 +18,9 @@ pub enum Refusal {
         index: usize,
     },
     /// Motion during a rest.
-    #[error("not still: {what} is {have:.4} {unit}, the limit is {limit:.4}: secure the tip and repeat")]
+    #[error(
+        "not still: {what} is {have:.4} {unit}, the limit is {limit:.4}: secure the tip and repeat"
+    )]
     Moving {
         /// The quantity that shows the motion.
         what: &'static str,
@@ -51,7 +53,9 @@ pub enum Refusal {
     #[error("the readings do not lie on an ellipsoid: keep away from magnets and repeat")]
     NotAnEllipsoid,
     /// The ellipsoid is too flat: the sensor was hardly turned about one axis.
-    #[error("the axes of the ellipsoid have a ratio of {ratio:.1}, the limit is {limit:.1}: turn about all three axes")]
+    #[error(
+        "the axes of the ellipsoid have a ratio of {ratio:.1}, the limit is {limit:.1}: turn about all three axes"
+    )]
     Flat {
         /// Longest to shortest axis.
         ratio: f64,
@@ -59,7 +63,9 @@ pub enum Refusal {
         limit: f64,
     },
     /// The result would be too uncertain.
-    #[error("the standard deviation of {what} is {sigma:.4} {unit}, the limit is {limit:.4}: cover more directions")]
+    #[error(
+        "the standard deviation of {what} is {sigma:.4} {unit}, the limit is {limit:.4}: cover more directions"
+    )]
     TooUncertain {
         /// The quantity.
         what: &'static str,
@@ -71,7 +77,9 @@ pub enum Refusal {
         unit: &'static str,
     },
     /// The residual of the fit is too large.
-    #[error("the residual of the fit is {rms:.4} {unit} rms, the limit is {limit:.4}: remove other disturbances of the sensor")]
+    #[error(
+        "the residual of the fit is {rms:.4} {unit} rms, the limit is {limit:.4}: remove other disturbances of the sensor"
+    )]
     PoorFit {
         /// Residual.
         rms: f64,
@@ -85,6 +93,10 @@ pub enum Refusal {
 impl Refusal {
     /// Refuses less than `want` samples.
     pub(super) fn unless_enough(have: usize, want: usize) -> Result<(), Self> {
-        if have < want { Err(Self::TooFewSamples { have, want }) } else { Ok(()) }
+        if have < want {
+            Err(Self::TooFewSamples { have, want })
+        } else {
+            Ok(())
+        }
     }
 }

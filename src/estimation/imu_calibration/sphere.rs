@@ -24,11 +24,21 @@ mod tests {
     #[test]
     fn coverage_counts_equal_areas() {
         assert_eq!(coverage(std::iter::empty()), 0.0);
-        assert_eq!(coverage([Vector3::z(), Vector3::zeros(), Vector3::repeat(f64::NAN)].iter()), 1.0 / 32.0);
+        assert_eq!(
+            coverage([Vector3::z(), Vector3::zeros(), Vector3::repeat(f64::NAN)].iter()),
+            1.0 / 32.0
+        );
         let all: Vec<_> = (0..4000)
             .map(|i| {
-                let (z, a) = ((f64::from(i) + 0.5) / 2000.0 - 1.0, f64::from(i) * 2.399_963);
-                Vector3::new((1.0_f64 - z * z).sqrt() * a.cos(), (1.0_f64 - z * z).sqrt() * a.sin(), z)
+                let (z, a) = (
+                    (f64::from(i) + 0.5) / 2000.0 - 1.0,
+                    f64::from(i) * 2.399_963,
+                );
+                Vector3::new(
+                    (1.0_f64 - z * z).sqrt() * a.cos(),
+                    (1.0_f64 - z * z).sqrt() * a.sin(),
+                    z,
+                )
             })
             .collect();
         assert_eq!(coverage(all.iter()), 1.0);

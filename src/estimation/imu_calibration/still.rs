@@ -39,7 +39,9 @@ pub struct Rest {
     pub mag_ut: Option<Vector3<f64>>,
 }
 
-fn mean_std(values: impl Iterator<Item = Vector3<f64>> + Clone) -> Option<(Vector3<f64>, Vector3<f64>)> {
+fn mean_std(
+    values: impl Iterator<Item = Vector3<f64>> + Clone,
+) -> Option<(Vector3<f64>, Vector3<f64>)> {
     let n = values.clone().count();
     if n == 0 {
         return None;
@@ -59,7 +61,9 @@ fn turn(samples: &[ImuSample]) -> f64 {
     let (head, tail) = (&samples[..third], &samples[samples.len() - third..]);
     let acc = |s: &[ImuSample]| mean_std(s.iter().map(|s| s.acc_m_s2)).map(|m| m.0);
     let mag = |s: &[ImuSample]| mean_std(s.iter().filter_map(|s| s.mag_ut)).map(|m| m.0);
-    let between = |a: Option<Vector3<f64>>, b: Option<Vector3<f64>>| a.zip(b).map_or(0.0, |(a, b)| angle(&a, &b));
+    let between = |a: Option<Vector3<f64>>, b: Option<Vector3<f64>>| {
+        a.zip(b).map_or(0.0, |(a, b)| angle(&a, &b))
+    };
     between(acc(head), acc(tail)).max(between(mag(head), mag(tail)))
 }
 
@@ -75,24 +79,58 @@ pub fn rest(samples: &[ImuSample]) -> Result<Rest, Refusal> {
     let duration_s = samples[samples.len() - 1].t.0 - samples[0].t.0;
     if duration_s < DURATION_MIN_S {
         let want = (samples.len() as f64 * DURATION_MIN_S / duration_s.max(1e-9)).ceil() as usize;
-        return Err(Refusal::TooFewSamples { have: samples.len(), want });
+        return Err(Refusal::TooFewSamples {
+            have: samples.len(),
+            want,
+        });
     }
-    let summary = |pick: fn(&ImuSample) -> Vector3<f64>| mean_std(samples.iter().map(pick)).unwrap_or((Vector3::zeros(), Vector3::zeros()));
+    let summary = |pick: fn(&ImuSample) -> Vector3<f64>| {
+        mean_std(samples.iter().map(pick)).unwrap_or((Vector3::zeros(), Vector3::zeros()))
+    };
     let (gyro_rad_s, gyro_std_rad_s) = summary(|s| s.gyro_rad_s);
     let (acc_m_s2, acc_std_m_s2) = summary(|s| s.acc_m_s2);
     let checks = [
-        ("the standard deviation of the gyroscope", gyro_std_rad_s.amax(), GYRO_SPREAD_MAX_RAD_S, "rad/s"),
-        ("the standard deviation of the accelerometer", acc_std_m_s2.amax(), ACC_SPREAD_MAX_M_S2, "m/s²"),
-        ("the rotation from start to end", turn(samples).to_degrees(), TURN_MAX_DEG, "deg"),
+        (
+            "the standard deviation of the gyroscope",
+            gyro_std_rad_s.amax(),
+            GYRO_SPREAD_MAX_RAD_S,
+            "rad/s",
+        ),
+        (
+            "the standard deviation of the accelerometer",
+            acc_std_m_s2.amax(),
+            ACC_SPREAD_MAX_M_S2,
+            "m/s²",
+        ),
+        (
+            "the rotation from start to end",
+            turn(samples).to_degrees(),
+            TURN_MAX_DEG,
+            "deg",
+        ),
     ];
     for (what, have, limit, unit) in checks {
         if have > limit {
-            return Err(Refusal::Moving { what, have, limit, unit });
+            return Err(Refusal::Moving {
+                what,
+                have,
+                limit,
+                unit,
+            });
         }
     }
     let mag_ut = mean_std(samples.iter().filter_map(|s| s.mag_ut)).map(|m| m.0);
     let n = samples.len();
-    Ok(Rest { first: 0, samples: n, duration_s, gyro_rad_s, gyro_std_rad_s, acc_m_s2, acc_std_m_s2, mag_ut })
+    Ok(Rest {
+        first: 0,
+        samples: n,
+        duration_s,
+        gyro_rad_s,
+        gyro_std_rad_s,
+        acc_m_s2,
+        acc_std_m_s2,
+        mag_ut,
+    })
 }
 
 /// All rests of a recording: adjacent windows of 1 s that pass [`rest`], joined where the attitude is
@@ -102,15 +140,27 @@ pub fn rests(samples: &[ImuSample]) -> Vec<Rest> {
     let mut from = 0;
     while from < samples.len() {
         let end_s = samples[from].t.0 + DURATION_MIN_S;
-        let Some(n) = samples[from..].iter().position(|s| s.t.0 >= end_s) else { break };
+        let Some(n) = samples[from..].iter().position(|s| s.t.0 >= end_s) else {
+            break;
+        };
         if let Ok(window) = rest(&samples[from..=from + n]) {
             let joined = found.last().and_then(|last| {
                 let stretch = &samples[last.first..=from + n];
-                (last.first + last.samples >= from).then(|| rest(stretch).ok()).flatten()
+                (last.first + last.samples >= from)
+                    .then(|| rest(stretch).ok())
+                    .flatten()
             });
             match (joined, found.last_mut()) {
-                (Some(longer), Some(last)) => *last = Rest { first: last.first, ..longer },
-                _ => found.push(Rest { first: from, ..window }),
+                (Some(longer), Some(last)) => {
+                    *last = Rest {
+                        first: last.first,
+                        ..longer
+                    }
+                }
+                _ => found.push(Rest {
+                    first: from,
+                    ..window
+                }),
             }
             from += n;
         } else {

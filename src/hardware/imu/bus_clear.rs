@@ -56,7 +56,11 @@ pub fn clear<L: OpenDrainLine>(sda: &mut L, scl: &mut L, delay: &mut dyn DelayNs
     for (line, low) in [(true, true), (false, true), (true, false), (false, false)] {
         pull(if line { &mut *scl } else { &mut *sda }, low);
     }
-    if freed { BusState::Freed(pulses) } else { BusState::Stuck }
+    if freed {
+        BusState::Freed(pulses)
+    } else {
+        BusState::Stuck
+    }
 }
 
 /// A line on the header of a Raspberry Pi. It returns to the bus controller when it is dropped.
@@ -69,8 +73,13 @@ struct HeaderLine {
 #[cfg(feature = "hw")]
 impl OpenDrainLine for HeaderLine {
     fn is_high(&self) -> bool {
-        let watched = self.watched.as_ref().map(|pin| pin.read() == rppal::gpio::Level::High);
-        watched.or(self.taken.as_ref().map(rppal::gpio::IoPin::is_high)).unwrap_or(true)
+        let watched = self
+            .watched
+            .as_ref()
+            .map(|pin| pin.read() == rppal::gpio::Level::High);
+        watched
+            .or(self.taken.as_ref().map(rppal::gpio::IoPin::is_high))
+            .unwrap_or(true)
     }
 
     fn pull(&mut self, low: bool) {
@@ -89,8 +98,14 @@ impl OpenDrainLine for HeaderLine {
 #[cfg(feature = "hw")]
 pub fn clear_header(lines: [u32; 2], delay: &mut dyn DelayNs) -> BusState {
     let open = |line: u32| {
-        let pin = rppal::gpio::Gpio::new().ok()?.get(u8::try_from(line).ok()?).ok()?;
-        Some(HeaderLine { watched: Some(pin), taken: None })
+        let pin = rppal::gpio::Gpio::new()
+            .ok()?
+            .get(u8::try_from(line).ok()?)
+            .ok()?;
+        Some(HeaderLine {
+            watched: Some(pin),
+            taken: None,
+        })
     };
     match lines.map(open) {
         [Some(mut sda), Some(mut scl)] => clear(&mut sda, &mut scl, delay),
@@ -128,13 +143,21 @@ mod tests {
             bus.taken = true;
             bus.pulled[self.1] = low;
             bus.pulses += u8::from(self.1 == 1 && rises);
-            bus.stops += u32::from(self.1 == 0 && rises && !bus.pulled[1] && bus.pulses >= bus.needs);
+            bus.stops +=
+                u32::from(self.1 == 0 && rises && !bus.pulled[1] && bus.pulses >= bus.needs);
         }
     }
 
     fn cleared(needs: u8) -> (BusState, Bus) {
-        let bus = Rc::new(RefCell::new(Bus { needs, ..Bus::default() }));
-        let state = clear(&mut Line(bus.clone(), 0), &mut Line(bus.clone(), 1), &mut NoopDelay::new());
+        let bus = Rc::new(RefCell::new(Bus {
+            needs,
+            ..Bus::default()
+        }));
+        let state = clear(
+            &mut Line(bus.clone(), 0),
+            &mut Line(bus.clone(), 1),
+            &mut NoopDelay::new(),
+        );
         (state, bus.take())
     }
 
@@ -142,7 +165,10 @@ mod tests {
     fn nine_clocks_and_a_stop_free_a_bus_that_a_chip_holds() {
         for needs in 1..=9 {
             let (state, bus) = cleared(needs);
-            assert_eq!((state, bus.stops, bus.pulled), (BusState::Freed(needs), 1, [false; 2]));
+            assert_eq!(
+                (state, bus.stops, bus.pulled),
+                (BusState::Freed(needs), 1, [false; 2])
+            );
         }
         assert_eq!(cleared(200).0, BusState::Stuck, "a short to ground");
     }

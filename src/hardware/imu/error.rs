@@ -86,12 +86,22 @@ impl ImuError {
             Self::Nack { .. } => {
                 "check the plug, the 3.3 V supply and `imu.chip.address` (`i2cdetect -y 1` lists the addresses that answer)"
             }
-            Self::ShortRead { .. } => "look for a loose contact, or a cable longer than 1.2 m at 400 kHz",
-            Self::Bus { .. } => "cycle the power of the IMU, then look for a short or a missing pull-up on SDA and SCL",
-            Self::WrongId { .. } => "set `imu.chip.part` and `imu.chip.address` to the part that is fitted",
-            Self::ResetToDefaults { .. } => "its supply dipped: initialise it again and check the 3.3 V supply under motor load",
+            Self::ShortRead { .. } => {
+                "look for a loose contact, or a cable longer than 1.2 m at 400 kHz"
+            }
+            Self::Bus { .. } => {
+                "cycle the power of the IMU, then look for a short or a missing pull-up on SDA and SCL"
+            }
+            Self::WrongId { .. } => {
+                "set `imu.chip.part` and `imu.chip.address` to the part that is fitted"
+            }
+            Self::ResetToDefaults { .. } => {
+                "its supply dipped: initialise it again and check the 3.3 V supply under motor load"
+            }
             Self::Timeout { .. } => "cycle the power of the IMU; if the error persists, replace it",
-            Self::NotReady { .. } => "initialise it first, and again after every restart of the chip",
+            Self::NotReady { .. } => {
+                "initialise it first, and again after every restart of the chip"
+            }
         }
     }
 

@@ -63,9 +63,22 @@ impl<I: I2c> Icm20948<I> {
     /// [`Invalid`] for a setting that the part does not support.
     pub fn new(bus: I, config: &IcmConfig) -> Result<Self, Invalid> {
         let settings = config.settings()?;
-        let port = Port { part: Part::Icm20948, address: settings.address };
+        let port = Port {
+            part: Part::Icm20948,
+            address: settings.address,
+        };
         let (last, last_mag) = (None, None);
-        Ok(Self { bus, port, settings, ready: false, bank: None, reads: 0, ranges_next: false, last, last_mag })
+        Ok(Self {
+            bus,
+            port,
+            settings,
+            ready: false,
+            bank: None,
+            reads: 0,
+            ranges_next: false,
+            last,
+            last_mag,
+        })
     }
 
     fn set(&mut self, register: u8, value: u8) -> Result<(), ImuError> {
@@ -84,7 +97,8 @@ impl<I: I2c> Icm20948<I> {
         self.set(reg::PWR_MGMT_1, 0x80)?;
         delay.delay_ms(10);
         let busy = (reg::PWR_MGMT_1, 0x80);
-        self.port.wait_clear(&mut self.bus, delay, busy, "its reset", RESET_LIMIT_MS)?;
+        self.port
+            .wait_clear(&mut self.bus, delay, busy, "its reset", RESET_LIMIT_MS)?;
         self.set(reg::PWR_MGMT_1, 0x01)?; // awake, best clock
         delay.delay_ms(35); // gyroscope start-up (DS-000189, table 1)
         self.set(reg::PWR_MGMT_2, 0x00)?;
@@ -115,10 +129,18 @@ impl<I: I2c> Icm20948<I> {
     }
 
     /// Transfers one byte to or from the magnetometer through the one-shot slave.
-    fn aux(&mut self, delay: &mut dyn DelayNs, register: u8, write: Option<u8>) -> Result<u8, ImuError> {
+    fn aux(
+        &mut self,
+        delay: &mut dyn DelayNs,
+        register: u8,
+        write: Option<u8>,
+    ) -> Result<u8, ImuError> {
         self.port.get(&mut self.bus, reg::I2C_MST_STATUS)?; // reading clears it
         self.bank(3)?;
-        self.set(reg::I2C_SLV4_ADDR, AK_ADDRESS | if write.is_some() { 0 } else { 0x80 })?;
+        self.set(
+            reg::I2C_SLV4_ADDR,
+            AK_ADDRESS | if write.is_some() { 0 } else { 0x80 },
+        )?;
         self.set(reg::I2C_SLV4_REG, register)?;
         self.set(reg::I2C_SLV4_DO, write.unwrap_or(0))?;
         self.set(reg::I2C_SLV4_CTRL, 0x80)?;
@@ -127,7 +149,10 @@ impl<I: I2c> Icm20948<I> {
             delay.delay_ms(1);
             let status = self.port.get(&mut self.bus, reg::I2C_MST_STATUS)?;
             if status & 0x10 != 0 {
-                return Err(ImuError::Nack { part: Part::Ak09916, address: AK_ADDRESS });
+                return Err(ImuError::Nack {
+                    part: Part::Ak09916,
+                    address: AK_ADDRESS,
+                });
             }
             if status & 0x40 != 0 {
                 self.bank(3)?;
@@ -136,7 +161,11 @@ impl<I: I2c> Icm20948<I> {
                 return Ok(value);
             }
         }
-        Err(ImuError::Timeout { part: Part::Ak09916, what: "a transfer", limit_ms: SLV4_LIMIT_MS })
+        Err(ImuError::Timeout {
+            part: Part::Ak09916,
+            what: "a transfer",
+            limit_ms: SLV4_LIMIT_MS,
+        })
     }
 
     /// Resets and identifies the magnetometer. It may miss the first transfers after power-on, so the
@@ -151,7 +180,12 @@ impl<I: I2c> Icm20948<I> {
                     AK_WHO_AM_I => Ok(()),
                     have => {
                         let (part, address, want) = (Part::Ak09916, AK_ADDRESS, AK_WHO_AM_I);
-                        Err(ImuError::WrongId { part, address, have, want })
+                        Err(ImuError::WrongId {
+                            part,
+                            address,
+                            have,
+                            want,
+                        })
                     }
                 }
             });
@@ -168,7 +202,12 @@ impl<I: I2c> Icm20948<I> {
         self.aux(delay, reg::AK_CNTL2, Some(want))?;
         let have = self.aux(delay, reg::AK_CNTL2, None)?;
         if have != want {
-            return Err(ImuError::ResetToDefaults { part: Part::Ak09916, register: reg::AK_CNTL2, have, want });
+            return Err(ImuError::ResetToDefaults {
+                part: Part::Ak09916,
+                register: reg::AK_CNTL2,
+                have,
+                want,
+            });
         }
         self.bank(3)?;
         self.set(reg::I2C_SLV0_ADDR, 0x80 | AK_ADDRESS)?;
@@ -187,13 +226,24 @@ impl<I: I2c> Icm20948<I> {
         }
         if suspicious || (due && self.ranges_next) {
             // USER_CTRL, 0x04 (reserved), LP_CONFIG, PWR_MGMT_1, PWR_MGMT_2
-            let want = [(0x20, 0xFF), (0, 0), (0x00, 0x70), (0x01, 0xEF), (0x00, 0x3F)];
+            let want = [
+                (0x20, 0xFF),
+                (0, 0),
+                (0x00, 0x70),
+                (0x01, 0xEF),
+                (0x00, 0x3F),
+            ];
             self.port.check(&mut self.bus, reg::USER_CTRL, &want)
         } else if due {
             let s = self.settings;
             self.bank(2)?;
-            self.port.check(&mut self.bus, reg::GYRO_SMPLRT_DIV, &[(s.divider, 0xFF), (s.gyro_config, 0x3F)])?;
-            self.port.check(&mut self.bus, reg::ACCEL_CONFIG, &[(s.acc_config, 0x3F)])?;
+            self.port.check(
+                &mut self.bus,
+                reg::GYRO_SMPLRT_DIV,
+                &[(s.divider, 0xFF), (s.gyro_config, 0x3F)],
+            )?;
+            self.port
+                .check(&mut self.bus, reg::ACCEL_CONFIG, &[(s.acc_config, 0x3F)])?;
             self.bank(0)
         } else {
             Ok(())
@@ -217,7 +267,9 @@ impl<I: I2c> Icm20948<I> {
         let mut raw = self.burst()?;
         let blank = raw.acc == [0; 3] && raw.gyro == [0; 3]; // the values of a sleeping chip
         self.canary(blank)?;
-        raw.fresh = self.last.is_none_or(|l| (l.gyro, l.acc) != (raw.gyro, raw.acc));
+        raw.fresh = self
+            .last
+            .is_none_or(|l| (l.gyro, l.acc) != (raw.gyro, raw.acc));
         self.last = Some(raw);
         Ok(raw)
     }
@@ -260,7 +312,11 @@ impl<I: I2c> Imu for Icm20948<I> {
         self.ready = true;
         Ok(Identity {
             inertial,
-            magnetic: ChipId { part: Part::Ak09916, address: AK_ADDRESS, id: AK_WHO_AM_I },
+            magnetic: ChipId {
+                part: Part::Ak09916,
+                address: AK_ADDRESS,
+                id: AK_WHO_AM_I,
+            },
             rate_hz: BASE_RATE_HZ / (1.0 + f64::from(self.settings.divider)),
             mag_rate_hz: self.settings.mag_rate_hz,
         })
@@ -268,7 +324,9 @@ impl<I: I2c> Imu for Icm20948<I> {
 
     fn read(&mut self) -> Result<RawImu, ImuError> {
         if !self.ready {
-            return Err(ImuError::NotReady { part: Part::Icm20948 });
+            return Err(ImuError::NotReady {
+                part: Part::Icm20948,
+            });
         }
         let result = self.read_checked();
         self.ready &= !matches!(result, Err(ImuError::ResetToDefaults { .. }));

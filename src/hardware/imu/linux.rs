@@ -43,7 +43,11 @@ pub trait Errno {
 
 impl Errno for rppal::i2c::Error {
     fn errno(&self) -> Option<i32> {
-        if let Self::Io(e) = self { e.raw_os_error() } else { None }
+        if let Self::Io(e) = self {
+            e.raw_os_error()
+        } else {
+            None
+        }
     }
 }
 
@@ -79,7 +83,9 @@ impl Error for BusError {
 /// The class of an error number of an I²C transfer; `None` for an unspecific one.
 fn class_of(errno: i32) -> Option<ErrorKind> {
     match errno {
-        libc::EREMOTEIO | libc::ENXIO | libc::ENODEV => Some(ErrorKind::NoAcknowledge(NoAcknowledgeSource::Unknown)),
+        libc::EREMOTEIO | libc::ENXIO | libc::ENODEV => {
+            Some(ErrorKind::NoAcknowledge(NoAcknowledgeSource::Unknown))
+        }
         libc::ETIMEDOUT | libc::EIO | libc::EBUSY | libc::EPROTO => Some(ErrorKind::Bus),
         libc::EAGAIN => Some(ErrorKind::ArbitrationLoss),
         libc::EOVERFLOW | libc::EMSGSIZE => Some(ErrorKind::Overrun),
@@ -98,10 +104,17 @@ impl<I: I2c> I2c for Classified<I>
 where
     I::Error: Errno,
 {
-    fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), BusError> {
+    fn transaction(
+        &mut self,
+        address: u8,
+        operations: &mut [Operation<'_>],
+    ) -> Result<(), BusError> {
         self.0.transaction(address, operations).map_err(|e| {
             let errno = e.errno();
-            BusError { kind: errno.and_then(class_of).unwrap_or(e.kind()), errno }
+            BusError {
+                kind: errno.and_then(class_of).unwrap_or(e.kind()),
+                errno,
+            }
         })
     }
 }
@@ -124,7 +137,9 @@ mod tests {
         let raw = || std::io::Error::from_raw_os_error(libc::EREMOTEIO);
         let rppal = rppal::i2c::Error::Io(raw());
         assert_eq!((rppal.kind(), rppal.errno()), (ErrorKind::Other, Some(121)));
-        let linux = linux_embedded_hal::I2CError::from(linux_embedded_hal::i2cdev::linux::LinuxI2CError::Io(raw()));
+        let linux = linux_embedded_hal::I2CError::from(
+            linux_embedded_hal::i2cdev::linux::LinuxI2CError::Io(raw()),
+        );
         assert_eq!((linux.kind(), linux.errno()), (ErrorKind::Other, Some(121)));
     }
 }

@@ -45,19 +45,36 @@ impl Lis2mdl {
     /// A driver for 10, 20, 50 or 100 Hz; `None` for any other rate.
     pub fn new(rate_hz: u16) -> Option<Self> {
         let rate = [10, 20, 50, 100].into_iter().position(|r| r == rate_hz)? as u8;
-        let port = Port { part: Part::Lis2mdl, address: ADDRESS };
-        Some(Self { port, cfg_a: 0x80 | rate << 2, last: None }) // temperature-compensated, continuous
+        let port = Port {
+            part: Part::Lis2mdl,
+            address: ADDRESS,
+        };
+        Some(Self {
+            port,
+            cfg_a: 0x80 | rate << 2,
+            last: None,
+        }) // temperature-compensated, continuous
     }
 
     /// Identifies, resets and configures the chip.
     ///
     /// # Errors
     /// [`ImuError`] when it is absent, is another part, or does not start.
-    pub fn init<I: I2c>(&mut self, bus: &mut I, delay: &mut dyn DelayNs) -> Result<ChipId, ImuError> {
+    pub fn init<I: I2c>(
+        &mut self,
+        bus: &mut I,
+        delay: &mut dyn DelayNs,
+    ) -> Result<ChipId, ImuError> {
         self.last = None;
         let id = self.port.identify(bus, reg::WHO_AM_I, WHO_AM_I)?;
         self.port.set(bus, reg::CFG_REG_A, 0x20)?; // SOFT_RST
-        self.port.wait_clear(bus, delay, (reg::CFG_REG_A, 0x20), "its reset", RESET_LIMIT_MS)?;
+        self.port.wait_clear(
+            bus,
+            delay,
+            (reg::CFG_REG_A, 0x20),
+            "its reset",
+            RESET_LIMIT_MS,
+        )?;
         self.port.set(bus, reg::CFG_REG_C, CFG_C)?;
         self.port.set(bus, reg::CFG_REG_B, CFG_B)?;
         self.port.set(bus, reg::CFG_REG_A, self.cfg_a)?;
@@ -89,6 +106,10 @@ impl Lis2mdl {
     /// # Errors
     /// [`ImuError::ResetToDefaults`] after a restart.
     pub fn check<I: I2c>(&self, bus: &mut I) -> Result<(), ImuError> {
-        self.port.check(bus, reg::CFG_REG_A, &[(self.cfg_a, 0xFF), (CFG_B, 0x1F), (CFG_C, 0x38)])
+        self.port.check(
+            bus,
+            reg::CFG_REG_A,
+            &[(self.cfg_a, 0xFF), (CFG_B, 0x1F), (CFG_C, 0x38)],
+        )
     }
 }

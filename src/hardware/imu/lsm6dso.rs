@@ -72,15 +72,33 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
             problem: format!("the LIS2MDL does not measure at {} Hz", config.mag_rate_hz),
             hint: "write 10, 20, 50 or 100".to_owned(),
         })?;
-        let port = Port { part: Part::Lsm6dso, address: settings.address };
+        let port = Port {
+            part: Part::Lsm6dso,
+            address: settings.address,
+        };
         let mag_rate_hz = f64::from(config.mag_rate_hz);
-        Ok(Self { bus, port, mag, settings, mag_rate_hz, ready: false, reads: 0, since_mag: 0 })
+        Ok(Self {
+            bus,
+            port,
+            mag,
+            settings,
+            mag_rate_hz,
+            ready: false,
+            reads: 0,
+            since_mag: 0,
+        })
     }
 
     fn configure(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
         let s = self.settings;
         self.port.set(&mut self.bus, reg::CTRL3_C, 0x05)?; // IF_INC, SW_RESET
-        self.port.wait_clear(&mut self.bus, delay, (reg::CTRL3_C, 0x01), "its reset", RESET_LIMIT_MS)?;
+        self.port.wait_clear(
+            &mut self.bus,
+            delay,
+            (reg::CTRL3_C, 0x01),
+            "its reset",
+            RESET_LIMIT_MS,
+        )?;
         let settings = [
             (reg::CTRL3_C, CTRL3),
             (reg::CTRL9_XL, CTRL9),
@@ -104,7 +122,12 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
         }
         self.reads = 0;
         let s = self.settings;
-        let want = [(s.ctrl1, 0xFE), (s.ctrl2, 0xFE), (CTRL3, 0xC5), (s.ctrl4, 0x42)];
+        let want = [
+            (s.ctrl1, 0xFE),
+            (s.ctrl2, 0xFE),
+            (CTRL3, 0xC5),
+            (s.ctrl4, 0x42),
+        ];
         self.port.check(&mut self.bus, reg::CTRL1_XL, &want)?;
         match self.mag.check(&mut self.bus) {
             Err(error) if !matches!(error, ImuError::ResetToDefaults { .. }) => {
@@ -144,7 +167,9 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
                 Ok(value) => raw.mag = value,
                 Err(error) => raw.mag_fault = Some(error),
             }
-            raw.mag_overflow = raw.mag.is_some_and(|m| m.iter().any(|c| c.unsigned_abs() >= MAG_OVERFLOW));
+            raw.mag_overflow = raw
+                .mag
+                .is_some_and(|m| m.iter().any(|c| c.unsigned_abs() >= MAG_OVERFLOW));
         }
     }
 }
@@ -157,12 +182,19 @@ impl<I: I2c> Imu for Lsm6dsoLis2mdl<I> {
         self.configure(delay)?;
         let magnetic = self.mag.init(&mut self.bus, delay)?;
         self.ready = true;
-        Ok(Identity { inertial, magnetic, rate_hz: self.settings.rate_hz, mag_rate_hz: self.mag_rate_hz })
+        Ok(Identity {
+            inertial,
+            magnetic,
+            rate_hz: self.settings.rate_hz,
+            mag_rate_hz: self.mag_rate_hz,
+        })
     }
 
     fn read(&mut self) -> Result<RawImu, ImuError> {
         if !self.ready {
-            return Err(ImuError::NotReady { part: Part::Lsm6dso });
+            return Err(ImuError::NotReady {
+                part: Part::Lsm6dso,
+            });
         }
         let mut raw = self.burst()?;
         self.read_mag(&mut raw);

@@ -60,7 +60,10 @@ pub enum ChipConfig {
 impl Setting for ChipConfig {
     const SHAPE: Shape = Shape::Tagged(
         "part",
-        &[("icm20948", <icm20948::IcmConfig as Parameters>::TABLE), ("lsm6dso_lis2mdl", <lsm6dso::LsmConfig as Parameters>::TABLE)],
+        &[
+            ("icm20948", <icm20948::IcmConfig as Parameters>::TABLE),
+            ("lsm6dso_lis2mdl", <lsm6dso::LsmConfig as Parameters>::TABLE),
+        ],
     );
 }
 
@@ -95,7 +98,10 @@ impl ChipConfig {
 ///
 /// # Errors
 /// [`Invalid`] for a setting that the part does not support.
-pub fn open<I: I2c + Send + 'static>(config: &ChipConfig, bus: I) -> Result<Box<dyn Imu + Send>, Invalid> {
+pub fn open<I: I2c + Send + 'static>(
+    config: &ChipConfig,
+    bus: I,
+) -> Result<Box<dyn Imu + Send>, Invalid> {
     Ok(match config {
         ChipConfig::Icm20948(c) => Box::new(icm20948::Icm20948::new(bus, c)?),
         ChipConfig::Lsm6dsoLis2mdl(c) => Box::new(lsm6dso::Lsm6dsoLis2mdl::new(bus, c)?),

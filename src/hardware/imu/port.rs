@@ -15,7 +15,8 @@ impl Port {
     /// Reads `out.len()` registers from `register` on, in one transaction with a repeated start.
     pub fn read<I: I2c>(&self, bus: &mut I, register: u8, out: &mut [u8]) -> Result<(), ImuError> {
         let want = out.len();
-        bus.write_read(self.address, &[register], out).map_err(|e| self.fault(e.kind(), want))
+        bus.write_read(self.address, &[register], out)
+            .map_err(|e| self.fault(e.kind(), want))
     }
 
     /// Reads one register.
@@ -27,16 +28,31 @@ impl Port {
 
     /// Writes one register.
     pub fn set<I: I2c>(&self, bus: &mut I, register: u8, value: u8) -> Result<(), ImuError> {
-        bus.write(self.address, &[register, value]).map_err(|e| self.fault(e.kind(), 0))
+        bus.write(self.address, &[register, value])
+            .map_err(|e| self.fault(e.kind(), 0))
     }
 
     /// Checks the identity register.
-    pub fn identify<I: I2c>(&self, bus: &mut I, register: u8, want: u8) -> Result<ChipId, ImuError> {
+    pub fn identify<I: I2c>(
+        &self,
+        bus: &mut I,
+        register: u8,
+        want: u8,
+    ) -> Result<ChipId, ImuError> {
         let have = self.get(bus, register)?;
         if have == want {
-            Ok(ChipId { part: self.part, address: self.address, id: have })
+            Ok(ChipId {
+                part: self.part,
+                address: self.address,
+                id: have,
+            })
         } else {
-            Err(ImuError::WrongId { part: self.part, address: self.address, have, want })
+            Err(ImuError::WrongId {
+                part: self.part,
+                address: self.address,
+                have,
+                want,
+            })
         }
     }
 
@@ -47,7 +63,12 @@ impl Port {
         self.read(bus, from, &mut have[..n])?;
         for (register, (have, &(want, mask))) in (from..).zip(have.iter().zip(want)) {
             if have & mask != want & mask {
-                return Err(ImuError::ResetToDefaults { part: self.part, register, have: *have, want });
+                return Err(ImuError::ResetToDefaults {
+                    part: self.part,
+                    register,
+                    have: *have,
+                    want,
+                });
             }
         }
         Ok(())
@@ -63,12 +84,22 @@ impl Port {
         what: &'static str,
         limit_ms: u32,
     ) -> Result<(), ImuError> {
-        let mut last = ImuError::Timeout { part: self.part, what, limit_ms };
+        let mut last = ImuError::Timeout {
+            part: self.part,
+            what,
+            limit_ms,
+        };
         for _ in 0..limit_ms {
             delay.delay_ms(1);
             match self.get(bus, register) {
                 Ok(value) if value & mask == 0 => return Ok(()),
-                Ok(_) => last = ImuError::Timeout { part: self.part, what, limit_ms },
+                Ok(_) => {
+                    last = ImuError::Timeout {
+                        part: self.part,
+                        what,
+                        limit_ms,
+                    }
+                }
                 Err(error) => last = error,
             }
         }
@@ -80,14 +111,28 @@ impl Port {
         let (part, address) = (self.part, self.address);
         match kind {
             ErrorKind::NoAcknowledge(_) => ImuError::Nack { part, address },
-            ErrorKind::Overrun => ImuError::ShortRead { part, address, have: 0, want },
-            _ => ImuError::Bus { part, address, kind },
+            ErrorKind::Overrun => ImuError::ShortRead {
+                part,
+                address,
+                have: 0,
+                want,
+            },
+            _ => ImuError::Bus {
+                part,
+                address,
+                kind,
+            },
         }
     }
 
     /// The error for a reading whose tail is 0xFF because the bus was no longer driven.
     pub fn short(&self, bytes: &[u8]) -> ImuError {
         let have = bytes.iter().rposition(|b| *b != 0xFF).map_or(0, |i| i + 1);
-        ImuError::ShortRead { part: self.part, address: self.address, have, want: bytes.len() }
+        ImuError::ShortRead {
+            part: self.part,
+            address: self.address,
+            have,
+            want: bytes.len(),
+        }
     }
 }

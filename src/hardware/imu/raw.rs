@@ -30,13 +30,22 @@ pub struct RawImu {
 
 /// Largest count as a share of the full scale.
 fn load(counts: &[i16; 3]) -> f64 {
-    counts.iter().map(|c| f64::from(c.unsigned_abs())).fold(0.0, f64::max) / f64::from(i16::MAX)
+    counts
+        .iter()
+        .map(|c| f64::from(c.unsigned_abs()))
+        .fold(0.0, f64::max)
+        / f64::from(i16::MAX)
 }
 
 impl RawImu {
     /// Properties of the reading that the health monitor needs besides the values.
     pub fn quality(&self) -> Quality {
-        Quality { gyro_load: load(&self.gyro), acc_load: load(&self.acc), mag_overflow: self.mag_overflow, expect_noise: true }
+        Quality {
+            gyro_load: load(&self.gyro),
+            acc_load: load(&self.acc),
+            mag_overflow: self.mag_overflow,
+            expect_noise: true,
+        }
     }
 }
 
@@ -66,7 +75,14 @@ pub enum Axis {
 impl Axis {
     /// Index of the component, and its sign.
     fn parts(self) -> (usize, f64) {
-        (self as usize / 2, if (self as usize).is_multiple_of(2) { 1.0 } else { -1.0 })
+        (
+            self as usize / 2,
+            if (self as usize).is_multiple_of(2) {
+                1.0
+            } else {
+                -1.0
+            },
+        )
     }
 }
 
@@ -125,7 +141,11 @@ pub struct Scale {
 }
 
 fn scaled(counts: &[i16; 3], unit: f64) -> Vector3<f64> {
-    Vector3::new(f64::from(counts[0]), f64::from(counts[1]), f64::from(counts[2])) * unit
+    Vector3::new(
+        f64::from(counts[0]),
+        f64::from(counts[1]),
+        f64::from(counts[2]),
+    ) * unit
 }
 
 impl Scale {
@@ -162,8 +182,19 @@ mod tests {
 
     #[test]
     fn a_sample_omits_an_overflowed_field() {
-        let scale = Scale { gyro_rad_s: 1.0, acc_m_s2: 1.0, mag_ut: 0.15, mag_axes: Axes::ALIGNED, temp_c: 1.0 / 256.0, temp_zero_c: 25.0 };
-        let mut raw = RawImu { mag: Some([100, -200, 300]), temp: -256, ..RawImu::default() };
+        let scale = Scale {
+            gyro_rad_s: 1.0,
+            acc_m_s2: 1.0,
+            mag_ut: 0.15,
+            mag_axes: Axes::ALIGNED,
+            temp_c: 1.0 / 256.0,
+            temp_zero_c: 25.0,
+        };
+        let mut raw = RawImu {
+            mag: Some([100, -200, 300]),
+            temp: -256,
+            ..RawImu::default()
+        };
         let field = scale.sample(&raw, Seconds(1.0)).mag_ut.expect("new");
         assert!((field - Vector3::new(15.0, -30.0, 45.0)).norm() < 1e-12);
         assert!((scale.temperature_c(&raw) - 24.0).abs() < 1e-12);

@@ -50,12 +50,24 @@ pub struct ImuRecovery<S: Imu + ?Sized> {
 impl<S: Imu + ?Sized> ImuRecovery<S> {
     /// Wraps a sensor, which may be uninitialised.
     pub fn new(sensor: Box<S>) -> Self {
-        Self { sensor, free_bus: None, stale: 0, temp_c: None, failures: 0, tried_s: None, init_error: None, restarts: 0 }
+        Self {
+            sensor,
+            free_bus: None,
+            stale: 0,
+            temp_c: None,
+            failures: 0,
+            tried_s: None,
+            init_error: None,
+            restarts: 0,
+        }
     }
 
     /// Frees the bus by `free` before every initialisation.
     #[must_use]
-    pub fn freeing_bus(mut self, free: impl FnMut(&mut dyn DelayNs) -> BusState + Send + 'static) -> Self {
+    pub fn freeing_bus(
+        mut self,
+        free: impl FnMut(&mut dyn DelayNs) -> BusState + Send + 'static,
+    ) -> Self {
         self.free_bus = Some(Box::new(free));
         self
     }
@@ -75,7 +87,11 @@ impl<S: Imu + ?Sized> ImuRecovery<S> {
         let error = match self.sensor.read() {
             Ok(raw) => {
                 (self.failures, self.init_error) = (0, None);
-                self.stale = if raw.fresh { 0 } else { self.stale.saturating_add(1) };
+                self.stale = if raw.fresh {
+                    0
+                } else {
+                    self.stale.saturating_add(1)
+                };
                 if (1..=STALE_MAX).contains(&self.stale) {
                     return ImuReading::Nothing;
                 }
@@ -132,7 +148,12 @@ mod tests {
     }
 
     /// Reads for a while; returns the number of samples and the last fault.
-    fn read_for(bus: &FakeBus, imu: &mut ImuRecovery<Icm20948<FakeBus>>, from_s: f64, seconds: f64) -> (u32, Option<ReadFault>) {
+    fn read_for(
+        bus: &FakeBus,
+        imu: &mut ImuRecovery<Icm20948<FakeBus>>,
+        from_s: f64,
+        seconds: f64,
+    ) -> (u32, Option<ReadFault>) {
         let (mut samples, mut last) = (0, None);
         for k in 0..(seconds / DT_S) as u32 {
             bus.machine().advance(DT_S);
@@ -151,7 +172,10 @@ mod tests {
         assert_eq!(read_for(&bus, &mut imu, 0.0, 0.2), (100, None));
         bus.machine().brown_out();
         let (samples, fault) = read_for(&bus, &mut imu, 1.0, 0.2);
-        assert!(samples > 80 && fault == Some(ReadFault::BrownOut), "{samples} {fault:?}");
+        assert!(
+            samples > 80 && fault == Some(ReadFault::BrownOut),
+            "{samples} {fault:?}"
+        );
         assert_eq!(imu.restarts(), 1);
     }
 
@@ -159,7 +183,10 @@ mod tests {
     fn a_few_lost_readings_do_not_cause_an_initialisation_and_a_dead_bus_does() {
         let (bus, mut imu) = recovering();
         bus.machine().nack(0x68, 10);
-        assert_eq!(read_for(&bus, &mut imu, 0.0, 0.2), (90, Some(ReadFault::Nack)));
+        assert_eq!(
+            read_for(&bus, &mut imu, 0.0, 0.2),
+            (90, Some(ReadFault::Nack))
+        );
         assert_eq!(imu.restarts(), 0);
         bus.machine().stuck = true;
         let (samples, fault) = read_for(&bus, &mut imu, 1.0, 0.5);
@@ -177,11 +204,18 @@ mod tests {
         let (mut samples, mut t_s, mut polls) = (0, 0.0, 0_u32);
         while t_s < seconds {
             polls += 1;
-            let late_s = if polls % 7 == 0 { 0.2 / converts_hz } else { 0.0 };
+            let late_s = if polls % 7 == 0 {
+                0.2 / converts_hz
+            } else {
+                0.0
+            };
             let next_s = f64::from(polls) * period_s + late_s;
             bus.machine().advance(next_s - t_s);
             t_s = next_s;
-            samples += u32::from(matches!(imu.read(&mut bus.delay(), Seconds(t_s)), ImuReading::Sample(..)));
+            samples += u32::from(matches!(
+                imu.read(&mut bus.delay(), Seconds(t_s)),
+                ImuReading::Sample(..)
+            ));
         }
         (samples, (seconds * converts_hz) as u32)
     }
@@ -189,9 +223,15 @@ mod tests {
     #[test]
     fn every_conversion_is_read_once() {
         let (samples, conversions) = polled(POLL_SHARE, 10.0);
-        assert!(samples.abs_diff(conversions) <= 2, "{samples} of {conversions}");
+        assert!(
+            samples.abs_diff(conversions) <= 2,
+            "{samples} of {conversions}"
+        );
         let (samples, conversions) = polled(500.0 / 562.5, 10.0);
-        assert!(samples + 500 < conversions, "a slower poll loses conversions, and this test sees it: {samples} of {conversions}");
+        assert!(
+            samples + 500 < conversions,
+            "a slower poll loses conversions, and this test sees it: {samples} of {conversions}"
+        );
     }
 
     #[test]
@@ -212,14 +252,22 @@ mod tests {
         });
         bus.machine().stuck = true;
         let (samples, _) = read_for(&bus, &mut imu, 0.0, 0.5);
-        assert!(samples > 100 && imu.restarts() == 1, "{samples} {}", imu.restarts());
+        assert!(
+            samples > 100 && imu.restarts() == 1,
+            "{samples} {}",
+            imu.restarts()
+        );
     }
 
     #[test]
     fn the_die_temperature_follows_the_chip() {
         let (bus, mut imu) = recovering();
         assert_eq!(imu.temp_c, None);
-        bus.machine().set_motion(&crate::hardware::imu::fake::Motion { temp_c: 38.5, ..Default::default() });
+        bus.machine()
+            .set_motion(&crate::hardware::imu::fake::Motion {
+                temp_c: 38.5,
+                ..Default::default()
+            });
         read_for(&bus, &mut imu, 0.0, 0.1);
         assert!((imu.temp_c.unwrap() - 38.5).abs() < 0.01);
     }

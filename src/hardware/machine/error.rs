@@ -32,7 +32,9 @@ pub enum HardwareError {
     #[error("{0} cannot be used as an I²C bus: {1}")]
     Bus(String, String),
     /// The set-up of the sensor takes longer than any working bus needs: path of the bus, and the time limit, s.
-    #[error("{0} hangs: no answer within {1} s; cycle the power of the IMU, then look for a short on SDA or SCL")]
+    #[error(
+        "{0} hangs: no answer within {1} s; cycle the power of the IMU, then look for a short on SDA or SCL"
+    )]
     BusHangs(String, f64),
     /// The sensor.
     #[error("IMU on {path}: {source}")]
@@ -56,6 +58,11 @@ pub enum HardwareError {
 impl HardwareError {
     /// True for an invalid board file (exit code 2), false for hardware that does not answer (exit code 3).
     pub fn is_config(&self) -> bool {
-        matches!(self, Self::Pins(OpenError::Config(_)) | Self::Stepper(StartError::Config(_)) | Self::Setting(_))
+        matches!(
+            self,
+            Self::Pins(OpenError::Config(_))
+                | Self::Stepper(StartError::Config(_))
+                | Self::Setting(_)
+        )
     }
 }

@@ -51,7 +51,11 @@ impl GaugeWatch {
     /// [`HardwareError`]: no bus, no permission, or a sensor that does not answer.
     pub(super) fn start(config: &GaugeConfig) -> Result<Self, HardwareError> {
         let pressures = config.pressure.as_ref().map(start_pressures).transpose()?;
-        Ok(Self { config: config.clone(), pressures, tip_c: None })
+        Ok(Self {
+            config: config.clone(),
+            pressures,
+            tip_c: None,
+        })
     }
 
     /// Takes what has arrived; `die_c` is a new temperature of the IMU.
@@ -60,7 +64,11 @@ impl GaugeWatch {
             while let Ok(newer) = ring.pop() {
                 *last = newer;
             }
-            if now_ns.saturating_sub(last.1) > STALE_NS { [f64::NAN; 3] } else { last.0 }
+            if now_ns.saturating_sub(last.1) > STALE_NS {
+                [f64::NAN; 3]
+            } else {
+                last.0
+            }
         });
         if let Some(die_c) = die_c {
             let new_c = die_c - self.config.temp_offset_c;
@@ -71,16 +79,24 @@ impl GaugeWatch {
             self.tip_c = Some((smooth_c, now_ns));
         }
         let tip_c = self.tip_c.map(|(c, _)| c);
-        let gauges = Gauges { pressure_kpa, tip_c, tip_warm: tip_c.is_some_and(|c| c >= self.config.tip_warm_c) };
+        let gauges = Gauges {
+            pressure_kpa,
+            tip_c,
+            tip_warm: tip_c.is_some_and(|c| c >= self.config.tip_warm_c),
+        };
         (gauges, self.alarm(&gauges))
     }
 
     /// The limit that is exceeded. A pressure that is unknown exceeds it.
     fn alarm(&self, gauges: &Gauges) -> Option<Alarm> {
         let limit_kpa = self.config.pressure_max_kpa;
-        let over = gauges.pressure_kpa.and_then(|all| all.into_iter().find(|kpa| kpa.is_nan() || kpa.abs() > limit_kpa));
+        let over = gauges.pressure_kpa.and_then(|all| {
+            all.into_iter()
+                .find(|kpa| kpa.is_nan() || kpa.abs() > limit_kpa)
+        });
         let hot = gauges.tip_c.filter(|c| *c > self.config.tip_max_c);
-        over.map(|kpa| Alarm::Pressure { kpa }).or(hot.map(|temp_c| Alarm::Hot { temp_c }))
+        over.map(|kpa| Alarm::Pressure { kpa })
+            .or(hot.map(|temp_c| Alarm::Hot { temp_c }))
     }
 }
 
@@ -118,19 +134,24 @@ fn run<I: I2c>(
 }
 
 #[cfg(feature = "hw")]
-fn start_pressures(config: &PressureSection) -> Result<(rtrb::Consumer<Pressures>, Pressures), HardwareError> {
+fn start_pressures(
+    config: &PressureSection,
+) -> Result<(rtrb::Consumer<Pressures>, Pressures), HardwareError> {
     // if the bus refuses a limit, the age of the readings is one
     let _ = crate::hardware::imu::linux::bound_transfers(&open_bus(&config.bus)?);
     let path = || config.bus.clone();
     let open = |channel| -> Result<_, HardwareError> {
-        let bus = linux_embedded_hal::I2cdev::new(&config.bus).map_err(|e| HardwareError::Bus(path(), e.to_string()))?;
+        let bus = linux_embedded_hal::I2cdev::new(&config.bus)
+            .map_err(|e| HardwareError::Bus(path(), e.to_string()))?;
         Ok(PressureSensor::new(bus, config, channel))
     };
     watch([open(0)?, open(1)?, open(2)?], &config.bus)
 }
 
 #[cfg(not(feature = "hw"))]
-fn start_pressures(_: &PressureSection) -> Result<(rtrb::Consumer<Pressures>, Pressures), HardwareError> {
+fn start_pressures(
+    _: &PressureSection,
+) -> Result<(rtrb::Consumer<Pressures>, Pressures), HardwareError> {
     Err(HardwareError::NotBuilt)
 }
 
@@ -141,11 +162,16 @@ fn watch<I: I2c + Send + 'static>(
 ) -> Result<(rtrb::Consumer<Pressures>, Pressures), HardwareError> {
     let (output, ring) = rtrb::RingBuffer::new(16);
     let (sender, first) = channel();
-    std::thread::Builder::new().name("pressure".into()).spawn(move || run(sensors, output, &sender))?;
+    std::thread::Builder::new()
+        .name("pressure".into())
+        .spawn(move || run(sensors, output, &sender))?;
     let path = || bus.to_owned();
     let hangs = |_| HardwareError::BusHangs(path(), SETUP_MAX.as_secs_f64());
     let last = first.recv_timeout(SETUP_MAX).map_err(hangs)?;
-    Ok((ring, last.map_err(|e| HardwareError::Bus(path(), e.to_string()))?))
+    Ok((
+        ring,
+        last.map_err(|e| HardwareError::Bus(path(), e.to_string()))?,
+    ))
 }
 
 #[cfg(test)]
@@ -154,8 +180,13 @@ mod tests {
     use crate::hardware::imu::fake::{FakeBus, FakePressure};
     use embedded_hal::i2c::{ErrorType, Operation};
 
-    const CONFIG: GaugeConfig =
-        GaugeConfig { pressure: None, pressure_max_kpa: 41.3, temp_offset_c: 2.0, tip_warm_c: 39.0, tip_max_c: 41.0 };
+    const CONFIG: GaugeConfig = GaugeConfig {
+        pressure: None,
+        pressure_max_kpa: 41.3,
+        temp_offset_c: 2.0,
+        tip_warm_c: 39.0,
+        tip_max_c: 41.0,
+    };
 
     /// The fake's time passes with every transfer.
     struct Passing(FakeBus);
@@ -165,7 +196,11 @@ mod tests {
     }
 
     impl I2c for Passing {
-        fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), Self::Error> {
+        fn transaction(
+            &mut self,
+            address: u8,
+            operations: &mut [Operation<'_>],
+        ) -> Result<(), Self::Error> {
             self.0.machine().advance(0.006);
             self.0.transaction(address, operations)
         }
@@ -176,9 +211,17 @@ mod tests {
         for (address, kpa) in section.addresses.into_iter().zip(kpa) {
             bus.machine().attach(FakePressure::new(address).at(kpa));
         }
-        let sensors = [0, 1, 2].map(|channel| PressureSensor::new(Passing(bus.clone()), &section, channel));
+        let sensors =
+            [0, 1, 2].map(|channel| PressureSensor::new(Passing(bus.clone()), &section, channel));
         let watch = watch(sensors, "/dev/i2c-1");
-        (bus, watch.map(|pressures| GaugeWatch { config: CONFIG, pressures: Some(pressures), tip_c: None }))
+        (
+            bus,
+            watch.map(|pressures| GaugeWatch {
+                config: CONFIG,
+                pressures: Some(pressures),
+                tip_c: None,
+            }),
+        )
     }
 
     #[test]
@@ -186,12 +229,21 @@ mod tests {
         let (_bus, watch) = watched([10.0, -30.0, 41.0]);
         let (gauges, alarm) = watch.unwrap().turn(monotonic_ns(), None);
         let measured = gauges.pressure_kpa.unwrap();
-        assert!([10.0, -30.0, 41.0].iter().zip(measured).all(|(a, b)| (a - b).abs() < 1e-3), "{measured:?}");
+        assert!(
+            [10.0, -30.0, 41.0]
+                .iter()
+                .zip(measured)
+                .all(|(a, b)| (a - b).abs() < 1e-3),
+            "{measured:?}"
+        );
         assert_eq!(alarm, None);
         for kpa in [[0.0, 42.0, 0.0], [0.0, 0.0, -42.0]] {
             let (_bus, watch) = watched(kpa);
             let alarm = watch.unwrap().turn(monotonic_ns(), None).1;
-            assert!(matches!(alarm, Some(Alarm::Pressure { kpa }) if kpa.abs() > 41.9), "{alarm:?}");
+            assert!(
+                matches!(alarm, Some(Alarm::Pressure { kpa }) if kpa.abs() > 41.9),
+                "{alarm:?}"
+            );
         }
     }
 
@@ -209,14 +261,22 @@ mod tests {
         assert_eq!(watch.turn(monotonic_ns(), None).1, None, "it answers again");
 
         let section = PressureSection::default();
-        let nobody = [0, 1, 2].map(|channel| PressureSensor::new(FakeBus::new(), &section, channel));
-        let error = super::watch(nobody, "/dev/i2c-1").map(|_| ()).unwrap_err().to_string();
+        let nobody =
+            [0, 1, 2].map(|channel| PressureSensor::new(FakeBus::new(), &section, channel));
+        let error = super::watch(nobody, "/dev/i2c-1")
+            .map(|_| ())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("0x18 does not answer"), "{error}");
     }
 
     #[test]
     fn a_hot_tip_is_an_alarm_and_a_misread_byte_is_not() {
-        let mut watch = GaugeWatch { config: CONFIG, pressures: None, tip_c: None };
+        let mut watch = GaugeWatch {
+            config: CONFIG,
+            pressures: None,
+            tip_c: None,
+        };
         let mut t_ns = 0;
         let mut at = |die_c: f64, seconds: u32| {
             (0..500 * seconds).fold((Gauges::default(), None), |_, _| {
@@ -224,11 +284,28 @@ mod tests {
                 watch.turn(t_ns, Some(die_c))
             })
         };
-        assert_eq!(at(40.0, 1), (Gauges { pressure_kpa: None, tip_c: Some(38.0), tip_warm: false }, None));
+        assert_eq!(
+            at(40.0, 1),
+            (
+                Gauges {
+                    pressure_kpa: None,
+                    tip_c: Some(38.0),
+                    tip_warm: false
+                },
+                None
+            )
+        );
         let (gauges, alarm) = at(42.0, 10);
-        assert!(gauges.tip_warm && alarm.is_none(), "40 °C is warm: {gauges:?}");
+        assert!(
+            gauges.tip_warm && alarm.is_none(),
+            "40 °C is warm: {gauges:?}"
+        );
         assert!(matches!(at(43.5, 10).1, Some(Alarm::Hot { temp_c }) if temp_c > 41.0));
         assert_eq!(at(40.0, 10).1, None);
-        assert_eq!(watch.turn(t_ns + 2_000_000, Some(300.0)).1, None, "one reading of many");
+        assert_eq!(
+            watch.turn(t_ns + 2_000_000, Some(300.0)).1,
+            None,
+            "one reading of many"
+        );
     }
 }

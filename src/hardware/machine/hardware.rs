@@ -61,21 +61,43 @@ impl Hardware {
         let gauges = GaugeWatch::start(&config.gauges)?;
         let pins = pins::open(&config.pins, config.microsteps)?;
         let limits = MotionLimits::try_from(&config.motion).map_err(StartError::from)?;
-        let stepper = Stepper::start(pins, &config.stepper, &config.motion, config.info.step_mm, config.emergency_stop)?;
-        let motion = DriveLimits { limits, lead_s: config.stepper.lead_ms * 1e-3 };
+        let stepper = Stepper::start(
+            pins,
+            &config.stepper,
+            &config.motion,
+            config.info.step_mm,
+            config.emergency_stop,
+        )?;
+        let motion = DriveLimits {
+            limits,
+            lead_s: config.stepper.lead_ms * 1e-3,
+        };
         let drive = Drive::new(stepper, &motion, config.info.step_mm, config.info.period_s);
-        Ok(Self { drive, imu, base_imu, gauges, info: config.info.clone(), zero_ns: None, _lock: lock })
+        Ok(Self {
+            drive,
+            imu,
+            base_imu,
+            gauges,
+            info: config.info.clone(),
+            zero_ns: None,
+            _lock: lock,
+        })
     }
 }
 
 /// The newest reading of a sensor with its time on the loop's clock, and its temperature; readings from before the loop's
 /// zero are at zero.
 fn newest(sensor: &mut Option<Sensor>, zero_ns: u64) -> (ImuReading, Option<f64>) {
-    let Some(reading) = sensor.as_mut().and_then(Sensor::newest) else { return (ImuReading::Nothing, None) };
+    let Some(reading) = sensor.as_mut().and_then(Sensor::newest) else {
+        return (ImuReading::Nothing, None);
+    };
     match reading.reading {
         ImuReading::Sample(sample, quality) => {
             let t = Seconds(reading.t_ns.saturating_sub(zero_ns) as f64 * 1e-9);
-            (ImuReading::Sample(ImuSample { t, ..sample }, quality), reading.temp_c)
+            (
+                ImuReading::Sample(ImuSample { t, ..sample }, quality),
+                reading.temp_c,
+            )
         }
         other => (other, None),
     }
@@ -88,7 +110,9 @@ impl Machine for Hardware {
 
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         let now_ns = monotonic_ns();
-        let zero_ns = *self.zero_ns.get_or_insert_with(|| now_ns.saturating_sub((now.0 * 1e9) as u64));
+        let zero_ns = *self
+            .zero_ns
+            .get_or_insert_with(|| now_ns.saturating_sub((now.0 * 1e9) as u64));
         self.drive.update(now_ns, wanted);
         let base_imu = match newest(&mut self.base_imu, zero_ns) {
             (ImuReading::Sample(sample, _), _) => Some(sample),
@@ -97,7 +121,13 @@ impl Machine for Hardware {
         let (imu, die_c) = newest(&mut self.imu, zero_ns);
         let (gauges, limit) = self.gauges.turn(now_ns, die_c);
         let steps = Sensed::of_drive(now, zero_ns + (now.0 * 1e9) as u64, &self.drive);
-        Ok(Sensed { imu, base_imu, gauges, alarm: steps.alarm.or(limit), ..steps })
+        Ok(Sensed {
+            imu,
+            base_imu,
+            gauges,
+            alarm: steps.alarm.or(limit),
+            ..steps
+        })
     }
 
     fn energise(&mut self, on: bool) {
@@ -121,18 +151,41 @@ impl Machine for Hardware {
         for (place, sensor) in [("tip", &self.imu), ("base", &self.base_imu)] {
             if let Some(s) = sensor {
                 let i = &s.identity;
-                let (chip, limit) = (i.inertial, if s.bounded { "" } else { "; the bus driver accepts no time limit" });
-                remarks.push(format!("{place} IMU: {} at {:#04x} on {}, {:.1} Hz{limit}", chip.part, chip.address, s.bus, i.rate_hz));
+                let (chip, limit) = (
+                    i.inertial,
+                    if s.bounded {
+                        ""
+                    } else {
+                        "; the bus driver accepts no time limit"
+                    },
+                );
+                remarks.push(format!(
+                    "{place} IMU: {} at {:#04x} on {}, {:.1} Hz{limit}",
+                    chip.part, chip.address, s.bus, i.rate_hz
+                ));
             }
         }
         let stepper = self.drive.generator();
-        remarks.extend(stepper.status.iter().map(|(name, grant)| format!("step thread, {name}: {grant}")));
+        remarks.extend(
+            stepper
+                .status
+                .iter()
+                .map(|(name, grant)| format!("step thread, {name}: {grant}")),
+        );
         if let Some(r) = stepper.latest() {
             if r.underruns > 0 {
-                remarks.push(format!("{} underruns of the step queue: the loop did not run in time", r.underruns));
+                remarks.push(format!(
+                    "{} underruns of the step queue: the loop did not run in time",
+                    r.underruns
+                ));
             }
-            let (p999_us, max_us) = (r.lateness.quantile_ns(0.999) as f64 * 1e-3, r.lateness.max_ns() as f64 * 1e-3);
-            remarks.push(format!("step lateness {p999_us:.0} µs at p99.9, {max_us:.0} µs at most"));
+            let (p999_us, max_us) = (
+                r.lateness.quantile_ns(0.999) as f64 * 1e-3,
+                r.lateness.max_ns() as f64 * 1e-3,
+            );
+            remarks.push(format!(
+                "step lateness {p999_us:.0} µs at p99.9, {max_us:.0} µs at most"
+            ));
         }
         remarks.extend(stepper.pin_error().map(|error| format!("pins: {error}")));
         remarks

@@ -82,31 +82,53 @@ impl Sensor {
         let stop = Arc::new(AtomicBool::new(false));
         let (sender, receiver) = channel();
         let (own, end) = (config.clone(), stop.clone());
-        std::thread::Builder::new().name("imu".into()).spawn(move || run(&own, output, &end, &sender))?;
+        std::thread::Builder::new()
+            .name("imu".into())
+            .spawn(move || run(&own, output, &end, &sender))?;
         let path = config.bus.clone();
         match receiver.recv_timeout(Duration::from_secs_f64(SETUP_MAX_S)) {
             Ok(result) => {
                 let (identity, bounded) = result?;
-                Ok(Self { readings, stop, identity, bounded, bus: path })
+                Ok(Self {
+                    readings,
+                    stop,
+                    identity,
+                    bounded,
+                    bus: path,
+                })
             }
             Err(RecvTimeoutError::Timeout) => {
                 stop.store(true, Ordering::Relaxed);
                 Err(HardwareError::BusHangs(path, SETUP_MAX_S))
             }
-            Err(RecvTimeoutError::Disconnected) => Err(HardwareError::Bus(path, "the IMU thread ended as it started".to_owned())),
+            Err(RecvTimeoutError::Disconnected) => Err(HardwareError::Bus(
+                path,
+                "the IMU thread ended as it started".to_owned(),
+            )),
         }
     }
 
     /// The readings since the last call as one: the newest failure, or the mean of the samples after it at the time of the
     /// newest. The mean over the interval keeps the angle that the gyroscope has measured.
     pub fn newest(&mut self) -> Option<StampedReading> {
-        std::iter::from_fn(|| self.readings.pop().ok()).fold((None, 0.0), merge).0
+        std::iter::from_fn(|| self.readings.pop().ok())
+            .fold((None, 0.0), merge)
+            .0
     }
 }
 
 /// Adds a reading to the mean of `n` samples.
-fn merge((mean, n): (Option<StampedReading>, f64), next: StampedReading) -> (Option<StampedReading>, f64) {
-    let (Some(StampedReading { reading: ImuReading::Sample(old, q), .. }), ImuReading::Sample(mut new, mut quality)) = (mean, next.reading)
+fn merge(
+    (mean, n): (Option<StampedReading>, f64),
+    next: StampedReading,
+) -> (Option<StampedReading>, f64) {
+    let (
+        Some(StampedReading {
+            reading: ImuReading::Sample(old, q),
+            ..
+        }),
+        ImuReading::Sample(mut new, mut quality),
+    ) = (mean, next.reading)
     else {
         return (Some(next), 1.0);
     };
@@ -118,7 +140,13 @@ fn merge((mean, n): (Option<StampedReading>, f64), next: StampedReading) -> (Opt
     quality.gyro_load = quality.gyro_load.max(q.gyro_load);
     quality.acc_load = quality.acc_load.max(q.acc_load);
     quality.mag_overflow |= q.mag_overflow;
-    (Some(StampedReading { reading: ImuReading::Sample(new, quality), ..next }), n)
+    (
+        Some(StampedReading {
+            reading: ImuReading::Sample(new, quality),
+            ..next
+        }),
+        n,
+    )
 }
 
 impl Drop for Sensor {
@@ -137,7 +165,10 @@ fn run(
 ) {
     let set_up = open(config).and_then(|(driver, bounded)| {
         let mut imu = recovery(config, driver);
-        let identity = imu.start(&mut Sleep).map_err(|source| HardwareError::Imu { path: config.bus.clone(), source })?;
+        let identity = imu.start(&mut Sleep).map_err(|source| HardwareError::Imu {
+            path: config.bus.clone(),
+            source,
+        })?;
         Ok((imu, identity, bounded))
     });
     let (mut imu, identity, bounded) = match set_up {
@@ -147,7 +178,10 @@ fn run(
             return;
         }
     };
-    let _guard = rt::enter(&RtRequest { priority: config.priority, cpu: None });
+    let _guard = rt::enter(&RtRequest {
+        priority: config.priority,
+        cpu: None,
+    });
     // The receiver may have timed out; then `stop` is set.
     let _ = started.send(Ok((identity, bounded)));
     let period_ns = (1e9 / (POLL_SHARE * identity.rate_hz)) as u64;
@@ -162,7 +196,11 @@ fn run(
         }
         if reading != ImuReading::Nothing {
             // A full ring means that the loop is stuck, and this reading will be outdated when it resumes.
-            let _ = output.push(StampedReading { t_ns, reading, temp_c: imu.temp_c });
+            let _ = output.push(StampedReading {
+                t_ns,
+                reading,
+                temp_c: imu.temp_c,
+            });
         }
         // After a slow transfer the missed readings are not made up for.
         next_ns = (next_ns + period_ns).max(monotonic_ns());
@@ -184,11 +222,15 @@ fn recovery(config: &SensorConfig, driver: Box<dyn Imu + Send>) -> ImuRecovery<d
 #[cfg(feature = "hw")]
 pub(super) fn open_bus(path: &str) -> Result<std::fs::File, HardwareError> {
     let path = path.to_owned();
-    std::fs::File::options().read(true).write(true).open(&path).map_err(|e| match e.kind() {
-        std::io::ErrorKind::NotFound => HardwareError::NoBus(path),
-        std::io::ErrorKind::PermissionDenied => HardwareError::BusPermission(path),
-        _ => HardwareError::Bus(path, e.to_string()),
-    })
+    std::fs::File::options()
+        .read(true)
+        .write(true)
+        .open(&path)
+        .map_err(|e| match e.kind() {
+            std::io::ErrorKind::NotFound => HardwareError::NoBus(path),
+            std::io::ErrorKind::PermissionDenied => HardwareError::BusPermission(path),
+            _ => HardwareError::Bus(path, e.to_string()),
+        })
 }
 
 /// The driver on its bus, and whether transfers have a time limit.
@@ -199,12 +241,17 @@ fn open(config: &SensorConfig) -> Result<(Box<dyn Imu + Send>, bool), HardwareEr
     let bounded = bound_transfers(&open_bus(&path)?).is_ok();
     if config.rppal {
         let Some(number) = path.strip_prefix("/dev/i2c-").and_then(|n| n.parse().ok()) else {
-            return Err(HardwareError::Bus(path, "rppal requires a path of the form /dev/i2c-N".to_owned()));
+            return Err(HardwareError::Bus(
+                path,
+                "rppal requires a path of the form /dev/i2c-N".to_owned(),
+            ));
         };
-        let bus = rppal::i2c::I2c::with_bus(number).map_err(|e| HardwareError::Bus(path, e.to_string()))?;
+        let bus = rppal::i2c::I2c::with_bus(number)
+            .map_err(|e| HardwareError::Bus(path, e.to_string()))?;
         return Ok((imu::open(&config.chip, Classified(bus))?, bounded));
     }
-    let bus = linux_embedded_hal::I2cdev::new(&path).map_err(|e| HardwareError::Bus(path, e.to_string()))?;
+    let bus = linux_embedded_hal::I2cdev::new(&path)
+        .map_err(|e| HardwareError::Bus(path, e.to_string()))?;
     Ok((imu::open(&config.chip, Classified(bus))?, bounded))
 }
 
@@ -222,9 +269,21 @@ mod tests {
 
     fn sample(rate: f64, mag: Option<f64>, load: f64) -> StampedReading {
         let v = |x: f64| Vector3::new(x, 0.0, 0.0);
-        let sample = ImuSample { t: Seconds(0.0), gyro_rad_s: v(rate), acc_m_s2: v(9.81), mag_ut: mag.map(v) };
-        let quality = Quality { gyro_load: load, ..Quality::default() };
-        StampedReading { t_ns: (rate * 1e3) as u64, reading: ImuReading::Sample(sample, quality), temp_c: None }
+        let sample = ImuSample {
+            t: Seconds(0.0),
+            gyro_rad_s: v(rate),
+            acc_m_s2: v(9.81),
+            mag_ut: mag.map(v),
+        };
+        let quality = Quality {
+            gyro_load: load,
+            ..Quality::default()
+        };
+        StampedReading {
+            t_ns: (rate * 1e3) as u64,
+            reading: ImuReading::Sample(sample, quality),
+            temp_c: None,
+        }
     }
 
     fn merged(readings: &[StampedReading]) -> StampedReading {
@@ -233,18 +292,36 @@ mod tests {
 
     #[test]
     fn the_readings_of_a_turn_become_their_mean() {
-        let one = merged(&[sample(1.0, Some(20.0), 0.9), sample(2.0, None, 0.1), sample(6.0, None, 0.2)]);
-        let ImuReading::Sample(mean, quality) = one.reading else { panic!("{one:?}") };
+        let one = merged(&[
+            sample(1.0, Some(20.0), 0.9),
+            sample(2.0, None, 0.1),
+            sample(6.0, None, 0.2),
+        ]);
+        let ImuReading::Sample(mean, quality) = one.reading else {
+            panic!("{one:?}")
+        };
         assert!((mean.gyro_rad_s.x - 3.0).abs() < 1e-12 && (mean.acc_m_s2.x - 9.81).abs() < 1e-12);
-        assert_eq!((one.t_ns, mean.mag_ut.map(|m| m.x), quality.gyro_load), (6000, Some(20.0), 0.9));
+        assert_eq!(
+            (one.t_ns, mean.mag_ut.map(|m| m.x), quality.gyro_load),
+            (6000, Some(20.0), 0.9)
+        );
         let same = merged(&[sample(0.1, None, 0.0); 3]).reading;
-        assert!(matches!(same, ImuReading::Sample(s, _) if s.gyro_rad_s.x == 0.1), "a frozen chip stays recognisable");
+        assert!(
+            matches!(same, ImuReading::Sample(s, _) if s.gyro_rad_s.x == 0.1),
+            "a frozen chip stays recognisable"
+        );
     }
 
     #[test]
     fn a_failure_ends_the_mean() {
-        let failed = StampedReading { reading: ImuReading::Failed(ReadFault::BrownOut), ..sample(0.0, None, 0.0) };
-        assert_eq!(merged(&[sample(1.0, None, 0.0), failed]).reading, failed.reading);
+        let failed = StampedReading {
+            reading: ImuReading::Failed(ReadFault::BrownOut),
+            ..sample(0.0, None, 0.0)
+        };
+        assert_eq!(
+            merged(&[sample(1.0, None, 0.0), failed]).reading,
+            failed.reading
+        );
         let after = merged(&[sample(1.0, None, 0.0), failed, sample(5.0, None, 0.0)]).reading;
         assert!(matches!(after, ImuReading::Sample(s, _) if s.gyro_rad_s.x == 5.0));
     }

@@ -44,24 +44,52 @@ impl<K: Kernel> CdevPins<K> {
     /// As [`CdevPins::open`].
     pub fn open_with(kernel: K, path: &str, map: LineMap) -> Result<Self, PinError> {
         let (chip, lines) = kernel.open(path).map_err(|e| open_error(e, path))?;
-        let requested = map.outputs().iter().chain(map.inputs().iter().map(|(pin, _)| pin));
+        let requested = map
+            .outputs()
+            .iter()
+            .chain(map.inputs().iter().map(|(pin, _)| pin));
         if let Some(&pin) = requested.clone().find(|pin| **pin >= lines) {
-            return Err(PinError::NoLine { chip: path.into(), pin, lines });
+            return Err(PinError::NoLine {
+                chip: path.into(),
+                pin,
+                lines,
+            });
         }
         if map.outputs().len().max(map.inputs().len()) > LINES_MAX {
-            return Err(PinError::Pin("request", format!("more than {LINES_MAX} lines")));
+            return Err(PinError::Pin(
+                "request",
+                format!("more than {LINES_MAX} lines"),
+            ));
         }
         // a line that cannot be read is refused by the request for outputs, with a reason
         let found_energised = found_energised(&kernel, &chip, &map).unwrap_or(false);
         let bits = map.output_bits(&Levels::without_step(found_energised));
-        let outputs = Request { offsets: map.outputs().to_vec(), kind: RequestKind::Outputs(bits) };
+        let outputs = Request {
+            offsets: map.outputs().to_vec(),
+            kind: RequestKind::Outputs(bits),
+        };
         let outputs = request(&kernel, &chip, path, &outputs)?;
         let (offsets, pulls): (Vec<u32>, Vec<Pull>) = map.inputs().iter().copied().unzip();
         let inputs = match offsets.len() {
             0 => None,
-            _ => Some(request(&kernel, &chip, path, &Request { offsets, kind: RequestKind::Inputs(pulls) })?),
+            _ => Some(request(
+                &kernel,
+                &chip,
+                path,
+                &Request {
+                    offsets,
+                    kind: RequestKind::Inputs(pulls),
+                },
+            )?),
         };
-        Ok(Self { kernel, map, outputs, inputs, bits, found_energised })
+        Ok(Self {
+            kernel,
+            map,
+            outputs,
+            inputs,
+            bits,
+            found_energised,
+        })
     }
 }
 
@@ -70,7 +98,9 @@ impl<K: Kernel> Pins for CdevPins<K> {
         let bits = self.map.output_bits(levels);
         let mask = bits ^ self.bits;
         if mask != 0 {
-            self.kernel.set(&self.outputs, mask, bits).map_err(PinError::io("write"))?;
+            self.kernel
+                .set(&self.outputs, mask, bits)
+                .map_err(PinError::io("write"))?;
             self.bits = bits;
         }
         Ok(())
@@ -85,12 +115,17 @@ impl<K: Kernel> Pins for CdevPins<K> {
         if mask == 0 {
             return Ok(());
         }
-        let found = self.kernel.get(&self.outputs, mask).map_err(PinError::io("read"))?;
+        let found = self
+            .kernel
+            .get(&self.outputs, mask)
+            .map_err(PinError::io("read"))?;
         self.map.compare_enable(self.bits, found)
     }
 
     fn read(&mut self) -> Result<Inputs, PinError> {
-        let Some(lines) = &self.inputs else { return Ok(Inputs::default()) };
+        let Some(lines) = &self.inputs else {
+            return Ok(Inputs::default());
+        };
         let mask = (1_u64 << self.map.inputs().len()) - 1;
         let bits = self.kernel.get(lines, mask).map_err(PinError::io("read"))?;
         Ok(self.map.inputs_from(bits))
@@ -99,7 +134,13 @@ impl<K: Kernel> Pins for CdevPins<K> {
 
 /// Whether an earlier program left the EN lines driven at the level that energises the drivers.
 fn found_energised<K: Kernel>(kernel: &K, chip: &K::Chip, map: &LineMap) -> io::Result<bool> {
-    let lines: Vec<(usize, u32)> = map.outputs().iter().copied().enumerate().filter(|(i, _)| map.enable >> i & 1 == 1).collect();
+    let lines: Vec<(usize, u32)> = map
+        .outputs()
+        .iter()
+        .copied()
+        .enumerate()
+        .filter(|(i, _)| map.enable >> i & 1 == 1)
+        .collect();
     for &(_, offset) in &lines {
         if !kernel.state(chip, offset)?.output {
             return Ok(false);
@@ -108,9 +149,15 @@ fn found_energised<K: Kernel>(kernel: &K, chip: &K::Chip, map: &LineMap) -> io::
     if lines.is_empty() {
         return Ok(false);
     }
-    let request = Request { offsets: lines.iter().map(|(_, offset)| *offset).collect(), kind: RequestKind::AsIs };
+    let request = Request {
+        offsets: lines.iter().map(|(_, offset)| *offset).collect(),
+        kind: RequestKind::AsIs,
+    };
     let found = kernel.get(&kernel.request(chip, &request)?, (1 << lines.len()) - 1)?;
-    let high = lines.iter().enumerate().fold(0, |bits, (k, (i, _))| bits | (found >> k & 1) << i);
+    let high = lines
+        .iter()
+        .enumerate()
+        .fold(0, |bits, (k, (i, _))| bits | (found >> k & 1) << i);
     Ok(map.is_energised(map.enable, high))
 }
 
@@ -125,20 +172,32 @@ fn open_error(error: io::Error, path: &str) -> PinError {
 }
 
 /// Requests lines. The error for a line in use names the line and its consumer.
-fn request<K: Kernel>(kernel: &K, chip: &K::Chip, path: &str, request: &Request) -> Result<K::Lines, PinError> {
-    kernel.request(chip, request).map_err(|error| match (error.kind(), error.raw_os_error()) {
-        (_, Some(libc::EBUSY)) => {
-            let held = request.offsets.iter().find_map(|&pin| match kernel.state(chip, pin) {
-                Ok(LineState { consumer: Some(by), .. }) => Some((pin, Some(by))),
-                _ => None,
-            });
-            let (pin, by) = held.unwrap_or((request.offsets[0], None));
-            PinError::Busy { pin, by }
-        }
-        (_, Some(libc::ENOTTY | libc::EINVAL)) => PinError::NotAChip(path.into()),
-        (io::ErrorKind::PermissionDenied, _) => PinError::PermissionDenied(path.into()),
-        _ => PinError::io("request")(error),
-    })
+fn request<K: Kernel>(
+    kernel: &K,
+    chip: &K::Chip,
+    path: &str,
+    request: &Request,
+) -> Result<K::Lines, PinError> {
+    kernel
+        .request(chip, request)
+        .map_err(|error| match (error.kind(), error.raw_os_error()) {
+            (_, Some(libc::EBUSY)) => {
+                let held = request
+                    .offsets
+                    .iter()
+                    .find_map(|&pin| match kernel.state(chip, pin) {
+                        Ok(LineState {
+                            consumer: Some(by), ..
+                        }) => Some((pin, Some(by))),
+                        _ => None,
+                    });
+                let (pin, by) = held.unwrap_or((request.offsets[0], None));
+                PinError::Busy { pin, by }
+            }
+            (_, Some(libc::ENOTTY | libc::EINVAL)) => PinError::NotAChip(path.into()),
+            (io::ErrorKind::PermissionDenied, _) => PinError::PermissionDenied(path.into()),
+            _ => PinError::io("request")(error),
+        })
 }
 
 #[cfg(test)]
@@ -149,9 +208,20 @@ mod tests {
 
     #[test]
     fn the_error_for_a_stuck_enable_line_names_the_line() {
-        let mut pins = CdevPins::open_with(Fake { inputs: 0, ..Fake::default() }, "chip", map()).unwrap();
+        let mut pins = CdevPins::open_with(
+            Fake {
+                inputs: 0,
+                ..Fake::default()
+            },
+            "chip",
+            map(),
+        )
+        .unwrap();
         let message = pins.check_enable().unwrap_err().to_string();
-        assert!(message.contains("EN on GPIO 5 stays low when driven high"), "{message}");
+        assert!(
+            message.contains("EN on GPIO 5 stays low when driven high"),
+            "{message}"
+        );
         pins.write(&Levels::without_step(true)).unwrap();
         pins.check_enable().unwrap();
     }
@@ -173,13 +243,23 @@ mod tests {
         }
         fn request(&self, (): &(), request: &Request) -> io::Result<()> {
             self.log.lock().unwrap().push(format!("{request:?}"));
-            self.refuse.map_or(Ok(()), |e| Err(io::Error::from_raw_os_error(e)))
+            self.refuse
+                .map_or(Ok(()), |e| Err(io::Error::from_raw_os_error(e)))
         }
         fn state(&self, (): &(), offset: u32) -> io::Result<LineState> {
-            Ok(LineState { consumer: self.consumer.filter(|h| h.0 == offset).map(|h| h.1.to_string()), output: false })
+            Ok(LineState {
+                consumer: self
+                    .consumer
+                    .filter(|h| h.0 == offset)
+                    .map(|h| h.1.to_string()),
+                output: false,
+            })
         }
         fn set(&self, (): &(), mask: u64, bits: u64) -> io::Result<()> {
-            self.log.lock().unwrap().push(format!("set {mask:07b} {bits:07b}"));
+            self.log
+                .lock()
+                .unwrap()
+                .push(format!("set {mask:07b} {bits:07b}"));
             Ok(())
         }
         fn get(&self, (): &(), mask: u64) -> io::Result<u64> {
@@ -188,8 +268,19 @@ mod tests {
     }
 
     fn map() -> LineMap {
-        let emergency_stop = Some(InputPin { pin: 26, active_low: true, pull: Pull::Up });
-        LineMap::new(&PinsConfig { emergency_stop, ..PinsConfig::default() }, 16).unwrap()
+        let emergency_stop = Some(InputPin {
+            pin: 26,
+            active_low: true,
+            pull: Pull::Up,
+        });
+        LineMap::new(
+            &PinsConfig {
+                emergency_stop,
+                ..PinsConfig::default()
+            },
+            16,
+        )
+        .unwrap()
     }
 
     #[test]
@@ -197,25 +288,52 @@ mod tests {
         let kernel = Fake::default();
         let log = kernel.log.clone();
         let mut pins = CdevPins::open_with(kernel, "chip", map()).unwrap();
-        let mut l = Levels { enable: true, dir: [true, false, true], step: [false; 3] };
+        let mut l = Levels {
+            enable: true,
+            dir: [true, false, true],
+            step: [false; 3],
+        };
         pins.write(&l).unwrap();
         pins.write(&l).unwrap();
         l.step = [true; 3];
         pins.write(&l).unwrap();
         let log = log.lock().unwrap();
-        assert!(log[0].contains("[17, 23, 5, 27, 24, 22, 25]") && log[0].contains("Outputs(4)"), "{}", log[0]);
-        assert!(log[1].contains("[26]") && log[1].contains("Inputs([Up])"), "{}", log[1]);
+        assert!(
+            log[0].contains("[17, 23, 5, 27, 24, 22, 25]") && log[0].contains("Outputs(4)"),
+            "{}",
+            log[0]
+        );
+        assert!(
+            log[1].contains("[26]") && log[1].contains("Inputs([Up])"),
+            "{}",
+            log[1]
+        );
         assert_eq!(log[2..], ["set 1000110 1000010", "set 0101001 1101011"]);
         assert!(pins.read().unwrap().emergency_stop, "low is pressed");
     }
 
     #[test]
     fn the_error_for_a_line_in_use_names_its_consumer() {
-        let busy = Fake { refuse: Some(libc::EBUSY), consumer: Some((27, "spi0 CS1")), ..Fake::default() };
-        let message = CdevPins::open_with(busy, "chip", map()).unwrap_err().to_string();
-        assert!(message.contains("GPIO 27 is in use by \"spi0 CS1\""), "{message}");
-        let old = Fake { refuse: Some(libc::EINVAL), ..Fake::default() };
-        assert!(matches!(CdevPins::open_with(old, "chip", map()), Err(PinError::NotAChip(..))));
+        let busy = Fake {
+            refuse: Some(libc::EBUSY),
+            consumer: Some((27, "spi0 CS1")),
+            ..Fake::default()
+        };
+        let message = CdevPins::open_with(busy, "chip", map())
+            .unwrap_err()
+            .to_string();
+        assert!(
+            message.contains("GPIO 27 is in use by \"spi0 CS1\""),
+            "{message}"
+        );
+        let old = Fake {
+            refuse: Some(libc::EINVAL),
+            ..Fake::default()
+        };
+        assert!(matches!(
+            CdevPins::open_with(old, "chip", map()),
+            Err(PinError::NotAChip(..))
+        ));
     }
 
     #[test]
@@ -223,8 +341,13 @@ mod tests {
         let mut config = PinsConfig::default();
         config.channels[1].step = 54;
         let map = LineMap::new(&config, 16).unwrap();
-        let message = CdevPins::open_with(Fake::default(), "/dev/gpiochip0", map).unwrap_err().to_string();
-        assert!(message.contains("has no line 54, only 0 to 53"), "{message}");
+        let message = CdevPins::open_with(Fake::default(), "/dev/gpiochip0", map)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            message.contains("has no line 54, only 0 to 53"),
+            "{message}"
+        );
     }
 
     /// Runs against the kernel of the machine that runs the tests.

@@ -81,7 +81,12 @@ parameters! {
 
 /// A driver whose EN line is shared, as in the reference wiring.
 fn channel(step: u32, dir: u32) -> ChannelPins {
-    ChannelPins { step, dir, enable: Some(5), ..ChannelPins::default() }
+    ChannelPins {
+        step,
+        dir,
+        enable: Some(5),
+        ..ChannelPins::default()
+    }
 }
 
 impl PinsConfig {
@@ -89,7 +94,14 @@ impl PinsConfig {
     pub fn uses(&self) -> Vec<Use> {
         let mut uses = Vec::new();
         for (i, c) in self.channels.iter().enumerate() {
-            let mut add = |key: &str, name, pin, shared| uses.push(Use { key: format!("channels.{i}.{key}"), name, pin, shared });
+            let mut add = |key: &str, name, pin, shared| {
+                uses.push(Use {
+                    key: format!("channels.{i}.{key}"),
+                    name,
+                    pin,
+                    shared,
+                })
+            };
             add("step", "step", c.step, false);
             add("dir", "dir", c.dir, false);
             if let Some(pin) = c.enable {
@@ -103,7 +115,12 @@ impl PinsConfig {
             }
         }
         if let Some(stop) = self.emergency_stop {
-            uses.push(Use { key: "emergency_stop.pin".to_owned(), name: "emergency_stop", pin: stop.pin, shared: false });
+            uses.push(Use {
+                key: "emergency_stop.pin".to_owned(),
+                name: "emergency_stop",
+                pin: stop.pin,
+                shared: false,
+            });
         }
         uses
     }
@@ -117,7 +134,9 @@ impl PinsConfig {
     pub fn validate(&self) -> Result<(), Invalid> {
         let uses = self.uses();
         for (n, u) in uses.iter().enumerate() {
-            let clash = uses[..n].iter().find(|o| o.pin == u.pin && !(u.shared && o.shared && o.name == u.name));
+            let clash = uses[..n]
+                .iter()
+                .find(|o| o.pin == u.pin && !(u.shared && o.shared && o.name == u.name));
             if let Some(other) = clash {
                 return Err(Invalid {
                     key: format!("pins.{}", u.key),
@@ -155,7 +174,17 @@ mod tests {
              [[channels]]\nstep = 18\ndir = 8\nms = [7, 1, 12]\nhome = { pin = 16 }\n",
         )
         .unwrap();
-        assert_eq!((c.backend, c.channels[1].enable), (Backend::Rppal, Some(15)));
-        assert_eq!(c.channels[2].home, Some(InputPin { pin: 16, active_low: true, pull: Pull::Up }));
+        assert_eq!(
+            (c.backend, c.channels[1].enable),
+            (Backend::Rppal, Some(15))
+        );
+        assert_eq!(
+            c.channels[2].home,
+            Some(InputPin {
+                pin: 16,
+                active_low: true,
+                pull: Pull::Up
+            })
+        );
     }
 }

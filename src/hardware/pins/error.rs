@@ -9,7 +9,9 @@ pub enum PinError {
     )]
     NoChip(String),
     /// The file is not a GPIO chip, or the kernel does not provide version 2 of the interface: its path.
-    #[error("{0} is not a GPIO chip with line interface version 2 (Linux 5.10 or newer): set pins.chip to a /dev/gpiochip*")]
+    #[error(
+        "{0} is not a GPIO chip with line interface version 2 (Linux 5.10 or newer): set pins.chip to a /dev/gpiochip*"
+    )]
     NotAChip(String),
     /// The chip has fewer lines.
     #[error("{chip} has no line {pin}, only 0 to {}: correct the pin numbers in the board file", .lines.saturating_sub(1))]

@@ -52,10 +52,14 @@ impl LineMap {
 
     /// The bit of an output line, which several signals may share.
     fn output(&mut self, pin: u32, inverted: bool) -> u64 {
-        let index = self.outputs.iter().position(|p| *p == pin).unwrap_or_else(|| {
-            self.outputs.push(pin);
-            self.outputs.len() - 1
-        });
+        let index = self
+            .outputs
+            .iter()
+            .position(|p| *p == pin)
+            .unwrap_or_else(|| {
+                self.outputs.push(pin);
+                self.outputs.len() - 1
+            });
         let bit = 1 << index;
         self.inverted |= if inverted { bit } else { 0 };
         bit
@@ -82,8 +86,16 @@ impl LineMap {
     pub fn output_bits(&self, levels: &Levels) -> u64 {
         let mut active = if levels.enable { self.enable } else { 0 };
         for channel in 0..3 {
-            active |= if levels.step[channel] { self.step[channel] } else { 0 };
-            active |= if levels.dir[channel] { self.dir[channel] } else { 0 };
+            active |= if levels.step[channel] {
+                self.step[channel]
+            } else {
+                0
+            };
+            active |= if levels.dir[channel] {
+                self.dir[channel]
+            } else {
+                0
+            };
         }
         (active ^ self.inverted) | self.fixed
     }
@@ -105,13 +117,19 @@ impl LineMap {
             return Ok(());
         }
         let bit = wrong.trailing_zeros() as usize;
-        Err(PinError::EnableStuck { pin: self.outputs[bit], driven_high: written >> bit & 1 == 1 })
+        Err(PinError::EnableStuck {
+            pin: self.outputs[bit],
+            driven_high: written >> bit & 1 == 1,
+        })
     }
 
     /// Logical levels of all inputs for their voltages.
     pub fn inputs_from(&self, bits: u64) -> Inputs {
         let active = bits ^ self.inputs_inverted;
-        Inputs { home: self.home.map(|bit| active & bit != 0), emergency_stop: active & self.emergency_stop != 0 }
+        Inputs {
+            home: self.home.map(|bit| active & bit != 0),
+            emergency_stop: active & self.emergency_stop != 0,
+        }
     }
 }
 
@@ -124,11 +142,15 @@ fn ms_levels(microsteps: u32) -> Result<[bool; 3], Invalid> {
         (8, [true, true, false]),
         (16, [true, true, true]),
     ];
-    TABLE.into_iter().find(|row| row.0 == microsteps).map(|row| row.1).ok_or_else(|| Invalid {
-        key: "drive.microsteps".to_owned(),
-        problem: format!("{microsteps} must be 1, 2, 4, 8 or 16, since the MS lines are wired"),
-        hint: "leave pins.channels[].ms out if they are hard-wired".to_owned(),
-    })
+    TABLE
+        .into_iter()
+        .find(|row| row.0 == microsteps)
+        .map(|row| row.1)
+        .ok_or_else(|| Invalid {
+            key: "drive.microsteps".to_owned(),
+            problem: format!("{microsteps} must be 1, 2, 4, 8 or 16, since the MS lines are wired"),
+            hint: "leave pins.channels[].ms out if they are hard-wired".to_owned(),
+        })
 }
 
 #[cfg(test)]
@@ -137,20 +159,48 @@ mod tests {
     use crate::hardware::pins::config::ChannelPins;
 
     fn config() -> PinsConfig {
-        let home = Some(InputPin { pin: 16, active_low: true, pull: Pull::Up });
-        let mut c = PinsConfig { emergency_stop: Some(InputPin { pin: 26, active_low: false, pull: Pull::Down }), ..PinsConfig::default() };
-        c.channels[1] = ChannelPins { home, dir_inverted: true, ms: Some([6, 13, 19]), ..c.channels[1] };
+        let home = Some(InputPin {
+            pin: 16,
+            active_low: true,
+            pull: Pull::Up,
+        });
+        let mut c = PinsConfig {
+            emergency_stop: Some(InputPin {
+                pin: 26,
+                active_low: false,
+                pull: Pull::Down,
+            }),
+            ..PinsConfig::default()
+        };
+        c.channels[1] = ChannelPins {
+            home,
+            dir_inverted: true,
+            ms: Some([6, 13, 19]),
+            ..c.channels[1]
+        };
         c
     }
 
     #[test]
     fn outputs_apply_polarity_and_share_lines() {
         let map = LineMap::new(&config(), 8).unwrap();
-        assert_eq!(map.outputs(), [17, 23, 5, 27, 24, 6, 13, 19, 22, 25], "the shared EN once");
+        assert_eq!(
+            map.outputs(),
+            [17, 23, 5, 27, 24, 6, 13, 19, 22, 25],
+            "the shared EN once"
+        );
         let bit = |pin| 1_u64 << map.outputs().iter().position(|p| *p == pin).unwrap();
         let idle = map.output_bits(&Levels::default());
-        assert_eq!(idle, bit(5) | bit(24) | bit(6) | bit(13), "EN high, inverted DIR high, MS 110");
-        let on = Levels { step: [true, false, false], dir: [true, true, false], enable: true };
+        assert_eq!(
+            idle,
+            bit(5) | bit(24) | bit(6) | bit(13),
+            "EN high, inverted DIR high, MS 110"
+        );
+        let on = Levels {
+            step: [true, false, false],
+            dir: [true, true, false],
+            enable: true,
+        };
         assert_eq!(map.output_bits(&on), bit(17) | bit(23) | bit(6) | bit(13));
     }
 
@@ -162,7 +212,14 @@ mod tests {
         assert!(map.is_energised(en, 0));
         assert!(!map.is_energised(en, en), "high is released");
         assert!(!map.is_energised(!en, 0), "an input drives nothing");
-        let high = LineMap::new(&PinsConfig { enable_active_low: false, ..config() }, 8).unwrap();
+        let high = LineMap::new(
+            &PinsConfig {
+                enable_active_low: false,
+                ..config()
+            },
+            8,
+        )
+        .unwrap();
         assert!(high.is_energised(en, en) && !high.is_energised(en, 0));
         let mut bare = config();
         bare.channels.iter_mut().for_each(|c| c.enable = None);
@@ -174,12 +231,21 @@ mod tests {
         let map = LineMap::new(&config(), 16).unwrap();
         assert_eq!(map.inputs(), [(16, Pull::Up), (26, Pull::Down)]);
         assert_eq!(map.inputs_from(0b01), Inputs::default());
-        assert_eq!(map.inputs_from(0b10), Inputs { home: [false, true, false], emergency_stop: true });
+        assert_eq!(
+            map.inputs_from(0b10),
+            Inputs {
+                home: [false, true, false],
+                emergency_stop: true
+            }
+        );
     }
 
     #[test]
     fn unsupported_microsteps_are_refused_only_if_the_ms_lines_are_wired() {
-        assert_eq!(LineMap::new(&config(), 32).unwrap_err().key, "drive.microsteps");
+        assert_eq!(
+            LineMap::new(&config(), 32).unwrap_err().key,
+            "drive.microsteps"
+        );
         LineMap::new(&PinsConfig::default(), 32).unwrap();
     }
 }

@@ -20,14 +20,30 @@ const DEVICE: &str = "/dev/gpiomem";
 /// [`PinError`]: not a Raspberry Pi, no permission, no such line, or a line in use by this program.
 pub fn open(map: LineMap) -> Result<HalPins<OutputPin, InputPin>, PinError> {
     let gpio = Gpio::new().map_err(|e| pin_error(e, 0))?;
-    let lines = map.outputs().iter().map(|&pin| get(&gpio, pin)).collect::<Result<Vec<Pin>, PinError>>()?;
-    let bits = |is: fn(&Pin) -> bool| lines.iter().enumerate().fold(0, |bits, (i, line)| bits | u64::from(is(line)) << i);
-    let energised = map.is_energised(bits(|line| line.mode() == Mode::Output), bits(|line| line.read() == Level::High));
+    let lines = map
+        .outputs()
+        .iter()
+        .map(|&pin| get(&gpio, pin))
+        .collect::<Result<Vec<Pin>, PinError>>()?;
+    let bits = |is: fn(&Pin) -> bool| {
+        lines
+            .iter()
+            .enumerate()
+            .fold(0, |bits, (i, line)| bits | u64::from(is(line)) << i)
+    };
+    let energised = map.is_energised(
+        bits(|line| line.mode() == Mode::Output),
+        bits(|line| line.read() == Level::High),
+    );
     let idle = map.output_bits(&Levels::without_step(energised));
     let mut outputs = Vec::with_capacity(lines.len());
     for (i, line) in lines.into_iter().enumerate() {
         // The line becomes an output and receives its level in one step, without a wrong level between.
-        let mut line = if idle >> i & 1 == 1 { line.into_output_high() } else { line.into_output_low() };
+        let mut line = if idle >> i & 1 == 1 {
+            line.into_output_high()
+        } else {
+            line.into_output_low()
+        };
         line.set_reset_on_drop(false);
         outputs.push(line);
     }
@@ -45,7 +61,11 @@ pub fn open(map: LineMap) -> Result<HalPins<OutputPin, InputPin>, PinError> {
 
 /// One line of the header.
 fn get(gpio: &Gpio, pin: u32) -> Result<Pin, PinError> {
-    let number = u8::try_from(pin).map_err(|_| PinError::NoLine { chip: "this board".into(), pin, lines: 54 })?;
+    let number = u8::try_from(pin).map_err(|_| PinError::NoLine {
+        chip: "this board".into(),
+        pin,
+        lines: 54,
+    })?;
     gpio.get(number).map_err(|e| pin_error(e, pin))
 }
 
@@ -53,12 +73,23 @@ fn get(gpio: &Gpio, pin: u32) -> Result<Pin, PinError> {
 fn pin_error(error: Error, pin: u32) -> PinError {
     match error {
         Error::UnknownModel => PinError::UnknownModel,
-        Error::PinUsed(_) => PinError::Busy { pin, by: Some("this program".into()) },
-        Error::PinNotAvailable(_) => PinError::NoLine { chip: "this board".into(), pin, lines: 54 },
+        Error::PinUsed(_) => PinError::Busy {
+            pin,
+            by: Some("this program".into()),
+        },
+        Error::PinNotAvailable(_) => PinError::NoLine {
+            chip: "this board".into(),
+            pin,
+            lines: 54,
+        },
         Error::PermissionDenied(path) => PinError::PermissionDenied(path),
-        Error::Io(source) if source.kind() == std::io::ErrorKind::PermissionDenied => PinError::PermissionDenied(DEVICE.into()),
+        Error::Io(source) if source.kind() == std::io::ErrorKind::PermissionDenied => {
+            PinError::PermissionDenied(DEVICE.into())
+        }
         Error::Io(source) => PinError::io("open")(source),
-        Error::ThreadPanic => PinError::Pin("open", "a thread of the GPIO library has panicked".into()),
+        Error::ThreadPanic => {
+            PinError::Pin("open", "a thread of the GPIO library has panicked".into())
+        }
     }
 }
 
@@ -73,7 +104,10 @@ mod tests {
             (Error::UnknownModel, "pins.backend = \"cdev\""),
             (Error::PinUsed(17), "GPIO 17 is in use by \"this program\""),
             (Error::PinNotAvailable(99), "has no line 17"),
-            (Error::PermissionDenied("/dev/gpiomem0".into()), "no permission for /dev/gpiomem0"),
+            (
+                Error::PermissionDenied("/dev/gpiomem0".into()),
+                "no permission for /dev/gpiomem0",
+            ),
             (Error::Io(denied), "group gpio"),
         ] {
             let message = pin_error(error, 17).to_string();

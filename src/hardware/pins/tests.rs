@@ -47,7 +47,10 @@ impl Wires {
             return Err(io::Error::from_raw_os_error(libc::EIO));
         }
         let stuck = self.stuck.filter(|s| s.0 == line).map(|s| s.1);
-        Ok(stuck.or(self.driven.get(&line).copied()).or(self.pulled.get(&line).copied()).unwrap_or(true))
+        Ok(stuck
+            .or(self.driven.get(&line).copied())
+            .or(self.pulled.get(&line).copied())
+            .unwrap_or(true))
     }
 }
 
@@ -67,15 +70,28 @@ impl Kernel for WireKernel {
         Ok(request.offsets.clone())
     }
     fn state(&self, (): &(), offset: u32) -> io::Result<LineState> {
-        Ok(LineState { consumer: None, output: self.0.lock().unwrap().driven.contains_key(&offset) })
+        Ok(LineState {
+            consumer: None,
+            output: self.0.lock().unwrap().driven.contains_key(&offset),
+        })
     }
     fn set(&self, lines: &Vec<u32>, mask: u64, bits: u64) -> io::Result<()> {
         let mut wires = self.0.lock().unwrap();
-        lines.iter().enumerate().filter(|(i, _)| mask >> i & 1 == 1).try_for_each(|(i, line)| wires.set(*line, bits >> i & 1 == 1))
+        lines
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| mask >> i & 1 == 1)
+            .try_for_each(|(i, line)| wires.set(*line, bits >> i & 1 == 1))
     }
     fn get(&self, lines: &Vec<u32>, mask: u64) -> io::Result<u64> {
         let wires = self.0.lock().unwrap();
-        lines.iter().enumerate().try_fold(0, |bits, (i, line)| Ok(bits | u64::from(wires.level(*line)?) << i)).map(|bits| bits & mask)
+        lines
+            .iter()
+            .enumerate()
+            .try_fold(0, |bits, (i, line)| {
+                Ok(bits | u64::from(wires.level(*line)?) << i)
+            })
+            .map(|bits| bits & mask)
     }
 }
 
@@ -88,16 +104,28 @@ impl digital::ErrorType for WirePin {
 
 impl digital::OutputPin for WirePin {
     fn set_low(&mut self) -> Result<(), digital::ErrorKind> {
-        self.0.lock().unwrap().set(self.1, false).map_err(|_| digital::ErrorKind::Other)
+        self.0
+            .lock()
+            .unwrap()
+            .set(self.1, false)
+            .map_err(|_| digital::ErrorKind::Other)
     }
     fn set_high(&mut self) -> Result<(), digital::ErrorKind> {
-        self.0.lock().unwrap().set(self.1, true).map_err(|_| digital::ErrorKind::Other)
+        self.0
+            .lock()
+            .unwrap()
+            .set(self.1, true)
+            .map_err(|_| digital::ErrorKind::Other)
     }
 }
 
 impl digital::InputPin for WirePin {
     fn is_high(&mut self) -> Result<bool, digital::ErrorKind> {
-        self.0.lock().unwrap().level(self.1).map_err(|_| digital::ErrorKind::Other)
+        self.0
+            .lock()
+            .unwrap()
+            .level(self.1)
+            .map_err(|_| digital::ErrorKind::Other)
     }
     fn is_low(&mut self) -> Result<bool, digital::ErrorKind> {
         self.is_high().map(|high| !high)
@@ -106,8 +134,19 @@ impl digital::InputPin for WirePin {
 
 /// Opens both backends, each on wires of its own that `prepare` has set up.
 fn both(prepare: impl Fn(&mut Wires)) -> [(&'static str, Box<dyn Pins>, Shared); 2] {
-    let emergency_stop = Some(InputPin { pin: STOP, active_low: true, pull: Pull::Up });
-    let map = LineMap::new(&PinsConfig { emergency_stop, ..PinsConfig::default() }, 16).unwrap();
+    let emergency_stop = Some(InputPin {
+        pin: STOP,
+        active_low: true,
+        pull: Pull::Up,
+    });
+    let map = LineMap::new(
+        &PinsConfig {
+            emergency_stop,
+            ..PinsConfig::default()
+        },
+        16,
+    )
+    .unwrap();
     let wires = || {
         let wires = Shared::default();
         prepare(&mut wires.lock().unwrap());
@@ -119,27 +158,54 @@ fn both(prepare: impl Fn(&mut Wires)) -> [(&'static str, Box<dyn Pins>, Shared);
     let pins = wires();
     let bits = |is: fn(&Wires, u32) -> bool| {
         let wires = pins.lock().unwrap();
-        map.outputs().iter().enumerate().fold(0_u64, |bits, (i, line)| bits | u64::from(is(&wires, *line)) << i)
+        map.outputs()
+            .iter()
+            .enumerate()
+            .fold(0_u64, |bits, (i, line)| {
+                bits | u64::from(is(&wires, *line)) << i
+            })
     };
     let driven = bits(|wires, line| wires.driven.contains_key(&line));
     let energised = map.is_energised(driven, bits(|wires, line| wires.level(line).unwrap()));
-    let outputs = map.outputs().iter().map(|line| WirePin(pins.clone(), *line)).collect();
+    let outputs = map
+        .outputs()
+        .iter()
+        .map(|line| WirePin(pins.clone(), *line))
+        .collect();
     let hal = HalPins::new(map, outputs, vec![WirePin(pins.clone(), STOP)], energised).unwrap();
     let hal = hal.reading_back(|pin| pin.0.lock().unwrap().level(pin.1).unwrap_or(false));
-    [("cdev", Box::new(cdev), kernel), ("rppal", Box::new(hal), pins)]
+    [
+        ("cdev", Box::new(cdev), kernel),
+        ("rppal", Box::new(hal), pins),
+    ]
 }
 
 #[test]
 fn drivers_start_released_and_only_lines_that_differ_change() {
     for (name, mut pins, wires) in both(|_| ()) {
-        assert!(!pins.found_energised() && wires.lock().unwrap().driven[&EN], "{name}: EN is high");
-        assert_eq!(wires.lock().unwrap().changes, 7, "{name}: every output once");
-        let mut levels = Levels { enable: true, dir: [true, false, false], step: [false; 3] };
+        assert!(
+            !pins.found_energised() && wires.lock().unwrap().driven[&EN],
+            "{name}: EN is high"
+        );
+        assert_eq!(
+            wires.lock().unwrap().changes,
+            7,
+            "{name}: every output once"
+        );
+        let mut levels = Levels {
+            enable: true,
+            dir: [true, false, false],
+            step: [false; 3],
+        };
         for (step, changes) in [(false, 9), (true, 10), (true, 10), (false, 11)] {
             levels.step[0] = step;
             pins.write(&levels).unwrap();
             let wires = wires.lock().unwrap();
-            assert_eq!((wires.changes, wires.driven[&17]), (changes, step), "{name}");
+            assert_eq!(
+                (wires.changes, wires.driven[&17]),
+                (changes, step),
+                "{name}"
+            );
         }
         assert!(!wires.lock().unwrap().driven[&EN], "{name}");
     }
@@ -148,17 +214,26 @@ fn drivers_start_released_and_only_lines_that_differ_change() {
 #[test]
 fn drivers_that_an_earlier_program_left_energised_stay_so() {
     for (name, mut pins, wires) in both(|wires| _ = wires.driven.insert(EN, false)) {
-        assert!(pins.found_energised() && !wires.lock().unwrap().driven[&EN], "{name}");
+        assert!(
+            pins.found_energised() && !wires.lock().unwrap().driven[&EN],
+            "{name}"
+        );
         pins.check_enable().unwrap();
         pins.write(&Levels::default()).unwrap();
-        assert!(wires.lock().unwrap().driven[&EN], "{name}: released on request");
+        assert!(
+            wires.lock().unwrap().driven[&EN],
+            "{name}: released on request"
+        );
     }
     for (name, pins, _) in both(|wires| _ = wires.driven.insert(EN, true)) {
         assert!(!pins.found_energised(), "{name}");
     }
     // the breakout pulls a line low that nobody drives
     for (name, pins, wires) in both(|wires| _ = wires.pulled.insert(EN, false)) {
-        assert!(!pins.found_energised() && wires.lock().unwrap().driven[&EN], "{name}");
+        assert!(
+            !pins.found_energised() && wires.lock().unwrap().driven[&EN],
+            "{name}"
+        );
     }
 }
 
@@ -168,7 +243,16 @@ fn an_enable_line_that_does_not_follow_is_named() {
         pins.check_enable().unwrap();
         wires.lock().unwrap().stuck = Some((EN, false));
         let error = pins.check_enable().unwrap_err();
-        assert!(matches!(error, PinError::EnableStuck { pin: EN, driven_high: true }), "{name}: {error}");
+        assert!(
+            matches!(
+                error,
+                PinError::EnableStuck {
+                    pin: EN,
+                    driven_high: true
+                }
+            ),
+            "{name}: {error}"
+        );
     }
 }
 
@@ -179,11 +263,20 @@ fn inputs_are_read_and_a_broken_line_is_an_error() {
         wires.lock().unwrap().pulled.insert(STOP, false);
         assert!(pins.read().unwrap().emergency_stop, "{name}");
         wires.lock().unwrap().broken = true;
-        assert!(pins.read().unwrap_err().to_string().contains("read"), "{name}");
+        assert!(
+            pins.read().unwrap_err().to_string().contains("read"),
+            "{name}"
+        );
         let on = Levels::without_step(true);
-        assert!(pins.write(&on).unwrap_err().to_string().contains("write"), "{name}");
+        assert!(
+            pins.write(&on).unwrap_err().to_string().contains("write"),
+            "{name}"
+        );
         wires.lock().unwrap().broken = false;
         pins.write(&on).unwrap();
-        assert!(!wires.lock().unwrap().driven[&EN], "{name}: a write that failed is repeated");
+        assert!(
+            !wires.lock().unwrap().driven[&EN],
+            "{name}: a write that failed is repeated"
+        );
     }
 }

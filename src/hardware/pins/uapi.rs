@@ -1,7 +1,9 @@
 //! The GPIO character device, version 2 (`linux/gpio.h`), through the crate `gpiocdev-uapi`.
 
 use crate::hardware::pins::config::Pull;
-use gpiocdev_uapi::v2::{self, LineConfig, LineFlags, LineRequest, LineValues, Offsets, get_chip_info};
+use gpiocdev_uapi::v2::{
+    self, LineConfig, LineFlags, LineRequest, LineValues, Offsets, get_chip_info,
+};
 use gpiocdev_uapi::{Errno, Error, NUM_LINES_MAX};
 use std::fs::{File, OpenOptions};
 use std::io;
@@ -98,8 +100,12 @@ impl Kernel for Uapi {
 
     fn state(&self, chip: &File, offset: u32) -> io::Result<LineState> {
         let info = v2::get_line_info(chip, offset).map_err(cause)?;
-        let consumer = (!info.consumer.is_empty()).then(|| info.consumer.as_os_str().to_string_lossy().into_owned());
-        Ok(LineState { consumer, output: info.flags.contains(LineFlags::OUTPUT) })
+        let consumer = (!info.consumer.is_empty())
+            .then(|| info.consumer.as_os_str().to_string_lossy().into_owned());
+        Ok(LineState {
+            consumer,
+            output: info.flags.contains(LineFlags::OUTPUT),
+        })
     }
 
     fn set(&self, lines: &File, mask: u64, bits: u64) -> io::Result<()> {
@@ -127,14 +133,23 @@ fn line_request(request: &Request) -> LineRequest {
     match &request.kind {
         RequestKind::Outputs(bits) => {
             config.flags = LineFlags::OUTPUT;
-            config.add_values(&LineValues { bits: *bits, mask: u64::MAX >> (LINES_MAX - request.offsets.len()) });
+            config.add_values(&LineValues {
+                bits: *bits,
+                mask: u64::MAX >> (LINES_MAX - request.offsets.len()),
+            });
         }
         RequestKind::Inputs(pulls) => {
             config.flags = LineFlags::INPUT;
-            for (pull, bias) in
-                [(Pull::Up, LineFlags::BIAS_PULL_UP), (Pull::Down, LineFlags::BIAS_PULL_DOWN), (Pull::Off, LineFlags::BIAS_DISABLED)]
-            {
-                let mask = pulls.iter().enumerate().filter(|(_, p)| **p == pull).fold(0, |m, (i, _)| m | 1 << i);
+            for (pull, bias) in [
+                (Pull::Up, LineFlags::BIAS_PULL_UP),
+                (Pull::Down, LineFlags::BIAS_PULL_DOWN),
+                (Pull::Off, LineFlags::BIAS_DISABLED),
+            ] {
+                let mask = pulls
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, p)| **p == pull)
+                    .fold(0, |m, (i, _)| m | 1 << i);
                 if mask != 0 {
                     config.add_flags(LineFlags::INPUT | bias, mask);
                 }
@@ -142,8 +157,17 @@ fn line_request(request: &Request) -> LineRequest {
         }
         RequestKind::AsIs => {}
     }
-    let (offsets, num_lines) = (Offsets::from_slice(&request.offsets), request.offsets.len() as u32);
-    LineRequest { offsets, num_lines, config, consumer: CONSUMER.into(), ..LineRequest::default() }
+    let (offsets, num_lines) = (
+        Offsets::from_slice(&request.offsets),
+        request.offsets.len() as u32,
+    );
+    LineRequest {
+        offsets,
+        num_lines,
+        config,
+        consumer: CONSUMER.into(),
+        ..LineRequest::default()
+    }
 }
 
 #[cfg(test)]
@@ -153,18 +177,32 @@ mod tests {
 
     #[test]
     fn outputs_have_their_levels_from_the_request_on() {
-        let raw = line_request(&Request { offsets: vec![17, 5, 26], kind: RequestKind::Outputs(0b010) });
-        assert_eq!((raw.num_lines, &raw.offsets.0[..3], raw.config.flags), (3, &[17, 5, 26][..], LineFlags::OUTPUT));
+        let raw = line_request(&Request {
+            offsets: vec![17, 5, 26],
+            kind: RequestKind::Outputs(0b010),
+        });
+        assert_eq!(
+            (raw.num_lines, &raw.offsets.0[..3], raw.config.flags),
+            (3, &[17, 5, 26][..], LineFlags::OUTPUT)
+        );
         let a = raw.config.attr(0);
-        assert_eq!((raw.config.num_attrs, a.attr.to_value(), a.mask), (1, Some(LineAttributeValue::Values(0b010)), 0b111));
+        assert_eq!(
+            (raw.config.num_attrs, a.attr.to_value(), a.mask),
+            (1, Some(LineAttributeValue::Values(0b010)), 0b111)
+        );
         assert_eq!(raw.consumer.as_os_str(), "retroflex");
     }
 
     #[test]
     fn a_request_for_inputs_contains_their_pull_resistors() {
         let pulls = vec![Pull::Up, Pull::Off, Pull::Up, Pull::Down];
-        let raw = line_request(&Request { offsets: vec![1, 2, 3, 4], kind: RequestKind::Inputs(pulls) });
-        let got: Vec<_> = (0..3).map(|i| (raw.config.attr(i).attr.to_value(), raw.config.attr(i).mask)).collect();
+        let raw = line_request(&Request {
+            offsets: vec![1, 2, 3, 4],
+            kind: RequestKind::Inputs(pulls),
+        });
+        let got: Vec<_> = (0..3)
+            .map(|i| (raw.config.attr(i).attr.to_value(), raw.config.attr(i).mask))
+            .collect();
         let input = |bias| Some(LineAttributeValue::Flags(LineFlags::INPUT | bias));
         assert_eq!(
             got,
@@ -174,6 +212,9 @@ mod tests {
                 (input(LineFlags::BIAS_DISABLED), 0b0010)
             ]
         );
-        assert_eq!((raw.config.num_attrs, raw.config.flags), (3, LineFlags::INPUT));
+        assert_eq!(
+            (raw.config.num_attrs, raw.config.flags),
+            (3, LineFlags::INPUT)
+        );
     }
 }

@@ -46,9 +46,16 @@ pub fn check(log: &BendLog, geometry: &Geometry, lines: &[Line; 3]) -> Result<()
         .or_else(|| values::sensor_units(log.base.as_ref()?, "base_"))
         .or_else(|| values::single_values(log))
         .or_else(in_motion);
-    let Some((place, finding, mend)) = first else { return Ok(()) };
+    let Some((place, finding, mend)) = first else {
+        return Ok(());
+    };
     let file = log.file.clone();
-    Err(Implausible { file, place, finding, mend })
+    Err(Implausible {
+        file,
+        place,
+        finding,
+        mend,
+    })
 }
 
 #[cfg(test)]
@@ -61,29 +68,55 @@ mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
 
     fn lines() -> [Line; 3] {
-        [2.2, 2.5, 2.2].map(|k_epsilon| Line { k_epsilon, k_lambda_mm: 0.9 })
+        [2.2, 2.5, 2.2].map(|k_epsilon| Line {
+            k_epsilon,
+            k_lambda_mm: 0.9,
+        })
     }
 
     /// Two minutes of poses in twelve directions, 100 rows a second, of a tip that follows the nominal model.
     fn sound() -> BendLog {
         let (geometry, lines) = (Geometry::default(), lines());
-        let mut log = BendLog { file: "x.csv".to_owned(), ..BendLog::default() };
-        let mut imu = ImuColumns { acc: Vec::new(), gyr: Vec::new(), mag: Vec::new() };
+        let mut log = BendLog {
+            file: "x.csv".to_owned(),
+            ..BendLog::default()
+        };
+        let mut imu = ImuColumns {
+            acc: Vec::new(),
+            gyr: Vec::new(),
+            mag: Vec::new(),
+        };
         let (mut at, mut before) = (nalgebra::Vector2::zeros(), UnitQuaternion::identity());
         let base = UnitQuaternion::from_euler_angles(0.4, -0.3, 1.0);
         for k in 0..12_000 {
             let t_s = f64::from(k + 1) * 0.01;
             let pose = (t_s / 3.0).floor();
-            let target = if t_s < 3.0 { Bend::STRAIGHT } else { Bend::from_deg(60.0, pose * 150.0) };
+            let target = if t_s < 3.0 {
+                Bend::STRAIGHT
+            } else {
+                Bend::from_deg(60.0, pose * 150.0)
+            };
             at += (target.0 - at) * 0.02;
             let turn = Bend(at).rotation().quat();
-            let q_mm = geometry.lengths(&Shape { bend: Bend(at), length: Mm(geometry.rest_length_mm) });
+            let q_mm = geometry.lengths(&Shape {
+                bend: Bend(at),
+                length: Mm(geometry.rest_length_mm),
+            });
             log.t_s.push(t_s);
-            log.command.push(Vector3::new(target.beta().to_degrees(), target.delta().to_degrees(), 20.0));
-            log.piston_mm.push(Vector3::from_fn(|i, _| lines[i].piston_mm(q_mm[i], 0.0)));
-            imu.acc.push((base * turn).inverse() * Vector3::new(0.0, 0.0, 9.81));
-            imu.mag.push((base * turn).inverse() * Vector3::new(20.0, 0.0, -43.0));
-            imu.gyr.push((before.inverse() * turn).scaled_axis() / 0.01 + Vector3::new(0.01, -0.02, 0.005));
+            log.command.push(Vector3::new(
+                target.beta().to_degrees(),
+                target.delta().to_degrees(),
+                20.0,
+            ));
+            log.piston_mm
+                .push(Vector3::from_fn(|i, _| lines[i].piston_mm(q_mm[i], 0.0)));
+            imu.acc
+                .push((base * turn).inverse() * Vector3::new(0.0, 0.0, 9.81));
+            imu.mag
+                .push((base * turn).inverse() * Vector3::new(20.0, 0.0, -43.0));
+            imu.gyr.push(
+                (before.inverse() * turn).scaled_axis() / 0.01 + Vector3::new(0.01, -0.02, 0.005),
+            );
             before = turn;
         }
         log.imu = Some(imu);
@@ -96,7 +129,8 @@ mod tests {
     fn verdict(change: impl Fn(&mut BendLog)) -> String {
         let mut log = sound();
         change(&mut log);
-        check(&log, &Geometry::default(), &lines()).map_or_else(|e| e.to_string(), |()| "sound".to_owned())
+        check(&log, &Geometry::default(), &lines())
+            .map_or_else(|e| e.to_string(), |()| "sound".to_owned())
     }
 
     fn imu(log: &mut BendLog) -> &mut ImuColumns {
@@ -106,38 +140,68 @@ mod tests {
     #[test]
     fn a_sound_log_passes() {
         assert_eq!(verdict(|_| ()), "sound");
-        assert_eq!(verdict(|log| log.imu = None), "sound", "nothing to compare the pistons with");
+        assert_eq!(
+            verdict(|log| log.imu = None),
+            "sound",
+            "nothing to compare the pistons with"
+        );
     }
 
     #[test]
     fn units_are_recognised() {
         let scale = |v: &mut Vec<Vector3<f64>>, by: f64| v.iter_mut().for_each(|x| *x *= by);
         let cases: [Case<BendLog>; 8] = [
-            ("acc_* looks like g: at rest |a| = 1.0", &|log| scale(&mut imu(log).acc, 1.0 / 9.81)),
+            ("acc_* looks like g: at rest |a| = 1.0", &|log| {
+                scale(&mut imu(log).acc, 1.0 / 9.81)
+            }),
             ("looks like gauss", &|log| scale(&mut imu(log).mag, 0.01)),
             ("looks like tesla", &|log| scale(&mut imu(log).mag, 1e-6)),
             ("looks like nanotesla", &|log| scale(&mut imu(log).mag, 1e3)),
-            ("looks like °/s", &|log| scale(&mut imu(log).gyr, 180.0 / std::f64::consts::PI)),
-            ("looks like milliseconds", &|log| log.t_s.iter_mut().for_each(|t| *t *= 1e3)),
-            ("looks like microseconds", &|log| log.t_s.iter_mut().for_each(|t| *t *= 1e6)),
-            ("piston*_mm looks like m", &|log| scale(&mut log.piston_mm, 1e-3)),
+            ("looks like °/s", &|log| {
+                scale(&mut imu(log).gyr, 180.0 / std::f64::consts::PI)
+            }),
+            ("looks like milliseconds", &|log| {
+                log.t_s.iter_mut().for_each(|t| *t *= 1e3)
+            }),
+            ("looks like microseconds", &|log| {
+                log.t_s.iter_mut().for_each(|t| *t *= 1e6)
+            }),
+            ("piston*_mm looks like m", &|log| {
+                scale(&mut log.piston_mm, 1e-3)
+            }),
         ];
         for (words, change) in cases {
             let message = verdict(change);
-            assert!(message.starts_with("x.csv, column") && message.contains(words), "{words}: {message}");
+            assert!(
+                message.starts_with("x.csv, column") && message.contains(words),
+                "{words}: {message}"
+            );
         }
     }
 
     #[test]
     fn wiring_is_recognised() {
-        let each = |log: &mut BendLog, f: &dyn Fn(&mut Vector3<f64>)| log.piston_mm.iter_mut().for_each(f);
+        let each =
+            |log: &mut BendLog, f: &dyn Fn(&mut Vector3<f64>)| log.piston_mm.iter_mut().for_each(f);
         let cases: [Case<Vector3<f64>>; 6] = [
-            ("piston1_mm and piston2_mm look exchanged", &|p| p.swap_rows(0, 1)),
-            ("piston1_mm and piston3_mm look exchanged", &|p| p.swap_rows(0, 2)),
-            ("piston2_mm and piston3_mm look exchanged", &|p| p.swap_rows(1, 2)),
-            ("piston1_mm looks like it has the other sign", &|p| p.x = -p.x),
-            ("piston3_mm looks like it has the other sign", &|p| p.z = -p.z),
-            ("all pistons look like they have the other sign", &|p| *p = -*p),
+            ("piston1_mm and piston2_mm look exchanged", &|p| {
+                p.swap_rows(0, 1)
+            }),
+            ("piston1_mm and piston3_mm look exchanged", &|p| {
+                p.swap_rows(0, 2)
+            }),
+            ("piston2_mm and piston3_mm look exchanged", &|p| {
+                p.swap_rows(1, 2)
+            }),
+            ("piston1_mm looks like it has the other sign", &|p| {
+                p.x = -p.x
+            }),
+            ("piston3_mm looks like it has the other sign", &|p| {
+                p.z = -p.z
+            }),
+            ("all pistons look like they have the other sign", &|p| {
+                *p = -*p
+            }),
         ];
         for (words, change) in cases {
             let message = verdict(|log| each(log, change));
@@ -148,9 +212,15 @@ mod tests {
     #[test]
     fn single_values_are_named_with_line_and_column() {
         let message = verdict(|log| log.piston_mm[99].y = 1e9);
-        assert!(message.contains("line 101, column piston2_mm: 1000000000 mm is beyond"), "{message}");
+        assert!(
+            message.contains("line 101, column piston2_mm: 1000000000 mm is beyond"),
+            "{message}"
+        );
         let message = verdict(|log| log.piston_mm[99].y = 25.0);
-        assert!(message.contains("line 101, column piston2_mm: the piston jumps by"), "{message}");
+        assert!(
+            message.contains("line 101, column piston2_mm: the piston jumps by"),
+            "{message}"
+        );
         let message = verdict(|log| imu(log).gyr[7].z = -1e7);
         assert!(message.contains("line 9, column gyr_z_rad_s"), "{message}");
     }

@@ -35,8 +35,13 @@ impl Motion {
                 Vector3::from_fn(|i, _| lines[i].bellow_mm(w_mm[i]))
             })
             .collect();
-        let mut motion =
-            Self { measured: Vec::new(), bellows: Default::default(), path_rad: (0.0, 0.0), tilt_rad: tilt_rad(log), geometry: *geometry };
+        let mut motion = Self {
+            measured: Vec::new(),
+            bellows: Default::default(),
+            path_rad: (0.0, 0.0),
+            tilt_rad: tilt_rad(log),
+            geometry: *geometry,
+        };
         let bias = rest_rate(log);
         let row_at = |t: f64| log.t_s.partition_point(|x| *x < t).min(log.t_s.len() - 1);
         let (mut from, end) = (0, log.t_s.len());
@@ -55,7 +60,14 @@ impl Motion {
         motion
     }
 
-    fn add_path(&mut self, log: &BendLog, from: usize, to: usize, bellow_mm: &[Vector3<f64>], bias: &Vector3<f64>) {
+    fn add_path(
+        &mut self,
+        log: &BendLog,
+        from: usize,
+        to: usize,
+        bellow_mm: &[Vector3<f64>],
+        bias: &Vector3<f64>,
+    ) {
         let bend = |k: usize| self.geometry.shape(&bellow_mm[k]).bend.0;
         let predicted: f64 = (from..to).map(|k| (bend(k + 1) - bend(k)).norm()).sum();
         let Some(imu) = &log.imu else { return };
@@ -70,7 +82,8 @@ impl Motion {
     /// Correlation of measured and predicted rotations when the pistons are wired as `wiring` says, the best over the shifts;
     /// `None` where too little moves.
     fn agreement(&self, wiring: &Wiring) -> Option<f64> {
-        let rotation = |q: &Vector3<f64>| self.geometry.shape(&wiring.apply(q)).bend.rotation().quat();
+        let rotation =
+            |q: &Vector3<f64>| self.geometry.shape(&wiring.apply(q)).bend.rotation().quat();
         let over = |pairs: &Vec<(Vector3<f64>, Vector3<f64>)>| {
             let (mut mp, mut mm, mut pp, mut windows) = (0.0, 0.0, 0.0, 0);
             for (measured, (a, b)) in self.measured.iter().zip(pairs) {
@@ -91,13 +104,22 @@ impl Motion {
 /// Mean rate over the rows before the first piston moves, rad/s: the gyroscope's constant bias.
 fn rest_rate(log: &BendLog) -> Vector3<f64> {
     let gyr = log.imu.as_ref().map_or(&[][..], |imu| &imu.gyr);
-    let still = log.piston_mm.iter().zip(gyr).take_while(|(p, _)| **p == log.piston_mm[0]);
+    let still = log
+        .piston_mm
+        .iter()
+        .zip(gyr)
+        .take_while(|(p, _)| **p == log.piston_mm[0]);
     let rates: Vec<_> = still.map(|(_, rate)| rate).filter(|r| finite(r)).collect();
     rates.iter().fold(Vector3::zeros(), |sum, r| sum + **r) / rates.len().max(1) as f64
 }
 
 /// Rotation of the tip from row `from` to row `to`, by the tracker or else by the gyroscope.
-fn measured_turn(log: &BendLog, from: usize, to: usize, bias: &Vector3<f64>) -> Option<Vector3<f64>> {
+fn measured_turn(
+    log: &BendLog,
+    from: usize,
+    to: usize,
+    bias: &Vector3<f64>,
+) -> Option<Vector3<f64>> {
     if let Some(reference) = &log.reference {
         return Some((reference[from]?.inverse() * reference[to]?).scaled_axis());
     }
@@ -119,7 +141,9 @@ fn measured_turn(log: &BendLog, from: usize, to: usize, bias: &Vector3<f64>) -> 
 fn tilt_rad(log: &BendLog) -> f64 {
     let largest = |directions: &mut dyn Iterator<Item = Vector3<f64>>| {
         let mut finite = directions.filter(|v| finite(v) && v.norm() > 0.0);
-        let Some(first) = finite.next() else { return 0.0 };
+        let Some(first) = finite.next() else {
+            return 0.0;
+        };
         let mut angles: Vec<f64> = finite.map(|v| first.angle(&v)).collect();
         angles.sort_by(f64::total_cmp);
         // the largest but for one row in a hundred, which noise may have thrown off
@@ -139,7 +163,9 @@ impl Motion {
             return None;
         }
         let tilt_deg = self.tilt_rad.to_degrees();
-        let text = format!("piston*_mm looks like m: the tip tilts by {tilt_deg:.0}° and the largest piston position is {most:.4}");
+        let text = format!(
+            "piston*_mm looks like m: the tip tilts by {tilt_deg:.0}° and the largest piston position is {most:.4}"
+        );
         finding("columns piston*_mm", text, "write mm")
     }
 
@@ -150,7 +176,9 @@ impl Motion {
             return None;
         }
         let ratio = measured / predicted;
-        let text = format!("gyr_* looks like °/s: the gyroscope turns {ratio:.0} times as far as the pistons drive the tip");
+        let text = format!(
+            "gyr_* looks like °/s: the gyroscope turns {ratio:.0} times as far as the pistons drive the tip"
+        );
         finding("columns gyr_*", text, "write rad/s")
     }
 
@@ -164,7 +192,9 @@ impl Motion {
             return None;
         }
         let Wiring { says, mend, .. } = other;
-        let text = format!("{says}: the tip's rotations correlate with the pistons by {as_wired:.2}, and by {best:.2} if so");
+        let text = format!(
+            "{says}: the tip's rotations correlate with the pistons by {as_wired:.2}, and by {best:.2} if so"
+        );
         finding("columns piston*_mm", text, mend)
     }
 }
@@ -194,18 +224,37 @@ const WIRINGS: [Wiring; 9] = [
     exchanged([0, 2, 1], "piston2_mm and piston3_mm look exchanged"),
     exchanged([1, 2, 0], SHIFTED),
     exchanged([2, 0, 1], SHIFTED),
-    reversed([-1.0, 1.0, 1.0], "piston1_mm looks like it has the other sign"),
-    reversed([1.0, -1.0, 1.0], "piston2_mm looks like it has the other sign"),
-    reversed([1.0, 1.0, -1.0], "piston3_mm looks like it has the other sign"),
+    reversed(
+        [-1.0, 1.0, 1.0],
+        "piston1_mm looks like it has the other sign",
+    ),
+    reversed(
+        [1.0, -1.0, 1.0],
+        "piston2_mm looks like it has the other sign",
+    ),
+    reversed(
+        [1.0, 1.0, -1.0],
+        "piston3_mm looks like it has the other sign",
+    ),
     reversed([-1.0; 3], "all pistons look like they have the other sign"),
 ];
 
 const fn exchanged(from: [usize; 3], says: &'static str) -> Wiring {
     let (sign, mend) = (PLUS, EXCHANGE);
-    Wiring { from, sign, says, mend }
+    Wiring {
+        from,
+        sign,
+        says,
+        mend,
+    }
 }
 
 const fn reversed(sign: [f64; 3], says: &'static str) -> Wiring {
     let (from, mend) = (AS_WIRED, REVERSE);
-    Wiring { from, sign, says, mend }
+    Wiring {
+        from,
+        sign,
+        says,
+        mend,
+    }
 }

@@ -32,13 +32,17 @@ fn periods(log: &BendLog) -> impl Iterator<Item = f64> {
 pub(super) fn clock_unit(log: &BendLog) -> Option<Finding> {
     let period_s = median(periods(log))?;
     let steps = log.piston_mm.windows(2).zip(periods(log));
-    let speed_mm_s = steps.map(|(p, dt)| (p[1] - p[0]).amax() / dt).fold(0.0, f64::max);
+    let speed_mm_s = steps
+        .map(|(p, dt)| (p[1] - p[0]).amax() / dt)
+        .fold(0.0, f64::max);
     // at 2 kHz and 1 mm/s a clock in milliseconds gives 0.5 and 0.001
     if period_s < 0.4 || speed_mm_s == 0.0 || speed_mm_s > 0.3 {
         return None;
     }
     let part = if speed_mm_s > 3e-4 { "milli" } else { "micro" };
-    let text = format!("looks like {part}seconds: rows are {period_s} apart and no piston moves faster than {speed_mm_s:.2e} mm per unit");
+    let text = format!(
+        "looks like {part}seconds: rows are {period_s} apart and no piston moves faster than {speed_mm_s:.2e} mm per unit"
+    );
     finding("column time_s", text, "write seconds")
 }
 
@@ -76,7 +80,8 @@ pub(super) fn sensor_units(imu: &ImuColumns, prefix: &str) -> Option<Finding> {
 pub(super) fn single_values(log: &BendLog) -> Option<Finding> {
     let beyond = |column: &str, row: usize, value: f64, most: f64, unit: &str| {
         let place = format!("line {}, column {column}", row + 2);
-        let text = format!("{value} {unit} is beyond what the machine can do (at most ±{most} {unit})");
+        let text =
+            format!("{value} {unit} is beyond what the machine can do (at most ±{most} {unit})");
         finding(&place, text, CORRECT)
     };
     // `*` stands for the three names
@@ -89,7 +94,13 @@ pub(super) fn single_values(log: &BendLog) -> Option<Finding> {
     let imu = |imu: &Option<ImuColumns>, prefix: &str| {
         let imu = imu.as_ref()?;
         let scan = |columns: &str, values: &[Vector3<f64>], most: f64, unit: &str| {
-            scan(&format!("{prefix}{columns}"), ["x", "y", "z"], values, most, unit)
+            scan(
+                &format!("{prefix}{columns}"),
+                ["x", "y", "z"],
+                values,
+                most,
+                unit,
+            )
         };
         // ±32 g, ±4000 °/s, ±4.9 mT: the widest ranges of the parts in use
         scan("acc_*_m_s2", &imu.acc, 320.0, "m/s²")
@@ -103,7 +114,15 @@ pub(super) fn single_values(log: &BendLog) -> Option<Finding> {
         .or_else(|| scan("cmd_*", pose, &log.command, 3600.0, "deg or mm"))
         .or_else(|| imu(&log.imu, ""))
         .or_else(|| imu(&log.base, "base_"))
-        .or_else(|| scan("pressure*_kpa", lines, log.pressure_kpa.as_ref()?, 300.0, "kPa"))
+        .or_else(|| {
+            scan(
+                "pressure*_kpa",
+                lines,
+                log.pressure_kpa.as_ref()?,
+                300.0,
+                "kPa",
+            )
+        })
         .or_else(|| {
             let (row, t) = temperatures.find(|(_, t)| t.abs() > 150.0)?;
             beyond("temp_c", row, *t, 150.0, "°C")
@@ -120,6 +139,8 @@ fn jump(log: &BendLog) -> Option<Finding> {
     };
     let (k, i, step_mm, most_mm) = log.piston_mm.windows(2).enumerate().find_map(far)?;
     let place = format!("line {}, column piston{}_mm", k + 3, i + 1);
-    let text = format!("the piston jumps by {step_mm:.1} mm from the row before, beyond what the machine can do (at most {most_mm:.1} mm)");
+    let text = format!(
+        "the piston jumps by {step_mm:.1} mm from the row before, beyond what the machine can do (at most {most_mm:.1} mm)"
+    );
     finding(&place, text, CORRECT)
 }

@@ -59,10 +59,14 @@ mod tests {
         let clean = proof::drive(&AccelBias, &[0.0; 3], 60.0, proof::exercise);
         for (l, c) in run.iter().zip(&clean) {
             assert!((l.reading.acc_m_s2 - c.reading.acc_m_s2 - Vector3::from(p)).norm() < 1e-12);
-            assert_eq!((l.reading.mag_ut, l.reading.gyro_rad_s), (c.reading.mag_ut, c.reading.gyro_rad_s));
+            assert_eq!(
+                (l.reading.mag_ut, l.reading.gyro_rad_s),
+                (c.reading.mag_ut, c.reading.gyro_rad_s)
+            );
         }
         let norms: Vec<f64> = run.iter().map(|l| l.reading.acc_m_s2.norm()).collect();
-        let spread = norms.iter().copied().fold(f64::MIN, f64::max) - norms.iter().copied().fold(f64::MAX, f64::min);
+        let spread = norms.iter().copied().fold(f64::MIN, f64::max)
+            - norms.iter().copied().fold(f64::MAX, f64::min);
         assert!(spread > 0.3, "{spread}");
     }
 }

@@ -63,12 +63,20 @@ mod tests {
     fn slopes_differ_on_the_two_sides_and_only_there() {
         let at = |q: f64| {
             let mut v = Vector3::repeat(q);
-            Asymmetry.bellows(&[0.2, 0.0, -0.2], &mut Memory::default(), &proof::moment(0.0, v), &mut v);
+            Asymmetry.bellows(
+                &[0.2, 0.0, -0.2],
+                &mut Memory::default(),
+                &proof::moment(0.0, v),
+                &mut v,
+            );
             v
         };
         let slope = |q: f64| (at(q + 0.01) - at(q - 0.01)) / 0.02;
         assert!((slope(4.0) - Vector3::new(1.2, 1.0, 0.8)).norm() < 2e-3);
         assert!((slope(-4.0) - Vector3::new(0.8, 1.0, 1.2)).norm() < 2e-3);
-        assert!((slope(4.0) - slope(2.0)).norm() < 5e-3, "linear beyond the corner");
+        assert!(
+            (slope(4.0) - slope(2.0)).norm() < 5e-3,
+            "linear beyond the corner"
+        );
     }
 }

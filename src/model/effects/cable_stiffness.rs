@@ -33,7 +33,8 @@ const INFO: EffectInfo = EffectInfo {
     confused_with: &["crosstalk", "clocking", "stiffening"],
     separated_by: "length changes at several directions",
     events: 0,
-    params: &Param::new("", "", 0.0, 0.1, (-0.5, 0.5)).named(["along", "aslant", "taut_x", "taut_y"]),
+    params: &Param::new("", "", 0.0, 0.1, (-0.5, 0.5))
+        .named(["along", "aslant", "taut_x", "taut_y"]),
     starts: &[&[0.02; 4]],
 };
 
@@ -69,7 +70,13 @@ mod tests {
         let (sin, cos) = (2.0 * psi.to_radians()).sin_cos();
         let gain = |delta: f64| {
             let b = proof::bend_deg(50.0, delta);
-            let out = proof::shaped(&CableStiffness, &[0.15 * cos, 0.15 * sin, 0.0, 0.0], b, Vector3::z()).bend;
+            let out = proof::shaped(
+                &CableStiffness,
+                &[0.15 * cos, 0.15 * sin, 0.0, 0.0],
+                b,
+                Vector3::z(),
+            )
+            .bend;
             out.dot(&b) / b.norm_squared()
         };
         assert!((gain(psi) - 1.15).abs() < 1e-12 && (gain(psi + 90.0) - 0.85).abs() < 1e-12);

@@ -39,13 +39,18 @@ impl Effect for Clocking {
         let size = p.iter().map(|a| a * a).sum::<f64>();
         let alike = p.iter().sum::<f64>().powi(2) / 3.0;
         let explained = p.iter().map(|a| a * a).fold(alike, f64::max);
-        if size > 0.0 { 1.0 - explained / size } else { 0.0 }
+        if size > 0.0 {
+            1.0 - explained / size
+        } else {
+            0.0
+        }
     }
     /// Memory holds the angles and, from 3 on, the 2 × 3 matrix that follows from them, column by column.
     fn shape(&self, p: &[f64], m: &mut Memory, at: &Moment, pose: &mut Pose) {
         if m.0[..3] != p[..3] {
             m.0[..3].copy_from_slice(&p[..3]);
-            let off = bend_of_lengths(&Vector3::new(p[0], p[1], p[2])) - bend_of_lengths(&Vector3::zeros());
+            let off = bend_of_lengths(&Vector3::new(p[0], p[1], p[2]))
+                - bend_of_lengths(&Vector3::zeros());
             m.0[3..9].copy_from_slice(off.as_slice());
         }
         pose.bend += Matrix2x3::from_column_slice(&m.0[3..9]) * pose.bellow_mm / at.r_mm;
@@ -59,7 +64,9 @@ fn bend_of_lengths(zeta: &Vector3<f64>) -> Matrix2x3<f64> {
         [1.0, -cos, sin][j]
     });
     // singular only when two bellows coincide, far outside the parameters' range
-    rows.try_inverse().map_or_else(Matrix2x3::zeros, |inverse| inverse.fixed_rows::<2>(1).into_owned())
+    rows.try_inverse().map_or_else(Matrix2x3::zeros, |inverse| {
+        inverse.fixed_rows::<2>(1).into_owned()
+    })
 }
 
 #[cfg(test)]
@@ -88,7 +95,11 @@ mod tests {
             let (sin, cos) = (TAU * i as f64 / 3.0 + zeta[i]).sin_cos();
             1.5 - g.r_mm * (b.x * cos - b.y * sin)
         });
-        let mut pose = Pose { bend: g.shape(&q).bend.0, twist: 0.0, bellow_mm: q };
+        let mut pose = Pose {
+            bend: g.shape(&q).bend.0,
+            twist: 0.0,
+            bellow_mm: q,
+        };
         assert!((pose.bend - b).norm() > 0.05);
         let at = proof::moment(0.0, Vector3::zeros());
         Clocking.shape(zeta.as_slice(), &mut Memory::default(), &at, &mut pose);
@@ -108,10 +119,12 @@ mod tests {
     fn one_off_its_place_is_periodic_in_direction() {
         let off = |delta: f64| {
             let b = proof::bend_deg(50.0, delta);
-            b.perp(&proof::shaped(&Clocking, &[0.0, 0.2, 0.0], b, Vector3::z()).bend) / b.norm_squared()
+            b.perp(&proof::shaped(&Clocking, &[0.0, 0.2, 0.0], b, Vector3::z()).bend)
+                / b.norm_squared()
         };
         let turns: Vec<f64> = (0..12).map(|k| off(30.0 * f64::from(k))).collect();
-        let spread = turns.iter().copied().fold(f64::MIN, f64::max) - turns.iter().copied().fold(f64::MAX, f64::min);
+        let spread = turns.iter().copied().fold(f64::MIN, f64::max)
+            - turns.iter().copied().fold(f64::MAX, f64::min);
         assert!(spread > 0.05, "{turns:?}");
     }
 }

@@ -52,7 +52,9 @@ impl Effect for Contact {
     info!();
     /// Eight directions: a wall that the tip does not touch has no gradient towards its true direction.
     fn starts(&self) -> Starts {
-        (-3..=4).map(|k| vec![f64::from(k) * FRAC_PI_4, 0.45, 0.4, 0.04, 0.05]).collect()
+        (-3..=4)
+            .map(|k| vec![f64::from(k) * FRAC_PI_4, 0.45, 0.4, 0.04, 0.05])
+            .collect()
     }
     /// Memory holds where along the wall the tip sticks, and whether it touches (1) or not (0).
     fn shape(&self, p: &[f64], m: &mut Memory, _at: &Moment, pose: &mut Pose) {
@@ -64,7 +66,11 @@ impl Effect for Contact {
         pose.bend -= n * pressed;
         if p[4] > 0.0 && beyond > 0.0 {
             let (aside, hold) = (along.dot(&pose.bend), p[4] * pressed);
-            let stuck = if m.0[1] > 0.0 { m.0[0].max(aside - hold).min(aside + hold) } else { aside };
+            let stuck = if m.0[1] > 0.0 {
+                m.0[0].max(aside - hold).min(aside + hold)
+            } else {
+                aside
+            };
             (m.0[0], m.0[1]) = (stuck, 1.0);
             pose.bend += along * (stuck - aside);
         } else {
@@ -102,6 +108,9 @@ mod tests {
         }
         let back = moved(60.0, 30.0);
         assert!((back.norm() - 0.8 * 20f64.to_radians()).abs() < 1e-3);
-        assert!((back.y.atan2(back.x).to_degrees() + 150.0).abs() < 1e-6, "straight away from the wall");
+        assert!(
+            (back.y.atan2(back.x).to_degrees() + 150.0).abs() < 1e-6,
+            "straight away from the wall"
+        );
     }
 }

@@ -71,11 +71,16 @@ mod tests {
     #[test]
     fn a_hold_grows_the_motion_and_the_return_recovers() {
         let p = proof::with(&Creep, &[("fast", 0.1), ("slow", 0.1)]);
-        let run = proof::drive(&Creep, &p, 300.0, |t| Vector3::repeat(if t < 60.0 { 10.0 } else { 0.0 }));
+        let run = proof::drive(&Creep, &p, 300.0, |t| {
+            Vector3::repeat(if t < 60.0 { 10.0 } else { 0.0 })
+        });
         let q = |t_s: usize| run[t_s * 100].q_mm.x;
         assert!(q(1) < q(10) && q(10) < q(50), "grows through the hold");
         assert!((q(50) / q(0) - 1.2).abs() < 0.03, "{}", q(50) / q(0));
-        assert!(q(61) > 0.3 && q(61) > q(80) && q(80) > q(200), "same sign after the return, then less");
+        assert!(
+            q(61) > 0.3 && q(61) > q(80) && q(80) > q(200),
+            "same sign after the return, then less"
+        );
         assert!(q(299).abs() < 0.01, "{}", q(299));
     }
 }

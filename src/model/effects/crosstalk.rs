@@ -31,10 +31,16 @@ const INFO: EffectInfo = EffectInfo {
     name: "crosstalk",
     stage: Stage::Transmission,
     signature: "other channels move when one is pressurised, not when it is evacuated",
-    confused_with: &["asymmetry", "clocking", "cable_stiffness", "gas_compression"],
+    confused_with: &[
+        "asymmetry",
+        "clocking",
+        "cable_stiffness",
+        "gas_compression",
+    ],
     separated_by: "single-channel moves of both signs; common-mode length",
     events: 0,
-    params: &Param::new("", "", 0.0, 0.1, (-0.2, 0.6)).named(["c12", "c13", "c21", "c23", "c31", "c32"]),
+    params: &Param::new("", "", 0.0, 0.1, (-0.2, 0.6))
+        .named(["c12", "c13", "c21", "c23", "c31", "c32"]),
     starts: &[&[0.05; PAIRS.len()]],
 };
 
@@ -72,8 +78,15 @@ mod tests {
     fn only_pressure_reaches_the_neighbours() {
         let both = [("c12", 0.2), ("c13", 0.1)];
         let pressed = moved(&both, Vector3::x() * 10.0);
-        assert!(pressed.x.abs() < 1e-12 && (pressed.y - 2.0).abs() < 0.05 && (pressed.z - 1.0).abs() < 0.05);
+        assert!(
+            pressed.x.abs() < 1e-12
+                && (pressed.y - 2.0).abs() < 0.05
+                && (pressed.z - 1.0).abs() < 0.05
+        );
         assert!(moved(&both, -Vector3::x() * 10.0).norm() < 0.05);
-        assert!(moved(&both, Vector3::y() * 10.0).norm() < 0.05, "the second line has no coupling");
+        assert!(
+            moved(&both, Vector3::y() * 10.0).norm() < 0.05,
+            "the second line has no coupling"
+        );
     }
 }

@@ -32,7 +32,10 @@ const INFO: EffectInfo = EffectInfo {
     confused_with: &["stiffening", "gravity"],
     separated_by: "the same bends at another length; a shape sensor",
     events: 0,
-    params: &[Param::new("bow", "", 0.0, 0.1, (-0.8, 0.8)), Param::new("curl", "", 0.0, 0.2, (-1.0, 1.0))],
+    params: &[
+        Param::new("bow", "", 0.0, 0.1, (-0.8, 0.8)),
+        Param::new("curl", "", 0.0, 0.2, (-1.0, 1.0)),
+    ],
     starts: &[&[0.03, 0.0]],
 };
 

@@ -77,9 +77,17 @@ mod tests {
 
     #[test]
     fn gain_grows_with_pressure() {
-        let gain = |w: f64| proof::drive(&GasCompression, &[0.05], 0.0, |_| Vector3::repeat(w))[0].w_mm.x / w;
+        let gain = |w: f64| {
+            proof::drive(&GasCompression, &[0.05], 0.0, |_| Vector3::repeat(w))[0]
+                .w_mm
+                .x
+                / w
+        };
         assert!(gain(15.0) > 1.1 && gain(-15.0) < 0.9);
         let (up, down) = (gain(3.0) - 1.0, 1.0 - gain(-3.0));
-        assert!((up / down - 1.0).abs() < 0.2, "even to first order: {up} {down}");
+        assert!(
+            (up / down - 1.0).abs() < 0.2,
+            "even to first order: {up} {down}"
+        );
     }
 }

@@ -36,7 +36,10 @@ const INFO: EffectInfo = EffectInfo {
         &[Param::new("pitch", "mm", PI, 0.1, (1.4, 6.5))],
     ]),
     // Modules 1 and 0.5: a fit does not move from one pitch to the other.
-    starts: &[&[0.03, 0.03, 0.03, 0.03, 0.03, 0.03, PI], &[0.03, 0.03, 0.03, 0.03, 0.03, 0.03, PI / 2.0]],
+    starts: &[
+        &[0.03, 0.03, 0.03, 0.03, 0.03, 0.03, PI],
+        &[0.03, 0.03, 0.03, 0.03, 0.03, 0.03, PI / 2.0],
+    ],
 };
 
 impl Effect for GearPeriodic {
@@ -73,8 +76,14 @@ mod tests {
             last.u_mm - Vector3::repeat(speed * last.t_s)
         };
         for u in [0.6, 1.2, 2.4] {
-            assert!((error(1.0, u) - error(4.0, u)).norm() < 1e-9, "speed must not matter");
-            assert!((error(1.0, u) - error(1.0, u + 0.5 * PI)).norm() > 0.1, "half a tooth further it differs");
+            assert!(
+                (error(1.0, u) - error(4.0, u)).norm() < 1e-9,
+                "speed must not matter"
+            );
+            assert!(
+                (error(1.0, u) - error(1.0, u + 0.5 * PI)).norm() > 0.1,
+                "half a tooth further it differs"
+            );
         }
         let at = |u: f64| {
             let mut v = Vector3::repeat(u);

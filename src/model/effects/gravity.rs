@@ -34,7 +34,10 @@ const INFO: EffectInfo = EffectInfo {
     confused_with: &["accel_bias", "curvature", "base_motion"],
     separated_by: "another attitude of the base",
     events: 0,
-    params: &[Param::new("sag", "rad", 0.0, 0.06, (0.0, 0.5)), Param::new("lever", "", 0.5, 0.3, (0.0, 1.0))],
+    params: &[
+        Param::new("sag", "rad", 0.0, 0.06, (0.0, 0.5)),
+        Param::new("lever", "", 0.5, 0.3, (0.0, 1.0)),
+    ],
     starts: &[],
 };
 
@@ -48,11 +51,16 @@ impl Effect for Gravity {
 /// Rise of the mass per bend: `up·∂ρ/∂b`.
 fn lift(bend: &Vector2<f64>, up: &Vector3<f64>, lever: f64) -> Vector2<f64> {
     // for a section of unit length: columns ∂x/∂b_x, ∂x/∂b_y, and x itself, which ends in sin β/β
-    let j = Geometry::default().position_jacobian(&Shape { bend: Bend(*bend), length: Mm(1.0) });
+    let j = Geometry::default().position_jacobian(&Shape {
+        bend: Bend(*bend),
+        length: Mm(1.0),
+    });
     let (sinc, slope_x, slope_y) = (j[(2, 2)], j[(2, 0)], j[(2, 1)]);
     let tip_x = Vector3::new(sinc + bend.x * slope_x, -bend.y * slope_x, -sinc * bend.x);
     let tip_y = Vector3::new(bend.x * slope_y, -sinc - bend.y * slope_y, -sinc * bend.y);
-    let along = |tip: Vector3<f64>, column: usize| up.dot(&(tip * lever + j.column(column) * (2.0 * (1.0 - lever))));
+    let along = |tip: Vector3<f64>, column: usize| {
+        up.dot(&(tip * lever + j.column(column) * (2.0 * (1.0 - lever))))
+    };
     Vector2::new(along(tip_x, 0), along(tip_y, 1))
 }
 
@@ -74,7 +82,10 @@ mod tests {
     /// Height of the mass above the base, per length: the function whose slope is `lift`.
     fn height(b: Vector2<f64>, up: &Vector3<f64>, lever: f64) -> f64 {
         let tip = Bend(b).rotation().apply(&Vector3::z());
-        let end = Geometry::default().position(&Shape { bend: Bend(b), length: Mm(1.0) });
+        let end = Geometry::default().position(&Shape {
+            bend: Bend(b),
+            length: Mm(1.0),
+        });
         up.dot(&(tip * lever + end * (2.0 * (1.0 - lever))))
     }
 
@@ -82,9 +93,15 @@ mod tests {
     fn lift_is_the_slope_of_the_height() {
         let up = Vector3::new(0.48, -0.36, 0.8);
         let h = 1e-6;
-        for b in [Vector2::new(0.3, -0.9), Vector2::new(-1.2, 0.4), Vector2::new(0.02, 0.01)] {
+        for b in [
+            Vector2::new(0.3, -0.9),
+            Vector2::new(-1.2, 0.4),
+            Vector2::new(0.02, 0.01),
+        ] {
             for lever in [0.0, 0.5, 1.0] {
-                let slope = |d: Vector2<f64>| (height(b + d * h, &up, lever) - height(b - d * h, &up, lever)) / (2.0 * h);
+                let slope = |d: Vector2<f64>| {
+                    (height(b + d * h, &up, lever) - height(b - d * h, &up, lever)) / (2.0 * h)
+                };
                 let want = Vector2::new(slope(Vector2::x()), slope(Vector2::y()));
                 assert!((lift(&b, &up, lever) - want).norm() < 1e-6, "{b} {lever}");
             }
@@ -110,6 +127,9 @@ mod tests {
             proof::shaped(&Gravity, &p, b, level).bend - b
         };
         let further = at(75.0) - at(0.0);
-        assert!(further.x > 0.03, "a tip that points down has no lever and no sag: {further}");
+        assert!(
+            further.x > 0.03,
+            "a tip that points down has no lever and no sag: {further}"
+        );
     }
 }

@@ -58,9 +58,17 @@ mod tests {
         let clean = proof::drive(&HardIron, &[0.0; 3], 60.0, proof::exercise);
         for (l, c) in run.iter().zip(&clean) {
             assert!((l.reading.mag_ut - c.reading.mag_ut - Vector3::from(p)).norm() < 1e-12);
-            assert_eq!((l.reading.acc_m_s2, l.reading.gyro_rad_s), (c.reading.acc_m_s2, c.reading.gyro_rad_s));
+            assert_eq!(
+                (l.reading.acc_m_s2, l.reading.gyro_rad_s),
+                (c.reading.acc_m_s2, c.reading.gyro_rad_s)
+            );
         }
-        let in_base = |k: usize| run[k].reading.r_base_sensor * (run[k].reading.mag_ut - clean[k].reading.mag_ut);
-        assert!((in_base(500) - in_base(4500)).norm() > 1.0, "in the world it turns with the tip");
+        let in_base = |k: usize| {
+            run[k].reading.r_base_sensor * (run[k].reading.mag_ut - clean[k].reading.mag_ut)
+        };
+        assert!(
+            (in_base(500) - in_base(4500)).norm() > 1.0,
+            "in the world it turns with the tip"
+        );
     }
 }

@@ -43,8 +43,14 @@ const INFO: EffectInfo = EffectInfo {
     events: 0,
     params: &join::<7>(&[
         &Param::new("", "", 0.0, 0.15, (0.0, 1.5)).named(["small", "middle", "large"]),
-        &[Param::new("skew", "", 0.0, 0.2, (-0.7, 0.7)), Param::new("waist", "", 0.0, 0.2, (-0.9, 0.9))],
-        &[Param::new("excess", "", 0.0, 0.2, (-0.9, 1.5)).on(2), Param::new("excess", "", 0.0, 0.2, (-0.9, 1.5)).on(3)],
+        &[
+            Param::new("skew", "", 0.0, 0.2, (-0.7, 0.7)),
+            Param::new("waist", "", 0.0, 0.2, (-0.9, 0.9)),
+        ],
+        &[
+            Param::new("excess", "", 0.0, 0.2, (-0.9, 1.5)).on(2),
+            Param::new("excess", "", 0.0, 0.2, (-0.9, 1.5)).on(3),
+        ],
     ]),
     starts: &[&[0.05, 0.05, 0.05, 0.0, 0.0, 0.0, 0.0]],
 };
@@ -91,7 +97,12 @@ mod tests {
             let n = ((to - at).abs() / (speed * proof::DT_S)).ceil() as u32;
             for k in 1..=n {
                 q = Vector3::repeat(at + (to - at) * f64::from(k) / f64::from(n));
-                Hysteresis.bellows(&[0.2, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0], &mut m, &proof::moment(0.0, q), &mut q);
+                Hysteresis.bellows(
+                    &[0.2, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0],
+                    &mut m,
+                    &proof::moment(0.0, q),
+                    &mut q,
+                );
             }
             at = to;
         }
@@ -110,6 +121,9 @@ mod tests {
         assert!(down - up > 0.4, "{down} {up}");
         assert!((down + up).abs() < 1e-9, "the loop is odd");
         let through = after(&[-5.0, 2.0, 0.5, 2.0, 4.0], 5.0);
-        assert!((through - after(&[-5.0, 4.0], 5.0)).abs() < 1e-9, "an inner loop is wiped out");
+        assert!(
+            (through - after(&[-5.0, 4.0], 5.0)).abs() < 1e-9,
+            "an inner loop is wiped out"
+        );
     }
 }

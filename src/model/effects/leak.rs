@@ -71,7 +71,9 @@ mod tests {
     /// Held at `w_mm` for 100 s, then back at zero: what is left just before and just after.
     fn hold(w_mm: f64, vacuum_ratio: f64) -> (f64, f64) {
         let p = proof::with(&Leak, &[("rate", 0.005), ("vacuum_ratio", vacuum_ratio)]);
-        let run = proof::drive(&Leak, &p, 101.0, |t| Vector3::repeat(if t < 100.0 { w_mm } else { 0.0 }));
+        let run = proof::drive(&Leak, &p, 101.0, |t| {
+            Vector3::repeat(if t < 100.0 { w_mm } else { 0.0 })
+        });
         (run[9_999].w_mm.x, run[10_000].w_mm.x)
     }
 
@@ -79,7 +81,10 @@ mod tests {
     fn air_is_lost_in_proportion_and_stays_lost() {
         let (held, back) = hold(10.0, 1.0);
         assert!((held - 10.0 * (-0.5f64).exp()).abs() < 0.01, "{held}");
-        assert!((back - (held - 10.0)).abs() < 0.01, "the return leaves an offset the other way: {back}");
+        assert!(
+            (back - (held - 10.0)).abs() < 0.01,
+            "the return leaves an offset the other way: {back}"
+        );
         let (half, _) = hold(5.0, 1.0);
         assert!((half / held - 0.5).abs() < 1e-3);
     }
@@ -88,6 +93,9 @@ mod tests {
     fn a_lip_that_vacuum_closes_leaks_less() {
         let (pressed, _) = hold(10.0, 0.2);
         let (sucked, _) = hold(-10.0, 0.2);
-        assert!((pressed - 6.06).abs() < 0.02 && (-sucked - 9.05).abs() < 0.05, "{pressed} {sucked}");
+        assert!(
+            (pressed - 6.06).abs() < 0.02 && (-sucked - 9.05).abs() < 0.05,
+            "{pressed} {sucked}"
+        );
     }
 }

@@ -31,7 +31,10 @@ const INFO: EffectInfo = EffectInfo {
     confused_with: &["transport_delay", "sensor_latency", "creep", "hysteresis"],
     separated_by: "steps and a chirp",
     events: 0,
-    params: &join::<4>(&[&Param::new("tau", "s", 0.0, 0.2, (0.0, 3.0)).each(), &[Param::new("fill_drain", "", 0.0, 0.3, (-0.9, 0.9))]]),
+    params: &join::<4>(&[
+        &Param::new("tau", "s", 0.0, 0.2, (0.0, 3.0)).each(),
+        &[Param::new("fill_drain", "", 0.0, 0.3, (-0.9, 0.9))],
+    ]),
     starts: &[&[0.08, 0.08, 0.08, 0.0], &[0.4, 0.4, 0.4, 0.0]],
 };
 
@@ -66,8 +69,14 @@ mod tests {
     #[test]
     fn a_step_arrives_with_its_time_constant() {
         let p = proof::with(&LineLag, &[("tau", 0.4)]);
-        let run = proof::drive(&LineLag, &p, 10.0, |t| Vector3::repeat(if t > 0.0 { 8.0 } else { 0.0 }));
-        assert!((run[40].w_mm.y - 8.0 * (1.0 - (-1.0f64).exp())).abs() < 0.06, "{}", run[40].w_mm.y);
+        let run = proof::drive(&LineLag, &p, 10.0, |t| {
+            Vector3::repeat(if t > 0.0 { 8.0 } else { 0.0 })
+        });
+        assert!(
+            (run[40].w_mm.y - 8.0 * (1.0 - (-1.0f64).exp())).abs() < 0.06,
+            "{}",
+            run[40].w_mm.y
+        );
         assert!((run[1000].w_mm.y - 8.0).abs() < 1e-6, "a hold has no error");
     }
 

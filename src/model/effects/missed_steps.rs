@@ -32,7 +32,12 @@ pub struct MissedSteps;
 const fn event(time_s: f64, [time, first, second, third]: [&'static str; 4]) -> [Param; 4] {
     let offset = Param::new("", "mm", 0.0, 2.0, (-24.0, 24.0));
     let [first, second, third] = offset.named([first, second, third]);
-    [Param::new(time, "s", time_s, 100.0, (0.0, 36_000.0)), first.on(1), second.on(2), third.on(3)]
+    [
+        Param::new(time, "s", time_s, 100.0, (0.0, 36_000.0)),
+        first.on(1),
+        second.on(2),
+        third.on(3),
+    ]
 }
 
 /// The catalogue entry.
@@ -57,9 +62,16 @@ impl Effect for MissedSteps {
     fn starts(&self) -> Starts {
         let at = |t_s: [f64; 4]| {
             let offsets = [[0.2, 0.0, -0.2], [0.0; 3], [0.0; 3], [0.0; 3]];
-            t_s.into_iter().zip(offsets).flat_map(|(t, [a, b, c])| [t, a, b, c]).collect()
+            t_s.into_iter()
+                .zip(offsets)
+                .flat_map(|(t, [a, b, c])| [t, a, b, c])
+                .collect()
         };
-        vec![at([40.0, 160.0, 200.0, 240.0]), at([120.0, 40.0, 200.0, 240.0]), at([200.0, 120.0, 40.0, 240.0])]
+        vec![
+            at([40.0, 160.0, 200.0, 240.0]),
+            at([120.0, 40.0, 200.0, 240.0]),
+            at([200.0, 120.0, 40.0, 240.0]),
+        ]
     }
     fn pistons(&self, p: &[f64], _m: &mut Memory, at: &Moment, u_mm: &mut Vector3<f64>) {
         for event in p.chunks_exact(4) {
@@ -99,16 +111,30 @@ mod tests {
 
     #[test]
     fn an_offset_is_sudden_persistent_and_of_one_channel() {
-        let p = proof::with(&MissedSteps, &[("t1_s", 10.0), ("d1_2", -3.0), ("t2_s", 20.0), ("d2_3", 1.0)]);
+        let p = proof::with(
+            &MissedSteps,
+            &[
+                ("t1_s", 10.0),
+                ("d1_2", -3.0),
+                ("t2_s", 20.0),
+                ("d2_3", 1.0),
+            ],
+        );
         let run = proof::drive(&MissedSteps, &p, 30.0, proof::exercise);
         for l in &run {
             let gone = l.u_mm - proof::exercise(l.t_s);
             if l.t_s < 9.9 {
                 assert!(gone.norm() < 1e-3);
             } else if (10.1..19.9).contains(&l.t_s) {
-                assert!((gone - Vector3::new(0.0, -3.0, 0.0)).norm() < 1e-3, "{gone}");
+                assert!(
+                    (gone - Vector3::new(0.0, -3.0, 0.0)).norm() < 1e-3,
+                    "{gone}"
+                );
             } else if l.t_s > 20.1 {
-                assert!((gone - Vector3::new(0.0, -3.0, 1.0)).norm() < 1e-3, "{gone}");
+                assert!(
+                    (gone - Vector3::new(0.0, -3.0, 1.0)).norm() < 1e-3,
+                    "{gone}"
+                );
             }
         }
     }

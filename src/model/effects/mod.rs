@@ -184,7 +184,12 @@ pub trait Effect: Send + Sync {
     /// Starting points of a fit.
     fn starts(&self) -> Starts {
         match self.info().starts {
-            [] => vec![self.params().iter().map(|p| (p.start + 0.5 * p.scale).clamp(p.low, p.high)).collect()],
+            [] => vec![
+                self.params()
+                    .iter()
+                    .map(|p| (p.start + 0.5 * p.scale).clamp(p.low, p.high))
+                    .collect(),
+            ],
             starts => starts.iter().map(|start| start.to_vec()).collect(),
         }
     }

@@ -46,7 +46,10 @@ const INFO: EffectInfo = EffectInfo {
         &COIL.on(1).named(NAMES),
         &COIL.on(2).named(NAMES),
         &COIL.on(3).named(NAMES),
-        &[Param::new("idle", "", 0.5, 0.3, (0.0, 1.0)), Param::new("idle_after", "s", 0.5, 0.5, (0.1, 10.0))],
+        &[
+            Param::new("idle", "", 0.5, 0.3, (0.0, 1.0)),
+            Param::new("idle_after", "s", 0.5, 0.5, (0.1, 10.0)),
+        ],
     ]),
     starts: &[],
 };
@@ -65,9 +68,11 @@ impl Effect for MotorField {
         let mut field = Vector3::zeros();
         for (motor, u_mm) in p.chunks_exact(6).zip(at.counted_mm.iter()) {
             let (sin, cos) = (TAU * u_mm / (CYCLE * Drive::default().step_mm)).sin_cos();
-            field += Vector3::new(motor[0], motor[1], motor[2]) * cos + Vector3::new(motor[3], motor[4], motor[5]) * sin;
+            field += Vector3::new(motor[0], motor[1], motor[2]) * cos
+                + Vector3::new(motor[3], motor[4], motor[5]) * sin;
         }
-        reading.mag_ut += reading.r_base_sensor.inverse() * (field * current(p[18], p[19], at.idle_s));
+        reading.mag_ut +=
+            reading.r_base_sensor.inverse() * (field * current(p[18], p[19], at.idle_s));
     }
 }
 
@@ -101,8 +106,16 @@ mod tests {
         let mut p = proof::with(&e, &[("idle", 0.4)]);
         p[6..12].copy_from_slice(&[5.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
         let zero = Vector3::zeros();
-        let mut r = ImuPrediction { acc_m_s2: zero, gyro_rad_s: zero, mag_ut: zero, r_base_sensor };
-        let at = Moment { idle_s, ..proof::moment(0.0, Vector3::new(0.3, u_mm, 0.7)) };
+        let mut r = ImuPrediction {
+            acc_m_s2: zero,
+            gyro_rad_s: zero,
+            mag_ut: zero,
+            r_base_sensor,
+        };
+        let at = Moment {
+            idle_s,
+            ..proof::moment(0.0, Vector3::new(0.3, u_mm, 0.7))
+        };
         e.sensor(&p, &mut Memory::default(), &at, &mut r);
         assert_eq!((r.acc_m_s2, r.gyro_rad_s), (zero, zero));
         r.mag_ut
@@ -120,7 +133,10 @@ mod tests {
     #[test]
     fn the_field_is_fixed_in_the_base_and_weakens_when_idle() {
         let turned = UnitQuaternion::from_scaled_axis(Vector3::new(0.3, -0.8, 0.1));
-        assert!((turned * field(0.2, 0.0, turned) - field(0.2, 0.0, UnitQuaternion::identity())).norm() < 1e-12);
+        assert!(
+            (turned * field(0.2, 0.0, turned) - field(0.2, 0.0, UnitQuaternion::identity())).norm()
+                < 1e-12
+        );
         let ratio = field(0.2, 3.0, turned).norm() / field(0.2, 0.0, turned).norm();
         assert!((ratio - 0.4).abs() < 1e-3, "{ratio}");
         assert!((current(0.4, 0.5, f64::MAX) - 0.4).abs() < 1e-12);

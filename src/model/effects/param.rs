@@ -7,8 +7,22 @@ use crate::model::effects::Param;
 impl Param {
     /// A parameter that belongs to no channel: `start` is the value at which the effect vanishes,
     /// `scale` the standard deviation of its prior, `range` the least and the largest physical value.
-    pub const fn new(name: &'static str, unit: &'static str, start: f64, scale: f64, range: (f64, f64)) -> Self {
-        Self { name, unit, channel: 0, start, scale, low: range.0, high: range.1 }
+    pub const fn new(
+        name: &'static str,
+        unit: &'static str,
+        start: f64,
+        scale: f64,
+        range: (f64, f64),
+    ) -> Self {
+        Self {
+            name,
+            unit,
+            channel: 0,
+            start,
+            scale,
+            low: range.0,
+            high: range.1,
+        }
     }
     /// The same for one channel, 1 to 3.
     #[must_use]

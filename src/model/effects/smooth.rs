@@ -17,7 +17,11 @@ pub fn positive(x: f64, width: f64) -> f64 {
 pub fn overshoot(x: f64, width: f64) -> f64 {
     let root = (x * x + width * width).sqrt();
     // below the corner the two terms cancel: the product form is accurate
-    if x > 0.0 { 0.5 * (x + root) } else { 0.5 * width * width / (root - x) }
+    if x > 0.0 {
+        0.5 * (x + root)
+    } else {
+        0.5 * width * width / (root - x)
+    }
 }
 
 /// sgn(x) with a rounded step.
@@ -67,7 +71,15 @@ mod tests {
 
     #[test]
     fn at_zero_they_are_exactly_zero() {
-        assert_eq!((magnitude(0.0, 0.3), positive(0.0, 0.3), sign(0.0, 0.3), share(0.0)), (0.0, 0.0, 0.0, 0.0));
+        assert_eq!(
+            (
+                magnitude(0.0, 0.3),
+                positive(0.0, 0.3),
+                sign(0.0, 0.3),
+                share(0.0)
+            ),
+            (0.0, 0.0, 0.0, 0.0)
+        );
     }
 
     #[test]
@@ -84,6 +96,13 @@ mod tests {
         assert!((onset(5.0, 5.0, 0.05) - 0.5).abs() < 1e-12);
         assert!((onset(5.025, 5.0, 0.05) - 0.9).abs() < 1e-9);
         assert_eq!((onset(0.0, 5.0, 0.05), onset(9.0, 5.0, 0.05)), (0.0, 1.0));
-        assert_eq!((smoothstep(1.0, 2.0, 4.0), smoothstep(4.0, 2.0, 4.0), smoothstep(7.0, 2.0, 4.0)), (0.0, 0.5, 1.0));
+        assert_eq!(
+            (
+                smoothstep(1.0, 2.0, 4.0),
+                smoothstep(4.0, 2.0, 4.0),
+                smoothstep(7.0, 2.0, 4.0)
+            ),
+            (0.0, 0.5, 1.0)
+        );
     }
 }

@@ -53,7 +53,9 @@ const INFO: EffectInfo = EffectInfo {
 impl Effect for Softening {
     info!();
     fn starts(&self) -> Starts {
-        [(1.0, 0.1), (4.0, 0.1), (3.0, 0.6)].map(|(reach, rejoin)| vec![0.15, 0.15, 0.15, reach, rejoin, 0.005, 0.8, 0.1]).to_vec()
+        [(1.0, 0.1), (4.0, 0.1), (3.0, 0.6)]
+            .map(|(reach, rejoin)| vec![0.15, 0.15, 0.15, reach, rejoin, 0.005, 0.8, 0.1])
+            .to_vec()
     }
     /// Memory holds each bellow's largest stretch, from 3 on its path, from 6 on its last length change.
     fn bellows(&self, p: &[f64], m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {
@@ -64,8 +66,16 @@ impl Effect for Softening {
             m.0[3 + i] += (q - m.0[6 + i]).abs();
             m.0[6 + i] = q;
             let worn = -(-(m.0[i] + p[5] * m.0[3 + i]) / p[3]).exp_m1();
-            let near = if m.0[i] > 0.0 { (strain / m.0[i]).powi(2) } else { 0.0 };
-            let toe = if p[7] > 0.0 { q.abs() / (q.abs() + p[7]) } else { 1.0 };
+            let near = if m.0[i] > 0.0 {
+                (strain / m.0[i]).powi(2)
+            } else {
+                0.0
+            };
+            let toe = if p[7] > 0.0 {
+                q.abs() / (q.abs() + p[7])
+            } else {
+                1.0
+            };
             q_mm[i] *= 1.0 - p[i] * (1.0 - worn * (1.0 - p[4] * near) * toe);
         }
     }
@@ -96,7 +106,10 @@ mod tests {
             v.x / q
         };
         let fresh = gain(1.0);
-        assert!((gain(-0.5) - fresh).abs() < 1e-12, "inside the past maximum nothing changes, either way");
+        assert!(
+            (gain(-0.5) - fresh).abs() < 1e-12,
+            "inside the past maximum nothing changes, either way"
+        );
         let worn = gain(3.0);
         assert!(worn > fresh + 0.1, "{fresh} {worn}");
         assert!((gain(1.0) - worn).abs() < 1e-12, "and it stays");
@@ -105,14 +118,25 @@ mod tests {
 
     #[test]
     fn the_virgin_curve_is_rejoined_at_the_past_maximum_and_strokes_wear() {
-        let p = proof::with(&Softening, &[("fresh", 0.4), ("reach", 2.0), ("rejoin", 1.0), ("tiring", 0.05)]);
+        let p = proof::with(
+            &Softening,
+            &[
+                ("fresh", 0.4),
+                ("reach", 2.0),
+                ("rejoin", 1.0),
+                ("tiring", 0.05),
+            ],
+        );
         let mut m = Memory::default();
         let mut gain = |q: f64| {
             let mut v = Vector3::repeat(q);
             Softening.bellows(&p, &mut m, &proof::moment(0.0, v), &mut v);
             v.x / q
         };
-        assert!((gain(3.0) - 0.6).abs() < 1e-9, "at the maximum nothing is softened");
+        assert!(
+            (gain(3.0) - 0.6).abs() < 1e-9,
+            "at the maximum nothing is softened"
+        );
         let inside = gain(1.0);
         assert!(inside > 0.8);
         for _ in 0..20 {

@@ -86,7 +86,18 @@ mod tests {
 
     #[test]
     fn large_moves_fall_short_more_than_small_ones() {
-        let gain = |w: f64| proof::drive(&Stiffening, &[0.3; 3], 0.0, |_| Vector3::repeat(w))[0].q_mm.x * 3.22 / w;
-        assert!(gain(1.0) > 0.998 && gain(16.0) < 0.85, "{} {}", gain(1.0), gain(16.0));
+        let gain = |w: f64| {
+            proof::drive(&Stiffening, &[0.3; 3], 0.0, |_| Vector3::repeat(w))[0]
+                .q_mm
+                .x
+                * 3.22
+                / w
+        };
+        assert!(
+            gain(1.0) > 0.998 && gain(16.0) < 0.85,
+            "{} {}",
+            gain(1.0),
+            gain(16.0)
+        );
     }
 }

@@ -29,7 +29,10 @@ const INFO: EffectInfo = EffectInfo {
     confused_with: &["creep", "leak", "gyro_bias", "base_motion"],
     separated_by: "an idle hold; a pose repeated late",
     events: 0,
-    params: &join::<4>(&[&Param::new("size", "mm", 0.0, 0.8, (-6.0, 6.0)).each(), &[Param::new("tau", "s", 60.0, 60.0, (5.0, 900.0))]]),
+    params: &join::<4>(&[
+        &Param::new("size", "mm", 0.0, 0.8, (-6.0, 6.0)).each(),
+        &[Param::new("tau", "s", 60.0, 60.0, (5.0, 900.0))],
+    ]),
     starts: &[&[0.1, 0.0, -0.1, 30.0], &[0.1, 0.0, -0.1, 120.0]],
 };
 
@@ -57,8 +60,13 @@ mod tests {
         let found = proof::fitted(&ThermalDrift, &truth);
         assert!((found[3] - truth[3]).abs() < 1.0, "{found:?}");
         let off = Vector3::from_fn(|i, _| found[i] - truth[i]);
-        let length = proof::moment(0.0, Vector3::zeros()).k_epsilon.add_scalar(1.0);
-        assert!(off.cross(&length).norm() < 0.02, "{found:?}: wrong by more than a common length");
+        let length = proof::moment(0.0, Vector3::zeros())
+            .k_epsilon
+            .add_scalar(1.0);
+        assert!(
+            off.cross(&length).norm() < 0.02,
+            "{found:?}: wrong by more than a common length"
+        );
     }
 
     #[test]
@@ -69,7 +77,10 @@ mod tests {
         for (s, m) in still.iter().zip(&moved) {
             assert!((s.w_mm - (m.w_mm - m.u_mm)).norm() < 1e-12);
         }
-        assert!(still[0].w_mm.norm() == 0.0 && still[100].w_mm.x < 0.1, "the rest is undisturbed");
+        assert!(
+            still[0].w_mm.norm() == 0.0 && still[100].w_mm.x < 0.1,
+            "the rest is undisturbed"
+        );
         assert!((still[2000].w_mm.x - 1.5 * (1.0 - (-1.0f64).exp())).abs() < 1e-9);
         assert!((still[10_000].w_mm.x - 1.5).abs() < 0.02);
     }

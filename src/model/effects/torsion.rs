@@ -28,7 +28,10 @@ const INFO: EffectInfo = EffectInfo {
     confused_with: &["hard_iron", "mount_misalignment", "clocking"],
     separated_by: "a reference or a clean magnetic field",
     events: 0,
-    params: &[Param::new("twist", "", 0.0, 0.08, (-0.6, 0.6)), Param::new("twist_grow", "1/rad", 0.0, 0.06, (-0.4, 0.4))],
+    params: &[
+        Param::new("twist", "", 0.0, 0.08, (-0.6, 0.6)),
+        Param::new("twist_grow", "1/rad", 0.0, 0.06, (-0.4, 0.4)),
+    ],
     starts: &[&[0.02, 0.0]],
 };
 

@@ -22,8 +22,8 @@ use crate::motion::lines::OutputLine;
 use crate::motion::queue::TimedSegment;
 use crate::motion::steps::StepStream;
 use crate::motion::{
-    EmergencyStop, Histogram, Inputs, Levels, MotionLimits, MotionState, PulseTiming, StepperFault, StepperMode, StepperOrder,
-    StepperReport,
+    EmergencyStop, Histogram, Inputs, Levels, MotionLimits, MotionState, PulseTiming, StepperFault,
+    StepperMode, StepperOrder, StepperReport,
 };
 use crate::primitives::Steps;
 
@@ -91,7 +91,13 @@ const INTERVAL_LONGEST_NS: u64 = 50_000_000;
 impl StepCore {
     /// At rest at zero with the drivers released.
     pub fn new(timing: PulseTiming, limits: &MotionLimits, step_mm: f64) -> Self {
-        Self { timing, limits: *limits, step_mm, stream: StepStream::new(step_mm, [0; 3]), ..Self::default() }
+        Self {
+            timing,
+            limits: *limits,
+            step_mm,
+            stream: StepStream::new(step_mm, [0; 3]),
+            ..Self::default()
+        }
     }
 
     /// The same with drivers that are already energised at `now_ns` and stay so until an order.
@@ -105,7 +111,11 @@ impl StepCore {
 
     /// The action at `now_ns`, a fresh reading of the clock. `next` takes the next segment from the
     /// queue and never waits.
-    pub fn poll(&mut self, now_ns: u64, next: &mut impl FnMut() -> Option<TimedSegment>) -> PulseAction {
+    pub fn poll(
+        &mut self,
+        now_ns: u64,
+        next: &mut impl FnMut() -> Option<TimedSegment>,
+    ) -> PulseAction {
         self.advance(now_ns, next);
         self.check_lateness(now_ns);
         self.release_when_idle(now_ns);
@@ -155,7 +165,11 @@ impl StepCore {
 
     /// Takes a reading of the input lines.
     pub fn observe(&mut self, inputs: Inputs) {
-        self.pressed = if inputs.emergency_stop { self.pressed.saturating_add(1) } else { 0 };
+        self.pressed = if inputs.emergency_stop {
+            self.pressed.saturating_add(1)
+        } else {
+            0
+        };
         self.inputs = inputs;
         if self.pressed < PRESSED_READINGS {
             return;
@@ -181,9 +195,13 @@ impl StepCore {
                 self.after_stop = AfterStop::Finish;
             }
             StepperOrder::Energise if !faulted => self.enable = true,
-            StepperOrder::Release if self.mode == StepperMode::Resting || faulted => self.enable = false,
+            StepperOrder::Release if self.mode == StepperMode::Resting || faulted => {
+                self.enable = false
+            }
             StepperOrder::Clear if faulted && self.pressed < PRESSED_READINGS => self.clear(),
-            StepperOrder::Rebase(position_mm) if self.mode == StepperMode::Resting => self.rebase(position_mm),
+            StepperOrder::Rebase(position_mm) if self.mode == StepperMode::Resting => {
+                self.rebase(position_mm)
+            }
             _ => {}
         }
     }
@@ -206,7 +224,9 @@ impl StepCore {
             mode: self.mode,
             epoch: self.epoch,
             counted: Steps(self.counted),
-            complete_ns: (0..3).filter_map(|i| self.stream.peek(i)).fold(now_ns, |t_ns, (due_ns, _)| t_ns.min(due_ns)),
+            complete_ns: (0..3)
+                .filter_map(|i| self.stream.peek(i))
+                .fold(now_ns, |t_ns, (due_ns, _)| t_ns.min(due_ns)),
             rest_mm: self.at.map(|s| s.position_mm),
             energised: self.levels.enable,
             inputs: self.inputs,
@@ -218,12 +238,17 @@ impl StepCore {
 
     /// Counts a pulsed step of a channel.
     fn count_step(&mut self, channel: usize, done_ns: u64) {
-        let Some((due_ns, direction)) = self.stream.peek(channel) else { return };
+        let Some((due_ns, direction)) = self.stream.peek(channel) else {
+            return;
+        };
         self.stream.take(channel);
         self.counted[channel] += direction;
         self.lateness.record(done_ns.saturating_sub(due_ns));
         let (last_due_ns, last_done_ns) = self.last_step_ns[channel];
-        let (planned, actual) = (due_ns.saturating_sub(last_due_ns), done_ns.saturating_sub(last_done_ns));
+        let (planned, actual) = (
+            due_ns.saturating_sub(last_due_ns),
+            done_ns.saturating_sub(last_done_ns),
+        );
         if planned < INTERVAL_LONGEST_NS {
             self.interval_error.record(planned.abs_diff(actual));
         }
@@ -245,22 +270,36 @@ impl StepCore {
 
     /// Releases the drivers after the configured time at rest.
     fn release_when_idle(&mut self, now_ns: u64) {
-        let over = self.timing.idle_ns.is_some_and(|idle_ns| now_ns > self.moved_ns + idle_ns);
-        if over && self.levels.enable && self.mode != StepperMode::Stopping && self.stream.is_empty() {
+        let over = self
+            .timing
+            .idle_ns
+            .is_some_and(|idle_ns| now_ns > self.moved_ns + idle_ns);
+        if over
+            && self.levels.enable
+            && self.mode != StepperMode::Stopping
+            && self.stream.is_empty()
+        {
             self.enable = false;
         }
     }
 
     /// The levels that the lines should have now. At most one line of a channel changes at a time.
     fn desired_levels(&self, now_ns: u64) -> Levels {
-        let mut desired = Levels { enable: self.enable, ..self.levels };
+        let mut desired = Levels {
+            enable: self.enable,
+            ..self.levels
+        };
         for (channel, line) in self.lines.iter().enumerate() {
             if line.step_high {
                 desired.step[channel] = now_ns < line.fall_ns;
             } else if let Some((due_ns, direction)) = self.stream.peek(channel) {
                 let up = direction > 0;
                 if up != line.dir_high {
-                    desired.dir[channel] = if now_ns >= line.dir_ns { up } else { line.dir_high };
+                    desired.dir[channel] = if now_ns >= line.dir_ns {
+                        up
+                    } else {
+                        line.dir_high
+                    };
                 } else if self.levels.enable && self.enable {
                     desired.step[channel] = now_ns >= due_ns.max(line.rise_ns).max(self.awake_ns);
                 }
@@ -277,7 +316,11 @@ impl StepCore {
                 next_ns = next_ns.min(line.fall_ns);
             } else if let Some((due_ns, direction)) = self.stream.peek(channel) {
                 let dir_set = (direction > 0) == line.dir_high;
-                let ready_ns = if dir_set { due_ns.max(line.rise_ns).max(self.awake_ns) } else { line.dir_ns };
+                let ready_ns = if dir_set {
+                    due_ns.max(line.rise_ns).max(self.awake_ns)
+                } else {
+                    line.dir_ns
+                };
                 next_ns = next_ns.min(ready_ns);
             }
         }

@@ -78,14 +78,23 @@ impl StepCore {
     /// The first channel of a segment that jumps, exceeds the speed limit or is not finite.
     fn discontinuity(&self, segment: &Segment) -> Option<StepperFault> {
         // A thousandth covers the rounding of the duration to nanoseconds.
-        let longest_mm = self.limits.speed_max_mm_s * segment.duration_s * 1.001 + JOINT_TOLERANCE_MM;
-        segment.channels.iter().zip(&self.at).enumerate().find_map(|(channel, (c, at))| {
-            let gap_mm = c.start.position_mm - at.position_mm;
-            let distance_mm = c.end.position_mm - c.start.position_mm;
-            let joins = gap_mm.abs() <= JOINT_TOLERANCE_MM;
-            let valid = joins && distance_mm.abs() <= longest_mm;
-            (!valid).then_some(StepperFault::Discontinuity { channel, jump_mm: if joins { distance_mm } else { gap_mm } })
-        })
+        let longest_mm =
+            self.limits.speed_max_mm_s * segment.duration_s * 1.001 + JOINT_TOLERANCE_MM;
+        segment
+            .channels
+            .iter()
+            .zip(&self.at)
+            .enumerate()
+            .find_map(|(channel, (c, at))| {
+                let gap_mm = c.start.position_mm - at.position_mm;
+                let distance_mm = c.end.position_mm - c.start.position_mm;
+                let joins = gap_mm.abs() <= JOINT_TOLERANCE_MM;
+                let valid = joins && distance_mm.abs() <= longest_mm;
+                (!valid).then_some(StepperFault::Discontinuity {
+                    channel,
+                    jump_mm: if joins { distance_mm } else { gap_mm },
+                })
+            })
     }
 
     /// Loads a segment into the step stream.
@@ -111,7 +120,12 @@ impl StepCore {
         // The next whole nanosecond after the end, so that the segment ends at rest.
         let duration_ns = (plan.duration_s() * 1e9) as u64 + 2;
         let segment = plan.cut(&self.at, 0.0, duration_ns as f64 * 1e-9);
-        self.begin(TimedSegment { epoch: self.epoch, start_ns: end_ns, duration_ns, segment });
+        self.begin(TimedSegment {
+            epoch: self.epoch,
+            start_ns: end_ns,
+            duration_ns,
+            segment,
+        });
     }
 
     /// Brakes from the end of the current segment on and invalidates everything queued before.
@@ -146,7 +160,9 @@ impl StepCore {
         self.enable &= self.after_stop != AfterStop::Finish;
         self.current = None;
         self.stream.reset(self.counted);
-        self.at = self.counted.map(|n| MotionState::rest(f64::from(n) * self.step_mm));
+        self.at = self
+            .counted
+            .map(|n| MotionState::rest(f64::from(n) * self.step_mm));
     }
 
     /// Leaves a fault at rest at the present count.

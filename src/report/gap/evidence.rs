@@ -65,7 +65,8 @@ impl Evidence {
             })
             .collect();
         let logged = Quantity::ANGLES.into_iter().filter(|&q| log.has[q]);
-        let mut traces: Vec<(f64, Trace)> = logged.flat_map(|q| traces(log, q, before, after)).collect();
+        let mut traces: Vec<(f64, Trace)> =
+            logged.flat_map(|q| traces(log, q, before, after)).collect();
         traces.sort_by(|a, b| b.0.total_cmp(&a.0));
         let traces = traces.into_iter().map(|t| t.1).collect();
         Self { spots, traces }
@@ -82,7 +83,11 @@ impl Evidence {
         }
         sums.into_iter()
             .filter(|((ring, _), _)| *ring < 8)
-            .map(|((ring, sector), (s, n))| Cell { ring, sector, value: (s / n).sqrt() })
+            .map(|((ring, sector), (s, n))| Cell {
+                ring,
+                sector,
+                value: (s / n).sqrt(),
+            })
             .collect()
     }
 
@@ -95,7 +100,11 @@ impl Evidence {
             *sum = (sum.0 + pick(s).powi(2), sum.1 + 1.0);
         }
         let middle = |k: usize| (k as f64 + 0.5) * end / n as f64;
-        sums.iter().enumerate().filter(|(_, s)| s.1 > 0.0).map(|(k, s)| (middle(k), (s.0 / s.1).sqrt())).collect()
+        sums.iter()
+            .enumerate()
+            .filter(|(_, s)| s.1 > 0.0)
+            .map(|(k, s)| (middle(k), (s.0 / s.1).sqrt()))
+            .collect()
     }
 }
 
@@ -133,12 +142,18 @@ fn traces(log: &Observed, q: Quantity, before: &HeldOut, after: &HeldOut) -> Vec
     let one = |axis: usize| {
         let point = |(t_s, [m, b, a]): &(f64, [Vector3<f64>; 3])| [*t_s, m[axis], b[axis], a[axis]];
         let points: Vec<[f64; 4]> = rows.iter().map(point).collect();
-        let predicted = points.iter().filter(|p| p[2].is_finite() && p[3].is_finite());
-        let closes = predicted.map(|p| (p[1] - p[2]).powi(2) - (p[1] - p[3]).powi(2)).sum();
+        let predicted = points
+            .iter()
+            .filter(|p| p[2].is_finite() && p[3].is_finite());
+        let closes = predicted
+            .map(|p| (p[1] - p[2]).powi(2) - (p[1] - p[3]).powi(2))
+            .sum();
         let label = label(q, axis);
         (closes, Trace { label, points })
     };
-    (0..if q == Quantity::Reference { 2 } else { 3 }).map(one).collect()
+    (0..if q == Quantity::Reference { 2 } else { 3 })
+        .map(one)
+        .collect()
 }
 
 fn label(q: Quantity, axis: usize) -> String {

@@ -72,7 +72,13 @@ fn places(e: &Evidence) -> Vec<(String, String)> {
     let high = all.fold(0.1, f64::max);
     let map = |title: &str, cells| {
         let (title, label) = (title.to_owned(), "residual / °".to_owned());
-        Polar { title, label, high, cells }.svg()
+        Polar {
+            title,
+            label,
+            high,
+            cells,
+        }
+        .svg()
     };
     let over = |pick: fn(&evidence::Spot) -> f64| e.over_time(STRETCHES, pick);
     let (was, is) = (over(|s| s.before_deg), over(|s| s.after_deg));
@@ -122,7 +128,12 @@ fn trace(t: &Trace) -> Option<Chart> {
     let from = starts.max_by(|a, b| sum(*a).total_cmp(&sum(*b)))?;
     let column = |i: usize| within(from).map(|p| (p[0], p[i])).collect();
     let x = Axis::new("time / s", from, from + TRACE_S, 5);
-    let y = Axis::around("angle / °", within(from).flat_map(|p| p[1..].to_vec()), &[], 5);
+    let y = Axis::around(
+        "angle / °",
+        within(from).flat_map(|p| p[1..].to_vec()),
+        &[],
+        5,
+    );
     let series = vec![
         Series::line("measured", Ink::GREY, Stroke::Solid, column(1)),
         Series::line("recalibrated", Ink::RED, Stroke::Dotted, column(2)),
@@ -132,12 +143,23 @@ fn trace(t: &Trace) -> Option<Chart> {
 }
 
 fn ranking(d: &Diagnosis) -> Vec<(String, String)> {
-    let named: Vec<_> = d.verdict.equivalent.iter().chain([&d.verdict.names]).flatten().collect();
+    let named: Vec<_> = d
+        .verdict
+        .equivalent
+        .iter()
+        .chain([&d.verdict.names])
+        .flatten()
+        .collect();
     let bars = |share: fn(&EffectEntry) -> (f64, Option<[f64; 2]>)| -> Vec<Bar> {
         let one = |e: &EffectEntry| {
             let ((share, interval), strong) = (share(e), named.contains(&&e.name));
             let name = words::plain(e.name);
-            Bar { name, share, interval, strong }
+            Bar {
+                name,
+                share,
+                interval,
+                strong,
+            }
         };
         d.effects.iter().take(RANKED).map(one).collect()
     };
@@ -145,7 +167,12 @@ fn ranking(d: &Diagnosis) -> Vec<(String, String)> {
     for (k, s) in d.location.stages.iter().enumerate() {
         let strong = k == 0 && d.verdict.kind != VerdictKind::None;
         let (name, interval) = (s.name.to_owned(), None);
-        stages.push(Bar { name, share: s.share, interval, strong });
+        stages.push(Bar {
+            name,
+            share: s.share,
+            interval,
+            strong,
+        });
     }
     let chance = bars(|e| (e.probability, None));
     let closed = bars(|e| (e.closed, Some(e.closed_ci95)));
@@ -154,7 +181,11 @@ fn ranking(d: &Diagnosis) -> Vec<(String, String)> {
     let closed = bars::svg("Part of the gap closed / %", Ink::BLUE, &closed);
     let present = "Probability that the effect is present; the verdict in full colour.";
     let alone = "Closed by the effect alone or, within a set, when added last; whiskers 95 %.";
-    vec![(stages, merged(d)), (chance, present.to_owned()), (closed, alone.to_owned())]
+    vec![
+        (stages, merged(d)),
+        (chance, present.to_owned()),
+        (closed, alone.to_owned()),
+    ]
 }
 
 fn rows(d: &Diagnosis) -> Vec<[String; 7]> {
@@ -174,9 +205,18 @@ fn rows(d: &Diagnosis) -> Vec<[String; 7]> {
 }
 
 fn parameters(d: &Diagnosis) -> Vec<[String; 6]> {
-    let chosen = d.effects.iter().filter(|e| d.verdict.names.contains(&e.name));
+    let chosen = d
+        .effects
+        .iter()
+        .filter(|e| d.verdict.names.contains(&e.name));
     let one = |(e, p): (&EffectEntry, &ParamValue)| {
-        let or_dash = |text: String| if text.is_empty() { "–".to_owned() } else { text };
+        let or_dash = |text: String| {
+            if text.is_empty() {
+                "–".to_owned()
+            } else {
+                text
+            }
+        };
         let channel = Some(p.channel).filter(|n| *n != 0);
         let [low, high] = p.ci95.map(words::short);
         [
@@ -188,14 +228,22 @@ fn parameters(d: &Diagnosis) -> Vec<[String; 6]> {
             or_dash(p.unit.to_owned()),
         ]
     };
-    chosen.flat_map(|e| e.params.iter().map(move |p| (e, p))).map(one).collect()
+    chosen
+        .flat_map(|e| e.params.iter().map(move |p| (e, p)))
+        .map(one)
+        .collect()
 }
 
 fn sensors(d: &Diagnosis) -> Vec<[String; 4]> {
     let mut rows = Vec::new();
     for k in &d.location.kinds {
         let [before, after] = [k.rmse_deg, k.explained_deg].map(|x| format!("{x:.2}"));
-        rows.push([k.name.to_owned(), before, after, words::unit_of(k.name).to_owned()]);
+        rows.push([
+            k.name.to_owned(),
+            before,
+            after,
+            words::unit_of(k.name).to_owned(),
+        ]);
     }
     rows
 }

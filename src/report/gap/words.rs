@@ -30,7 +30,11 @@ fn group<'a>(d: &'a Diagnosis, name: &str) -> Option<&'a Vec<&'static str>> {
 
 /// The verdict in one sentence.
 pub fn headline(d: &Diagnosis) -> String {
-    let (was, is, noise) = (d.gap.recalibrated_deg, d.gap.explained_deg, d.gap.noise_floor_deg);
+    let (was, is, noise) = (
+        d.gap.recalibrated_deg,
+        d.gap.explained_deg,
+        d.gap.noise_floor_deg,
+    );
     let (causes, many) = (capital(&causes(d)), d.verdict.names.len() > 1);
     match d.verdict.kind {
         VerdictKind::None => format!(
@@ -56,7 +60,9 @@ pub fn headline(d: &Diagnosis) -> String {
 
 /// Names of the verdict; a group of equivalent effects reads as a choice.
 fn causes(d: &Diagnosis) -> String {
-    let one = |name: &&'static str| group(d, name).map_or_else(|| plain(name), |g| format!("either {}", listed(g, "or")));
+    let one = |name: &&'static str| {
+        group(d, name).map_or_else(|| plain(name), |g| format!("either {}", listed(g, "or")))
+    };
     let mut words: Vec<String> = d.verdict.names.iter().map(one).collect();
     words.dedup();
     listed(&words, "and")
@@ -70,7 +76,9 @@ fn capital(text: &str) -> String {
 
 /// Where the gap lies, in one sentence.
 pub fn place(d: &Diagnosis) -> String {
-    let Some(first) = d.location.stages.first() else { return String::new() };
+    let Some(first) = d.location.stages.first() else {
+        return String::new();
+    };
     let kinds = d.location.kinds.iter();
     let sensor = kinds.max_by(|a, b| a.rmse_deg.total_cmp(&b.rmse_deg));
     let largest = sensor.map_or_else(String::new, |k| {
@@ -81,8 +89,14 @@ pub fn place(d: &Diagnosis) -> String {
         return format!("There is no gap to locate.{largest}");
     }
     let merged = d.location.merged.iter().find(|m| m.contains(&first.name));
-    let merged = merged.map_or_else(String::new, |m| format!(" This log cannot separate the stages {}.", listed(m, "and")));
-    format!("{:.0} % of the gap is attributed to the {} stage.{merged}{largest}", 100.0 * first.share, first.name)
+    let merged = merged.map_or_else(String::new, |m| {
+        format!(" This log cannot separate the stages {}.", listed(m, "and"))
+    });
+    format!(
+        "{:.0} % of the gap is attributed to the {} stage.{merged}{largest}",
+        100.0 * first.share,
+        first.name
+    )
 }
 
 /// Unit of a sensor's residual.
@@ -93,7 +107,9 @@ pub fn unit_of(kind: &str) -> &'static str {
 /// Limits of the verdict: equivalent effects and the probability of another cause.
 pub fn limits(d: &Diagnosis) -> Vec<String> {
     let groups = d.verdict.equivalent.iter().map(|g| listed(g, "and"));
-    let mut out: Vec<String> = groups.map(|g| format!("This log cannot separate {g}.")).collect();
+    let mut out: Vec<String> = groups
+        .map(|g| format!("This log cannot separate {g}."))
+        .collect();
     if d.verdict.kind != VerdictKind::None && d.unknown.probability > 0.05 {
         let (percent, rest) = (100.0 * d.unknown.probability, d.unknown.rmse_deg);
         out.push(format!("The probability of a cause outside the catalogue is {percent:.0} % ({rest:.2}° remain above the noise)."));
@@ -112,7 +128,10 @@ pub fn limits(d: &Diagnosis) -> Vec<String> {
             VerdictKind::Effects => format!("{} ({:.2})", listed(&s.names, "with"), s.probability),
         };
         let said: Vec<String> = d.verdict.conformal.iter().map(one).collect();
-        out.push(format!("With 95 % it is one of these: {}.", said.join("; ")));
+        out.push(format!(
+            "With 95 % it is one of these: {}.",
+            said.join("; ")
+        ));
     }
     out
 }
@@ -145,7 +164,9 @@ pub fn next(d: &Diagnosis) -> Vec<String> {
         if let Some(e) = by_name(name).filter(|_| group(d, name).is_none() && doubtful) {
             let (name, others) = (capital(&plain(name)), listed(e.info().confused_with, "or"));
             let how = e.info().separated_by;
-            out.push(format!("{name} may be confused with {others}. To separate them: {how}."));
+            out.push(format!(
+                "{name} may be confused with {others}. To separate them: {how}."
+            ));
         }
     }
     out
@@ -159,7 +180,10 @@ pub fn value(p: &ParamValue) -> String {
     };
     let (name, value, [low, high]) = (plain(p.name), short(p.value), p.ci95.map(short));
     let unit = format!(" {}", p.unit);
-    format!("{name} {value}{} ({low} to {high}){channel}", unit.trim_end())
+    format!(
+        "{name} {value}{} ({low} to {high}){channel}",
+        unit.trim_end()
+    )
 }
 
 /// Three significant digits.
@@ -188,7 +212,10 @@ mod tests {
 
     #[test]
     fn numbers_have_three_significant_digits() {
-        let got: Vec<String> = [0.0, 0.003_141, -12.345, 1234.0, 0.5, -0.000_000_1].into_iter().map(short).collect();
+        let got: Vec<String> = [0.0, 0.003_141, -12.345, 1234.0, 0.5, -0.000_000_1]
+            .into_iter()
+            .map(short)
+            .collect();
         assert_eq!(got, ["0", "0.00314", "-12.3", "1234", "0.5", "0"]);
     }
 }

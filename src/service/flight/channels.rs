@@ -9,9 +9,17 @@ use std::collections::HashMap;
 /// Topics, the names of their schemas, and the fields of the status that they show, at most [`RATE_HZ`] times a second and only
 /// when one has changed.
 const SHOWN: [(&str, &str, &str); 5] = [
-    ("/angles", "retroflex.Angles", "target setpoint estimate sigma_deg length_mm"),
+    (
+        "/angles",
+        "retroflex.Angles",
+        "target setpoint estimate sigma_deg length_mm",
+    ),
     ("/pistons", "retroflex.Pistons", "piston_mm pressure_kpa"),
-    ("/gains", "retroflex.Gains", "k_epsilon k_lambda_mm lag_s delay_s integral_s"),
+    (
+        "/gains",
+        "retroflex.Gains",
+        "k_epsilon k_lambda_mm lag_s delay_s integral_s",
+    ),
     ("/mode", "retroflex.Mode", MODE),
     ("/faults", "retroflex.Faults", FAULTS),
 ];
@@ -30,13 +38,20 @@ pub struct Channels {
 
 impl Channels {
     /// The messages of a cycle as topic, name of the schema and value. `unix_ns` is its time.
-    pub fn messages(&mut self, output: &CycleOutput, unix_ns: u64, step_mm: f64) -> Vec<(&'static str, &'static str, Value)> {
+    pub fn messages(
+        &mut self,
+        output: &CycleOutput,
+        unix_ns: u64,
+        step_mm: f64,
+    ) -> Vec<(&'static str, &'static str, Value)> {
         let mut status = status::cycle(output, step_mm);
         // the action changes between two samples
         status["sensor"] = status["sensor"]["active"].take();
         let mut all = Vec::new();
         for ((topic, schema, keys), shown) in SHOWN.iter().zip(&mut self.shown) {
-            let fields = keys.split(' ').map(|key| (key.to_owned(), status[key].clone()));
+            let fields = keys
+                .split(' ')
+                .map(|key| (key.to_owned(), status[key].clone()));
             let value = Value::Object(fields.collect());
             if *shown != value {
                 shown.clone_from(&value);
@@ -72,10 +87,17 @@ impl Changes {
     pub fn of(&mut self, value: &Value) -> Vec<String> {
         let mut notes = Vec::new();
         for key in NOTED.split(' ') {
-            let Some(now) = value.get(key).map(|now| now.get("active").unwrap_or(now)) else { continue };
+            let Some(now) = value.get(key).map(|now| now.get("active").unwrap_or(now)) else {
+                continue;
+            };
             if self.0.insert(key, now.clone()).as_ref() != Some(now) {
-                let all = now.as_array().map_or(std::slice::from_ref(now), Vec::as_slice);
-                let words = all.iter().filter_map(Value::as_str).map(|word| format!("{key} {word}"));
+                let all = now
+                    .as_array()
+                    .map_or(std::slice::from_ref(now), Vec::as_slice);
+                let words = all
+                    .iter()
+                    .filter_map(Value::as_str)
+                    .map(|word| format!("{key} {word}"));
                 notes.extend(words.chain((*now == true).then(|| key.to_owned())));
             }
         }
@@ -87,10 +109,15 @@ impl Changes {
 pub fn schema(value: &Value) -> Value {
     match value {
         Value::Object(fields) => {
-            let properties: Map<String, Value> = fields.iter().map(|(key, value)| (key.clone(), schema(value))).collect();
+            let properties: Map<String, Value> = fields
+                .iter()
+                .map(|(key, value)| (key.clone(), schema(value)))
+                .collect();
             json!({"type": "object", "properties": properties})
         }
-        Value::Array(items) => json!({"type": "array", "items": items.first().map_or(json!({}), schema)}),
+        Value::Array(items) => {
+            json!({"type": "array", "items": items.first().map_or(json!({}), schema)})
+        }
         Value::String(_) => json!({"type": "string"}),
         Value::Number(n) if n.is_f64() => json!({"type": "number"}),
         Value::Number(_) => json!({"type": "integer"}),

@@ -24,8 +24,19 @@ pub struct Cycle {
 impl Cycle {
     /// A cycle with a digest of all decisions, and, if `each`, one of each field.
     pub fn new(output: &CycleOutput, each: bool) -> Self {
-        let (sensed, target) = (Sensed { truth: None, ..output.sensed }, output.frame.target);
-        Self { sensed, order: output.order, target, digests: digests(output, each) }
+        let (sensed, target) = (
+            Sensed {
+                truth: None,
+                ..output.sensed
+            },
+            output.frame.target,
+        );
+        Self {
+            sensed,
+            order: output.order,
+            target,
+            digests: digests(output, each),
+        }
     }
 
     /// Whether the decisions differ from those of this cycle, and the names of the fields that do: none in a cycle without digests
@@ -33,14 +44,23 @@ impl Cycle {
     pub fn differences(&self, output: &CycleOutput) -> Option<Vec<&'static str>> {
         let now = digests(output, !self.digests.1.is_empty());
         let pairs = now.1.iter().zip(&self.digests.1);
-        let named = || FIELDS.iter().zip(pairs).filter(|(_, (a, b))| a != b).map(|(name, _)| *name).collect();
+        let named = || {
+            FIELDS
+                .iter()
+                .zip(pairs)
+                .filter(|(_, (a, b))| a != b)
+                .map(|(name, _)| *name)
+                .collect()
+        };
         (now != self.digests).then(named)
     }
 }
 
 /// FNV-1a over bytes.
 pub fn fnv(bytes: impl IntoIterator<Item = u8>) -> u64 {
-    bytes.into_iter().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
+    bytes.into_iter().fold(0xcbf2_9ce4_8422_2325, |h, b| {
+        (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3)
+    })
 }
 
 /// The hash of what `postcard` writes: a number at a time, because a replay hashes every frame.
@@ -127,21 +147,32 @@ impl Numbers {
         let mut sorted: Vec<f64> = values.iter().map(|x| x.abs()).collect();
         sorted.sort_by(f64::total_cmp);
         let largest = sorted.last().copied().unwrap_or(0.0);
-        let gaps = sorted.windows(2).map(|w| w[1] - w[0]).filter(|gap| *gap > 1e-9 * largest);
+        let gaps = sorted
+            .windows(2)
+            .map(|w| w[1] - w[0])
+            .filter(|gap| *gap > 1e-9 * largest);
         // the smallest gap tells how many multiples the largest number is, and that the unit, but for its last bits
         let unit = largest / (largest / gaps.fold(largest, f64::min)).round();
         let multiples = |unit: f64| -> Option<Vec<i32>> {
-            let multiple = |x: &f64| Some((x / unit).round() as i32).filter(|n| (f64::from(*n) * unit).to_bits() == x.to_bits());
+            let multiple = |x: &f64| {
+                Some((x / unit).round() as i32)
+                    .filter(|n| (f64::from(*n) * unit).to_bits() == x.to_bits())
+            };
             values.iter().map(multiple).collect()
         };
         let units = [unit, unit.next_up(), unit.next_down()];
-        units.into_iter().find_map(|unit| Some(Self::Multiples(unit, multiples(unit)?))).unwrap_or(Self::Any(values))
+        units
+            .into_iter()
+            .find_map(|unit| Some(Self::Multiples(unit, multiples(unit)?)))
+            .unwrap_or(Self::Any(values))
     }
 
     fn values(self) -> Vec<f64> {
         match self {
             Self::Any(values) => values,
-            Self::Multiples(unit, counts) => counts.into_iter().map(|n| f64::from(n) * unit).collect(),
+            Self::Multiples(unit, counts) => {
+                counts.into_iter().map(|n| f64::from(n) * unit).collect()
+            }
         }
     }
 }
@@ -150,7 +181,9 @@ impl Numbers {
 /// gyroscope, accelerometer, magnetometer, loads.
 fn visit_numbers(cycle: &mut Cycle, visit: &mut dyn FnMut(usize, &mut f64)) {
     visit(0, &mut cycle.sensed.t.0);
-    let ImuReading::Sample(sample, quality) = &mut cycle.sensed.imu else { return };
+    let ImuReading::Sample(sample, quality) = &mut cycle.sensed.imu else {
+        return;
+    };
     visit(1, &mut sample.t.0);
     sample.gyro_rad_s.iter_mut().for_each(|x| visit(2, x));
     sample.acc_m_s2.iter_mut().for_each(|x| visit(3, x));
@@ -165,11 +198,26 @@ fn visit_numbers(cycle: &mut Cycle, visit: &mut dyn FnMut(usize, &mut f64)) {
 /// Those of `postcard`, in whose format all of it is.
 pub fn encode(first: u64, cycles: &[Cycle]) -> postcard::Result<Vec<u8>> {
     let (mut cycles, mut columns) = (cycles.to_vec(), [const { Vec::new() }; 6]);
-    cycles.iter_mut().for_each(|cycle| visit_numbers(cycle, &mut |n, x| columns[n].push(take(x))));
-    let digests = cycles.iter_mut().map(|cycle| take(&mut cycle.digests)).collect();
+    cycles
+        .iter_mut()
+        .for_each(|cycle| visit_numbers(cycle, &mut |n, x| columns[n].push(take(x))));
+    let digests = cycles
+        .iter_mut()
+        .map(|cycle| take(&mut cycle.digests))
+        .collect();
     let [t, sample_t, values @ ..] = columns;
-    let times = [t, sample_t].map(|all: Vec<f64>| (0..8).flat_map(|k| all.iter().map(move |t| t.to_le_bytes()[k])).collect());
-    postcard::to_allocvec(&Message { first, times, values: values.map(Numbers::new), digests, cycles })
+    let times = [t, sample_t].map(|all: Vec<f64>| {
+        (0..8)
+            .flat_map(|k| all.iter().map(move |t| t.to_le_bytes()[k]))
+            .collect()
+    });
+    postcard::to_allocvec(&Message {
+        first,
+        times,
+        values: values.map(Numbers::new),
+        digests,
+        cycles,
+    })
 }
 
 /// The cycles of a message, with the number of the first one.
@@ -177,8 +225,16 @@ pub fn encode(first: u64, cycles: &[Cycle]) -> postcard::Result<Vec<u8>> {
 /// # Errors
 /// Those of `postcard`, for a damaged message.
 pub fn decode(message: &[u8]) -> postcard::Result<(u64, Vec<Cycle>)> {
-    let Message { first, times, values, digests, mut cycles } = postcard::from_bytes(message)?;
-    let time = |bytes: &Vec<u8>, n: usize| f64::from_le_bytes(std::array::from_fn(|k| bytes[k * (bytes.len() / 8) + n]));
+    let Message {
+        first,
+        times,
+        values,
+        digests,
+        mut cycles,
+    } = postcard::from_bytes(message)?;
+    let time = |bytes: &Vec<u8>, n: usize| {
+        f64::from_le_bytes(std::array::from_fn(|k| bytes[k * (bytes.len() / 8) + n]))
+    };
     let times = times.map(|bytes| (0..bytes.len() / 8).map(|n| time(&bytes, n)).collect());
     let [t, sample_t] = times;
     let [gyro, acc, mag, loads] = values.map(Numbers::values);
@@ -186,10 +242,18 @@ pub fn decode(message: &[u8]) -> postcard::Result<(u64, Vec<Cycle>)> {
     let mut digests = digests.into_iter();
     let mut whole = true;
     for cycle in &mut cycles {
-        visit_numbers(cycle, &mut |n, x| columns[n].next().map_or_else(|| whole = false, |next| *x = next));
-        digests.next().map_or_else(|| whole = false, |next| cycle.digests = next);
+        visit_numbers(cycle, &mut |n, x| {
+            columns[n]
+                .next()
+                .map_or_else(|| whole = false, |next| *x = next)
+        });
+        digests
+            .next()
+            .map_or_else(|| whole = false, |next| cycle.digests = next);
     }
-    whole.then_some((first, cycles)).ok_or(postcard::Error::DeserializeUnexpectedEnd)
+    whole
+        .then_some((first, cycles))
+        .ok_or(postcard::Error::DeserializeUnexpectedEnd)
 }
 
 #[cfg(test)]
@@ -207,10 +271,20 @@ mod tests {
 
     /// Cycles with many orders, readings and alarms.
     fn cycles() -> Vec<Cycle> {
-        let sample =
-            ImuSample { t: Seconds(0.1), gyro_rad_s: Vector3::new(1.0, -0.0, 1e-300), acc_m_s2: Vector3::z(), mag_ut: Some(Vector3::x()) };
-        let command = Command { bend: Bend([0.1, 0.2].into()), length: Mm(20.0) };
-        let lines = [1.0, 2.0, 3.0].map(|k_epsilon| Line { k_epsilon, k_lambda_mm: 0.5 });
+        let sample = ImuSample {
+            t: Seconds(0.1),
+            gyro_rad_s: Vector3::new(1.0, -0.0, 1e-300),
+            acc_m_s2: Vector3::z(),
+            mag_ut: Some(Vector3::x()),
+        };
+        let command = Command {
+            bend: Bend([0.1, 0.2].into()),
+            length: Mm(20.0),
+        };
+        let lines = [1.0, 2.0, 3.0].map(|k_epsilon| Line {
+            k_epsilon,
+            k_lambda_mm: 0.5,
+        });
         let orders = [
             None,
             Some(Order::Arm),
@@ -226,8 +300,20 @@ mod tests {
             ImuReading::Nothing,
             ImuReading::Failed(ReadFault::BrownOut),
         ];
-        let alarms = [None, Some(Alarm::Late { late_s: 0.5 }), Some(Alarm::Pressure { kpa: f64::NEG_INFINITY }), Some(Alarm::Silent), None];
-        let gauges = Gauges { pressure_kpa: Some([1.0, -2.0, 3.0]), tip_c: Some(36.5), tip_warm: true };
+        let alarms = [
+            None,
+            Some(Alarm::Late { late_s: 0.5 }),
+            Some(Alarm::Pressure {
+                kpa: f64::NEG_INFINITY,
+            }),
+            Some(Alarm::Silent),
+            None,
+        ];
+        let gauges = Gauges {
+            pressure_kpa: Some([1.0, -2.0, 3.0]),
+            tip_c: Some(36.5),
+            tip_warm: true,
+        };
         let one = |k: usize| Cycle {
             sensed: Sensed {
                 t: Seconds(k as f64 * 1e-3),
@@ -238,14 +324,25 @@ mod tests {
                 energised: k % 3 == 1,
                 inputs: Inputs {
                     emergency_stop: k.is_multiple_of(2),
-                    home: [k.is_multiple_of(3), k.is_multiple_of(4), k.is_multiple_of(5)],
+                    home: [
+                        k.is_multiple_of(3),
+                        k.is_multiple_of(4),
+                        k.is_multiple_of(5),
+                    ],
                 },
                 alarm: alarms[k % 5],
-                gauges: if k.is_multiple_of(2) { gauges } else { Gauges::default() },
+                gauges: if k.is_multiple_of(2) {
+                    gauges
+                } else {
+                    Gauges::default()
+                },
                 truth: None,
             },
             order: orders[k % 7],
-            target: Shape { bend: Bend([0.1, -0.0].into()), length: Mm(k as f64) },
+            target: Shape {
+                bend: Bend([0.1, -0.0].into()),
+                length: Mm(k as f64),
+            },
             digests: (k as u16, vec![k as u8; FIELDS.len()]),
         };
         (0..200).map(one).collect()
@@ -258,7 +355,10 @@ mod tests {
         // a zero and its negative compare equal, so the bytes are compared as well
         assert_eq!(encode(read.0, &read.1).unwrap(), encode(5, &all).unwrap());
         assert_eq!(read, (5, all));
-        assert_eq!(decode(&encode(1 << 40, &[]).unwrap()).unwrap(), (1 << 40, vec![]));
+        assert_eq!(
+            decode(&encode(1 << 40, &[]).unwrap()).unwrap(),
+            (1 << 40, vec![])
+        );
     }
 
     #[test]

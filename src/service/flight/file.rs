@@ -48,7 +48,9 @@ pub fn io_error(error: McapError) -> io::Error {
 
 /// Time of the loop's zero, ns since 1970, if it is `t_s` now.
 pub fn zero_unix_ns(t_s: f64) -> u64 {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
+    let now = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |d| d.as_nanos() as u64);
     now.saturating_sub((t_s * 1e9) as u64)
 }
 
@@ -61,11 +63,25 @@ impl FlightFile {
         let file = File::create_new(path)?;
         let library = concat!("retroflex ", env!("CARGO_PKG_VERSION"));
         // a chunk reaches the file as a whole; a higher level saves little and costs more time
-        let options =
-            WriteOptions::new().library(library).chunk_size(None).disable_seeking(true).compression_level(7).compression_threads(0);
+        let options = WriteOptions::new()
+            .library(library)
+            .chunk_size(None)
+            .disable_seeking(true)
+            .compression_level(7)
+            .compression_threads(0);
         let writer = options.create(BufWriter::new(file.try_clone()?))?;
         let (channels, shown, cycles) = (HashMap::new(), Channels::default(), Vec::new());
-        Ok(Self { writer, file, channels, shown, shown_s: f64::NEG_INFINITY, zero_unix_ns, first: 0, cycles, step_mm: 0.0 })
+        Ok(Self {
+            writer,
+            file,
+            channels,
+            shown,
+            shown_s: f64::NEG_INFINITY,
+            zero_unix_ns,
+            first: 0,
+            cycles,
+            step_mm: 0.0,
+        })
     }
 
     /// Bytes on the disk so far.
@@ -81,7 +97,11 @@ impl FlightFile {
     /// # Errors
     /// See [`Self::create`].
     pub fn write(&mut self, logged: &Logged) -> McapResult<()> {
-        let Logged { number, events, output } = logged;
+        let Logged {
+            number,
+            events,
+            output,
+        } = logged;
         let t_s = output.sensed.t.0;
         let unix_ns = self.unix_ns(t_s);
         let waiting = self.cycles.len();
@@ -99,7 +119,8 @@ impl FlightFile {
                 self.put_json(topic, name, unix_ns, &value)?;
             }
         }
-        self.cycles.push(Cycle::new(output, number.is_multiple_of(FIELDS_EVERY)));
+        self.cycles
+            .push(Cycle::new(output, number.is_multiple_of(FIELDS_EVERY)));
         Ok(())
     }
 
@@ -111,9 +132,11 @@ impl FlightFile {
         if let Event::Start(header) = event {
             self.step_mm = header.machine.step_mm;
             let mut metadata = header.hashes();
-            for (name, fact) in
-                [("version", &header.program), ("machine", &header.machine.name), ("configuration hash", &header.config_hash)]
-            {
+            for (name, fact) in [
+                ("version", &header.program),
+                ("machine", &header.machine.name),
+                ("configuration hash", &header.config_hash),
+            ] {
                 metadata.insert(name.to_owned(), fact.clone());
             }
             let name = "retroflex".to_owned();
@@ -137,10 +160,21 @@ impl FlightFile {
     /// # Errors
     /// See [`Self::create`].
     pub fn copy(&mut self, message: &Message<'_>) -> McapResult<()> {
-        let Channel { topic, schema, message_encoding, .. } = &*message.channel;
+        let Channel {
+            topic,
+            schema,
+            message_encoding,
+            ..
+        } = &*message.channel;
         let channel = || match schema.as_deref() {
             None => Default::default(),
-            Some(s) => [&s.name, &s.encoding, &*String::from_utf8_lossy(&s.data), message_encoding].map(str::to_owned),
+            Some(s) => [
+                &s.name,
+                &s.encoding,
+                &*String::from_utf8_lossy(&s.data),
+                message_encoding,
+            ]
+            .map(str::to_owned),
         };
         self.put(topic, channel, message.log_time, message.data.to_vec())
     }
@@ -150,27 +184,63 @@ impl FlightFile {
     /// # Errors
     /// See [`Self::create`].
     pub fn state_damage(&mut self, damage: &[String]) -> McapResult<()> {
-        let metadata = damage.iter().map(|place| (format!("made from a damaged log: {place}"), String::new())).collect();
-        self.writer.write_metadata(&Metadata { name: DAMAGE.to_owned(), metadata })
+        let metadata = damage
+            .iter()
+            .map(|place| (format!("made from a damaged log: {place}"), String::new()))
+            .collect();
+        self.writer.write_metadata(&Metadata {
+            name: DAMAGE.to_owned(),
+            metadata,
+        })
     }
 
-    fn put_json(&mut self, topic: &'static str, name: &str, unix_ns: u64, value: &Value) -> McapResult<()> {
-        let channel = || [name, "jsonschema", &schema(value).to_string(), "json"].map(str::to_owned);
+    fn put_json(
+        &mut self,
+        topic: &'static str,
+        name: &str,
+        unix_ns: u64,
+        value: &Value,
+    ) -> McapResult<()> {
+        let channel =
+            || [name, "jsonschema", &schema(value).to_string(), "json"].map(str::to_owned);
         self.put(topic, channel, unix_ns, value.to_string().into())
     }
 
     /// `channel` is name, encoding and text of the schema, and the encoding of the messages.
-    fn put(&mut self, topic: &str, channel: impl FnOnce() -> [String; 4], unix_ns: u64, data: Vec<u8>) -> McapResult<()> {
+    fn put(
+        &mut self,
+        topic: &str,
+        channel: impl FnOnce() -> [String; 4],
+        unix_ns: u64,
+        data: Vec<u8>,
+    ) -> McapResult<()> {
         let id = self.channels.len() as u16 + 1;
         let channel = self.channels.entry(topic.to_owned()).or_insert_with(|| {
             let [name, encoding, text, message_encoding] = channel();
             let data = text.into_bytes().into();
-            let schema = Some(Arc::new(Schema { id, name, encoding, data }));
+            let schema = Some(Arc::new(Schema {
+                id,
+                name,
+                encoding,
+                data,
+            }));
             let (topic, metadata) = (topic.to_owned(), BTreeMap::new());
-            Arc::new(Channel { id, topic, schema, message_encoding, metadata })
+            Arc::new(Channel {
+                id,
+                topic,
+                schema,
+                message_encoding,
+                metadata,
+            })
         });
         let channel = Arc::clone(channel);
-        self.writer.write(&Message { channel, sequence: 0, log_time: unix_ns, publish_time: unix_ns, data: data.into() })
+        self.writer.write(&Message {
+            channel,
+            sequence: 0,
+            log_time: unix_ns,
+            publish_time: unix_ns,
+            data: data.into(),
+        })
     }
 
     fn unix_ns(&self, t_s: f64) -> u64 {
@@ -178,7 +248,9 @@ impl FlightFile {
     }
 
     fn close_message(&mut self) -> McapResult<()> {
-        let Some(last) = self.cycles.last() else { return Ok(()) };
+        let Some(last) = self.cycles.last() else {
+            return Ok(());
+        };
         let (first, unix_ns) = (self.first, self.unix_ns(last.sensed.t.0));
         let cycles = std::mem::take(&mut self.cycles);
         self.first += cycles.len() as u64;

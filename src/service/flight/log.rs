@@ -45,10 +45,22 @@ impl FlightLog {
     /// The operating system's, if there is no thread.
     pub fn start(folder: &Path, bounds: &ServiceSection) -> io::Result<Self> {
         let (queue, work) = sync_channel(BATCHES_MAX);
-        let (folder, bounds, problem) = (folder.to_owned(), bounds.clone(), Arc::new(Mutex::new(None)));
+        let (folder, bounds, problem) = (
+            folder.to_owned(),
+            bounds.clone(),
+            Arc::new(Mutex::new(None)),
+        );
         let shared = Arc::clone(&problem);
-        let thread = std::thread::Builder::new().name("flight log".into()).spawn(move || keep_writing(&folder, &bounds, &work, &shared))?;
-        Ok(Self { batch: Vec::new(), queue: Some(queue), thread, problem, lost: 0 })
+        let thread = std::thread::Builder::new()
+            .name("flight log".into())
+            .spawn(move || keep_writing(&folder, &bounds, &work, &shared))?;
+        Ok(Self {
+            batch: Vec::new(),
+            queue: Some(queue),
+            thread,
+            problem,
+            lost: 0,
+        })
     }
 
     /// Adds one cycle.
@@ -68,8 +80,16 @@ impl FlightLog {
 
     /// Why nothing is written at present.
     pub fn problem(&self) -> Option<String> {
-        let told = self.problem.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        told.or_else(|| self.queue.is_none().then(|| "its thread has ended".to_owned()))
+        let told = self
+            .problem
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone();
+        told.or_else(|| {
+            self.queue
+                .is_none()
+                .then(|| "its thread has ended".to_owned())
+        })
     }
 
     /// Hands over what is left and waits for the disk, but not for longer than `most`.
@@ -87,7 +107,12 @@ impl FlightLog {
 
 /// Folder, run and part of a log that [`FlightLog`] wrote.
 pub fn run_and_part(path: &Path) -> Option<(u64, u32)> {
-    let (run, part) = path.file_name()?.to_str()?.strip_suffix(".mcap")?.strip_prefix("flight-")?.split_once('-')?;
+    let (run, part) = path
+        .file_name()?
+        .to_str()?
+        .strip_suffix(".mcap")?
+        .strip_prefix("flight-")?
+        .split_once('-')?;
     Some((run.parse().ok()?, part.parse().ok()?))
 }
 
@@ -98,8 +123,13 @@ pub fn part_path(folder: &Path, run: u64, part: u32) -> PathBuf {
 
 /// The flight logs in a folder, oldest first.
 fn flights(folder: &Path) -> io::Result<Vec<PathBuf>> {
-    let all = std::fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<_>>>()?;
-    let mut logs: Vec<PathBuf> = all.into_iter().filter(|path| run_and_part(path).is_some()).collect();
+    let all = std::fs::read_dir(folder)?
+        .map(|entry| Ok(entry?.path()))
+        .collect::<io::Result<Vec<_>>>()?;
+    let mut logs: Vec<PathBuf> = all
+        .into_iter()
+        .filter(|path| run_and_part(path).is_some())
+        .collect();
     logs.sort_by_key(|path| run_and_part(path));
     Ok(logs)
 }
@@ -108,16 +138,28 @@ fn flights(folder: &Path) -> io::Result<Vec<PathBuf>> {
 type Problem = Mutex<Option<String>>;
 
 fn set(problem: &Problem, now: Option<String>) -> Option<String> {
-    std::mem::replace(&mut problem.lock().unwrap_or_else(PoisonError::into_inner), now)
+    std::mem::replace(
+        &mut problem.lock().unwrap_or_else(PoisonError::into_inner),
+        now,
+    )
 }
 
 /// The thread: writes, and tries again, as another run, after the disk has failed.
-fn keep_writing(folder: &Path, bounds: &ServiceSection, work: &Receiver<Vec<Logged>>, problem: &Problem) {
+fn keep_writing(
+    folder: &Path,
+    bounds: &ServiceSection,
+    work: &Receiver<Vec<Logged>>,
+    problem: &Problem,
+) {
     let mut start = None;
     while let Err(e) = run(folder, bounds, work, &mut start, problem) {
         let why = io_error(e).to_string();
         if set(problem, Some(why.clone())).is_none() {
-            tracing::error!(event = "flight_log", "{}: the flight log is not written: {why}", folder.display());
+            tracing::error!(
+                event = "flight_log",
+                "{}: the flight log is not written: {why}",
+                folder.display()
+            );
         }
         std::thread::sleep(RETRY);
         work.try_iter().for_each(drop);
@@ -133,18 +175,27 @@ fn run(
     problem: &Problem,
 ) -> McapResult<()> {
     std::fs::create_dir_all(folder)?;
-    let run = flights(folder)?.last().and_then(|path| run_and_part(path)).map_or(1, |(run, _)| run + 1);
+    let run = flights(folder)?
+        .last()
+        .and_then(|path| run_and_part(path))
+        .map_or(1, |(run, _)| run + 1);
     let (mut part, mut zero_ns) = (0, None);
-    let (mut open, mut flushed, mut synced): (Option<(FlightFile, f64)>, _, _) = (None, Instant::now(), Instant::now());
+    let (mut open, mut flushed, mut synced): (Option<(FlightFile, f64)>, _, _) =
+        (None, Instant::now(), Instant::now());
     loop {
         let batch = match work.recv_timeout(CHUNK) {
             Ok(batch) => batch,
             Err(RecvTimeoutError::Timeout) => Vec::new(),
-            Err(RecvTimeoutError::Disconnected) => return open.map_or(Ok(()), |(file, _)| file.finish()),
+            Err(RecvTimeoutError::Disconnected) => {
+                return open.map_or(Ok(()), |(file, _)| file.finish());
+            }
         };
         for logged in &batch {
             let t_s = logged.output.sensed.t.0;
-            let began = logged.events.iter().rfind(|event| matches!(***event, Event::Start(_)));
+            let began = logged
+                .events
+                .iter()
+                .rfind(|event| matches!(***event, Event::Start(_)));
             *start = began.map(|event| event.at(logged.number)).or(start.take());
             let (file, _) = match &mut open {
                 Some(open) => open,
@@ -163,7 +214,9 @@ fn run(
             };
             file.write(logged)?;
         }
-        let (Some((file, since_s)), true) = (&mut open, flushed.elapsed() > CHUNK) else { continue };
+        let (Some((file, since_s)), true) = (&mut open, flushed.elapsed() > CHUNK) else {
+            continue;
+        };
         flushed = Instant::now();
         let syncs = synced.elapsed() > SYNC;
         file.flush(syncs)?;
@@ -171,7 +224,9 @@ fn run(
             synced = flushed;
             prune(folder, bounds, &[part_path(folder, run, part)])?;
         }
-        let age_s = batch.last().map_or(0.0, |logged| logged.output.sensed.t.0 - *since_s);
+        let age_s = batch
+            .last()
+            .map_or(0.0, |logged| logged.output.sensed.t.0 - *since_s);
         if file.size()? > mib(bounds.flight_file_mib) || age_s > bounds.flight_file_s {
             open.take().map_or(Ok(()), |(file, _)| file.finish())?;
         }
@@ -182,14 +237,23 @@ fn run(
 fn prune(folder: &Path, bounds: &ServiceSection, keep: &[PathBuf]) -> io::Result<()> {
     // somebody else may delete logs too
     let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
-    let mut old: Vec<PathBuf> = flights(folder)?.into_iter().filter(|path| !keep.contains(path)).rev().collect();
+    let mut old: Vec<PathBuf> = flights(folder)?
+        .into_iter()
+        .filter(|path| !keep.contains(path))
+        .rev()
+        .collect();
     loop {
         let room = require_free(folder, bounds);
-        let much = old.iter().map(size).sum::<u64>() > mib(bounds.flight_max_mib - bounds.flight_file_mib);
+        let much =
+            old.iter().map(size).sum::<u64>() > mib(bounds.flight_max_mib - bounds.flight_file_mib);
         match old.pop() {
-            Some(path) if room.is_err() || much => {
-                std::fs::remove_file(path).or_else(|e| if e.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(e) })?
-            }
+            Some(path) if room.is_err() || much => std::fs::remove_file(path).or_else(|e| {
+                if e.kind() == io::ErrorKind::NotFound {
+                    Ok(())
+                } else {
+                    Err(e)
+                }
+            })?,
             _ => return room,
         }
     }

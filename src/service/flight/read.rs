@@ -31,13 +31,21 @@ pub struct Ending {
 
 impl Ending {
     /// The ending of a whole file.
-    pub const COMPLETE: Self = Self { closed: true, damage: Vec::new() };
+    pub const COMPLETE: Self = Self {
+        closed: true,
+        damage: Vec::new(),
+    };
 }
 
 impl fmt::Display for Ending {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let open = "the file was not closed; read up to its last whole chunk";
-        let all: Vec<&str> = self.damage.iter().map(String::as_str).chain((!self.closed).then_some(open)).collect();
+        let all: Vec<&str> = self
+            .damage
+            .iter()
+            .map(String::as_str)
+            .chain((!self.closed).then_some(open))
+            .collect();
         f.write_str(if all.is_empty() { "complete" } else { "" })?;
         f.write_str(&all.join("; "))
     }
@@ -61,13 +69,17 @@ impl Entry {
     /// What is wrong with the message.
     pub fn of(message: &Message<'_>) -> Result<Self, String> {
         let topic = message.channel.topic.as_str();
-        let named = |problem: String| format!("channel {topic}: {problem}; was it written by another version of the program?");
+        let named = |problem: String| {
+            format!("channel {topic}: {problem}; was it written by another version of the program?")
+        };
         let json = || serde_json::from_slice(&message.data).map_err(|e| named(e.to_string()));
         Ok(match topic {
-            _ if topic == TOPICS[0] => {
-                decode(&message.data).map(|(n, cycles)| Self::Cycles(n, cycles)).map_err(|e| named(e.to_string()))?
+            _ if topic == TOPICS[0] => decode(&message.data)
+                .map(|(n, cycles)| Self::Cycles(n, cycles))
+                .map_err(|e| named(e.to_string()))?,
+            _ if topic == TOPICS[1] => {
+                Self::Event(serde_json::from_value(json()?).map_err(|e| named(e.to_string()))?)
             }
-            _ if topic == TOPICS[1] => Self::Event(serde_json::from_value(json()?).map_err(|e| named(e.to_string()))?),
             _ => Self::Shown(json()?),
         })
     }
@@ -93,23 +105,39 @@ pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<E
     let failed = |e: io::Error| format!("the file cannot be read: {e}");
     let mut has_magic = |at| {
         let mut bytes = [0; MAGIC.len()];
-        source.seek(at).and_then(|_| source.read_exact(&mut bytes)).is_ok() && bytes == *MAGIC
+        source
+            .seek(at)
+            .and_then(|_| source.read_exact(&mut bytes))
+            .is_ok()
+            && bytes == *MAGIC
     };
     let closed = has_magic(SeekFrom::End(-(MAGIC.len() as i64)));
     if !has_magic(SeekFrom::Start(0)) {
         return Err("this is no MCAP file, and so no flight log".to_owned());
     }
     let (mut at, mut hole, mut known) = (MAGIC.len() as u64, None, false);
-    let mut log = Reading { ending: Ending { closed, damage: Vec::new() }, ..Reading::default() };
+    let mut log = Reading {
+        ending: Ending {
+            closed,
+            damage: Vec::new(),
+        },
+        ..Reading::default()
+    };
     loop {
         let last_ns = log.last_ns;
         match log.record(&mut source) {
             Ok(None) => break,
             Ok(Some((length, messages))) => {
                 at += length;
-                if let (Some(first), Some(hole)) = (messages.first(), hole.take_if(|_| !messages.is_empty())) {
+                if let (Some(first), Some(hole)) =
+                    (messages.first(), hole.take_if(|_| !messages.is_empty()))
+                {
                     let lost_s = first.log_time.saturating_sub(last_ns) as f64 * 1e-9;
-                    let lost = if last_ns == 0 { "the beginning is".to_owned() } else { format!("{lost_s:.2} s") };
+                    let lost = if last_ns == 0 {
+                        "the beginning is".to_owned()
+                    } else {
+                        format!("{lost_s:.2} s")
+                    };
                     log.ending.damage.push(format!("{hole}, {lost} lost"));
                 }
                 for message in messages {
@@ -120,7 +148,10 @@ pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<E
             Err(e) => {
                 let next = next_chunk(&mut source, at + 1).map_err(failed)?;
                 if next.is_some() || closed {
-                    hole.get_or_insert(format!("damaged at byte {at} ({})", io_error(e).to_string().to_lowercase()));
+                    hole.get_or_insert(format!(
+                        "damaged at byte {at} ({})",
+                        io_error(e).to_string().to_lowercase()
+                    ));
                 }
                 let Some(next) = next else { break };
                 at = source.seek(SeekFrom::Start(next)).map_err(failed)?;
@@ -128,13 +159,18 @@ pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<E
         }
     }
     let mut ending = log.ending;
-    ending.damage.extend(hole.map(|hole| format!("{hole}, and nothing after it can be read")));
+    ending
+        .damage
+        .extend(hole.map(|hole| format!("{hole}, and nothing after it can be read")));
     match known {
         true => Ok(ending),
-        false if ending == Ending::COMPLETE => {
-            Err("this is an MCAP file of another program; `retroflex run` writes flight logs".to_owned())
-        }
-        false => Err(format!("this is no flight log, or nothing of it can be read: {ending}")),
+        false if ending == Ending::COMPLETE => Err(
+            "this is an MCAP file of another program; `retroflex run` writes flight logs"
+                .to_owned(),
+        ),
+        false => Err(format!(
+            "this is no flight log, or nothing of it can be read: {ending}"
+        )),
     }
 }
 
@@ -162,7 +198,10 @@ struct Reading {
 
 impl Reading {
     /// The length and the messages of the next record; `None` at the end of the data.
-    fn record(&mut self, source: &mut impl Read) -> McapResult<Option<(u64, Vec<Message<'static>>)>> {
+    fn record(
+        &mut self,
+        source: &mut impl Read,
+    ) -> McapResult<Option<(u64, Vec<Message<'static>>)>> {
         let mut head = [0; 9];
         source.read_exact(&mut head)?;
         let [opcode, length @ ..] = head;
@@ -179,13 +218,22 @@ impl Reading {
             op::DATA_END => return Ok(None),
             op::HEADER | op::MESSAGE_INDEX | op::ATTACHMENT => Vec::new(),
             op::CHUNK | op::METADATA => match parse_record(opcode, &data)? {
-                Record::Chunk { header, .. } if header.uncompressed_size > RECORD_MAX => return wrong("a chunk that is too large"),
-                Record::Chunk { header, .. } if 40 + header.compression.len() as u64 + header.compressed_size != length => {
+                Record::Chunk { header, .. } if header.uncompressed_size > RECORD_MAX => {
+                    return wrong("a chunk that is too large");
+                }
+                Record::Chunk { header, .. }
+                    if 40 + header.compression.len() as u64 + header.compressed_size != length =>
+                {
                     return wrong("a chunk of a wrong length");
                 }
                 Record::Chunk { header, data } => self.chunk(header, &data)?,
                 Record::Metadata(stated) => {
-                    self.ending.damage.extend(stated.metadata.into_keys().filter(|_| stated.name == DAMAGE));
+                    self.ending.damage.extend(
+                        stated
+                            .metadata
+                            .into_keys()
+                            .filter(|_| stated.name == DAMAGE),
+                    );
                     Vec::new()
                 }
                 _ => Vec::new(),
@@ -200,13 +248,24 @@ impl Reading {
         let mut messages: Vec<Message<'static>> = Vec::new();
         for record in ChunkReader::new(header, data)?.collect::<McapResult<Vec<_>>>()? {
             match record {
-                Record::Schema { header, data } => self.channels.add_schema(header, data.into_owned().into())?,
+                Record::Schema { header, data } => {
+                    self.channels.add_schema(header, data.into_owned().into())?
+                }
                 Record::Channel(channel) => self.channels.add_channel(channel)?,
                 Record::Message { header, data } => {
                     // a channel of a chunk that is lost is unknown
-                    let Some(channel) = self.channels.get(header.channel_id) else { continue };
-                    let (sequence, log_time, publish_time) = (header.sequence, header.log_time, header.publish_time);
-                    messages.push(Message { channel, sequence, log_time, publish_time, data: data.into_owned().into() });
+                    let Some(channel) = self.channels.get(header.channel_id) else {
+                        continue;
+                    };
+                    let (sequence, log_time, publish_time) =
+                        (header.sequence, header.log_time, header.publish_time);
+                    messages.push(Message {
+                        channel,
+                        sequence,
+                        log_time,
+                        publish_time,
+                        data: data.into_owned().into(),
+                    });
                 }
                 _ => {}
             }

@@ -11,7 +11,12 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Names of the texts of a [`Header`].
-pub const TEXTS: [&str; 4] = ["board.toml", "gains.toml", "calibration.toml", "feedforward.toml"];
+pub const TEXTS: [&str; 4] = [
+    "board.toml",
+    "gains.toml",
+    "calibration.toml",
+    "feedforward.toml",
+];
 
 /// A freshly reset supervisor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -46,7 +51,9 @@ impl Header {
     /// Hash of each configuration text, by its name.
     pub fn hashes(&self) -> BTreeMap<String, String> {
         let texts = self.named_texts();
-        texts.map(|(name, text)| (format!("{name} hash"), hash([text]))).collect()
+        texts
+            .map(|(name, text)| (format!("{name} hash"), hash([text])))
+            .collect()
     }
 
     /// The configuration texts by name.
@@ -77,7 +84,10 @@ impl Event {
     /// The event before this cycle.
     pub fn at(&self, cycle: u64) -> Self {
         match self {
-            Self::Start(header) => Self::Start(Header { cycle, ..header.clone() }),
+            Self::Start(header) => Self::Start(Header {
+                cycle,
+                ..header.clone()
+            }),
             other => other.clone(),
         }
     }
@@ -96,5 +106,8 @@ pub struct Logged {
 
 /// Hash of texts, in hexadecimal.
 pub fn hash<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
-    format!("{:016x}", fnv(texts.into_iter().flat_map(|t| t.bytes().chain([0]))))
+    format!(
+        "{:016x}",
+        fnv(texts.into_iter().flat_map(|t| t.bytes().chain([0])))
+    )
 }

@@ -22,20 +22,40 @@ impl Hub {
         // no more than are there now: a hub that is late still answers commands
         let waiting = self.io.rings.frames.slots();
         for _ in 0..waiting {
-            let Ok(frame) = self.io.rings.frames.pop() else { break };
-            let LoopFrame { number, changes, output } = frame;
-            let due = self.changes.partition_point(|(change, _)| *change <= changes);
+            let Ok(frame) = self.io.rings.frames.pop() else {
+                break;
+            };
+            let LoopFrame {
+                number,
+                changes,
+                output,
+            } = frame;
+            let due = self
+                .changes
+                .partition_point(|(change, _)| *change <= changes);
             let events = self.changes.drain(..due).map(|(_, event)| event).collect();
-            let logged = Logged { number, events, output };
+            let logged = Logged {
+                number,
+                events,
+                output,
+            };
             self.process(&logged, waiting <= FRAMES_SENT_MAX);
             self.last = Some(logged.output);
         }
         while let Ok((id, result)) = self.io.rings.answers.pop() {
-            let Some(pending) = self.pending.remove(&id) else { continue };
+            let Some(pending) = self.pending.remove(&id) else {
+                continue;
+            };
             if result.is_ok() {
                 self.note_mover(&pending);
             }
-            let done = || if pending.order == Order::Play { self.path.clone() } else { json!({}) };
+            let done = || {
+                if pending.order == Order::Play {
+                    self.path.clone()
+                } else {
+                    json!({})
+                }
+            };
             let reply = result.map(|()| done()).map_err(|why| {
                 if let Some(hidden) = self.log_limit.admit("refused") {
                     let Caller { command, client, .. } = &pending.caller;
@@ -63,7 +83,10 @@ impl Hub {
     fn note_mover(&mut self, pending: &Pending) {
         match pending.order {
             order if order.leads_setpoint() || order == Order::Calibrate(true) => {
-                self.mover = Some(Mover { client: pending.caller.client, since: Instant::now() });
+                self.mover = Some(Mover {
+                    client: pending.caller.client,
+                    since: Instant::now(),
+                });
             }
             Order::Hold | Order::Disarm | Order::Relax => self.mover = None,
             _ => {}
@@ -140,11 +163,17 @@ impl Hub {
             tracing::info!(event = "mode", from, to = output.mode.name(), config = %config, "{from} → {}", output.mode);
         }
         if let Some(cause) = output.tripped {
-            let suspicion = output.suspicion.map_or_else(String::new, |s| format!("; {s}"));
+            let suspicion = output
+                .suspicion
+                .map_or_else(String::new, |s| format!("; {s}"));
             let message = status::trip_message(cause).to_owned() + &suspicion;
             let (cause, unix_s) = (status::trip_name(cause), unix_s());
             tracing::error!(event = "fault", cause, steps = ?output.steps.0, config = %config, "{message}");
-            self.memory.record_fault(RecordedFault { unix_s, cause, message });
+            self.memory.record_fault(RecordedFault {
+                unix_s,
+                cause,
+                message,
+            });
             self.persistence.write_soon();
         }
         if output.suspects
@@ -165,7 +194,9 @@ impl Hub {
     }
 
     fn advance_calibration(&mut self, output: &CycleOutput) {
-        let Some(session) = &mut self.calibration else { return };
+        let Some(session) = &mut self.calibration else {
+            return;
+        };
         match session.step(output) {
             Next::Wait => {}
             Next::Drive(command) => self.own_order(Order::Bend(command, None)),

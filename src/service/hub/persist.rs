@@ -23,8 +23,17 @@ impl Hub {
     /// the id of the write.
     fn write_ahead(&mut self, order: Order, caller: Caller, under_way: Option<u64>) -> Option<u64> {
         let id = self.next_id();
-        let write = under_way.or_else(|| self.io.state_writer.write(&self.memory, Some(id)).then_some(id));
-        let pending = Pending { caller, order, held: write };
+        let write = under_way.or_else(|| {
+            self.io
+                .state_writer
+                .write(&self.memory, Some(id))
+                .then_some(id)
+        });
+        let pending = Pending {
+            caller,
+            order,
+            held: write,
+        };
         if write.is_some() {
             self.pending.insert(id, pending);
         } else {
@@ -45,7 +54,10 @@ impl Hub {
     pub(super) fn refuse_held(&mut self, pending: &Pending, message: &str) {
         let (memory, caller) = (&mut self.memory, &pending.caller);
         if matches!(pending.order, Order::Lines(_)) {
-            memory.proposed = std::mem::replace(&mut memory.accepted, self.persistence.accepted_before.take());
+            memory.proposed = std::mem::replace(
+                &mut memory.accepted,
+                self.persistence.accepted_before.take(),
+            );
         }
         tracing::warn!(event = "refused", command = caller.command, client = caller.client, config = %self.config.config_hash, "{message}");
         self.reply(caller, &Err(Failure::refused(message)));
@@ -61,16 +73,24 @@ impl Hub {
             let state = note.state;
             let memory = &self.memory;
             let beliefs = memory.lost != note.lost || memory.unverified != note.unverified;
-            let changed = beliefs || memory.restart.is_none_or(|r| r.steps != state.steps || r.rest != state.rest);
+            let changed = beliefs
+                || memory
+                    .restart
+                    .is_none_or(|r| r.steps != state.steps || r.rest != state.rest);
             let still = !self.mode().moves() && self.mode() != Mode::Relaxing;
             let at_rest = note.at_rest && still && !self.pending.values().any(|p| p.held.is_some());
             let disarms = self.persistence.armed_on_disk && at_rest;
             self.memory.restart = Some(state);
-            (self.memory.armed, self.memory.lost, self.memory.unverified) = (!at_rest, note.lost, note.unverified);
-            let due = self.persistence.is_older_than(Duration::from_secs_f64(self.config.service.checkpoint_s));
+            (self.memory.armed, self.memory.lost, self.memory.unverified) =
+                (!at_rest, note.lost, note.unverified);
+            let due = self
+                .persistence
+                .is_older_than(Duration::from_secs_f64(self.config.service.checkpoint_s));
             // a checkpoint that waits for a slow disk does not take the place of what an `arm` waits for
             let free = self.io.state_writer.is_idle();
-            if free && ((due && (changed || disarms)) || self.persistence.is_older_than(CHECKPOINT_MAX)) {
+            if free
+                && ((due && (changed || disarms)) || self.persistence.is_older_than(CHECKPOINT_MAX))
+            {
                 self.persistence.last_checkpoint = Some(Instant::now());
                 if self.io.state_writer.write(&self.memory, None) && disarms {
                     self.persistence.armed_on_disk = false;
@@ -105,7 +125,10 @@ impl Hub {
                     }
                     self.order(pending.order, pending.caller);
                 }
-                Some(error) => self.refuse_held(&pending, &format!("refused because the state could not be written first: {error}")),
+                Some(error) => self.refuse_held(
+                    &pending,
+                    &format!("refused because the state could not be written first: {error}"),
+                ),
             }
         }
     }

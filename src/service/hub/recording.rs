@@ -32,7 +32,13 @@ const FAULTS_SHOWN: usize = 8;
 
 impl Hub {
     /// `record start` and `record stop`; both are answered when the disk has accepted them.
-    pub(super) fn record(&mut self, action: RecordAction, name: Option<&str>, owned: bool, caller: &Caller) -> Reply {
+    pub(super) fn record(
+        &mut self,
+        action: RecordAction,
+        name: Option<&str>,
+        owned: bool,
+        caller: &Caller,
+    ) -> Reply {
         let refuse = |why: String| Some(Err(Failure::refused(why)));
         match (action, &mut self.recording) {
             (RecordAction::Stop, None) => refuse("no recording is in progress".to_owned()),
@@ -41,22 +47,30 @@ impl Hub {
                 state.ending = Some(caller.clone());
                 None
             }
-            (RecordAction::Start, Some(state)) => {
-                refuse(format!("{} is being recorded; stop that recording first", state.recording.path().display()))
-            }
+            (RecordAction::Start, Some(state)) => refuse(format!(
+                "{} is being recorded; stop that recording first",
+                state.recording.path().display()
+            )),
             (RecordAction::Start, None) => {
                 let folder = Paths::of(&self.config.service).state.join("recordings");
                 let name = name.map_or_else(|| next_name(&folder), str::to_owned);
                 let allowed = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
-                if name.is_empty() || name.starts_with('.') || name.len() > NAME_MAX || !name.chars().all(allowed) {
-                    return Some(Err(Failure::bad(format!("`{name}` is not a valid name: use letters, digits, - _ . and no folder"))));
+                if name.is_empty()
+                    || name.starts_with('.')
+                    || name.len() > NAME_MAX
+                    || !name.chars().all(allowed)
+                {
+                    return Some(Err(Failure::bad(format!(
+                        "`{name}` is not a valid name: use letters, digits, - _ . and no folder"
+                    ))));
                 }
                 let path = folder.join(name + ".csv.gz");
                 if let Err(e) = self.start_recording(&path, false) {
                     return refuse(format!("{}: {e}", path.display()));
                 }
                 if let Some(state) = &mut self.recording {
-                    (state.owner, state.starting) = (owned.then_some(caller.client), Some(caller.clone()));
+                    (state.owner, state.starting) =
+                        (owned.then_some(caller.client), Some(caller.clone()));
                 }
                 None
             }
@@ -65,7 +79,8 @@ impl Hub {
 
     /// Starts the flight log of this run. Without a thread for it, the service runs without one.
     pub(super) fn start_flight(&mut self) {
-        let header = Start::new(&self.config, &self.memory, self.facts.belief).header(&self.config, self.machine());
+        let header = Start::new(&self.config, &self.memory, self.facts.belief)
+            .header(&self.config, self.machine());
         self.changes.push_back((0, Arc::new(Event::Start(header))));
         if self.config.service.flight_max_mib > 0.0 {
             let folder = Paths::of(&self.config.service).state.join("flights");
@@ -92,36 +107,70 @@ impl Hub {
         let straight_deg = self.config.supervisor.restart_check.straight_deg;
         let idle = self.mode() == Mode::Disarmed
             && self.is_at_zero()
-            && self.last.as_ref().is_some_and(|t| t.latched.is_none() && !t.stopped)
+            && self
+                .last
+                .as_ref()
+                .is_some_and(|t| t.latched.is_none() && !t.stopped)
             && self.hangs_deg().is_some_and(|deg| deg <= straight_deg);
-        let flight = (at_boot || idle).then(|| zero_unix_ns(self.last.as_ref().map_or(0.0, |last| last.sensed.t.0)));
-        let mut recording = Recording::start(path, self.config.supervisor.gate.step_mm, flight, &self.config.service)?;
+        let flight = (at_boot || idle)
+            .then(|| zero_unix_ns(self.last.as_ref().map_or(0.0, |last| last.sensed.t.0)));
+        let mut recording = Recording::start(
+            path,
+            self.config.supervisor.gate.step_mm,
+            flight,
+            &self.config.service,
+        )?;
         tracing::info!(event = "record", path = %path.display(), replayable = recording.is_replayable(), "recording started");
         if !at_boot && idle {
             let start = Start::new(&self.config, &self.memory, Belief::Certain);
             let header = start.header(&self.config, self.machine());
-            match self.io.rings.orders.push(Message::ReplaceSupervisor(Box::new(start.supervisor()))) {
+            match self
+                .io
+                .rings
+                .orders
+                .push(Message::ReplaceSupervisor(Box::new(start.supervisor())))
+            {
                 Ok(()) => self.note_change(Event::Start(header)),
                 Err(_) => recording.give_up_replay(),
             }
         }
         self.recording_ended = None;
-        self.recording = Some(RecordingState { recording, owner: None, starting: None, ending: None });
+        self.recording = Some(RecordingState {
+            recording,
+            owner: None,
+            starting: None,
+            ending: None,
+        });
         Ok(())
     }
 
     /// Reads what the recording's thread reports, and answers who waits for it.
     pub(super) fn follow_recording(&mut self) {
-        while let Some(progress) = self.recording.as_mut().and_then(|state| state.recording.progress()) {
-            let Some(mut state) = self.recording.take() else { return };
-            let (path, reply) = (state.recording.path().to_owned(), Ok(recording_json(&state.recording)));
+        while let Some(progress) = self
+            .recording
+            .as_mut()
+            .and_then(|state| state.recording.progress())
+        {
+            let Some(mut state) = self.recording.take() else {
+                return;
+            };
+            let (path, reply) = (
+                state.recording.path().to_owned(),
+                Ok(recording_json(&state.recording)),
+            );
             match progress {
                 Progress::Started => {
                     if let Some(caller) = state.starting.take() {
-                        let hangs = self.hangs_deg().filter(|deg| *deg > self.config.supervisor.restart_check.straight_deg);
-                        let remark = hangs.map(|deg| format!("the tip hangs {deg:.1}° away from straight"));
+                        let hangs = self
+                            .hangs_deg()
+                            .filter(|deg| *deg > self.config.supervisor.restart_check.straight_deg);
+                        let remark =
+                            hangs.map(|deg| format!("the tip hangs {deg:.1}° away from straight"));
                         let replayable = state.recording.is_replayable();
-                        self.reply(&caller, &Ok(json!({"path": path, "replayable": replayable, "remark": remark})));
+                        self.reply(
+                            &caller,
+                            &Ok(json!({"path": path, "replayable": replayable, "remark": remark})),
+                        );
                     }
                     self.recording = Some(state);
                 }
@@ -129,11 +178,18 @@ impl Hub {
                     let rows = state.recording.rows().count;
                     let (reply, why) = match result {
                         Ok(reason) => (reply, reason.map(str::to_owned)),
-                        Err(e) => (Err(Failure::refused(format!("{}: {e}", path.display()))), Some(e.to_string())),
+                        Err(e) => (
+                            Err(Failure::refused(format!("{}: {e}", path.display()))),
+                            Some(e.to_string()),
+                        ),
                     };
                     match &why {
-                        None => tracing::info!(event = "record", path = %path.display(), rows, "recording finished"),
-                        Some(why) => tracing::error!(event = "record", path = %path.display(), rows, "the recording has ended: {why}"),
+                        None => {
+                            tracing::info!(event = "record", path = %path.display(), rows, "recording finished")
+                        }
+                        Some(why) => {
+                            tracing::error!(event = "record", path = %path.display(), rows, "the recording has ended: {why}")
+                        }
                     }
                     for caller in [state.starting, state.ending].into_iter().flatten() {
                         self.reply(&caller, &reply);
@@ -161,7 +217,12 @@ impl Hub {
 
     /// Estimated bend of a tip whose pistons are at zero, degrees.
     fn hangs_deg(&self) -> Option<f64> {
-        let estimate = self.last.as_ref().filter(|_| self.is_at_zero())?.frame.estimate?;
+        let estimate = self
+            .last
+            .as_ref()
+            .filter(|_| self.is_at_zero())?
+            .frame
+            .estimate?;
         Some(estimate.bend.beta().to_degrees())
     }
 
@@ -177,7 +238,9 @@ impl Hub {
         match (self.facts.damaged.first(), self.facts.belief) {
             (Some(damage), _) => damage,
             (None, Belief::Lost) => "no memory of the position was found at the start",
-            (None, Belief::Checked) => "the service ended while the drivers were energised, and the tip is not in the pose of its memory",
+            (None, Belief::Checked) => {
+                "the service ended while the drivers were energised, and the tip is not in the pose of its memory"
+            }
             (None, Belief::Certain) => "the drivers have been released since the last zero",
         }
     }
@@ -185,10 +248,18 @@ impl Hub {
     /// The status as a JSON object.
     fn status(&self) -> Value {
         let last = self.last.as_ref();
-        let mut value = last.map_or_else(|| json!({"mode": Mode::Boot.name()}), |t| status::cycle(t, self.config.supervisor.gate.step_mm));
+        let mut value = last.map_or_else(
+            || json!({"mode": Mode::Boot.name()}),
+            |t| status::cycle(t, self.config.supervisor.gate.step_mm),
+        );
         let (shared, memory) = (&self.io.shared, &self.memory);
-        let settled = last.is_some_and(|t| t.mode == Mode::Holding && (t.frame.at_rest || status::blocked(&t.frame)));
-        let calibration = memory.accepted.as_ref().map_or(&self.config.calibration.transmission.source, |g| &g.source);
+        let settled = last.is_some_and(|t| {
+            t.mode == Mode::Holding && (t.frame.at_rest || status::blocked(&t.frame))
+        });
+        let calibration = memory
+            .accepted
+            .as_ref()
+            .map_or(&self.config.calibration.transmission.source, |g| &g.source);
         let granted = |(name, grant): &(_, crate::hardware::rt::Grant)| json!({"what": name, "grant": grant.to_string()});
         let more = json!({
             "program": env!("CARGO_PKG_VERSION"),
@@ -236,7 +307,9 @@ impl Hub {
 /// The first free name. It does not use the time of day, which a computer without a clock does not know after a start.
 fn next_name(folder: &Path) -> String {
     let mut names = (1..).map(|n| format!("bend-{n:04}"));
-    names.find(|name| !folder.join(format!("{name}.csv.gz")).exists()).unwrap_or_default()
+    names
+        .find(|name| !folder.join(format!("{name}.csv.gz")).exists())
+        .unwrap_or_default()
 }
 
 fn recording_json(r: &Recording) -> Value {

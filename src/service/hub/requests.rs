@@ -9,7 +9,9 @@ use crate::primitives::Mm;
 use crate::service::calibrate::{Found, Session};
 use crate::service::flight::start::Event;
 use crate::service::port::Incoming;
-use crate::service::protocol::{CalibrateAction, Failure, Frame, PATH_MAX_S, PATH_ROWS, POSES, PathRow, Request};
+use crate::service::protocol::{
+    CalibrateAction, Failure, Frame, PATH_MAX_S, PATH_ROWS, POSES, PathRow, Request,
+};
 use crate::service::rt_loop::Message;
 use crate::service::start::{RunConfig, with_gains};
 use crate::supervisor::{BEND_MAX_RAD, Mode, Order, SupervisorConfig};
@@ -23,9 +25,21 @@ fn refuse(message: impl Into<String>) -> Reply {
 impl Hub {
     /// Handles one line of a client. `may_command` is false on the status socket.
     pub(super) fn handle(&mut self, incoming: Incoming, may_command: bool) {
-        let Incoming { client, id, request, close, stops } = incoming;
+        let Incoming {
+            client,
+            id,
+            request,
+            close,
+            stops,
+        } = incoming;
         let command = request.as_ref().map(Request::name).unwrap_or_default();
-        let caller = Caller { client, id, command, since: Instant::now(), stops };
+        let caller = Caller {
+            client,
+            id,
+            command,
+            since: Instant::now(),
+            stops,
+        };
         let reply = match request {
             Err(failure) => {
                 if let Some(hidden) = self.log_limit.admit("invalid") {
@@ -35,7 +49,9 @@ impl Hub {
                 Some(Err(failure))
             }
             Ok(request) if request.only_reads() => self.read_request(&caller, &request),
-            Ok(_) if !may_command => refuse("this socket is read-only; use the control socket for commands"),
+            Ok(_) if !may_command => {
+                refuse("this socket is read-only; use the control socket for commands")
+            }
             Ok(_) if self.ending.is_some() => refuse("the service is ending"),
             Ok(request) => {
                 if !matches!(request, Request::Stream { .. } | Request::Path { .. })
@@ -68,14 +84,24 @@ impl Hub {
         self.reply(caller, &Ok(json!({})));
         self.subscriptions.retain(|s| s.client != caller.client);
         let (client, period_s, next_s) = (caller.client, 1.0 / rate_hz, f64::NEG_INFINITY);
-        self.subscriptions.push(Subscription { client, period_s, next_s });
+        self.subscriptions.push(Subscription {
+            client,
+            period_s,
+            next_s,
+        });
         None
     }
 
     fn command(&mut self, caller: &Caller, request: &Request) -> Reply {
         let order = match *request {
-            Request::Status {} | Request::Reach {} | Request::Subscribe { .. } => return self.read_request(caller, request),
-            Request::Record { action, ref name, owned } => return self.record(action, name.as_deref(), owned, caller),
+            Request::Status {} | Request::Reach {} | Request::Subscribe { .. } => {
+                return self.read_request(caller, request);
+            }
+            Request::Record {
+                action,
+                ref name,
+                owned,
+            } => return self.record(action, name.as_deref(), owned, caller),
             Request::Reload {} => return self.reload(),
             Request::Calibrate { action, poses } => return self.calibrate(action, poses, caller),
             Request::Path { ref rows, more } => match self.path(rows, more, caller.client) {
@@ -83,11 +109,29 @@ impl Hub {
                 Ok(false) => return Some(Ok(json!({}))),
                 Err(failure) => return Some(Err(failure)),
             },
-            Request::Bend { bend_deg, dir_deg, length_mm, speed_deg_s, frame } => {
-                let (target, speed_rad_s) = (self.target(bend_deg, dir_deg, length_mm), speed_deg_s.map(f64::to_radians));
-                if frame == Frame::World { Order::World(target, speed_rad_s) } else { Order::Bend(target, speed_rad_s) }
+            Request::Bend {
+                bend_deg,
+                dir_deg,
+                length_mm,
+                speed_deg_s,
+                frame,
+            } => {
+                let (target, speed_rad_s) = (
+                    self.target(bend_deg, dir_deg, length_mm),
+                    speed_deg_s.map(f64::to_radians),
+                );
+                if frame == Frame::World {
+                    Order::World(target, speed_rad_s)
+                } else {
+                    Order::Bend(target, speed_rad_s)
+                }
             }
-            Request::Stream { bend_deg, dir_deg, length_mm, t_s } => {
+            Request::Stream {
+                bend_deg,
+                dir_deg,
+                length_mm,
+                t_s,
+            } => {
                 let target = self.target(bend_deg, dir_deg, length_mm);
                 t_s.map_or(Order::Stream(target), |t_s| Order::Timed(target, t_s))
             }
@@ -113,8 +157,12 @@ impl Hub {
     fn reach(&self) -> Value {
         let (tick, lines) = (&self.config.supervisor.tick, self.in_use().lines);
         let largest = |k: u32| {
-            let Command { bend, length } = self.target(BEND_MAX_RAD.to_degrees(), f64::from(k) * 5.0, None);
-            bend.beta().to_degrees() * tick.limits.largest_share(&tick.geometry, &lines, &Shape { bend, length })
+            let Command { bend, length } =
+                self.target(BEND_MAX_RAD.to_degrees(), f64::from(k) * 5.0, None);
+            bend.beta().to_degrees()
+                * tick
+                    .limits
+                    .largest_share(&tick.geometry, &lines, &Shape { bend, length })
         };
         let bend_deg: Vec<f64> = (0..72).map(largest).collect();
         json!({"bend_deg": bend_deg, "r_mm": tick.geometry.r_mm, "rest_length_mm": tick.geometry.rest_length_mm})
@@ -122,7 +170,10 @@ impl Hub {
 
     fn target(&self, bend_deg: f64, dir_deg: f64, length_mm: Option<f64>) -> Command {
         let length = Mm(length_mm.unwrap_or(self.config.supervisor.tick.geometry.rest_length_mm));
-        Command { bend: Bend::from_deg(bend_deg, dir_deg), length }
+        Command {
+            bend: Bend::from_deg(bend_deg, dir_deg),
+            length,
+        }
     }
 
     /// Collects the rows of a path and checks them; with the last ones, hands it to the loop, slowed down so that the pistons can
@@ -146,31 +197,48 @@ impl Hub {
             let Command { bend, length } = self.target(bend_deg, dir_deg, length_mm);
             bend.0.push(length.0)
         });
-        let path = Path::new(checked.iter().map(|row| row.0).collect(), shapes.collect()).filter(|path| path.duration_s() <= PATH_MAX_S);
-        let expected = || Failure::bad(format!("a path has two or more rows with times that increase by at most {PATH_MAX_S} s in all"));
+        let path = Path::new(checked.iter().map(|row| row.0).collect(), shapes.collect())
+            .filter(|path| path.duration_s() <= PATH_MAX_S);
+        let expected = || {
+            Failure::bad(format!(
+                "a path has two or more rows with times that increase by at most {PATH_MAX_S} s in all"
+            ))
+        };
         let (path, tick) = (path.ok_or_else(expected)?, &self.config.supervisor.tick);
         let lines = self.in_use().lines;
         if let Some((k, expected)) = path.out_of_reach(&tick.limits, &tick.geometry, &lines) {
-            return Err(Failure::bad(format!("row {}, bend_deg {}: expected {expected}", from + k + 1, checked[k].1)));
+            return Err(Failure::bad(format!(
+                "row {}, bend_deg {}: expected {expected}",
+                from + k + 1,
+                checked[k].1
+            )));
         }
         if more {
             self.path_rows = (client, all);
             return Ok(false);
         }
-        let time_scale = path.demand(&tick.geometry, &lines, &tick.motion.limits).max(1.0);
+        let time_scale = path
+            .demand(&tick.geometry, &lines, &tick.motion.limits)
+            .max(1.0);
         let path = path.slowed(time_scale);
         let (t_s, rows) = path.rows();
         let event = Event::Path(t_s.to_vec(), rows.to_vec());
         self.path = json!({"duration_s": path.duration_s(), "time_scale": time_scale});
         let path = Path::new(t_s.to_vec(), rows.to_vec()).ok_or_else(expected)?;
-        self.io.rings.orders.push(Message::Path(Box::new(path))).map_err(|_| too_many())?;
+        self.io
+            .rings
+            .orders
+            .push(Message::Path(Box::new(path)))
+            .map_err(|_| too_many())?;
         self.note_change(event);
         Ok(true)
     }
 
     fn reload(&mut self) -> Reply {
         let Some(path) = self.config.gains.clone() else {
-            return refuse("no gains file was given; start the service with `retroflex run --gains FILE`");
+            return refuse(
+                "no gains file was given; start the service with `retroflex run --gains FILE`",
+            );
         };
         Some(match source::read(&path) {
             Ok(gains) => self.apply(&gains),
@@ -179,7 +247,12 @@ impl Hub {
     }
 
     fn apply(&mut self, gains: &Gains) -> Result<Value, Failure> {
-        let RunConfig { supervisor, board, calibration, .. } = &self.config;
+        let RunConfig {
+            supervisor,
+            board,
+            calibration,
+            ..
+        } = &self.config;
         let next = with_gains(supervisor, board, calibration, gains);
         let message = Message::Reload(Box::new(next.clone()));
         self.io.rings.orders.push(message).map_err(|_| too_many())?;
@@ -193,7 +266,8 @@ impl Hub {
 
     fn calibrate(&mut self, action: CalibrateAction, poses: usize, caller: &Caller) -> Reply {
         let SupervisorConfig { tick, gate, .. } = &self.config.supervisor;
-        let (geometry, step_mm, prior) = (tick.geometry, gate.step_mm, self.config.calibration.prior());
+        let (geometry, step_mm, prior) =
+            (tick.geometry, gate.step_mm, self.config.calibration.prior());
         let session = match action {
             CalibrateAction::Discard => {
                 return match self.memory.proposed.take() {
@@ -205,13 +279,21 @@ impl Hub {
             _ if self.calibration.is_some() => return refuse("a calibration is already running"),
             CalibrateAction::Full => Session::full(geometry, step_mm, self.in_use()),
             CalibrateAction::Short if !POSES.contains(&poses) => {
-                return refuse(format!("`poses` is {poses}; a short calibration has {} to {}", POSES.start(), POSES.end()));
+                return refuse(format!(
+                    "`poses` is {poses}; a short calibration has {} to {}",
+                    POSES.start(),
+                    POSES.end()
+                ));
             }
-            CalibrateAction::Short => Session::short(geometry, step_mm, (prior, poses), self.in_use()),
+            CalibrateAction::Short => {
+                Session::short(geometry, step_mm, (prior, poses), self.in_use())
+            }
         };
         if self.mode() != Mode::Holding {
             let mode = self.mode();
-            return refuse(format!("not while {mode}: `retroflex arm` first and wait until the tip holds"));
+            return refuse(format!(
+                "not while {mode}: `retroflex arm` first and wait until the tip holds"
+            ));
         }
         self.calibration = Some(session);
         self.calibration_failed = None;
@@ -233,10 +315,15 @@ impl Hub {
 
     fn accept(&mut self, caller: &Caller) -> Reply {
         let Some(gains) = self.memory.proposed.clone() else {
-            return refuse("there is no proposed calibration to accept; run `retroflex calibrate transmission` first");
+            return refuse(
+                "there is no proposed calibration to accept; run `retroflex calibrate transmission` first",
+            );
         };
         if gains.tip != self.config.tip {
-            return refuse(format!("the calibration was made on tip `{}`, but tip `{}` is mounted", gains.tip, self.config.tip));
+            return refuse(format!(
+                "the calibration was made on tip `{}`, but tip `{}` is mounted",
+                gains.tip, self.config.tip
+            ));
         }
         if !matches!(self.mode(), Mode::Disarmed | Mode::Holding) {
             return refuse(format!("not while {}", self.mode()));

@@ -36,17 +36,21 @@ impl Hub {
     pub fn run(mut self, record: Option<PathBuf>) -> Result<[Port; 2], ServiceError> {
         let signalled = Arc::new(AtomicBool::new(false));
         for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
-            signal_hook::flag::register(signal, Arc::clone(&signalled)).map_err(ServiceError::system("a signal handler"))?;
+            signal_hook::flag::register(signal, Arc::clone(&signalled))
+                .map_err(ServiceError::system("a signal handler"))?;
         }
         self.start_flight();
         if let Some(path) = record {
-            self.start_recording(&path, true).map_err(ServiceError::system(path.display()))?;
+            self.start_recording(&path, true)
+                .map_err(ServiceError::system(path.display()))?;
         }
         self.mount_tip();
         self.ready_after_boot_s = rt::monotonic_ns() as f64 * 1e-9;
         let after_boot_s = self.ready_after_boot_s;
         tracing::info!(event = "start", after_boot_s, config = %self.config.config_hash, tip = %self.config.tip, "ready, disarmed");
-        self.io.notifier.notify("READY=1\nSTATUS=aligning: the tip must be still for 2 s");
+        self.io
+            .notifier
+            .notify("READY=1\nSTATUS=aligning: the tip must be still for 2 s");
         let mut again = true;
         while !self.is_over() {
             self.io.shared.progress(Watched::Hub);
@@ -89,7 +93,11 @@ impl Hub {
         }
         *asked = Some(Instant::now());
         let troubles = supply::troubles();
-        for new in troubles.iter().flatten().filter(|new| !known.iter().flatten().any(|known| known == *new)) {
+        for new in troubles
+            .iter()
+            .flatten()
+            .filter(|new| !known.iter().flatten().any(|known| known == *new))
+        {
             tracing::warn!(event = "supply", "{new}: {}", supply::REMEDY);
         }
         *known = troubles;
@@ -101,9 +109,18 @@ impl Hub {
         // a status that follows an answer reports what was answered
         self.take_loop_output();
         self.status_cache = None;
-        let commands = first.into_iter().chain(self.io.control.messages.try_iter()).take(REQUESTS_PER_ROUND);
+        let commands = first
+            .into_iter()
+            .chain(self.io.control.messages.try_iter())
+            .take(REQUESTS_PER_ROUND);
         let commands: Vec<FromPort> = commands.collect();
-        let reads: Vec<FromPort> = self.io.status.messages.try_iter().take(REQUESTS_PER_ROUND).collect();
+        let reads: Vec<FromPort> = self
+            .io
+            .status
+            .messages
+            .try_iter()
+            .take(REQUESTS_PER_ROUND)
+            .collect();
         for (messages, may_command) in [(commands, true), (reads, false)] {
             for message in messages {
                 match message {
@@ -120,7 +137,12 @@ impl Hub {
         if reason != "disconnected"
             && let Some(hidden) = self.log_limit.admit("dropped")
         {
-            tracing::warn!(event = "client_dropped", client, hidden, "a client was disconnected: {reason}");
+            tracing::warn!(
+                event = "client_dropped",
+                client,
+                hidden,
+                "a client was disconnected: {reason}"
+            );
         }
         if let Some(state) = &mut self.recording
             && state.owner == Some(client)
@@ -128,7 +150,9 @@ impl Hub {
             self.recording_ended = Some("the client that asked for it disconnected".to_owned());
             state.recording.finish();
         }
-        let attended = |m: &Mover| m.client == client && m.since.elapsed().as_secs_f64() > self.config.service.attended_s;
+        let attended = |m: &Mover| {
+            m.client == client && m.since.elapsed().as_secs_f64() > self.config.service.attended_s
+        };
         if self.mover.as_ref().is_some_and(attended) {
             self.mover = None;
             let order = match self.mode() {
@@ -154,11 +178,15 @@ impl Hub {
     }
 
     fn is_over(&self) -> bool {
-        let (Some(since), Some(last)) = (self.ending, &self.last) else { return self.ending.is_some() };
+        let (Some(since), Some(last)) = (self.ending, &self.last) else {
+            return self.ending.is_some();
+        };
         let rested = self.is_at_zero() || matches!(last.mode, Mode::Lost | Mode::Boot);
         let settled = since.elapsed() > Duration::from_millis(100) && last.mode != Mode::Relaxing;
         let stays = last.mode == Mode::Faulted || last.stopped;
-        (stays && since.elapsed() > BRAKE_MAX) || (rested && settled) || since.elapsed().as_secs_f64() > END_MAX_S
+        (stays && since.elapsed() > BRAKE_MAX)
+            || (rested && settled)
+            || since.elapsed().as_secs_f64() > END_MAX_S
     }
 
     fn end(mut self) -> [Port; 2] {

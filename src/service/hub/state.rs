@@ -39,7 +39,11 @@ pub struct HubIo {
 impl HubIo {
     /// The socket of a client: those of the command socket have odd numbers.
     pub(super) fn port(&self, client: u64) -> &Port {
-        if client % 2 == 1 { &self.control } else { &self.status }
+        if client % 2 == 1 {
+            &self.control
+        } else {
+            &self.status
+        }
     }
 }
 
@@ -157,7 +161,13 @@ pub(super) struct Persistence {
 
 impl Persistence {
     pub(super) fn new(now: Instant, armed_on_disk: bool) -> Self {
-        Self { armed_on_disk, arming: None, error: None, accepted_before: None, last_checkpoint: Some(now) }
+        Self {
+            armed_on_disk,
+            arming: None,
+            error: None,
+            accepted_before: None,
+            last_checkpoint: Some(now),
+        }
     }
 
     /// Makes the next round write a checkpoint.
@@ -211,7 +221,14 @@ impl Hub {
     pub(super) fn order(&mut self, order: Order, caller: Caller) {
         let id = self.next_id();
         let stops = caller.stops;
-        self.pending.insert(id, Pending { caller, order, held: None });
+        self.pending.insert(
+            id,
+            Pending {
+                caller,
+                order,
+                held: None,
+            },
+        );
         self.push_order(id, order, stops);
     }
 
@@ -223,7 +240,11 @@ impl Hub {
 
     fn push_order(&mut self, id: u64, order: Order, stops: u64) {
         let rings = &mut self.io.rings;
-        let ring = if order.leads_setpoint() && order != Order::Play { &mut rings.setpoints } else { &mut rings.orders };
+        let ring = if order.leads_setpoint() && order != Order::Play {
+            &mut rings.setpoints
+        } else {
+            &mut rings.orders
+        };
         let pushed = ring.push(Message::Order { id, order, stops }).is_ok();
         if !pushed && let Some(pending) = self.pending.remove(&id) {
             self.reply(&pending.caller, &Err(too_many()));
@@ -236,7 +257,9 @@ impl Hub {
     }
 
     pub(super) fn reply(&mut self, to: &Caller, reply: &Result<Value, Failure>) {
-        self.io.port(to.client).reply(to.client, reply_line(&to.id, reply));
+        self.io
+            .port(to.client)
+            .reply(to.client, reply_line(&to.id, reply));
     }
 
     pub(super) fn mode(&self) -> Mode {
@@ -254,7 +277,9 @@ pub(super) fn too_many() -> Failure {
 
 /// Seconds since 1970.
 pub(super) fn unix_s() -> f64 {
-    std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
+    std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .map_or(0.0, |d| d.as_secs_f64())
 }
 
 /// Limits log lines that a client or a sensor can cause to one per second and kind.

@@ -75,12 +75,21 @@ impl Plant {
         let stand = Stand::new(config.base.attitude());
         let r_world_plate = stand.attitude(0.0, &laws);
         let mut shape = Shape::new(&config.shape);
-        let rest = shape.step(&Vector3::zeros(), r_world_plate, &Moment { t: 0.0, dt_s: 0.0 }, &mut laws);
+        let rest = shape.step(
+            &Vector3::zeros(),
+            r_world_plate,
+            &Moment { t: 0.0, dt_s: 0.0 },
+            &mut laws,
+        );
         let r_plate_base = Rotation::<Plate, Base>::assert_frames(rest.r_plate_tip.quat());
         let field_ut = config.field.vector_ut();
         let mut here = surroundings(r_world_plate, &rest, 0.0, field_ut);
-        laws.iter_mut().for_each(|law| law.field(&mut here.field_ut, &Vector3::zeros(), 0.0));
-        let at_base = Surroundings { at_mm: Vector3::zeros(), ..here };
+        laws.iter_mut()
+            .for_each(|law| law.field(&mut here.field_ut, &Vector3::zeros(), 0.0));
+        let at_base = Surroundings {
+            at_mm: Vector3::zeros(),
+            ..here
+        };
         Ok(Self {
             t: 0.0,
             drive: Drive::new(&unit),
@@ -93,7 +102,10 @@ impl Plant {
             sensed_t: 0.0,
             magnet_ut: Vector3::zeros(),
             imu: Imu::tip(&config.imu, seed, here, &mut laws),
-            base_imu: config.base.imu.then(|| Imu::base(&config.base_imu(), seed, at_base)),
+            base_imu: config
+                .base
+                .imu
+                .then(|| Imu::base(&config.base_imu(), seed, at_base)),
             laws,
             config: config.clone(),
         })
@@ -109,7 +121,8 @@ impl Plant {
         self.t += dt_s;
         let (at, laws) = (Moment { t: self.t, dt_s }, &mut self.laws);
         let mut counts = Vector3::from(steps.0.map(f64::from));
-        laws.iter_mut().for_each(|law| law.command(&mut counts, &at));
+        laws.iter_mut()
+            .for_each(|law| law.command(&mut counts, &at));
         let plunger_mm = self.drive.step(&counts, &at, laws);
         let air_mm = self.line.step(&plunger_mm, &self.bellows.state, &at, laws);
         let bellow_mm = self.bellows.step(&air_mm, &at, laws);
@@ -125,22 +138,41 @@ impl Plant {
             pressure_kpa: self.bellows.state.pressure_kpa,
             wall_touched: pose.touched,
         };
-        Output { t: Seconds(at.t), imu, base_imu, truth }
+        Output {
+            t: Seconds(at.t),
+            imu,
+            base_imu,
+            truth,
+        }
     }
 
     /// Samples that are due, with the drivers at `counts`.
-    fn sense(&mut self, mut here: Surroundings, counts: &Vector3<f64>) -> (Option<ImuSample>, Option<ImuSample>) {
+    fn sense(
+        &mut self,
+        mut here: Surroundings,
+        counts: &Vector3<f64>,
+    ) -> (Option<ImuSample>, Option<ImuSample>) {
         if !self.imu.due(self.t) {
             return (None, None);
         }
         let since_s = self.t - self.sensed_t;
         self.sensed_t = self.t;
-        self.laws.iter_mut().for_each(|law| law.field(&mut here.field_ut, counts, since_s));
+        self.laws
+            .iter_mut()
+            .for_each(|law| law.field(&mut here.field_ut, counts, since_s));
         let base_imu = self.base_imu.as_mut().and_then(|imu| {
-            let r_world_base = self.stand.attitude(self.t, &self.laws) * self.r_base_plate.inverse();
+            let r_world_base =
+                self.stand.attitude(self.t, &self.laws) * self.r_base_plate.inverse();
             // this chip stands in the base frame, which takes the place of its tip frame
             let r_world_tip = Rotation::assert_frames(r_world_base.quat());
-            let sample = imu.sample(&Surroundings { r_world_tip, at_mm: Vector3::zeros(), ..here }, &mut Vec::new());
+            let sample = imu.sample(
+                &Surroundings {
+                    r_world_tip,
+                    at_mm: Vector3::zeros(),
+                    ..here
+                },
+                &mut Vec::new(),
+            );
             imu.faults.passes().then_some(sample)
         });
         (Some(self.imu.sample(&here, &mut self.laws)), base_imu)
@@ -148,6 +180,16 @@ impl Plant {
 }
 
 /// The surroundings of the tip in a pose, in the field `field_ut`.
-fn surroundings(r_world_plate: Rotation<World, Plate>, pose: &Pose, t: f64, field_ut: Vector3<f64>) -> Surroundings {
-    Surroundings { t, r_world_tip: r_world_plate * pose.r_plate_tip, at_mm: r_world_plate.apply(&pose.tip_mm()), field_ut }
+fn surroundings(
+    r_world_plate: Rotation<World, Plate>,
+    pose: &Pose,
+    t: f64,
+    field_ut: Vector3<f64>,
+) -> Surroundings {
+    Surroundings {
+        t,
+        r_world_tip: r_world_plate * pose.r_plate_tip,
+        at_mm: r_world_plate.apply(&pose.tip_mm()),
+        field_ut,
+    }
 }

@@ -21,7 +21,12 @@ pub enum PlantError {
 }
 
 /// Refuses a value outside `allowed`; a NaN always is.
-pub(crate) fn range(key: &str, value: f64, allowed: RangeInclusive<f64>, advice: &str) -> Result<(), PlantError> {
+pub(crate) fn range(
+    key: &str,
+    value: f64,
+    allowed: RangeInclusive<f64>,
+    advice: &str,
+) -> Result<(), PlantError> {
     let mut checker = Checker::default();
     checker.at(key).range(value, allowed, "").hint(advice);
     Ok(checker.done()?)

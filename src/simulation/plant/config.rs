@@ -141,8 +141,14 @@ parameters! {
 impl BaseConfig {
     /// Attitude of the proximal plate in the world, `Rz(yaw) Ry(pitch) Rx(roll)`.
     pub(crate) fn attitude(&self) -> Rotation<World, Plate> {
-        let turn = |axis: Vector3<f64>, deg: f64| UnitQuaternion::from_scaled_axis(axis * deg.to_radians());
-        Rotation::assert_frames(turn(Vector3::z(), self.yaw_deg) * turn(Vector3::y(), self.pitch_deg) * turn(Vector3::x(), self.roll_deg))
+        let turn = |axis: Vector3<f64>, deg: f64| {
+            UnitQuaternion::from_scaled_axis(axis * deg.to_radians())
+        };
+        Rotation::assert_frames(
+            turn(Vector3::z(), self.yaw_deg)
+                * turn(Vector3::y(), self.pitch_deg)
+                * turn(Vector3::x(), self.roll_deg),
+        )
     }
 }
 
@@ -180,28 +186,44 @@ impl PlantConfig {
     ///
     /// # Errors
     /// [`PlantError::UnknownEffect`] for a name that [`effect_names`] does not list.
-    pub fn with_effect<R: Rng + ?Sized>(mut self, name: &str, severity: f64, rng: &mut R) -> Result<Self, PlantError> {
+    pub fn with_effect<R: Rng + ?Sized>(
+        mut self,
+        name: &str,
+        severity: f64,
+        rng: &mut R,
+    ) -> Result<Self, PlantError> {
         let mut rng = PlantRng::new(rng.next_u64(), Stream::Choice);
         if self.effects.choose(name, severity, &mut rng) {
             return Ok(self);
         }
-        let known = effect_names().map(|e| e.name).collect::<Vec<_>>().join(", ");
-        Err(PlantError::UnknownEffect { name: name.to_owned(), known })
+        let known = effect_names()
+            .map(|e| e.name)
+            .collect::<Vec<_>>()
+            .join(", ");
+        Err(PlantError::UnknownEffect {
+            name: name.to_owned(),
+            known,
+        })
     }
 
     /// The same plant with the small imperfections of real units, each below 0.15° of tip orientation and each
     /// present with even odds. Effects that are set already are left alone.
     #[must_use]
     pub fn background<R: Rng + ?Sized>(mut self, rng: &mut R) -> Self {
-        self.effects.add_background(&mut PlantRng::new(rng.next_u64(), Stream::Choice));
+        self.effects
+            .add_background(&mut PlantRng::new(rng.next_u64(), Stream::Choice));
         self
     }
 
     /// The chip on the base: of the same make as the tip's, with its own mount.
     pub(crate) fn base_imu(&self) -> ImuConfig {
-        let mount = |v: [f64; 3]| UnitQuaternion::from_scaled_axis(Vector3::from(v).map(f64::to_radians));
+        let mount =
+            |v: [f64; 3]| UnitQuaternion::from_scaled_axis(Vector3::from(v).map(f64::to_radians));
         let turned = mount(self.imu.mount_deg) * mount(self.base.imu_mount_deg);
-        ImuConfig { mount_deg: turned.scaled_axis().map(f64::to_degrees).into(), ..self.imu.clone() }
+        ImuConfig {
+            mount_deg: turned.scaled_axis().map(f64::to_degrees).into(),
+            ..self.imu.clone()
+        }
     }
 
     /// What the laws of this plant may depend on.
@@ -235,15 +257,33 @@ mod tests {
     fn unknown_names_and_impossible_values_are_refused() {
         let why = toml::from_str::<PlantConfig>("[line]\nk_epsilom = [1, 1, 1]").unwrap_err();
         assert!(why.to_string().contains("k_epsilom"), "{why}");
-        let refusal = |text: &str| toml::from_str::<PlantConfig>(text).unwrap().validate().unwrap_err().to_string();
-        assert!(refusal("[line]\nk_epsilon = [1.0, nan, 1.0]").contains("plant.line.k_epsilon[2] = NaN is outside 0 to 20; "));
-        assert!(refusal("[effects.outside.soft_iron]\nstretch = 0.1\ndirection = [0, 0, 0]").contains("direction length = 0"));
-        assert!(refusal("[effects.missed_steps]\nchannel = 4").contains("plant.effects.missed_steps.channel = 4 is outside 1 to 3"));
+        let refusal = |text: &str| {
+            toml::from_str::<PlantConfig>(text)
+                .unwrap()
+                .validate()
+                .unwrap_err()
+                .to_string()
+        };
+        assert!(
+            refusal("[line]\nk_epsilon = [1.0, nan, 1.0]")
+                .contains("plant.line.k_epsilon[2] = NaN is outside 0 to 20; ")
+        );
+        assert!(
+            refusal("[effects.outside.soft_iron]\nstretch = 0.1\ndirection = [0, 0, 0]")
+                .contains("direction length = 0")
+        );
+        assert!(
+            refusal("[effects.missed_steps]\nchannel = 4")
+                .contains("plant.effects.missed_steps.channel = 4 is outside 1 to 3")
+        );
     }
 
     #[test]
     fn pitch_lays_the_tip_level() {
-        let base = BaseConfig { pitch_deg: 90.0, ..BaseConfig::default() };
+        let base = BaseConfig {
+            pitch_deg: 90.0,
+            ..BaseConfig::default()
+        };
         let axis = base.attitude().apply(&Vector3::z());
         assert!((axis - Vector3::x()).norm() < 1e-12);
     }
@@ -254,7 +294,9 @@ mod tests {
         for e in effect_names() {
             for severity in [0.0, 0.5, 1.0] {
                 for _ in 0..20 {
-                    let config = PlantConfig::default().with_effect(e.name, severity, &mut rng).unwrap();
+                    let config = PlantConfig::default()
+                        .with_effect(e.name, severity, &mut rng)
+                        .unwrap();
                     config.validate().unwrap();
                     assert_ne!(config, PlantConfig::default(), "{}", e.name);
                     let text = toml::to_string(&config).unwrap();
@@ -262,14 +304,18 @@ mod tests {
                 }
             }
         }
-        let why = PlantConfig::default().with_effect("gremlins", 0.5, &mut rng).unwrap_err();
+        let why = PlantConfig::default()
+            .with_effect("gremlins", 0.5, &mut rng)
+            .unwrap_err();
         assert!(why.to_string().contains("gremlins") && why.to_string().contains("torsion"));
     }
 
     #[test]
     fn a_background_leaves_what_is_set() {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(2);
-        let set = PlantConfig::default().with_effect("creep", 1.0, &mut rng).unwrap();
+        let set = PlantConfig::default()
+            .with_effect("creep", 1.0, &mut rng)
+            .unwrap();
         for _ in 0..20 {
             let config = set.clone().background(&mut rng);
             config.validate().unwrap();

@@ -26,17 +26,30 @@ pub(crate) struct DriveFaults {
 
 impl Default for DriveFaults {
     fn default() -> Self {
-        Self { gain: Vector3::repeat(1.0), stop_mm: [None; 3] }
+        Self {
+            gain: Vector3::repeat(1.0),
+            stop_mm: [None; 3],
+        }
     }
 }
 
 impl Drive {
     pub(crate) fn new(unit: &UnitData) -> Self {
-        Self { step_mm: unit.step_mm, counts: Vector3::zeros(), rotor: Vector3::zeros(), faults: DriveFaults::default() }
+        Self {
+            step_mm: unit.step_mm,
+            counts: Vector3::zeros(),
+            rotor: Vector3::zeros(),
+            faults: DriveFaults::default(),
+        }
     }
 
     /// Plunger positions, mm, after the drives have followed the counts for one step.
-    pub(crate) fn step(&mut self, counts: &Vector3<f64>, at: &Moment, laws: &mut Laws) -> Vector3<f64> {
+    pub(crate) fn step(
+        &mut self,
+        counts: &Vector3<f64>,
+        at: &Moment,
+        laws: &mut Laws,
+    ) -> Vector3<f64> {
         let mut turned = (counts - self.counts).component_mul(&self.faults.gain);
         self.counts = *counts;
         laws.iter_mut().for_each(|law| law.rotor(&mut turned, at));

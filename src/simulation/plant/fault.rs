@@ -177,27 +177,47 @@ impl Plant {
             F::FrozenSample => imu.frozen = true,
             F::NanSample => imu.nan = true,
             F::Spike { gyro_deg_s, acc_g } => {
-                imu.spike = Some((Vector3::repeat(gyro_deg_s.to_radians()), Vector3::repeat(acc_g * GRAVITY_M_S2)));
+                imu.spike = Some((
+                    Vector3::repeat(gyro_deg_s.to_radians()),
+                    Vector3::repeat(acc_g * GRAVITY_M_S2),
+                ));
             }
             F::Saturation => imu.saturated = true,
             F::GyroBias { deg_s } => imu.rate = Vector3::from(deg_s).map(f64::to_radians),
-            F::StepLoss { channel, microsteps } => drive.slip(channel.index(), -f64::from(microsteps)),
+            F::StepLoss {
+                channel,
+                microsteps,
+            } => drive.slip(channel.index(), -f64::from(microsteps)),
             F::Inverted { channel } => drive.faults.gain[channel.index()] = -1.0,
             F::Disabled { channel } => drive.faults.gain[channel.index()] = 0.0,
             F::EndStop { channel, at_mm } => drive.faults.stop_mm[channel.index()] = Some(at_mm),
-            F::Leak { channel, rate_per_s } => self.line.faults.leak(channel.index(), rate_per_s),
+            F::Leak {
+                channel,
+                rate_per_s,
+            } => self.line.faults.leak(channel.index(), rate_per_s),
             F::Burst { channel } => self.line.faults.leak(channel.index(), BURST_PER_S),
             F::Blocked { channel } => self.line.faults.blocked[channel.index()] = true,
             F::AirBubble { channel, factor } => bellows.compliance[channel.index()] = factor,
             F::Gain { channel, factor } => bellows.gain[channel.index()] = factor,
-            F::BaseTurn { axis, angle_deg, over_s } => {
+            F::BaseTurn {
+                axis,
+                angle_deg,
+                over_s,
+            } => {
                 let axis = Vector3::from(axis).try_normalize(1e-9).unwrap_or_default();
-                self.stand.begin_turn(axis * angle_deg.to_radians(), self.t, over_s);
+                self.stand
+                    .begin_turn(axis * angle_deg.to_radians(), self.t, over_s);
             }
             F::Magnet { field_ut } => self.magnet_ut = Vector3::from(field_ut),
             F::Push { bend_deg, dir_deg } => self.shape.push = Bend::from_deg(bend_deg, dir_deg).0,
             F::Wall { at_deg, dir_deg } => {
-                let wall = Contact { block: 1.0, direction_deg: dir_deg, at_deg, give_deg: WALL_GIVE_DEG, ..Contact::default() };
+                let wall = Contact {
+                    block: 1.0,
+                    direction_deg: dir_deg,
+                    at_deg,
+                    give_deg: WALL_GIVE_DEG,
+                    ..Contact::default()
+                };
                 self.shape.wall = Some(Touching::new(wall));
             }
         }
@@ -211,7 +231,9 @@ impl Plant {
     /// Ends everything that was injected; consequences stay.
     pub fn clear(&mut self) {
         self.imu.faults = ImuFaults::default();
-        self.base_imu.iter_mut().for_each(|imu| imu.faults = ImuFaults::default());
+        self.base_imu
+            .iter_mut()
+            .for_each(|imu| imu.faults = ImuFaults::default());
         self.drive.faults = DriveFaults::default();
         self.bellows.faults = BellowFaults::default();
         self.line.faults.clear();

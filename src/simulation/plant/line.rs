@@ -30,12 +30,17 @@ pub(crate) struct LineFaults {
 impl LineFaults {
     /// Opens a leak on a channel (from 0) in addition to others.
     pub(crate) fn leak(&mut self, channel: usize, rate_per_s: f64) {
-        self.leaking.get_or_insert_with(|| Leaking::new(Leak::CLOSED)).config.rate_per_s[channel] = rate_per_s;
+        self.leaking
+            .get_or_insert_with(|| Leaking::new(Leak::CLOSED))
+            .config
+            .rate_per_s[channel] = rate_per_s;
     }
     /// Ends all faults; air that has escaped does not return.
     pub(crate) fn clear(&mut self) {
         self.blocked = [false; 3];
-        self.leaking.iter_mut().for_each(|leaking| leaking.config = Leak::CLOSED);
+        self.leaking
+            .iter_mut()
+            .for_each(|leaking| leaking.config = Leak::CLOSED);
     }
 }
 
@@ -43,7 +48,12 @@ impl Line {
     pub(crate) fn new(config: &LineConfig) -> Self {
         let zero = Vector3::zeros();
         let half_width_mm = Vector3::from(config.k_lambda_mm);
-        Self { half_width_mm, play_output_mm: zero, delivered_mm: zero, faults: LineFaults::default() }
+        Self {
+            half_width_mm,
+            play_output_mm: zero,
+            delivered_mm: zero,
+            faults: LineFaults::default(),
+        }
     }
 
     /// Opens all lines for a moment, pistons at zero: the air that leaked flows back.
@@ -53,14 +63,24 @@ impl Line {
     }
 
     /// Air delivered to the bellows, mm of piston, after one step.
-    pub(crate) fn step(&mut self, plunger_mm: &Vector3<f64>, bellows: &BellowState, at: &Moment, laws: &mut Laws) -> Vector3<f64> {
+    pub(crate) fn step(
+        &mut self,
+        plunger_mm: &Vector3<f64>,
+        bellows: &BellowState,
+        at: &Moment,
+        laws: &mut Laws,
+    ) -> Vector3<f64> {
         let mut width = self.half_width_mm;
-        laws.iter_mut().for_each(|law| law.play(&mut width, plunger_mm));
+        laws.iter_mut()
+            .for_each(|law| law.play(&mut width, plunger_mm));
         for i in 0..3 {
-            self.play_output_mm[i] = self.play_output_mm[i].max(plunger_mm[i] - width[i]).min(plunger_mm[i] + width[i]);
+            self.play_output_mm[i] = self.play_output_mm[i]
+                .max(plunger_mm[i] - width[i])
+                .min(plunger_mm[i] + width[i]);
         }
         let mut air_mm = self.play_output_mm;
-        laws.iter_mut().for_each(|law| law.air(&mut air_mm, bellows, at));
+        laws.iter_mut()
+            .for_each(|law| law.air(&mut air_mm, bellows, at));
         if let Some(leaking) = &mut self.faults.leaking {
             leaking.air(&mut air_mm, bellows, at);
         }
@@ -80,10 +100,24 @@ mod tests {
 
     #[test]
     fn a_loop_of_the_play_is_two_half_widths_wide() {
-        let mut line = Line::new(&LineConfig { k_lambda_mm: [0.5; 3], ..LineConfig::default() });
+        let mut line = Line::new(&LineConfig {
+            k_lambda_mm: [0.5; 3],
+            ..LineConfig::default()
+        });
         let mut at_zero = |from: f64| {
-            let at = Moment { t: 0.0, dt_s: 0.001 };
-            [from, 0.0].map(|to| line.step(&Vector3::repeat(to), &BellowState::default(), &at, &mut Vec::new()).x)[1]
+            let at = Moment {
+                t: 0.0,
+                dt_s: 0.001,
+            };
+            [from, 0.0].map(|to| {
+                line.step(
+                    &Vector3::repeat(to),
+                    &BellowState::default(),
+                    &at,
+                    &mut Vec::new(),
+                )
+                .x
+            })[1]
         };
         assert!((at_zero(2.0) - at_zero(-2.0) - 1.0).abs() < 1e-12);
     }

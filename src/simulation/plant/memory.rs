@@ -16,13 +16,21 @@ pub(crate) struct Decay {
 impl Decay {
     /// A lag of time constant `tau_s`; 0 is no lag.
     pub(crate) fn new(tau_s: f64) -> Self {
-        Self { tau_s, dt_s: f64::NAN, share: 1.0 }
+        Self {
+            tau_s,
+            dt_s: f64::NAN,
+            share: 1.0,
+        }
     }
     /// The share of the distance covered in `dt_s`.
     pub(crate) fn share(&mut self, dt_s: f64) -> f64 {
         if dt_s != self.dt_s {
             self.dt_s = dt_s;
-            self.share = if self.tau_s > 0.0 { -(-dt_s / self.tau_s).exp_m1() } else { 1.0 };
+            self.share = if self.tau_s > 0.0 {
+                -(-dt_s / self.tau_s).exp_m1()
+            } else {
+                1.0
+            };
         }
         self.share
     }
@@ -39,7 +47,11 @@ pub(crate) struct Wander {
 impl Wander {
     /// A stationary process: its first value is a random one.
     pub(crate) fn new(sigma: f64, tau_s: f64, rng: &mut PlantRng) -> Self {
-        Self { sigma, decay: Decay::new(tau_s), x: rng.normals() * sigma }
+        Self {
+            sigma,
+            decay: Decay::new(tau_s),
+            x: rng.normals() * sigma,
+        }
     }
     /// The value after `dt_s` more seconds.
     pub(crate) fn step(&mut self, dt_s: f64, rng: &mut PlantRng) -> Vector3<f64> {
@@ -91,10 +103,17 @@ impl<T: Mix> Delay<T> {
     /// The value at time `t`, at most the reach ago.
     pub(crate) fn at(&self, t: f64) -> T {
         // never empty: it starts with two values and keeps at least two
-        let next = self.past.partition_point(|&(s, _)| s < t - 1e-12).clamp(1, self.past.len() - 1);
+        let next = self
+            .past
+            .partition_point(|&(s, _)| s < t - 1e-12)
+            .clamp(1, self.past.len() - 1);
         let ((s1, before), (s2, after)) = (self.past[next - 1], self.past[next]);
         let gap = s2 - s1;
-        if gap.is_finite() && gap > 0.0 { before.mix(&after, ((t - s1) / gap).clamp(0.0, 1.0)) } else { after }
+        if gap.is_finite() && gap > 0.0 {
+            before.mix(&after, ((t - s1) / gap).clamp(0.0, 1.0))
+        } else {
+            after
+        }
     }
 }
 
@@ -120,7 +139,13 @@ impl<T: Mix> DeadTime<T> {
     /// A dead time of `delay_s` with relative wander `jitter`, filled with `rest`.
     pub(crate) fn new(delay_s: f64, jitter: f64, rest: T, mut rng: PlantRng) -> Self {
         let wander = Wander::new(1.0, WANDER_S, &mut rng);
-        Self { delay_s, jitter, line: Self::line(delay_s, jitter, rest), wander, rng }
+        Self {
+            delay_s,
+            jitter,
+            line: Self::line(delay_s, jitter, rest),
+            wander,
+            rng,
+        }
     }
     fn line(delay_s: f64, jitter: f64, rest: T) -> Delay<T> {
         Delay::new(delay_s * (1.0 + jitter * WANDER_MAX), STEP_MIN_S, rest)
@@ -132,7 +157,11 @@ impl<T: Mix> DeadTime<T> {
     /// Takes the value at `t` and returns the value that arrives then.
     pub(crate) fn pass(&mut self, t: f64, dt_s: f64, value: T) -> T {
         self.line.push(t, value);
-        let x = self.wander.step(dt_s, &mut self.rng).x.clamp(-WANDER_MAX, WANDER_MAX);
+        let x = self
+            .wander
+            .step(dt_s, &mut self.rng)
+            .x
+            .clamp(-WANDER_MAX, WANDER_MAX);
         self.line.at(t - self.delay_s * (1.0 + self.jitter * x))
     }
 }
@@ -143,8 +172,16 @@ mod tests {
     use crate::simulation::plant::rng::Stream;
 
     fn late_by(delay_s: f64, jitter: f64, dt: f64, steps: i32) -> Vec<f64> {
-        let mut d = DeadTime::new(delay_s, jitter, Vector3::zeros(), PlantRng::new(2, Stream::SensorLatency));
-        (1..steps).map(|k| f64::from(k) * dt).map(|t| t - d.pass(t, dt, Vector3::repeat(t)).x).collect()
+        let mut d = DeadTime::new(
+            delay_s,
+            jitter,
+            Vector3::zeros(),
+            PlantRng::new(2, Stream::SensorLatency),
+        );
+        (1..steps)
+            .map(|k| f64::from(k) * dt)
+            .map(|t| t - d.pass(t, dt, Vector3::repeat(t)).x)
+            .collect()
     }
 
     #[test]
@@ -158,8 +195,13 @@ mod tests {
     #[test]
     fn the_wander_is_present_and_bounded() {
         let late = late_by(0.1, 0.1, 0.002, 20_000);
-        let (low, high) = late[100..].iter().fold((1.0f64, 0.0f64), |(l, h), &x| (l.min(x), h.max(x)));
-        assert!(low > 0.074 && low < 0.09 && high < 0.126 && high > 0.11, "{low} {high}");
+        let (low, high) = late[100..]
+            .iter()
+            .fold((1.0f64, 0.0f64), |(l, h), &x| (l.min(x), h.max(x)));
+        assert!(
+            low > 0.074 && low < 0.09 && high < 0.126 && high > 0.11,
+            "{low} {high}"
+        );
     }
 
     #[test]
@@ -180,7 +222,10 @@ mod tests {
         let mut rng = PlantRng::new(3, Stream::TipImu);
         let mut w = Wander::new(2.0, 0.1, &mut rng);
         let n = 20_000;
-        let square: f64 = (0..n).map(|_| w.step(0.05, &mut rng).norm_squared() / 3.0).sum::<f64>() / f64::from(n);
+        let square: f64 = (0..n)
+            .map(|_| w.step(0.05, &mut rng).norm_squared() / 3.0)
+            .sum::<f64>()
+            / f64::from(n);
         assert!((square.sqrt() - 2.0).abs() < 0.06, "{}", square.sqrt());
     }
 

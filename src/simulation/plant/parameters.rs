@@ -31,7 +31,10 @@ pub(crate) trait Table: Parameters + Clone {
 
     /// True if a parameter that states the size of an effect differs from 0.
     fn is_active(&self) -> bool {
-        self.clone().sizes().iter().any(|(_, numbers)| numbers.iter().any(|x| *x != 0.0))
+        self.clone()
+            .sizes()
+            .iter()
+            .any(|(_, numbers)| numbers.iter().any(|x| *x != 0.0))
     }
     /// Refuses the first parameter that is outside its range.
     ///
@@ -44,7 +47,9 @@ pub(crate) trait Table: Parameters + Clone {
     fn scale(&mut self, factor: f64) {
         for (key, numbers) in self.sizes() {
             if let Some(Allowed::Range(low, high)) = Self::TABLE.row(key).map(|row| row.allowed) {
-                numbers.iter_mut().for_each(|x| *x = (*x * factor).clamp(low, high));
+                numbers
+                    .iter_mut()
+                    .for_each(|x| *x = (*x * factor).clamp(low, high));
             }
         }
     }

@@ -2,7 +2,9 @@
 
 pub(crate) use crate::simulation::plant::check::{PlantError, range};
 pub(crate) use crate::simulation::plant::imu::stimulus::{GRAVITY_M_S2, Stimulus};
-pub(crate) use crate::simulation::plant::law::{BellowState, Law, Moment, PlantEffect, SectionState};
+pub(crate) use crate::simulation::plant::law::{
+    BellowState, Law, Moment, PlantEffect, SectionState,
+};
 pub(crate) use crate::simulation::plant::memory::{DeadTime, Decay, Wander};
 pub(crate) use crate::simulation::plant::parameters::parameters;
 pub(crate) use crate::simulation::plant::rng::{PlantRng, Stream};

@@ -27,7 +27,9 @@ pub(crate) struct PlantRng(Xoshiro256PlusPlus);
 impl PlantRng {
     pub(crate) fn new(seed: u64, stream: Stream) -> Self {
         // an odd multiplier maps streams to seeds one to one; seed_from_u64 mixes them apart
-        Self(Xoshiro256PlusPlus::seed_from_u64(seed ^ (stream as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15)))
+        Self(Xoshiro256PlusPlus::seed_from_u64(
+            seed ^ (stream as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15),
+        ))
     }
     /// Standard normal.
     pub(crate) fn normal(&mut self) -> f64 {
@@ -39,7 +41,9 @@ impl PlantRng {
     }
     /// A direction in space, uniformly distributed.
     pub(crate) fn direction(&mut self) -> Vector3<f64> {
-        self.normals().try_normalize(1e-9).unwrap_or_else(Vector3::x)
+        self.normals()
+            .try_normalize(1e-9)
+            .unwrap_or_else(Vector3::x)
     }
     /// Uniform in `low..high`.
     pub(crate) fn between(&mut self, low: f64, high: f64) -> f64 {

@@ -29,12 +29,20 @@ pub(crate) struct Stand {
 
 impl Stand {
     pub(crate) fn new(rest: Rotation<World, Plate>) -> Self {
-        Self { rest, turned: UnitQuaternion::identity(), turn: None }
+        Self {
+            rest,
+            turned: UnitQuaternion::identity(),
+            turn: None,
+        }
     }
     /// Begins to turn by `rotation` (a rotation vector in the world, rad) over `over_s` seconds.
     pub(crate) fn begin_turn(&mut self, rotation: Vector3<f64>, t: f64, over_s: f64) {
         self.settle(t);
-        self.turn = Some(Turn { rotation, from_s: t, over_s });
+        self.turn = Some(Turn {
+            rotation,
+            from_s: t,
+            over_s,
+        });
     }
     /// Stops a turn where it is.
     pub(crate) fn settle(&mut self, t: f64) {
@@ -42,8 +50,14 @@ impl Stand {
         self.turn = None;
     }
     fn turned_at(&self, t: f64) -> UnitQuaternion<f64> {
-        let Some(turn) = &self.turn else { return self.turned };
-        let share = if turn.over_s > 0.0 { smooth_step((t - turn.from_s) / turn.over_s) } else { 1.0 };
+        let Some(turn) = &self.turn else {
+            return self.turned;
+        };
+        let share = if turn.over_s > 0.0 {
+            smooth_step((t - turn.from_s) / turn.over_s)
+        } else {
+            1.0
+        };
         UnitQuaternion::from_scaled_axis(turn.rotation * share) * self.turned
     }
     /// Attitude at time `t`.

@@ -12,7 +12,10 @@ impl PlantConfig {
     /// field and IMU biases drawn from `spread`. The spread of the result is zero.
     pub fn drawn(&self, seed: u64) -> PlantConfig {
         let (spread, mut rng) = (&self.spread, PlantRng::new(seed, Stream::Unit));
-        let mut unit = PlantConfig { spread: Spread::default(), ..self.clone() };
+        let mut unit = PlantConfig {
+            spread: Spread::default(),
+            ..self.clone()
+        };
         unit.effects = self.effects.varied(spread.effects, &mut rng);
         let mut about = |sigma: f64| sigma * rng.normal().clamp(-LIMIT, LIMIT);
         for i in 0..3 {
@@ -29,7 +32,8 @@ impl PlantConfig {
         unit.field.dip_deg = (unit.field.dip_deg + about(spread.dip_deg)).clamp(-90.0, 90.0);
         unit.base.pitch_deg = wrapped(unit.base.pitch_deg + about(spread.tilt_deg));
         unit.base.roll_deg = wrapped(unit.base.roll_deg + about(spread.tilt_deg));
-        unit.base.yaw_deg = wrapped(unit.base.yaw_deg + spread.heading_deg * rng.between(-1.0, 1.0));
+        unit.base.yaw_deg =
+            wrapped(unit.base.yaw_deg + spread.heading_deg * rng.between(-1.0, 1.0));
         let mut about = |sigma: f64| sigma * rng.normal().clamp(-LIMIT, LIMIT);
         let effects = &mut unit.effects;
         if spread.mount_deg > 0.0 {
@@ -41,7 +45,9 @@ impl PlantConfig {
         }
         if spread.motor_field_ut > 0.0 {
             let motors = effects.motor_field.get_or_insert_default();
-            motors.amplitude_ut = motors.amplitude_ut.map(|field| field + about(spread.motor_field_ut));
+            motors.amplitude_ut = motors
+                .amplitude_ut
+                .map(|field| field + about(spread.motor_field_ut));
         }
         unit
     }
@@ -79,17 +85,32 @@ mod tests {
 
     #[test]
     fn units_differ_and_are_reproducible() {
-        let make = PlantConfig { spread: spread(), ..PlantConfig::default() };
+        let make = PlantConfig {
+            spread: spread(),
+            ..PlantConfig::default()
+        };
         assert_eq!(make.drawn(3), make.drawn(3));
         assert_ne!(make.drawn(3), make.drawn(4));
-        let gains: Vec<f64> = (0..400).map(|s| make.drawn(s).line.k_epsilon[0] / 2.22).collect();
+        let gains: Vec<f64> = (0..400)
+            .map(|s| make.drawn(s).line.k_epsilon[0] / 2.22)
+            .collect();
         let mean = gains.iter().sum::<f64>() / 400.0;
         let sigma = (gains.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / 400.0).sqrt();
-        assert!((mean - 1.0).abs() < 0.01 && (sigma - 0.06).abs() < 0.01, "{mean} {sigma}");
-        let rms = |f: fn(&PlantConfig) -> f64| ((0..400).map(|s| f(&make.drawn(s)).powi(2)).sum::<f64>() / 400.0).sqrt();
+        assert!(
+            (mean - 1.0).abs() < 0.01 && (sigma - 0.06).abs() < 0.01,
+            "{mean} {sigma}"
+        );
+        let rms = |f: fn(&PlantConfig) -> f64| {
+            ((0..400).map(|s| f(&make.drawn(s)).powi(2)).sum::<f64>() / 400.0).sqrt()
+        };
         assert!((rms(|u| u.effects.torsion.as_ref().unwrap().twist_deg) - 1.0).abs() < 0.1);
-        assert!((rms(|u| u.effects.mount_misalignment.as_ref().unwrap().tilt_deg[2]) - 0.5).abs() < 0.05);
-        assert!((rms(|u| u.effects.motor_field.as_ref().unwrap().amplitude_ut[1]) - 0.1).abs() < 0.01);
+        assert!(
+            (rms(|u| u.effects.mount_misalignment.as_ref().unwrap().tilt_deg[2]) - 0.5).abs()
+                < 0.05
+        );
+        assert!(
+            (rms(|u| u.effects.motor_field.as_ref().unwrap().amplitude_ut[1]) - 0.1).abs() < 0.01
+        );
         for s in 0..400 {
             make.drawn(s).validate().unwrap();
         }

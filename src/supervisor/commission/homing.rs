@@ -74,11 +74,19 @@ pub enum HomingError {
 ///
 /// # Errors
 /// [`HomingError`]; the pistons stay where they stopped.
-pub fn with_switches(drive: &mut ManualMotion<'_>, config: &HomingConfig) -> Result<Homed, HomingError> {
+pub fn with_switches(
+    drive: &mut ManualMotion<'_>,
+    config: &HomingConfig,
+) -> Result<Homed, HomingError> {
     let mut repeat_mm = [0.0; 3];
     let mut closed_mm = [0.0; 3];
     for channel in 0..3 {
-        let mut search = Search { drive, config, channel, side: config.at_mm[channel].signum() };
+        let mut search = Search {
+            drive,
+            config,
+            channel,
+            side: config.at_mm[channel].signum(),
+        };
         search.leave()?;
         search.close(config.speed_mm_s, config.search_max_mm)?;
         search.leave()?;
@@ -89,14 +97,23 @@ pub fn with_switches(drive: &mut ManualMotion<'_>, config: &HomingConfig) -> Res
         search.leave()?;
         repeat_mm[channel] = (closed_mm[channel] - first_mm).abs();
         if repeat_mm[channel] > config.repeat_max_mm {
-            return Err(HomingError::NotRepeatable { channel: channel + 1, mm: repeat_mm[channel], max: config.repeat_max_mm });
+            return Err(HomingError::NotRepeatable {
+                channel: channel + 1,
+                mm: repeat_mm[channel],
+                max: config.repeat_max_mm,
+            });
         }
     }
     let (stands_mm, step_mm) = (drive.stands_mm(), drive.step_mm());
     let moved_mm: [f64; 3] = std::array::from_fn(|i| config.at_mm[i] - closed_mm[i]);
-    drive.recount(Steps(std::array::from_fn(|i| ((stands_mm[i] + moved_mm[i]) / step_mm).round() as i32)))?;
+    drive.recount(Steps(std::array::from_fn(|i| {
+        ((stands_mm[i] + moved_mm[i]) / step_mm).round() as i32
+    })))?;
     drive.go([0.0; 3], config.speed_mm_s, &mut |_| false)?;
-    Ok(Homed { repeat_mm, moved_mm })
+    Ok(Homed {
+        repeat_mm,
+        moved_mm,
+    })
 }
 
 /// The search of one channel's switch.
@@ -126,7 +143,10 @@ impl Search<'_, '_> {
             }
             at.is_some()
         })?;
-        at.ok_or(HomingError::NeverClosed { channel: channel + 1, mm: most_mm })
+        at.ok_or(HomingError::NeverClosed {
+            channel: channel + 1,
+            mm: most_mm,
+        })
     }
 
     /// Backs off from a closed switch by the whole distance.
@@ -136,9 +156,13 @@ impl Search<'_, '_> {
             return Ok(());
         }
         let target = self.towards(-self.config.back_off_mm);
-        self.drive.go(target, self.config.speed_mm_s, &mut |_| false)?;
+        self.drive
+            .go(target, self.config.speed_mm_s, &mut |_| false)?;
         if self.drive.turn()?.inputs.home[channel] {
-            return Err(HomingError::NeverOpened { channel: channel + 1, mm: self.config.back_off_mm });
+            return Err(HomingError::NeverOpened {
+                channel: channel + 1,
+                mm: self.config.back_off_mm,
+            });
         }
         Ok(())
     }

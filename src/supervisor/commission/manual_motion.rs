@@ -32,7 +32,9 @@ pub enum ManualMotionError {
     #[error("stopped on request")]
     Cancelled,
     /// The counts did not reach the target.
-    #[error("the pistons did not arrive within {0} s; they stand at {1} steps; see `retroflex bench rt`")]
+    #[error(
+        "the pistons did not arrive within {0} s; they stand at {1} steps; see `retroflex bench rt`"
+    )]
     NotArrived(f64, String),
     /// The drivers did not switch.
     #[error("the drivers did not switch {0} within 1 s")]
@@ -56,7 +58,13 @@ impl<'a> ManualMotion<'a> {
     pub fn new(machine: &'a mut dyn Machine, wait: &'a mut Wait<'a>) -> Self {
         // a previous program may have left the drivers energised
         machine.energise(false);
-        Self { machine, wait, now: Seconds(0.0), wanted_mm: [0.0; 3], last: None }
+        Self {
+            machine,
+            wait,
+            now: Seconds(0.0),
+            wanted_mm: [0.0; 3],
+            last: None,
+        }
     }
 
     /// Piston travel per microstep, mm.
@@ -72,7 +80,8 @@ impl<'a> ManualMotion<'a> {
     /// Counted positions, mm.
     pub fn stands_mm(&self) -> [f64; 3] {
         let step_mm = self.step_mm();
-        self.last.map_or([0.0; 3], |s| s.counted.0.map(|n| f64::from(n) * step_mm))
+        self.last
+            .map_or([0.0; 3], |s| s.counted.0.map(|n| f64::from(n) * step_mm))
     }
 
     fn steps(&self) -> Steps {
@@ -96,7 +105,11 @@ impl<'a> ManualMotion<'a> {
             // at these speeds an underrun is only a short pause
             None | Some(Alarm::Underrun) => Ok(sensed),
             Some(alarm) => {
-                let details = self.machine.remarks().into_iter().find_map(|r| r.strip_prefix("pins: ").map(str::to_owned));
+                let details = self
+                    .machine
+                    .remarks()
+                    .into_iter()
+                    .find_map(|r| r.strip_prefix("pins: ").map(str::to_owned));
                 Err(ManualMotionError::Alarm { alarm, details })
             }
         }
@@ -106,7 +119,11 @@ impl<'a> ManualMotion<'a> {
     ///
     /// # Errors
     /// [`ManualMotionError`].
-    pub fn stand(&mut self, seconds: f64, observe: &mut dyn FnMut(&Sensed)) -> Result<(), ManualMotionError> {
+    pub fn stand(
+        &mut self,
+        seconds: f64,
+        observe: &mut dyn FnMut(&Sensed),
+    ) -> Result<(), ManualMotionError> {
         let until_s = self.now.0 + seconds;
         while self.now.0 < until_s {
             observe(&self.turn()?);
@@ -126,7 +143,11 @@ impl<'a> ManualMotion<'a> {
                 return Ok(());
             }
         }
-        Err(ManualMotionError::NotSwitched(if on { "on" } else { "off" }))
+        Err(ManualMotionError::NotSwitched(if on {
+            "on"
+        } else {
+            "off"
+        }))
     }
 
     /// Moves to `target_mm`; `speed_mm_s` is the speed of the channel with the longest way. The move ends early when
@@ -134,13 +155,25 @@ impl<'a> ManualMotion<'a> {
     ///
     /// # Errors
     /// [`ManualMotionError`].
-    pub fn go(&mut self, target_mm: [f64; 3], speed_mm_s: f64, enough: &mut dyn FnMut(&Sensed) -> bool) -> Result<bool, ManualMotionError> {
+    pub fn go(
+        &mut self,
+        target_mm: [f64; 3],
+        speed_mm_s: f64,
+        enough: &mut dyn FnMut(&Sensed) -> bool,
+    ) -> Result<bool, ManualMotionError> {
         let from_mm = self.wanted_mm;
-        let way_mm = (0..3).map(|i| (target_mm[i] - from_mm[i]).abs()).fold(0.0, f64::max);
+        let way_mm = (0..3)
+            .map(|i| (target_mm[i] - from_mm[i]).abs())
+            .fold(0.0, f64::max);
         let began_s = self.now.0;
         loop {
-            let share = if way_mm > 0.0 { ((self.now.0 - began_s) * speed_mm_s / way_mm).min(1.0) } else { 1.0 };
-            self.wanted_mm = std::array::from_fn(|i| from_mm[i] + share * (target_mm[i] - from_mm[i]));
+            let share = if way_mm > 0.0 {
+                ((self.now.0 - began_s) * speed_mm_s / way_mm).min(1.0)
+            } else {
+                1.0
+            };
+            self.wanted_mm =
+                std::array::from_fn(|i| from_mm[i] + share * (target_mm[i] - from_mm[i]));
             let sensed = self.turn()?;
             if enough(&sensed) {
                 self.wanted_mm = self.stands_mm();
@@ -154,7 +187,10 @@ impl<'a> ManualMotion<'a> {
     }
 
     /// Waits until the counts reach the request; true if `enough` returned true in the meantime.
-    fn arrive(&mut self, enough: &mut dyn FnMut(&Sensed) -> bool) -> Result<bool, ManualMotionError> {
+    fn arrive(
+        &mut self,
+        enough: &mut dyn FnMut(&Sensed) -> bool,
+    ) -> Result<bool, ManualMotionError> {
         let until_s = self.now.0 + ARRIVE_MAX_S;
         let mut reached = false;
         while self.now.0 < until_s {
@@ -165,7 +201,10 @@ impl<'a> ManualMotion<'a> {
             }
         }
         let stands = self.last.map_or(Steps::default(), |s| s.counted);
-        Err(ManualMotionError::NotArrived(ARRIVE_MAX_S, format!("{:?}", stands.0)))
+        Err(ManualMotionError::NotArrived(
+            ARRIVE_MAX_S,
+            format!("{:?}", stands.0),
+        ))
     }
 
     /// Assigns other counts to the present position of the pistons.

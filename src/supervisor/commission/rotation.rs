@@ -61,15 +61,23 @@ pub struct TipRotation {
 impl TipRotation {
     /// The identity.
     pub fn new(bias_rad_s: Vector3<f64>) -> Self {
-        Self { bias_rad_s, r: UnitQuaternion::identity(), last: None }
+        Self {
+            bias_rad_s,
+            r: UnitQuaternion::identity(),
+            last: None,
+        }
     }
 
     /// Integrates the sample of one cycle, if there is one.
     pub fn add(&mut self, sensed: &Sensed) {
-        let ImuReading::Sample(sample, _) = &sensed.imu else { return };
+        let ImuReading::Sample(sample, _) = &sensed.imu else {
+            return;
+        };
         if let Some(last) = &self.last {
             let mean = 0.5 * (last.gyro_rad_s + sample.gyro_rad_s) - self.bias_rad_s;
-            self.r *= UnitQuaternion::from_scaled_axis(mean * (sample.t.0 - last.t.0).clamp(0.0, GAP_MAX_S));
+            self.r *= UnitQuaternion::from_scaled_axis(
+                mean * (sample.t.0 - last.t.0).clamp(0.0, GAP_MAX_S),
+            );
         }
         self.last = Some(*sample);
     }

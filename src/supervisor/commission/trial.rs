@@ -32,7 +32,11 @@ pub struct TrialConfig {
 impl TrialConfig {
     /// The standard strokes: a few degrees of bend at less than a fifth of the permitted pressure.
     pub fn new(geometry: Geometry) -> Self {
-        Self { geometry, stroke_mm: 3.0, hold_s: 10.0 }
+        Self {
+            geometry,
+            stroke_mm: 3.0,
+            hold_s: 10.0,
+        }
     }
 }
 
@@ -43,10 +47,14 @@ pub enum TrialError {
     #[error(transparent)]
     Motion(#[from] ManualMotionError),
     /// Too few samples arrive.
-    #[error("the IMU delivered only {0} samples in one second; check it with `retroflex doctor` first")]
+    #[error(
+        "the IMU delivered only {0} samples in one second; check it with `retroflex doctor` first"
+    )]
     Blind(u32),
     /// The tip moves although the pistons stand.
-    #[error("the tip moves although the pistons stand: fix the base, release the tip and start again")]
+    #[error(
+        "the tip moves although the pistons stand: fix the base, release the tip and start again"
+    )]
     NotStill,
 }
 
@@ -68,12 +76,15 @@ pub struct Findings {
 impl Findings {
     /// Channels that leak.
     pub fn leaks(&self) -> [bool; 3] {
-        self.leak_per_s.map(|l| l.is_some_and(|l| l > LEAK_MAX_PER_S))
+        self.leak_per_s
+            .map(|l| l.is_some_and(|l| l > LEAK_MAX_PER_S))
     }
 
     /// True if the wiring agrees with the board file and no line leaks.
     pub fn is_good(&self) -> bool {
-        self.dead == [false; 3] && self.leaks() == [false; 3] && self.wiring.is_some_and(|w| w.is_right())
+        self.dead == [false; 3]
+            && self.leaks() == [false; 3]
+            && self.wiring.is_some_and(|w| w.is_right())
     }
 
     /// The findings as text, one per line.
@@ -81,7 +92,9 @@ impl Findings {
         let mut text = String::new();
         for i in 0..3 {
             let (deg, leak) = (self.answers[i].norm().to_degrees(), self.leak_per_s[i]);
-            let hold = leak.map_or(String::new(), |l| format!(", loses {:.2} % per second", 100.0 * l.max(0.0)));
+            let hold = leak.map_or(String::new(), |l| {
+                format!(", loses {:.2} % per second", 100.0 * l.max(0.0))
+            });
             let _ = writeln!(text, "channel {}: bends the tip by {deg:.1}°{hold}", i + 1);
         }
         for i in (0..3).filter(|i| self.dead[*i]) {
@@ -119,19 +132,31 @@ impl Findings {
 ///
 /// # Errors
 /// [`TrialError`]; the drivers then remain in the safe state of the machine.
-pub fn run(drive: &mut ManualMotion<'_>, config: &TrialConfig, progress: &mut dyn FnMut(&str)) -> Result<Findings, TrialError> {
+pub fn run(
+    drive: &mut ManualMotion<'_>,
+    config: &TrialConfig,
+    progress: &mut dyn FnMut(&str),
+) -> Result<Findings, TrialError> {
     progress("measuring the gyroscope bias");
     gyro_bias(drive)?;
     drive.energise(true)?;
     let mut answers = [Vector2::zeros(); 3];
     for (channel, answer) in answers.iter_mut().enumerate() {
-        progress(&format!("channel {}: stroke of {} mm", channel + 1, config.stroke_mm));
+        progress(&format!(
+            "channel {}: stroke of {} mm",
+            channel + 1,
+            config.stroke_mm
+        ));
         *answer = stroke(drive, channel, config.stroke_mm, 0.0)?.0;
     }
     let dead = answers.map(|a| a.norm() < DEAD_RAD);
     let mut leak_per_s = [None; 3];
     for channel in (0..3).filter(|i| config.hold_s > 0.0 && !dead[*i]) {
-        progress(&format!("channel {}: holding for {} s", channel + 1, config.hold_s));
+        progress(&format!(
+            "channel {}: holding for {} s",
+            channel + 1,
+            config.hold_s
+        ));
         leak_per_s[channel] = Some(stroke(drive, channel, HOLD_MM, config.hold_s)?.1);
     }
     drive.energise(false)?;
@@ -140,9 +165,19 @@ pub fn run(drive: &mut ManualMotion<'_>, config: &TrialConfig, progress: &mut dy
         q[i] = 1.0;
         config.geometry.shape(&q).bend.0
     });
-    let found = if dead == [false; 3] { wiring::identify(&answers, &expected) } else { None };
+    let found = if dead == [false; 3] {
+        wiring::identify(&answers, &expected)
+    } else {
+        None
+    };
     let (wiring, others) = found.map_or((None, Vec::new()), |(w, o)| (Some(w), o));
-    Ok(Findings { answers, dead, wiring, others, leak_per_s })
+    Ok(Findings {
+        answers,
+        dead,
+        wiring,
+        others,
+        leak_per_s,
+    })
 }
 
 /// Measures the gyroscope bias over one second, rad/s.
@@ -160,7 +195,12 @@ fn gyro_bias(drive: &mut ManualMotion<'_>) -> Result<Vector3<f64>, TrialError> {
 const STILL_MAX_RAD_S: f64 = 0.06;
 
 /// Moves one channel out, waits and returns; gives the bend, rad, and its relative loss during the wait, 1/s.
-fn stroke(drive: &mut ManualMotion<'_>, channel: usize, mm: f64, hold_s: f64) -> Result<(Vector2<f64>, f64), TrialError> {
+fn stroke(
+    drive: &mut ManualMotion<'_>,
+    channel: usize,
+    mm: f64,
+    hold_s: f64,
+) -> Result<(Vector2<f64>, f64), TrialError> {
     let mut rotation = TipRotation::new(gyro_bias(drive)?);
     let mut target = [0.0; 3];
     target[channel] = mm;
@@ -172,7 +212,11 @@ fn stroke(drive: &mut ManualMotion<'_>, channel: usize, mm: f64, hold_s: f64) ->
     let bend = rotation.bend().0;
     drive.stand(hold_s, &mut |s| rotation.add(s))?;
     let left = rotation.bend().0.norm() / bend.norm().max(f64::MIN_POSITIVE);
-    let lost_per_s = if hold_s > 0.0 { -left.max(1e-6).ln() / hold_s } else { 0.0 };
+    let lost_per_s = if hold_s > 0.0 {
+        -left.max(1e-6).ln() / hold_s
+    } else {
+        0.0
+    };
     drive.go([0.0; 3], SPEED_MM_S, &mut |_| false)?;
     drive.stand(SETTLE_S, &mut |_| ())?;
     Ok((bend, lost_per_s))

@@ -29,19 +29,37 @@ const ALIKE_RAD: f64 = 0.12;
 /// Residual above which no hypothesis fits, rad.
 pub const RESIDUAL_MAX_RAD: f64 = 0.35;
 
-const ORDERS: [[usize; 3]; 6] = [[0, 1, 2], [1, 0, 2], [0, 2, 1], [2, 1, 0], [1, 2, 0], [2, 0, 1]];
+const ORDERS: [[usize; 3]; 6] = [
+    [0, 1, 2],
+    [1, 0, 2],
+    [0, 2, 1],
+    [2, 1, 0],
+    [1, 2, 0],
+    [2, 0, 1],
+];
 
 impl Wiring {
     /// True if nothing needs to be changed.
     pub fn is_right(&self) -> bool {
-        self.reaches == [0, 1, 2] && self.inverted == [false; 3] && self.turned_rad.abs() < TURN_SMALL_RAD
+        self.reaches == [0, 1, 2]
+            && self.inverted == [false; 3]
+            && self.turned_rad.abs() < TURN_SMALL_RAD
     }
 
     /// Number of changes, weighted.
     fn cost(&self) -> f64 {
-        let moved = self.reaches.iter().enumerate().filter(|(i, p)| i != *p).count() as f64;
+        let moved = self
+            .reaches
+            .iter()
+            .enumerate()
+            .filter(|(i, p)| i != *p)
+            .count() as f64;
         let inverted = self.inverted.iter().filter(|x| **x).count() as f64;
-        let turned = if self.turned_rad.abs() < TURN_SMALL_RAD { 0.0 } else { 1.5 };
+        let turned = if self.turned_rad.abs() < TURN_SMALL_RAD {
+            0.0
+        } else {
+            1.5
+        };
         moved + inverted + turned + 0.1 * self.turned_rad.abs()
     }
 
@@ -50,7 +68,12 @@ impl Wiring {
         let mut text = String::new();
         for i in 0..3 {
             if self.reaches[i] != i {
-                let _ = write!(text, "line {} reaches bellow {}; ", i + 1, self.reaches[i] + 1);
+                let _ = write!(
+                    text,
+                    "line {} reaches bellow {}; ",
+                    i + 1,
+                    self.reaches[i] + 1
+                );
             }
         }
         for i in (0..3).filter(|i| self.inverted[*i]) {
@@ -58,7 +81,10 @@ impl Wiring {
         }
         if self.turned_rad.abs() >= TURN_SMALL_RAD {
             let deg = self.turned_rad.to_degrees();
-            let _ = write!(text, "the sensor is turned by {deg:.0}° about the tip axis; ");
+            let _ = write!(
+                text,
+                "the sensor is turned by {deg:.0}° about the tip axis; "
+            );
         }
         text.trim_end_matches("; ").to_owned()
     }
@@ -92,12 +118,19 @@ fn fit(answers: &Bends, expected: &Bends, reaches: [usize; 3], inverted: [bool; 
         (answers[i].normalize(), if inverted[i] { -e } else { e })
     });
     // the angle that best rotates the expected directions onto the measured ones
-    let (dot, cross) = pairs.iter().fold((0.0, 0.0), |(d, c), (a, e)| (d + e.dot(a), c + e.perp(a)));
+    let (dot, cross) = pairs
+        .iter()
+        .fold((0.0, 0.0), |(d, c), (a, e)| (d + e.dot(a), c + e.perp(a)));
     let turned_rad = cross.atan2(dot);
     let turn = Rotation2::new(turned_rad);
     let squares = pairs.iter().map(|(a, e)| (turn * e).angle(a).powi(2));
     let residual_rad = (squares.sum::<f64>() / 3.0).sqrt();
-    Wiring { reaches, inverted, turned_rad, residual_rad }
+    Wiring {
+        reaches,
+        inverted,
+        turned_rad,
+        residual_rad,
+    }
 }
 
 #[cfg(test)]
@@ -106,11 +139,17 @@ mod tests {
     use proptest::prelude::*;
 
     fn expected() -> [Vector2<f64>; 3] {
-        [0, 1, 2].map(|i| Rotation2::new(-f64::from(i) * std::f64::consts::TAU / 3.0) * Vector2::new(-0.1, 0.0))
+        [0, 1, 2].map(|i| {
+            Rotation2::new(-f64::from(i) * std::f64::consts::TAU / 3.0) * Vector2::new(-0.1, 0.0)
+        })
     }
 
     fn answers(w: &Wiring) -> [Vector2<f64>; 3] {
-        [0, 1, 2].map(|i| Rotation2::new(w.turned_rad) * expected()[w.reaches[i]] * if w.inverted[i] { -1.0 } else { 1.0 })
+        [0, 1, 2].map(|i| {
+            Rotation2::new(w.turned_rad)
+                * expected()[w.reaches[i]]
+                * if w.inverted[i] { -1.0 } else { 1.0 }
+        })
     }
 
     proptest! {
@@ -137,27 +176,69 @@ mod tests {
 
     #[test]
     fn single_errors_are_identified_and_ambiguity_is_reported() {
-        let right = Wiring { reaches: [0, 1, 2], inverted: [false; 3], turned_rad: 0.0, residual_rad: 0.0 };
+        let right = Wiring {
+            reaches: [0, 1, 2],
+            inverted: [false; 3],
+            turned_rad: 0.0,
+            residual_rad: 0.0,
+        };
         let (w, others) = identify(&answers(&right), &expected()).unwrap();
-        assert!(w.is_right() && w.differences().is_empty() && others.is_empty(), "{w:?} {others:?}");
-        let swapped = Wiring { reaches: [1, 0, 2], ..right };
+        assert!(
+            w.is_right() && w.differences().is_empty() && others.is_empty(),
+            "{w:?} {others:?}"
+        );
+        let swapped = Wiring {
+            reaches: [1, 0, 2],
+            ..right
+        };
         let (w, _) = identify(&answers(&swapped), &expected()).unwrap();
-        assert_eq!(w.differences(), "line 1 reaches bellow 2; line 2 reaches bellow 1");
-        let inverted = Wiring { inverted: [false, true, false], ..right };
-        assert_eq!(identify(&answers(&inverted), &expected()).unwrap().0.differences(), "motor 2 turns in the wrong direction");
-        let turned = Wiring { turned_rad: 0.9, ..right };
+        assert_eq!(
+            w.differences(),
+            "line 1 reaches bellow 2; line 2 reaches bellow 1"
+        );
+        let inverted = Wiring {
+            inverted: [false, true, false],
+            ..right
+        };
+        assert_eq!(
+            identify(&answers(&inverted), &expected())
+                .unwrap()
+                .0
+                .differences(),
+            "motor 2 turns in the wrong direction"
+        );
+        let turned = Wiring {
+            turned_rad: 0.9,
+            ..right
+        };
         let (w, _) = identify(&answers(&turned), &expected()).unwrap();
-        assert!(w.differences().contains("turned by 52°"), "{}", w.differences());
+        assert!(
+            w.differences().contains("turned by 52°"),
+            "{}",
+            w.differences()
+        );
         // lines moved by one place and a sensor turned by 120° are indistinguishable
-        let cycled = Wiring { reaches: [1, 2, 0], ..right };
+        let cycled = Wiring {
+            reaches: [1, 2, 0],
+            ..right
+        };
         let (w, others) = identify(&answers(&cycled), &expected()).unwrap();
-        let all: Vec<String> = std::iter::once(&w).chain(&others).map(Wiring::differences).collect();
-        assert!(all.iter().any(|t| t.contains("line 1 reaches bellow 2")) && all.iter().any(|t| t.contains("turned by")), "{all:?}");
+        let all: Vec<String> = std::iter::once(&w)
+            .chain(&others)
+            .map(Wiring::differences)
+            .collect();
+        assert!(
+            all.iter().any(|t| t.contains("line 1 reaches bellow 2"))
+                && all.iter().any(|t| t.contains("turned by")),
+            "{all:?}"
+        );
     }
 
     #[test]
     fn responses_without_a_fitting_wiring_are_not_explained() {
         let same = [Vector2::new(0.1, 0.0); 3];
-        assert!(identify(&same, &expected()).is_none_or(|(w, _)| w.residual_rad < RESIDUAL_MAX_RAD));
+        assert!(
+            identify(&same, &expected()).is_none_or(|(w, _)| w.residual_rad < RESIDUAL_MAX_RAD)
+        );
     }
 }

@@ -19,7 +19,11 @@ pub(super) enum Guide {
     /// Set-points whose clock is behind that of the loop by `offset_s`.
     Stream { offset_s: f64 },
     /// An orientation in the world, which is the base at the alignment. `reached`: the tip can bend that far now.
-    World { aim: Rotation<World, Tip>, length: Mm, reached: bool },
+    World {
+        aim: Rotation<World, Tip>,
+        length: Mm,
+        reached: bool,
+    },
     /// An orientation in the world until the IMU on the base failed; now the last bend is a target.
     Lost,
 }
@@ -34,7 +38,11 @@ pub(super) struct Recent {
 
 impl Default for Recent {
     fn default() -> Self {
-        Self { t_s: [0.0; ROWS], rows: [Vector3::zeros(); ROWS], count: 0 }
+        Self {
+            t_s: [0.0; ROWS],
+            rows: [Vector3::zeros(); ROWS],
+            count: 0,
+        }
     }
 }
 
@@ -53,13 +61,18 @@ impl Recent {
             self.rows.copy_within(1.., 0);
             self.count -= 1;
         }
-        (self.t_s[self.count], self.rows[self.count]) = (t_s, Vector3::new(shape.bend.0.x, shape.bend.0.y, shape.length.0));
+        (self.t_s[self.count], self.rows[self.count]) = (
+            t_s,
+            Vector3::new(shape.bend.0.x, shape.bend.0.y, shape.length.0),
+        );
         self.count += 1;
     }
 
     /// What is expected at `wanted_s` from the set-points up to then.
     pub(super) fn expected(&self, wanted_s: f64, pace: &Pace) -> Option<Reference> {
-        let due = self.t_s[..self.count].partition_point(|t| *t <= wanted_s).max(1);
+        let due = self.t_s[..self.count]
+            .partition_point(|t| *t <= wanted_s)
+            .max(1);
         (self.count > 0).then(|| expected(&self.t_s[..due], &self.rows[..due], wanted_s, pace))
     }
 }

@@ -24,21 +24,41 @@ impl Supervisor {
     /// Follows the loaded path from its beginning.
     pub(super) fn play(&mut self, now_s: f64) -> Result<(), Refusal> {
         let first = self.path.as_ref().ok_or(Refusal::NoPath)?.at(0.0).shape;
-        self.lead_by(Guide::Path { began_s: now_s }, &Command { bend: first.bend, length: first.length }, None, None)
+        self.lead_by(
+            Guide::Path { began_s: now_s },
+            &Command {
+                bend: first.bend,
+                length: first.length,
+            },
+            None,
+            None,
+        )
     }
 
     /// Takes a set-point with a time. The first one starts the clock of the stream, and so does one that comes too late.
-    pub(super) fn stream(&mut self, command: &Command, t_s: f64, now_s: f64) -> Result<(), Refusal> {
+    pub(super) fn stream(
+        &mut self,
+        command: &Command,
+        t_s: f64,
+        now_s: f64,
+    ) -> Result<(), Refusal> {
         if !t_s.is_finite() {
             return Err(Refusal::NotANumber);
         }
         let running = match self.guide {
-            Guide::Stream { offset_s } if t_s + offset_s >= now_s - self.config.dead_man_s => Some(offset_s),
+            Guide::Stream { offset_s } if t_s + offset_s >= now_s - self.config.dead_man_s => {
+                Some(offset_s)
+            }
             _ => None,
         };
         let offset_s = running.unwrap_or(now_s - t_s);
         let at_s = t_s + offset_s;
-        if running.is_some() && self.recent.newest_s().is_some_and(|newest_s| at_s <= newest_s) {
+        if running.is_some()
+            && self
+                .recent
+                .newest_s()
+                .is_some_and(|newest_s| at_s <= newest_s)
+        {
             return Err(Refusal::Backwards);
         }
         if at_s > now_s + AHEAD_MAX_S {
@@ -50,22 +70,47 @@ impl Supervisor {
         if running.is_none() {
             self.recent.clear();
         }
-        self.recent.push(at_s, &Shape { bend: command.bend, length: command.length });
+        self.recent.push(
+            at_s,
+            &Shape {
+                bend: command.bend,
+                length: command.length,
+            },
+        );
         Ok(())
     }
 
     /// Keeps the tip at the orientation in the world that this bend has now.
-    pub(super) fn point(&mut self, command: &Command, speed_rad_s: Option<f64>) -> Result<(), Refusal> {
+    pub(super) fn point(
+        &mut self,
+        command: &Command,
+        speed_rad_s: Option<f64>,
+    ) -> Result<(), Refusal> {
         if !self.state.fusion.tracks_base() {
             return Err(Refusal::NoBase);
         }
         let aim = self.state.fusion.base_attitude() * command.bend.rotation();
-        self.lead_by(Guide::World { aim, length: command.length, reached: true }, command, speed_rad_s, None)?;
+        self.lead_by(
+            Guide::World {
+                aim,
+                length: command.length,
+                reached: true,
+            },
+            command,
+            speed_rad_s,
+            None,
+        )?;
         self.recent.clear();
         Ok(())
     }
 
-    fn lead_by(&mut self, guide: Guide, to: &Command, speed_rad_s: Option<f64>, until_s: Option<f64>) -> Result<(), Refusal> {
+    fn lead_by(
+        &mut self,
+        guide: Guide,
+        to: &Command,
+        speed_rad_s: Option<f64>,
+        until_s: Option<f64>,
+    ) -> Result<(), Refusal> {
         self.bend(to, speed_rad_s, until_s)?;
         (self.guide, self.pending.command) = (guide, None);
         Ok(())
@@ -74,7 +119,10 @@ impl Supervisor {
     /// Ends the guide: the tip comes to rest at `shape`.
     fn rest_at(&mut self, shape: Shape) {
         self.guide = Guide::Target;
-        self.pending.command = Some(Command { bend: shape.bend, length: shape.length });
+        self.pending.command = Some(Command {
+            bend: shape.bend,
+            length: shape.length,
+        });
     }
 
     /// The moving reference of this cycle.
@@ -102,13 +150,34 @@ impl Supervisor {
                     self.guide = Guide::Lost;
                     return None;
                 }
-                if self.recent.newest_s().is_none_or(|newest_s| now_s - newest_s >= WORLD_EVERY_S) {
-                    let wanted: Rotation<Base, Tip> = self.state.fusion.base_attitude().inverse() * aim;
-                    let shape = Shape { bend: Bend::from_axis(&self.untwisted(&wanted.apply(&Vector3::z()))), length };
+                if self
+                    .recent
+                    .newest_s()
+                    .is_none_or(|newest_s| now_s - newest_s >= WORLD_EVERY_S)
+                {
+                    let wanted: Rotation<Base, Tip> =
+                        self.state.fusion.base_attitude().inverse() * aim;
+                    let shape = Shape {
+                        bend: Bend::from_axis(&self.untwisted(&wanted.apply(&Vector3::z()))),
+                        length,
+                    };
                     let config = &self.config.tick;
-                    let share = config.limits.largest_share(&config.geometry, self.state.lines(), &shape);
-                    self.recent.push(now_s, &Shape { bend: Bend(shape.bend.0 * share), length });
-                    self.guide = Guide::World { aim, length, reached: share >= 1.0 };
+                    let share =
+                        config
+                            .limits
+                            .largest_share(&config.geometry, self.state.lines(), &shape);
+                    self.recent.push(
+                        now_s,
+                        &Shape {
+                            bend: Bend(shape.bend.0 * share),
+                            length,
+                        },
+                    );
+                    self.guide = Guide::World {
+                        aim,
+                        length,
+                        reached: share >= 1.0,
+                    };
                 }
                 self.recent.expected(wanted_s, &self.config.tick.bend_pace)
             }
@@ -117,7 +186,11 @@ impl Supervisor {
 
     /// The axis of a tip without twist whose twisted tip has this axis: R = Rz(ψ/2) R(bend) Rz(ψ/2).
     fn untwisted(&self, axis: &Vector3<f64>) -> Vector3<f64> {
-        let half = self.state.fusion.estimate().map_or(0.0, |e| e.r_base_tip.quat().k.atan2(e.r_base_tip.quat().w));
+        let half = self
+            .state
+            .fusion
+            .estimate()
+            .map_or(0.0, |e| e.r_base_tip.quat().k.atan2(e.r_base_tip.quat().w));
         UnitQuaternion::from_scaled_axis(Vector3::z() * -half) * axis
     }
 
@@ -125,7 +198,9 @@ impl Supervisor {
     pub(super) fn guidance(&self, now_s: f64) -> Guidance {
         match self.guide {
             Guide::Target => Guidance::Target,
-            Guide::Path { began_s } => Guidance::Path { at_s: now_s - began_s },
+            Guide::Path { began_s } => Guidance::Path {
+                at_s: now_s - began_s,
+            },
             Guide::Stream { .. } => Guidance::Stream,
             Guide::World { reached: true, .. } => Guidance::World,
             Guide::World { .. } => Guidance::WorldOutOfReach,

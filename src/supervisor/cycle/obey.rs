@@ -21,12 +21,18 @@ impl Supervisor {
             Order::Arm => self.arm(),
             _ if self.stopped && order.starts_motion() => Err(Refusal::Stopped),
             Order::Disarm => self.disarm(),
-            _ if order.leads_setpoint() && self.mode().moves() && !sensed.energised => Err(Refusal::Busy),
+            _ if order.leads_setpoint() && self.mode().moves() && !sensed.energised => {
+                Err(Refusal::Busy)
+            }
             Order::Bend(command, speed_rad_s) => self.bend(&command, speed_rad_s, None),
-            Order::Stream(_) | Order::Timed(..) | Order::Play | Order::World(..) if self.mode() == Mode::Calibrating => {
+            Order::Stream(_) | Order::Timed(..) | Order::Play | Order::World(..)
+                if self.mode() == Mode::Calibrating =>
+            {
                 Err(Refusal::Mode(Mode::Calibrating))
             }
-            Order::Stream(command) => self.bend(&command, None, Some(sensed.t.0 + self.config.dead_man_s)),
+            Order::Stream(command) => {
+                self.bend(&command, None, Some(sensed.t.0 + self.config.dead_man_s))
+            }
             Order::Timed(command, t_s) => self.stream(&command, t_s, sensed.t.0),
             Order::Play => self.play(sensed.t.0),
             Order::World(command, speed_rad_s) => self.point(&command, speed_rad_s),
@@ -69,7 +75,12 @@ impl Supervisor {
         Ok(())
     }
 
-    pub(super) fn bend(&mut self, command: &Command, speed_rad_s: Option<f64>, stream_until_s: Option<f64>) -> Result<(), Refusal> {
+    pub(super) fn bend(
+        &mut self,
+        command: &Command,
+        speed_rad_s: Option<f64>,
+        stream_until_s: Option<f64>,
+    ) -> Result<(), Refusal> {
         self.check_target(command)?;
         if self.gate.is_braking() {
             return Err(Refusal::Busy);
@@ -81,7 +92,10 @@ impl Supervisor {
         if !matches!(self.mode(), Mode::Tracking | Mode::Calibrating) {
             self.take(Event::Bend)?;
         }
-        if let ModeState::Tracking { stream_until_s: until_s } = &mut self.mode {
+        if let ModeState::Tracking {
+            stream_until_s: until_s,
+        } = &mut self.mode
+        {
             *until_s = stream_until_s;
         }
         self.config.tick.bend_pace = Pace { speed, ..self.pace };
@@ -101,9 +115,14 @@ impl Supervisor {
         } else if !(limits.bellow_min_mm..=limits.bellow_max_mm).contains(&length_mm) {
             Err(Refusal::Length)
         } else {
-            let shape = Shape { bend: command.bend, length: command.length };
+            let shape = Shape {
+                bend: command.bend,
+                length: command.length,
+            };
             match limits.largest_share(&self.config.tick.geometry, self.state.lines(), &shape) {
-                share if share < 1.0 => Err(Refusal::Unreachable((bend.norm().to_degrees() * share * 10.0) as u16)),
+                share if share < 1.0 => Err(Refusal::Unreachable(
+                    (bend.norm().to_degrees() * share * 10.0) as u16,
+                )),
                 _ => Ok(()),
             }
         }
@@ -115,7 +134,10 @@ impl Supervisor {
             ModeState::Tracking { stream_until_s } => {
                 *stream_until_s = None;
                 self.guide = Guide::Target;
-                self.pending.command = Some(Command { bend: self.setpoint.bend, length: self.setpoint.length });
+                self.pending.command = Some(Command {
+                    bend: self.setpoint.bend,
+                    length: self.setpoint.length,
+                });
                 Ok(())
             }
             other => Err(Refusal::Mode(other.mode())),
@@ -178,7 +200,9 @@ impl Supervisor {
         }
         let confirmed = match self.off_straight_rad() {
             Some(rad) if rad.to_degrees() <= self.config.restart_check.straight_deg => Ok(()),
-            Some(rad) => Err(Refusal::NotStraight((rad.to_degrees() * 10.0).round() as u16)),
+            Some(rad) => Err(Refusal::NotStraight(
+                (rad.to_degrees() * 10.0).round() as u16
+            )),
             None => Err(Refusal::Unmeasured),
         };
         if asserted {
@@ -237,7 +261,10 @@ impl Supervisor {
     }
 
     fn change_lines(&mut self, lines: [Line; 3]) -> Result<(), Refusal> {
-        if !lines.iter().all(|l| (0.0..=10.0).contains(&l.k_epsilon) && (0.0..=3.0).contains(&l.k_lambda_mm)) {
+        if !lines
+            .iter()
+            .all(|l| (0.0..=10.0).contains(&l.k_epsilon) && (0.0..=3.0).contains(&l.k_lambda_mm))
+        {
             return Err(Refusal::Gains);
         }
         let mode = self.mode();

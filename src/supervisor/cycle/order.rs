@@ -50,7 +50,10 @@ impl Order {
 
     /// True for an order that gives the set-point a target or another lead.
     pub fn leads_setpoint(&self) -> bool {
-        matches!(self, Self::Bend(..) | Self::Stream(_) | Self::Timed(..) | Self::Play | Self::World(..))
+        matches!(
+            self,
+            Self::Bend(..) | Self::Stream(_) | Self::Timed(..) | Self::Play | Self::World(..)
+        )
     }
 }
 
@@ -75,10 +78,14 @@ pub enum Refusal {
     )]
     Unmeasured,
     /// A fault is latched.
-    #[error("a fault is latched; see `retroflex status`, remove the cause, then `retroflex reset-fault`")]
+    #[error(
+        "a fault is latched; see `retroflex status`, remove the cause, then `retroflex reset-fault`"
+    )]
     Latched,
     /// The cause of the fault persists.
-    #[error("the cause of the fault persists: release the emergency stop, or remove the cause that `retroflex status` names")]
+    #[error(
+        "the cause of the fault persists: release the emergency stop, or remove the cause that `retroflex status` names"
+    )]
     StillThere,
     /// A value is NaN or infinite.
     #[error("bend, direction, length and speed must be finite numbers")]
@@ -96,7 +103,9 @@ pub enum Refusal {
     #[error("the speed must lie between 0.1 and 720 °/s")]
     Speed,
     /// The pistons are not at zero.
-    #[error("the pistons are not at zero: run `retroflex relax` first, so that the tip is really at rest")]
+    #[error(
+        "the pistons are not at zero: run `retroflex relax` first, so that the tip is really at rest"
+    )]
     NotAtRest,
     /// The gains are outside the physical range.
     #[error("gains must lie within 0 to 10 (k_ε) and 0 to 3 mm (k_λ)")]
@@ -105,7 +114,9 @@ pub enum Refusal {
     #[error("still braking or energising; try again in a moment")]
     Busy,
     /// No IMU on the base measures how it turns.
-    #[error("no healthy IMU on the base measures how it turns: bend without `--world`, or see `retroflex status`")]
+    #[error(
+        "no healthy IMU on the base measures how it turns: bend without `--world`, or see `retroflex status`"
+    )]
     NoBase,
     /// The time of a set-point is not later than that of the one before.
     #[error("the times of a stream must increase")]
@@ -145,7 +156,9 @@ pub fn hint(mode: Mode) -> &'static str {
         Mode::Tracking => "`retroflex stop` first",
         Mode::Relaxing => "the tip is returning to rest",
         Mode::Calibrating => "a calibration is running; `retroflex stop` ends it",
-        Mode::Faulted => "remove the cause, then `retroflex reset-fault`; `retroflex relax` returns the tip to rest",
+        Mode::Faulted => {
+            "remove the cause, then `retroflex reset-fault`; `retroflex relax` returns the tip to rest"
+        }
         Mode::Lost => {
             "the position of the pistons is unknown; relax the tip by hand, then run `retroflex zero`; `retroflex relax` drives back by the remembered steps"
         }

@@ -25,9 +25,15 @@ parameters! {
 
 /// True if the alignment that has just ended agrees with the remembered state.
 pub fn agrees(config: &RestartCheckConfig, remembered: &RestartState, state: &LoopState) -> bool {
-    let (Some(now), Some(then)) = (state.fusion.alignment(), &remembered.rest) else { return false };
+    let (Some(now), Some(then)) = (state.fusion.alignment(), &remembered.rest) else {
+        return false;
+    };
     let tip_from_base = Bend(remembered.bend_rad.into()).rotation().inverse();
-    let angle_deg = |measured: &Vector3<f64>, rest: [f64; 3]| measured.angle(&tip_from_base.apply(&Vector3::from(rest))).to_degrees();
+    let angle_deg = |measured: &Vector3<f64>, rest: [f64; 3]| {
+        measured
+            .angle(&tip_from_base.apply(&Vector3::from(rest)))
+            .to_degrees()
+    };
     let gravity = angle_deg(&now.acc_rest_m_s2, then.acc_m_s2) <= config.gravity_deg;
     let field = match (now.mag_rest_ut, then.mag_ut) {
         (Some(measured), Some(rest)) => angle_deg(&measured, rest) <= config.field_deg,
@@ -41,6 +47,11 @@ pub fn agrees(config: &RestartCheckConfig, remembered: &RestartState, state: &Lo
 pub fn resume(config: &LoopConfig, state: &mut LoopState, remembered: &RestartState) {
     let Some(rest) = &remembered.rest else { return };
     let bend = Bend(remembered.bend_rad.into());
-    state.fusion.assume(&config.fuse, bend, &Vector3::from(rest.acc_m_s2), rest.mag_ut.map(Vector3::from));
+    state.fusion.assume(
+        &config.fuse,
+        bend,
+        &Vector3::from(rest.acc_m_s2),
+        rest.mag_ut.map(Vector3::from),
+    );
     state.take_up(config, remembered);
 }

@@ -19,14 +19,23 @@ impl<M: Machine> Runner<M> {
     /// A runner before its first cycle.
     pub fn new(machine: M, supervisor: Supervisor) -> Self {
         let wanted = supervisor.keep().steps;
-        Self { machine, supervisor, wanted, energised: None }
+        Self {
+            machine,
+            supervisor,
+            wanted,
+            energised: None,
+        }
     }
 
     /// One cycle at `now`: exchanges counts and samples with the machine, then runs the supervisor.
     ///
     /// # Errors
     /// [`MachineError`] of the machine.
-    pub fn turn(&mut self, now: Seconds, order: Option<Order>) -> Result<CycleOutput, MachineError> {
+    pub fn turn(
+        &mut self,
+        now: Seconds,
+        order: Option<Order>,
+    ) -> Result<CycleOutput, MachineError> {
         let sensed = self.machine.turn(now, &self.wanted)?;
         let output = self.supervisor.turn(&sensed, order);
         if self.energised != Some(output.energise) {

@@ -25,10 +25,20 @@ pub(super) struct SensorWatch {
 
 impl SensorWatch {
     /// One tick of `dt_s`; returns the causes that came into force. The rate is integrated over `paced_s`.
-    pub(super) fn step(&mut self, fusion: &Fusion, frame: &Frame, dt_s: f64, paced_s: f64) -> CauseSet {
+    pub(super) fn step(
+        &mut self,
+        fusion: &Fusion,
+        frame: &Frame,
+        dt_s: f64,
+        paced_s: f64,
+    ) -> CauseSet {
         let verdict = fusion.verdict();
         if let Some(verdict) = &verdict {
-            self.blind_s = if verdict.gyro { 0.0 } else { self.blind_s + dt_s };
+            self.blind_s = if verdict.gyro {
+                0.0
+            } else {
+                self.blind_s + dt_s
+            };
         }
         let rests = frame.estimate.is_some() && frame.phase == TickPhase::Holding;
         self.resting_s = if rests { self.resting_s + paced_s } else { 0.0 };
@@ -45,8 +55,13 @@ impl SensorWatch {
         if self.resting_s > 3.0 * RESTING_S && self.rate_rad_s.norm() > RESTING_RAD_S {
             return true;
         }
-        let now = fusion.estimator().and_then(|e| e.as_bend()).map(|f| f.gyro_bias_rad_s());
-        let (Some(now), Some(rest)) = (now, fusion.alignment()) else { return false };
+        let now = fusion
+            .estimator()
+            .and_then(|e| e.as_bend())
+            .map(|f| f.gyro_bias_rad_s());
+        let (Some(now), Some(rest)) = (now, fusion.alignment()) else {
+            return false;
+        };
         (now - rest.gyro_bias_rad_s).norm() > BIAS_MOVED_RAD_S
     }
 }

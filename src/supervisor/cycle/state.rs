@@ -52,7 +52,10 @@ impl ModeState {
 
 /// What is known about the position of the pistons.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[allow(clippy::large_enum_variant, reason = "lives in the state of the loop, which may not allocate")]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "lives in the state of the loop, which may not allocate"
+)]
 pub(super) enum Position {
     /// The counts are valid.
     Known,
@@ -125,7 +128,10 @@ impl Supervisor {
             sensors: SensorWatch::default(),
             last: None,
             sent,
-            setpoint: Shape { bend: Bend::STRAIGHT, length: Mm(config.tick.geometry.rest_length_mm) },
+            setpoint: Shape {
+                bend: Bend::STRAIGHT,
+                length: Mm(config.tick.geometry.rest_length_mm),
+            },
             pace: config.tick.bend_pace,
             clearing_s: 0.0,
             pending,
@@ -146,7 +152,10 @@ impl Supervisor {
 
     /// The remembered state is unusable: the supervisor asks for `zero` whatever the sensors measure.
     pub fn doubt(&mut self) {
-        self.position = Position::Unchecked(RestartState { rest: None, ..self.state.keep(&self.sent) });
+        self.position = Position::Unchecked(RestartState {
+            rest: None,
+            ..self.state.keep(&self.sent)
+        });
     }
 
     /// Takes over from a supervisor what a fresh one must not forget: the latch of a stop and an unverified zero.
@@ -204,9 +213,15 @@ impl Supervisor {
         let counted = self.last.map_or(self.sent, |sensed| sensed.counted);
         match self.position {
             Position::Known => self.state.keep(&counted),
-            Position::Unchecked(remembered) => RestartState { rest: self.straight, ..remembered },
+            Position::Unchecked(remembered) => RestartState {
+                rest: self.straight,
+                ..remembered
+            },
             // the alignment of a tip at an unknown position does not replace that of the straight tip
-            Position::Adrift => RestartState { rest: self.straight, ..self.state.keep(&counted) },
+            Position::Adrift => RestartState {
+                rest: self.straight,
+                ..self.state.keep(&counted)
+            },
         }
     }
 
@@ -247,13 +262,20 @@ impl Supervisor {
             Mode::Aligning => ModeState::Aligning,
             Mode::Disarmed => ModeState::Disarmed,
             Mode::Holding => ModeState::Holding,
-            Mode::Tracking => ModeState::Tracking { stream_until_s: None },
+            Mode::Tracking => ModeState::Tracking {
+                stream_until_s: None,
+            },
             Mode::Relaxing => ModeState::Relaxing { arriving: false },
-            Mode::Calibrating => ModeState::Calibrating { feedback: self.config.tick.feedback.take() },
+            Mode::Calibrating => ModeState::Calibrating {
+                feedback: self.config.tick.feedback.take(),
+            },
             Mode::Faulted => ModeState::Faulted,
             Mode::Lost => ModeState::Lost,
         };
-        if let ModeState::Calibrating { feedback: Some(feedback) } = std::mem::replace(&mut self.mode, next) {
+        if let ModeState::Calibrating {
+            feedback: Some(feedback),
+        } = std::mem::replace(&mut self.mode, next)
+        {
             self.config.tick.feedback = Some(feedback);
         }
         Ok(())
@@ -266,7 +288,10 @@ impl Supervisor {
 
     /// The estimated bend, or straight before the alignment.
     pub(super) fn estimated_bend(&self) -> Bend {
-        self.state.fusion.estimate().map_or(Bend::STRAIGHT, |e| e.bend)
+        self.state
+            .fusion
+            .estimate()
+            .map_or(Bend::STRAIGHT, |e| e.bend)
     }
 
     /// The controller continues from the present position of the pistons and holds the tip at `at`.

@@ -9,14 +9,18 @@ use crate::supervisor::cycle::state::{ModeState, Position};
 use crate::supervisor::gate::{Following, GateInput};
 use crate::supervisor::mode::Event;
 use crate::supervisor::residual_monitor::ResidualInput;
-use crate::supervisor::{Alarm, CycleOutput, Mode, Order, SafeState, Sensed, Supervisor, TripCause};
+use crate::supervisor::{
+    Alarm, CycleOutput, Mode, Order, SafeState, Sensed, Supervisor, TripCause,
+};
 use nalgebra::{Vector2, Vector3};
 
 impl Supervisor {
     /// One cycle.
     pub fn turn(&mut self, sensed: &Sensed, order: Option<Order>) -> CycleOutput {
         let first = self.last.is_none();
-        let dt_s = self.last.map_or(self.config.gate.tick_s, |last| sensed.t.0 - last.t.0);
+        let dt_s = self
+            .last
+            .map_or(self.config.gate.tick_s, |last| sensed.t.0 - last.t.0);
         self.last = Some(*sensed);
         if self.mode() == Mode::Boot {
             self.occur(Event::Opened);
@@ -26,7 +30,9 @@ impl Supervisor {
         let input = self.tick_input(sensed, dt_s);
         let frame = tick(&self.config.tick, &mut self.state, &input);
         self.setpoint = frame.setpoint;
-        let raised = self.sensors.step(&self.state.fusion, &frame, dt_s, input.dt_s);
+        let raised = self
+            .sensors
+            .step(&self.state.fusion, &frame, dt_s, input.dt_s);
         self.follow_alignment(&frame);
         let tripped = self.pass_gate(&frame, sensed, dt_s);
         self.follow_motion(&frame, sensed);
@@ -48,8 +54,16 @@ impl Supervisor {
             suspicion: self.residual.suspicion().copied(),
             suspects,
             raised,
-            base_imu: self.state.fusion.base_health().map(|(in_force, _)| (self.state.fusion.tracks_base(), in_force)),
-            base_raised: self.state.fusion.base_health().map_or(CauseSet::EMPTY, |(_, raised)| raised),
+            base_imu: self
+                .state
+                .fusion
+                .base_health()
+                .map(|(in_force, _)| (self.state.fusion.tracks_base(), in_force)),
+            base_raised: self
+                .state
+                .fusion
+                .base_health()
+                .map_or(CauseSet::EMPTY, |(_, raised)| raised),
             bias_moved: self.sensors.bias_moved(&self.state.fusion),
             stream_ended,
             guidance: self.guidance(sensed.t.0),
@@ -92,16 +106,22 @@ impl Supervisor {
 
     /// Leaves `aligning` once the rest pose is known and, after a restart, the remembered pose has been checked.
     fn follow_alignment(&mut self, frame: &Frame) {
-        if self.mode() != Mode::Aligning || frame.estimate.is_none() || self.state.fusion.realigning() {
+        if self.mode() != Mode::Aligning
+            || frame.estimate.is_none()
+            || self.state.fusion.realigning()
+        {
             return;
         }
         match self.position {
             Position::Known => {
-                self.state.stand(&self.config.tick, &self.sent, Bend::STRAIGHT);
+                self.state
+                    .stand(&self.config.tick, &self.sent, Bend::STRAIGHT);
                 self.straight = self.state.keep(&self.sent).rest;
                 self.occur(Event::Aligned);
             }
-            Position::Unchecked(remembered) if restart_check::agrees(&self.config.restart_check, &remembered, &self.state) => {
+            Position::Unchecked(remembered)
+                if restart_check::agrees(&self.config.restart_check, &remembered, &self.state) =>
+            {
                 restart_check::resume(&self.config.tick, &mut self.state, &remembered);
                 self.position = Position::Known;
                 self.occur(Event::Aligned);
@@ -119,7 +139,11 @@ impl Supervisor {
         let input = self.gate_input(frame, sensed, dt_s);
         if (input.armed && !sensed.energised) || (self.stopped && self.mode().moves()) {
             // drivers that are not energised yet lose steps, and after a stop the gate stands: the controller waits
-            self.state.stand(&self.config.tick, &self.sent, frame.estimate.map_or(Bend::STRAIGHT, |e| e.bend));
+            self.state.stand(
+                &self.config.tick,
+                &self.sent,
+                frame.estimate.map_or(Bend::STRAIGHT, |e| e.bend),
+            );
         }
         if self.stopped && self.gate.is_returning() {
             self.gate.stand();
@@ -144,16 +168,30 @@ impl Supervisor {
         let open_loop = matches!(self.mode, ModeState::Calibrating { feedback: Some(_) });
         let must_follow = armed && !open_loop && !frame.senses.held;
         let geometry = &self.config.tick.geometry;
-        let bellow_mm = |bend| geometry.lengths(&Shape { bend, length: frame.setpoint.length }).into();
+        let bellow_mm = |bend| {
+            geometry
+                .lengths(&Shape {
+                    bend,
+                    length: frame.setpoint.length,
+                })
+                .into()
+        };
         let setpoint = frame.setpoint.bend.0.into();
         GateInput {
             dt_s,
-            wanted: if armed && sensed.energised { frame.steps } else { self.sent },
+            wanted: if armed && sensed.energised {
+                frame.steps
+            } else {
+                self.sent
+            },
             counted: sensed.counted,
             counted_age_s: sensed.counted_age_s,
             armed,
             estimated_bellow_mm: frame.estimate.map(|e| bellow_mm(e.bend)),
-            following: frame.estimate.filter(|_| must_follow).map(|e| Following { setpoint, estimate: e.bend.0.into() }),
+            following: frame.estimate.filter(|_| must_follow).map(|e| Following {
+                setpoint,
+                estimate: e.bend.0.into(),
+            }),
             stale_s: self.sensors.blind_s,
             disagree: frame.senses.disagrees,
             emergency_stop: sensed.inputs.emergency_stop,
@@ -170,7 +208,9 @@ impl Supervisor {
 
     /// Ends `relaxing` once the machine has counted the last step of the return.
     fn follow_return(&mut self, rested: bool, sensed: &Sensed) {
-        let ModeState::Relaxing { arriving } = &mut self.mode else { return };
+        let ModeState::Relaxing { arriving } = &mut self.mode else {
+            return;
+        };
         *arriving |= rested;
         if !*arriving || sensed.counted != self.sent {
             return;
@@ -197,14 +237,21 @@ impl Supervisor {
         if !(self.stopped && self.mode().moves()) && self.gate.hand_over(&sensed.counted) {
             self.take_over(frame.estimate.map_or(Bend::STRAIGHT, |e| e.bend));
         }
-        if self.mode == (ModeState::Tracking { stream_until_s: None }) && frame.phase == TickPhase::Holding {
+        if self.mode
+            == (ModeState::Tracking {
+                stream_until_s: None,
+            })
+            && frame.phase == TickPhase::Holding
+        {
             self.occur(Event::Settled);
         }
     }
 
     /// Steps the residual monitor; true if it has a new suspicion.
     fn monitor_residual(&mut self, frame: &Frame, sensed: &Sensed, dt_s: f64) -> bool {
-        let Some(estimate) = frame.estimate.filter(|_| self.leads()) else { return false };
+        let Some(estimate) = frame.estimate.filter(|_| self.leads()) else {
+            return false;
+        };
         if frame.base_moved {
             // the base explains the residual until the next alignment
             self.residual.forget();
@@ -226,7 +273,11 @@ impl Supervisor {
     fn bend_without_play(&self, sensed: &Sensed) -> Vector2<f64> {
         let (config, lines) = (&self.config.tick, self.state.lines());
         let piston_mm = config.drive.piston_mm(&sensed.counted);
-        config.geometry.shape(&Vector3::from_fn(|i, _| lines[i].bellow_mm(piston_mm[i]))).bend.0
+        config
+            .geometry
+            .shape(&Vector3::from_fn(|i, _| lines[i].bellow_mm(piston_mm[i])))
+            .bend
+            .0
     }
 
     /// Whether the drivers shall be energised: holding torque keeps a bent tip in place, and at zero none is needed.
@@ -236,7 +287,9 @@ impl Supervisor {
             // a return by unknown counts that was stopped keeps its pressure
             Mode::Lost => self.stopped && self.last.is_some_and(|sensed| sensed.energised),
             Mode::Holding | Mode::Tracking | Mode::Calibrating | Mode::Relaxing => true,
-            Mode::Disarmed | Mode::Faulted => (!self.is_at_rest() || self.gate.is_busy()) && self.position != Position::Adrift,
+            Mode::Disarmed | Mode::Faulted => {
+                (!self.is_at_rest() || self.gate.is_busy()) && self.position != Position::Adrift
+            }
         }
     }
 
@@ -244,6 +297,8 @@ impl Supervisor {
     /// unless the board file prefers another reaction to a loop that hangs.
     fn finds_energised(&self) -> bool {
         let energised = self.last.is_some_and(|sensed| sensed.energised);
-        energised && matches!(self.position, Position::Unchecked(_)) && self.config.gate.on.late == SafeState::Hold
+        energised
+            && matches!(self.position, Position::Unchecked(_))
+            && self.config.gate.on.late == SafeState::Hold
     }
 }

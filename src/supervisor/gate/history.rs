@@ -30,7 +30,14 @@ pub(super) struct History {
 impl History {
     /// Pistons that have rested for both windows, presumably at `at`.
     pub(super) fn resting(at: &Steps, step_mm: f64, tick_s: f64) -> Self {
-        Self { step_mm, counted: [*at; 2 * WINDOW + 1], took_s: [tick_s; 2 * WINDOW + 1], head: 0, since_s: 0.0, fresh: true }
+        Self {
+            step_mm,
+            counted: [*at; 2 * WINDOW + 1],
+            took_s: [tick_s; 2 * WINDOW + 1],
+            head: 0,
+            since_s: 0.0,
+            fresh: true,
+        }
     }
 
     /// The counts of the last tick.
@@ -63,14 +70,21 @@ impl History {
     pub(super) fn acceleration(&self, i: usize) -> Quotient {
         let (now, then) = (self.mean_speed(i, 0), self.mean_speed(i, WINDOW));
         let between_s = (self.took_s(0) + self.took_s(WINDOW)) / 2.0;
-        Quotient { value: (now.value - then.value) / between_s, resolution: (now.resolution + then.resolution) / between_s }
+        Quotient {
+            value: (now.value - then.value) / between_s,
+            resolution: (now.resolution + then.resolution) / between_s,
+        }
     }
 
     /// Mean speed of channel `i` over the window that ended `ago` ticks ago, mm/s.
     fn mean_speed(&self, i: usize, ago: usize) -> Quotient {
-        let [end, start] = [ago, ago + WINDOW].map(|ticks| f64::from(self.counted[self.back(ticks)].0[i]));
+        let [end, start] =
+            [ago, ago + WINDOW].map(|ticks| f64::from(self.counted[self.back(ticks)].0[i]));
         let took_s = self.took_s(ago);
-        Quotient { value: (end - start) * self.step_mm / took_s, resolution: self.step_mm / took_s }
+        Quotient {
+            value: (end - start) * self.step_mm / took_s,
+            resolution: self.step_mm / took_s,
+        }
     }
 
     fn back(&self, ticks: usize) -> usize {
@@ -79,7 +93,9 @@ impl History {
 
     /// Duration of the window that ended `ago` ticks ago, s.
     fn took_s(&self, ago: usize) -> f64 {
-        (ago..ago + WINDOW).map(|ticks| self.took_s[self.back(ticks)]).sum()
+        (ago..ago + WINDOW)
+            .map(|ticks| self.took_s[self.back(ticks)])
+            .sum()
     }
 }
 

@@ -8,7 +8,10 @@
 //! acceleration on the counts that the machine reports: the machine paces the way to a request itself. The gate's own
 //! motion begins at the counted position with the counted speed.
 
-#![allow(clippy::neg_cmp_op_on_partial_ord, reason = "NaN is outside every limit")]
+#![allow(
+    clippy::neg_cmp_op_on_partial_ord,
+    reason = "NaN is outside every limit"
+)]
 
 mod following;
 mod history;
@@ -131,7 +134,9 @@ impl Gate {
 
     /// True while the gate moves the pistons itself.
     pub fn is_busy(&self) -> bool {
-        self.is_returning() || self.is_braking() || (self.motion == Motion::Standing && self.speed_mm_s != [0.0; 3])
+        self.is_returning()
+            || self.is_braking()
+            || (self.motion == Motion::Standing && self.speed_mm_s != [0.0; 3])
     }
 
     /// Clears the latched cause and passes again, with the pistons at rest at these counts.
@@ -173,12 +178,15 @@ impl Gate {
 
     /// One tick.
     pub fn pass(&mut self, input: &GateInput) -> GateOutput {
-        self.following.step(&self.limits, input.following, input.dt_s);
+        self.following
+            .step(&self.limits, input.following, input.dt_s);
         if self.motion == Motion::Passing && !input.armed {
             // the counts of pistons at rest may be declared anew
-            self.history = History::resting(&input.counted, self.limits.step_mm, self.limits.tick_s);
+            self.history =
+                History::resting(&input.counted, self.limits.step_mm, self.limits.tick_s);
         }
-        self.history.push(input.counted, input.dt_s, input.counted_age_s);
+        self.history
+            .push(input.counted, input.dt_s, input.counted_age_s);
         let tripped = self.check(input);
         if let Some(cause) = tripped {
             self.latched = Some(self.latched.unwrap_or(cause));
@@ -195,10 +203,17 @@ impl Gate {
             Motion::Passing => self.sent = input.wanted,
             Motion::Braking | Motion::Standing => self.go(input.dt_s, |_, _| 0.0),
             Motion::Returning => {
-                let GateLimits { brake_mm_s2, relax_mm_s, .. } = self.limits;
+                let GateLimits {
+                    brake_mm_s2,
+                    relax_mm_s,
+                    ..
+                } = self.limits;
                 self.go(input.dt_s, |at_mm, dt_s| {
                     let to_go = at_mm.abs();
-                    -at_mm.signum() * relax_mm_s.min((brake_mm_s2 * to_go).sqrt()).min(to_go / dt_s)
+                    -at_mm.signum()
+                        * relax_mm_s
+                            .min((brake_mm_s2 * to_go).sqrt())
+                            .min(to_go / dt_s)
                 });
                 rested = self.arrive();
             }
@@ -207,7 +222,12 @@ impl Gate {
                 self.sent = input.counted;
             }
         }
-        GateOutput { steps: self.sent, energise: self.motion != Motion::Released, tripped, rested }
+        GateOutput {
+            steps: self.sent,
+            energise: self.motion != Motion::Released,
+            tripped,
+            rested,
+        }
     }
 
     /// The first violated limit. Causes of the machine count at any time, those of the controller only while it is
@@ -233,7 +253,8 @@ impl Gate {
         if !(input.dt_s <= self.limits.late_s) {
             return Some(TripCause::Late);
         }
-        self.check_motion(input).or_else(|| self.check_estimate(input))
+        self.check_motion(input)
+            .or_else(|| self.check_estimate(input))
     }
 
     /// The first limit that the requested or the counted steps violate.
@@ -267,7 +288,8 @@ impl Gate {
     fn check_estimate(&self, input: &GateInput) -> Option<TripCause> {
         let stale = (input.stale_s > self.limits.stale_s).then_some(TripCause::Stale);
         let disagree = input.disagree.then_some(TripCause::Disagreement);
-        let astray = (self.following.exceeded_s > self.limits.following_for_s).then_some(TripCause::Following);
+        let astray = (self.following.exceeded_s > self.limits.following_for_s)
+            .then_some(TripCause::Following);
         stale.or(disagree).or(astray).filter(|_| input.armed)
     }
 
@@ -275,10 +297,14 @@ impl Gate {
     /// to brake.
     fn begin(&mut self, motion: Motion) {
         if self.motion == Motion::Passing {
-            let GateLimits { step_mm, react_s, .. } = self.limits;
+            let GateLimits {
+                step_mm, react_s, ..
+            } = self.limits;
             self.speed_mm_s = std::array::from_fn(|i| self.history.speed(i).value);
             let counted = self.history.newest().0;
-            self.at_mm = std::array::from_fn(|i| f64::from(counted[i]) * step_mm + self.speed_mm_s[i] * react_s);
+            self.at_mm = std::array::from_fn(|i| {
+                f64::from(counted[i]) * step_mm + self.speed_mm_s[i] * react_s
+            });
         }
         self.motion = motion;
     }
@@ -294,7 +320,10 @@ impl Gate {
             let at_mm = self.at_mm[i] + self.speed_mm_s[i] * dt_s;
             self.at_mm[i] = at_mm.clamp(-self.limits.travel_mm, self.limits.travel_mm);
         }
-        self.sent = Steps(self.at_mm.map(|mm| (mm / self.limits.step_mm).round() as i32));
+        self.sent = Steps(
+            self.at_mm
+                .map(|mm| (mm / self.limits.step_mm).round() as i32),
+        );
     }
 
     /// Releases the drivers once all pistons are counted at zero; true at that moment.

@@ -2,7 +2,13 @@
 //! moves as the frames on a serial line say.
 //!
 //! `emulated-pi3-bus /dev/ttyS1`, as root, with `cuse` loaded and no other `/dev/i2c-1`.
-#![allow(unsafe_code, clippy::unwrap_used, clippy::expect_used, clippy::panic, dead_code)]
+#![allow(
+    unsafe_code,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    dead_code
+)]
 
 #[path = "../../fake_imu/mod.rs"]
 mod fake_imu;
@@ -56,7 +62,10 @@ impl Files for Moving {
 
 /// A serial line without any treatment of its bytes.
 fn raw_line(path: &str) -> File {
-    let done = std::process::Command::new("stty").args(["-F", path, "raw", "-echo", "115200"]).status().expect("stty is there");
+    let done = std::process::Command::new("stty")
+        .args(["-F", path, "raw", "-echo", "115200"])
+        .status()
+        .expect("stty is there");
     assert!(done.success(), "stty on {path}: {done}");
     File::open(path).expect("the serial line")
 }
@@ -65,17 +74,29 @@ fn main() {
     let path = std::env::args().nth(1).expect("the serial line is named");
     let mut bus = Bus::default();
     bus.chips.attach(FakeIcm20948::new(ADDRESS, 1));
-    let moving = Arc::new(Mutex::new(Moving { bus, reached_ns: monotonic_ns() }));
+    let moving = Arc::new(Mutex::new(Moving {
+        bus,
+        reached_ns: monotonic_ns(),
+    }));
     let (mut line, motions) = (raw_line(&path), moving.clone());
     std::thread::spawn(move || {
         let (mut decoder, mut bytes) = (wire::Decoder::default(), [0; 256]);
         while let Ok(n @ 1..) = line.read(&mut bytes) {
             if let Some(motion) = decoder.take(&bytes[..n]) {
-                motions.lock().unwrap_or_else(PoisonError::into_inner).bus.chips.set_motion(&motion);
+                motions
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .bus
+                    .chips
+                    .set_motion(&motion);
             }
         }
         eprintln!("the serial line has ended");
     });
-    let device = File::options().read(true).write(true).open("/dev/cuse").expect("/dev/cuse");
+    let device = File::options()
+        .read(true)
+        .write(true)
+        .open("/dev/cuse")
+        .expect("/dev/cuse");
     fuse::serve(&device, &moving);
 }

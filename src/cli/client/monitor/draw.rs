@@ -34,7 +34,14 @@ pub fn draw(frame: &mut Frame, view: &View) {
         return frame.render_widget(text, area);
     }
     let tall = u16::from(area.height > 19);
-    let heights = [Length(1), Fill(4), Fill(2 * tall), Length(5), Fill(tall), Length(1)];
+    let heights = [
+        Length(1),
+        Fill(4),
+        Fill(2 * tall),
+        Length(5),
+        Fill(tall),
+        Length(1),
+    ];
     let rows = Layout::vertical(heights).split(area);
     let columns = Layout::horizontal([Fill(1), Fill(1), Fill(2)]).split(rows[1]);
     draw_picture(frame, columns[0], "Tip", side(view, columns[0]));
@@ -86,7 +93,8 @@ fn draw_picture(frame: &mut Frame, area: Rect, title: &str, picture: Picture) {
 fn square(area: Rect, edge: f64) -> [[f64; 2]; 2] {
     // a character is twice as high as wide, and one row holds the title
     let size = [area.width, 2 * area.height.max(2) - 2].map(f64::from);
-    size.map(|length| edge * length / size[0].min(size[1])).map(|end| [-end, end])
+    size.map(|length| edge * length / size[0].min(size[1]))
+        .map(|end| [-end, end])
 }
 
 /// The bending section in a cabinet projection: direction 0° to the right, 90° to the back, the tip upwards.
@@ -104,7 +112,11 @@ fn side(view: &View, area: Rect) -> Picture {
     let desired = view.bend("setpoint").map(|bend| (DESIRED, arc(bend, 10)));
     let estimate = view.bend("estimate").map(|bend| (ESTIMATE, arc(bend, 1)));
     let dots = desired.into_iter().chain(estimate).collect();
-    Picture { bounds: square(area, 20.0), dots, words: vec![(15.0, -10.0, "0°"), (6.5, -6.0, "90°")] }
+    Picture {
+        bounds: square(area, 20.0),
+        dots,
+        words: vec![(15.0, -10.0, "0°"), (6.5, -6.0, "90°")],
+    }
 }
 
 /// Desired and estimated bend, in degrees, within rings of 30°, 60° and 90°.
@@ -119,20 +131,42 @@ fn polar(view: &View, area: Rect) -> Picture {
         let at = view.bend(key).map(|bend| bend.0.map(f64::to_degrees));
         words.extend(at.map(|at| (at.x, at.y, sign)));
     }
-    Picture { bounds: square(area, 105.0), dots, words }
+    Picture {
+        bounds: square(area, 105.0),
+        dots,
+        words,
+    }
 }
 
 /// The error of the last minute, and its title.
 fn errors(view: &View) -> (String, Picture) {
-    let largest = view.errors.iter().map(|(_, error)| *error).fold(0.0, f64::max);
+    let largest = view
+        .errors
+        .iter()
+        .map(|(_, error)| *error)
+        .fold(0.0, f64::max);
     // at least half a degree, so that noise stays small
     let end = largest.max(0.5);
     let now = view.errors.back().map_or(f64::NAN, |(_, error)| *error);
-    let title = format!("Error {}°, up to {largest:.2}° in {CHART_S} s; scale 0 to {end:.1}°", shown(now, 2));
+    let title = format!(
+        "Error {}°, up to {largest:.2}° in {CHART_S} s; scale 0 to {end:.1}°",
+        shown(now, 2)
+    );
     let now_s = view.t_s();
-    let dots = view.errors.iter().map(|(t_s, error)| (t_s - now_s, *error)).collect();
+    let dots = view
+        .errors
+        .iter()
+        .map(|(t_s, error)| (t_s - now_s, *error))
+        .collect();
     let bounds = [[-CHART_S, 0.0], [0.0, end]];
-    (title, Picture { bounds, dots: vec![(ESTIMATE, dots)], words: vec![] })
+    (
+        title,
+        Picture {
+            bounds,
+            dots: vec![(ESTIMATE, dots)],
+            words: vec![],
+        },
+    )
 }
 
 fn health(view: &View) -> String {
@@ -144,7 +178,11 @@ fn health(view: &View) -> String {
 
 /// A figure, or a dash before there is one.
 fn shown(x: f64, digits: usize) -> String {
-    if x.is_nan() { "–".to_owned() } else { format!("{x:.digits$}") }
+    if x.is_nan() {
+        "–".to_owned()
+    } else {
+        format!("{x:.digits$}")
+    }
 }
 
 /// The pistons within their travel, and the gains within what the loop may learn; the title names what it has learned of the lag.
@@ -153,11 +191,20 @@ fn lines(view: &View) -> (String, String) {
     let number = |value: &Value| value.as_f64().unwrap_or(f64::NAN);
     let within = |x: f64, least: f64, most: f64| {
         let mark = if x <= least || x >= most { '!' } else { ' ' };
-        format!("{} in {} to {}{mark}", shown(x, 2), shown(least, 2), shown(most, 2))
+        format!(
+            "{} in {} to {}{mark}",
+            shown(x, 2),
+            shown(least, 2),
+            shown(most, 2)
+        )
     };
     let travel = number(&limits["travel_mm"]);
     let [lag, delay] = ["lag_s", "delay_s"].map(|key| number(&now[key]));
-    let title = format!("Lines, lag {} s, dead time {} s; ! at a limit", shown(lag, 3), shown(delay, 3));
+    let title = format!(
+        "Lines, lag {} s, dead time {} s; ! at a limit",
+        shown(lag, 3),
+        shown(delay, 3)
+    );
     let mut text = "  piston, mm                k_epsilon             k_lambda, mm\n".to_owned();
     for i in 0..3 {
         let at = number(&now["piston_mm"][i]);

@@ -44,7 +44,14 @@ impl Player {
 
     /// Plays frames.
     pub fn of(name: String, frames: Frames, speed: f64) -> Self {
-        Self { name, frames, shown: 0, at_s: 0.0, speed, paused: false }
+        Self {
+            name,
+            frames,
+            shown: 0,
+            at_s: 0.0,
+            speed,
+            paused: false,
+        }
     }
 
     /// Moves by a time, s, within the log.
@@ -71,7 +78,10 @@ impl Player {
         }
         self.shown = next;
         let paused = if self.paused { ", paused" } else { "" };
-        view.source = format!("{}, {:.1} s, {} × real time{paused}", self.name, self.at_s, self.speed);
+        view.source = format!(
+            "{}, {:.1} s, {} × real time{paused}",
+            self.name, self.at_s, self.speed
+        );
         view.keys = "space pause   ←/→ 5 s   q quit";
     }
 }

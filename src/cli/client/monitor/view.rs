@@ -39,14 +39,17 @@ impl View {
         }
         let t_s = self.t_s();
         // a service that has started anew has another clock
-        self.errors.retain(|(at_s, _)| (t_s - CHART_S..t_s).contains(at_s));
-        self.errors.extend(self.error_deg().map(|error| (t_s, error)));
+        self.errors
+            .retain(|(at_s, _)| (t_s - CHART_S..t_s).contains(at_s));
+        self.errors
+            .extend(self.error_deg().map(|error| (t_s, error)));
         changes.iter().for_each(|change| self.note(change));
     }
 
     /// Adds an event.
     pub fn note(&mut self, event: &str) {
-        self.events.push_back(format!("{:9.1} s  {event}", self.t_s()));
+        self.events
+            .push_back(format!("{:9.1} s  {event}", self.t_s()));
         if self.events.len() > EVENTS_MAX {
             self.events.pop_front();
         }
@@ -68,7 +71,10 @@ impl View {
     /// A bend of the status: `target`, `setpoint` or `estimate`.
     pub fn bend(&self, key: &str) -> Option<Bend> {
         let at = &self.now[key];
-        Some(Bend::from_deg(at["bend_deg"].as_f64()?, at["dir_deg"].as_f64()?))
+        Some(Bend::from_deg(
+            at["bend_deg"].as_f64()?,
+            at["dir_deg"].as_f64()?,
+        ))
     }
 
     /// Length of the desired minus the estimated bend vector, degrees, while the tip is commanded.

@@ -32,7 +32,11 @@ const EVENTS: &str = "text/event-stream";
 type Body = Either<Full<Bytes>, Channel<Bytes>>;
 
 /// Answers a request. `entered` becomes true once the request is complete and may be answered.
-pub async fn answer(site: Arc<Site>, entered: Arc<AtomicBool>, request: Request<Incoming>) -> Result<Response<Body>, Infallible> {
+pub async fn answer(
+    site: Arc<Site>,
+    entered: Arc<AtomicBool>,
+    request: Request<Incoming>,
+) -> Result<Response<Body>, Infallible> {
     Ok(match refusal(&site, &request) {
         Some(status) => plain(status, ""),
         None => route(site, &entered, request).await,
@@ -45,11 +49,20 @@ fn field<'a>(request: &'a Request<Incoming>, name: &str) -> Option<&'a str> {
 
 /// Refuses who does not know the token, what another site sends, and without a token every foreign name of this address.
 fn refusal(site: &Site, request: &Request<Incoming>) -> Option<u16> {
-    let [host, origin, cookies, bearer] = ["host", "origin", "cookie", "authorization"].map(|name| field(request, name));
+    let [host, origin, cookies, bearer] =
+        ["host", "origin", "cookie", "authorization"].map(|name| field(request, name));
     if let Some(token) = &site.token {
-        let in_address = request.uri().query().and_then(|query| query.strip_prefix("token="));
-        let in_cookie = cookies.and_then(|all| all.split("; ").find_map(|text| text.strip_prefix(COOKIE)));
-        let shown = [in_address, in_cookie, bearer.and_then(|text| text.strip_prefix("Bearer "))];
+        let in_address = request
+            .uri()
+            .query()
+            .and_then(|query| query.strip_prefix("token="));
+        let in_cookie =
+            cookies.and_then(|all| all.split("; ").find_map(|text| text.strip_prefix(COOKIE)));
+        let shown = [
+            in_address,
+            in_cookie,
+            bearer.and_then(|text| text.strip_prefix("Bearer ")),
+        ];
         if !shown.into_iter().flatten().any(|one| is_same(one, token)) {
             return Some(401);
         }
@@ -68,23 +81,37 @@ fn is_same(shown: &str, token: &str) -> bool {
     shown.len() == token.len() && differ == 0
 }
 
-async fn route(site: Arc<Site>, entered: &AtomicBool, request: Request<Incoming>) -> Response<Body> {
+async fn route(
+    site: Arc<Site>,
+    entered: &AtomicBool,
+    request: Request<Incoming>,
+) -> Response<Body> {
     match (request.method().as_str(), request.uri().path()) {
         ("GET", "/") => {
             let mut response = text(HTML, include_str!("page.html"));
-            let cookie = site.token.as_ref().map(|token| format!("{COOKIE}{token}; HttpOnly; SameSite=Lax; Path=/"));
+            let cookie = site
+                .token
+                .as_ref()
+                .map(|token| format!("{COOKIE}{token}; HttpOnly; SameSite=Lax; Path=/"));
             let cookie = cookie.and_then(|cookie| cookie.parse().ok());
-            response.headers_mut().extend(cookie.map(|cookie| (header::SET_COOKIE, cookie)));
+            response
+                .headers_mut()
+                .extend(cookie.map(|cookie| (header::SET_COOKIE, cookie)));
             response
         }
         ("GET", "/page.js") => text(SCRIPT, include_str!("page.js")),
         ("GET", "/page.css") => text(STYLE, include_str!("page.css")),
         ("GET", "/diagnosis") => {
             let found = crate::log::table::text(&site.diagnosis);
-            text(JSON, found.map_or_else(|_| b"null".to_vec(), String::into_bytes))
+            text(
+                JSON,
+                found.map_or_else(|_| b"null".to_vec(), String::into_bytes),
+            )
         }
         ("GET", "/frames") => {
-            let Some(page) = site.open().await else { return plain(503, "") };
+            let Some(page) = site.open().await else {
+                return plain(503, "");
+            };
             entered.store(true, Relaxed);
             let (sender, body) = Channel::new(1);
             tokio::spawn(async move {
@@ -103,7 +130,12 @@ async fn route(site: Arc<Site>, entered: &AtomicBool, request: Request<Incoming>
 }
 
 /// Sends a command in a thread of its own, so that none waits for another.
-async fn forward(site: Arc<Site>, entered: &AtomicBool, page: u64, command: Command) -> Response<Body> {
+async fn forward(
+    site: Arc<Site>,
+    entered: &AtomicBool,
+    page: u64,
+    command: Command,
+) -> Response<Body> {
     entered.store(true, Relaxed);
     match tokio::task::spawn_blocking(move || site.send(page, &command)).await {
         Ok(result) => text(JSON, reply_line(&Value::Null, &result)),
@@ -114,9 +146,14 @@ async fn forward(site: Arc<Site>, entered: &AtomicBool, page: u64, command: Comm
 /// The number of a page, and its command; `None` for what no page sends.
 async fn read_command(request: Request<Incoming>) -> Option<(u64, Command)> {
     let page = field(&request, PAGE)?.parse().ok()?;
-    let body = Limited::new(request.into_body(), BODY_MAX).collect().await.ok()?;
+    let body = Limited::new(request.into_body(), BODY_MAX)
+        .collect()
+        .await
+        .ok()?;
     let command: Command = serde_json::from_slice(&body.to_bytes()).ok()?;
-    ["bend", "hold", "arm", "disarm", "relax", "reset-fault"].contains(&command.name().as_str()).then_some((page, command))
+    ["bend", "hold", "arm", "disarm", "relax", "reset-fault"]
+        .contains(&command.name().as_str())
+        .then_some((page, command))
 }
 
 /// Sends the number of the page, then what the service sends. A slow browser misses frames, and receives no old ones.
@@ -145,7 +182,9 @@ fn with_type(media: &'static str, body: Body) -> Response<Body> {
         (header::CACHE_CONTROL, "no-store"),
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
     ] {
-        response.headers_mut().insert(name, HeaderValue::from_static(value));
+        response
+            .headers_mut()
+            .insert(name, HeaderValue::from_static(value));
     }
     response
 }

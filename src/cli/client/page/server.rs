@@ -36,27 +36,32 @@ pub fn run(listener: std::net::TcpListener, site: Site) -> std::io::Result<()> {
     SockRef::from(&listener).listen(BACKLOG)?;
     listener.set_nonblocking(true)?;
     let site = Arc::new(site);
-    tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(async {
-        let listener = TcpListener::from_std(listener)?;
-        let mut places: Vec<(AbortHandle, Arc<AtomicBool>)> = Vec::new();
-        loop {
-            let Ok((stream, _)) = listener.accept().await else {
-                // out of descriptors or memory: those in use are returned soon
-                tokio::time::sleep(Duration::from_millis(5)).await;
-                continue;
-            };
-            places.retain(|(task, _)| !task.is_finished());
-            if places.len() >= CONNECTIONS_MAX {
-                let outside = places.iter().position(|(_, entered)| !entered.load(Relaxed));
-                places.remove(outside.unwrap_or(0)).0.abort();
+    tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?
+        .block_on(async {
+            let listener = TcpListener::from_std(listener)?;
+            let mut places: Vec<(AbortHandle, Arc<AtomicBool>)> = Vec::new();
+            loop {
+                let Ok((stream, _)) = listener.accept().await else {
+                    // out of descriptors or memory: those in use are returned soon
+                    tokio::time::sleep(Duration::from_millis(5)).await;
+                    continue;
+                };
+                places.retain(|(task, _)| !task.is_finished());
+                if places.len() >= CONNECTIONS_MAX {
+                    let outside = places
+                        .iter()
+                        .position(|(_, entered)| !entered.load(Relaxed));
+                    places.remove(outside.unwrap_or(0)).0.abort();
+                }
+                let entered = Arc::new(AtomicBool::new(false));
+                let task = tokio::spawn(serve(stream, Arc::clone(&site), Arc::clone(&entered)));
+                places.push((task.abort_handle(), entered));
+                // a request that has come with its connection is answered before a flood of others can take its place
+                tokio::task::yield_now().await;
             }
-            let entered = Arc::new(AtomicBool::new(false));
-            let task = tokio::spawn(serve(stream, Arc::clone(&site), Arc::clone(&entered)));
-            places.push((task.abort_handle(), entered));
-            // a request that has come with its connection is answered before a flood of others can take its place
-            tokio::task::yield_now().await;
-        }
-    })
+        })
 }
 
 async fn serve(stream: TcpStream, site: Arc<Site>, entered: Arc<AtomicBool>) {
@@ -65,9 +70,13 @@ async fn serve(stream: TcpStream, site: Arc<Site>, entered: Arc<AtomicBool>) {
     let _ = socket.set_tcp_user_timeout(Some(GONE));
     let _ = socket.set_send_buffer_size(SEND_BUFFER);
     let _ = socket.set_tcp_nodelay(true);
-    let service = service_fn(move |request| answer(Arc::clone(&site), Arc::clone(&entered), request));
+    let service =
+        service_fn(move |request| answer(Arc::clone(&site), Arc::clone(&entered), request));
     let mut http = http1::Builder::new();
-    http.timer(TokioTimer::new()).header_read_timeout(HEAD_MAX).max_buf_size(BUFFER_MAX).keep_alive(false);
+    http.timer(TokioTimer::new())
+        .header_read_timeout(HEAD_MAX)
+        .max_buf_size(BUFFER_MAX)
+        .keep_alive(false);
     // a connection that fails concerns nobody else
     let _ = http.serve_connection(TokioIo::new(stream), service).await;
 }

@@ -47,7 +47,9 @@ impl Site {
         }
         let mut client = Client::connect_for(&self.socket, ANSWER_MAX)?;
         if !self.pages.blocking_lock().contains_key(&page) {
-            return Err(Failure::refused("the connection of this page was lost in the meantime; nothing was sent"));
+            return Err(Failure::refused(
+                "the connection of this page was lost in the meantime; nothing was sent",
+            ));
         }
         let result = client.request(request)?;
         if matches!(request, Request::Bend { .. }) {

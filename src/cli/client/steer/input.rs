@@ -55,7 +55,12 @@ impl Input {
     /// # Errors
     /// A report that names the device.
     pub fn joystick(device: &Path, button: Option<u8>) -> Result<Self> {
-        let mut file = File::open(device).map_err(|e| miette!("{}: {e}; `ls /dev/input/js*` lists the joysticks", device.display()))?;
+        let mut file = File::open(device).map_err(|e| {
+            miette!(
+                "{}: {e}; `ls /dev/input/js*` lists the joysticks",
+                device.display()
+            )
+        })?;
         let name = device.display().to_string();
         Ok(Self::of(move |send| {
             let (mut event, mut pressed) = ([0; 8], 0u32);
@@ -70,7 +75,11 @@ impl Input {
                     (AXIS, 0) => Event::X(deflection),
                     (AXIS, 1) => Event::Y(-deflection),
                     (BUTTON, n) if button.is_none_or(|b| b == n) && n < 32 => {
-                        pressed = if value != 0 { pressed | 1 << n } else { pressed & !(1 << n) };
+                        pressed = if value != 0 {
+                            pressed | 1 << n
+                        } else {
+                            pressed & !(1 << n)
+                        };
                         Event::Held(pressed != 0)
                     }
                     _ => continue,
@@ -87,12 +96,16 @@ impl Input {
     /// # Errors
     /// A report if standard input is no terminal.
     pub fn keyboard() -> Result<Self> {
-        let settings = stty(&["-g"]).map_err(|e| miette!("standard input is no terminal ({e}): name a joystick with --device"))?;
+        let settings = stty(&["-g"]).map_err(|e| {
+            miette!("standard input is no terminal ({e}): name a joystick with --device")
+        })?;
         stty(&["-icanon", "-echo", "min", "0", "time", "1"])?;
         let mut input = Self::of(|send| {
             let (mut bytes, mut acts_until, mut known) = ([0; 64], None::<Instant>, Vec::new());
             loop {
-                let Ok(n) = std::io::stdin().lock().read(&mut bytes) else { return };
+                let Ok(n) = std::io::stdin().lock().read(&mut bytes) else {
+                    return;
+                };
                 known.extend(keys(&bytes[..n]).into_iter().flat_map(events));
                 if known.contains(&Event::Held(true)) {
                     acts_until = Some(Instant::now() + Duration::from_secs_f64(KEY_S));
@@ -115,10 +128,23 @@ impl Input {
     /// A report that names file, line and column.
     pub fn table(file: &Path) -> Result<Self> {
         let known = |name: &str| ["t_s", "x", "y", "held"].contains(&name);
-        let schema = Schema { required: &["t_s", "x", "y", "held"], known: &known, rows_min: 1 };
+        let schema = Schema {
+            required: &["t_s", "x", "y", "held"],
+            known: &known,
+            rows_min: 1,
+        };
         let table = Table::open(file, &schema).into_diagnostic()?;
-        let mut columns = [table.clock("t_s").into_diagnostic()?.to_vec(), vec![], vec![], vec![]];
-        for (column, (name, least)) in columns[1..].iter_mut().zip([("x", -1.0), ("y", -1.0), ("held", 0.0)]) {
+        let mut columns = [
+            table.clock("t_s").into_diagnostic()?.to_vec(),
+            vec![],
+            vec![],
+            vec![],
+        ];
+        for (column, (name, least)) in
+            columns[1..]
+                .iter_mut()
+                .zip([("x", -1.0), ("y", -1.0), ("held", 0.0)])
+        {
             *column = table.complete(name).into_diagnostic()?.to_vec();
             if let Some(row) = column.iter().position(|v| !(least..=1.0).contains(v)) {
                 let (given, expected) = (column[row].to_string(), format!("within {least} to 1"));
@@ -131,7 +157,10 @@ impl Input {
             for k in 0..t_s.len() {
                 let due = Duration::from_secs_f64((t_s[k] - t_s[0]).max(0.0));
                 sleep(due.saturating_sub(began.elapsed()));
-                if [Event::X(x[k]), Event::Y(y[k]), Event::Held(held[k] > 0.5)].into_iter().any(|event| send.send(event).is_err()) {
+                if [Event::X(x[k]), Event::Y(y[k]), Event::Held(held[k] > 0.5)]
+                    .into_iter()
+                    .any(|event| send.send(event).is_err())
+                {
                     return;
                 }
             }
@@ -142,13 +171,18 @@ impl Input {
     fn of(work: impl FnOnce(Sender<Event>) + Send + 'static) -> Self {
         let (send, events) = channel();
         spawn(move || work(send));
-        Self { events, terminal: None }
+        Self {
+            events,
+            terminal: None,
+        }
     }
 }
 
 /// The first joystick of this computer.
 pub fn first_joystick() -> Option<PathBuf> {
-    (0..32).map(|n| PathBuf::from(format!("/dev/input/js{n}"))).find(|path| path.exists())
+    (0..32)
+        .map(|n| PathBuf::from(format!("/dev/input/js{n}")))
+        .find(|path| path.exists())
 }
 
 /// The events of a key.
@@ -167,7 +201,11 @@ fn events(key: Key) -> Vec<Event> {
 
 /// Runs `stty` on the terminal of standard input; returns what it prints.
 fn stty(arguments: &[&str]) -> Result<String> {
-    let out = Command::new("stty").args(arguments).stdin(Stdio::inherit()).output().map_err(|e| miette!("stty: {e}"))?;
+    let out = Command::new("stty")
+        .args(arguments)
+        .stdin(Stdio::inherit())
+        .output()
+        .map_err(|e| miette!("stty: {e}"))?;
     if out.status.success() {
         return Ok(String::from_utf8_lossy(&out.stdout).trim().to_owned());
     }
@@ -180,7 +218,13 @@ mod tests {
 
     #[test]
     fn keys_deflect_release_and_end() {
-        assert_eq!(events(Key::Up), [Event::X(0.0), Event::Y(1.0), Event::Held(true)]);
-        assert_eq!([events(Key::Char(' ')), events(Key::Char('q'))], [[Event::Held(false)], [Event::End]]);
+        assert_eq!(
+            events(Key::Up),
+            [Event::X(0.0), Event::Y(1.0), Event::Held(true)]
+        );
+        assert_eq!(
+            [events(Key::Char(' ')), events(Key::Char('q'))],
+            [[Event::Held(false)], [Event::End]]
+        );
     }
 }

@@ -32,7 +32,9 @@ impl Law {
         let shaped = self.shaped(stick);
         let step = match self.mode {
             Mode::Rate => shaped * self.speed_rad_s * dt_s,
-            Mode::Position => (shaped * self.bend_max_rad - at).cap_magnitude(self.speed_rad_s * dt_s),
+            Mode::Position => {
+                (shaped * self.bend_max_rad - at).cap_magnitude(self.speed_rad_s * dt_s)
+            }
         };
         (at + step).cap_magnitude(self.bend_max_rad)
     }
@@ -52,26 +54,52 @@ impl Law {
 mod tests {
     use super::*;
 
-    const LAW: Law = Law { mode: Mode::Rate, dead_zone: 0.1, expo: 0.5, bend_max_rad: 1.0, speed_rad_s: 0.5 };
+    const LAW: Law = Law {
+        mode: Mode::Rate,
+        dead_zone: 0.1,
+        expo: 0.5,
+        bend_max_rad: 1.0,
+        speed_rad_s: 0.5,
+    };
 
     #[test]
     fn the_response_is_zero_in_the_dead_zone_fine_beside_it_and_full_at_the_rim() {
         let shaped = |x: f64| LAW.shaped(&Vector2::new(x, 0.0)).x;
         assert_eq!((shaped(0.0), shaped(0.1)), (0.0, 0.0));
-        assert!((shaped(1.0) - 1.0).abs() < 1e-12 && (shaped(-1.0) + 1.0).abs() < 1e-12 && (shaped(3.0) - 1.0).abs() < 1e-12);
+        assert!(
+            (shaped(1.0) - 1.0).abs() < 1e-12
+                && (shaped(-1.0) + 1.0).abs() < 1e-12
+                && (shaped(3.0) - 1.0).abs() < 1e-12
+        );
         let slope = |x: f64| (shaped(x + 1e-6) - shaped(x)) / 1e-6;
-        assert!(slope(0.15) < 0.6 && slope(0.95) > 1.5, "{} {}", slope(0.15), slope(0.95));
+        assert!(
+            slope(0.15) < 0.6 && slope(0.95) > 1.5,
+            "{} {}",
+            slope(0.15),
+            slope(0.95)
+        );
     }
 
     #[test]
     fn a_rate_integrates_up_to_the_largest_bend_and_a_position_returns() {
         let full = Vector2::new(0.0, 1.0);
-        let run = |law: Law, from: Vector2<f64>, stick: Vector2<f64>| (0..100).fold(from, |at, _| law.next(&at, &stick, 0.02));
-        assert!((run(LAW, Vector2::zeros(), full) - full).norm() < 1e-9, "0.5 rad/s for 2 s");
+        let run = |law: Law, from: Vector2<f64>, stick: Vector2<f64>| {
+            (0..100).fold(from, |at, _| law.next(&at, &stick, 0.02))
+        };
+        assert!(
+            (run(LAW, Vector2::zeros(), full) - full).norm() < 1e-9,
+            "0.5 rad/s for 2 s"
+        );
         assert!((run(LAW, full * 0.8, full).norm() - 1.0).abs() < 1e-9);
         assert_eq!(run(LAW, full, Vector2::zeros()), full);
-        let position = Law { mode: Mode::Position, ..LAW };
+        let position = Law {
+            mode: Mode::Position,
+            ..LAW
+        };
         assert!(run(position, full, Vector2::zeros()).norm() < 1e-9);
-        assert!((position.next(&full, &Vector2::zeros(), 0.02) - full).norm() < 0.5 * 0.02 + 1e-12, "limited in speed");
+        assert!(
+            (position.next(&full, &Vector2::zeros(), 0.02) - full).norm() < 0.5 * 0.02 + 1e-12,
+            "limited in speed"
+        );
     }
 }

@@ -70,35 +70,53 @@ impl BendFilter {
     /// A persistent innovation of gravity indicates gyroscope drift, so it raises the process noise of the bias and
     /// not the noise of gravity. A brief one is an acceleration of the tip.
     fn correct_gravity(&mut self, turn: &Turn, before: &StateVector) {
-        let Alignment { acc_rest_m_s2: rest, acc_sigma_m_s2, .. } = self.alignment;
+        let Alignment {
+            acc_rest_m_s2: rest,
+            acc_sigma_m_s2,
+            ..
+        } = self.alignment;
         let motion = self.config.acc_motion_m_s2_per_rad_s * self.rate_rad_s;
-        let white = acc_sigma_m_s2.max(ACC_SIGMA_MIN_M_S2).powi(2) / f64::from(self.acc.n) + motion * motion;
+        let white = acc_sigma_m_s2.max(ACC_SIGMA_MIN_M_S2).powi(2) / f64::from(self.acc.n)
+            + motion * motion;
         let noise = self.noise(white, self.config.direction_error * rest.norm());
         let h = KalmanState::rows(ACC, &turn.slopes(&rest, &self.kalman.block(ACC)));
         let [velocity, velocity_before] = self.velocity_m_s;
-        let innovation = self.acc.mean() - turn.s.tr_mul(&(velocity - velocity_before)) / self.since_correction_s;
+        let innovation = self.acc.mean()
+            - turn.s.tr_mul(&(velocity - velocity_before)) / self.since_correction_s;
         let nis = self.kalman.nis(&h, &innovation, noise.single());
         let gain = (self.config.correction_period_s / GRAVITY_NIS_TIME_S).min(1.0);
         self.gravity_nis += gain * (nis.min(GRAVITY_NIS_MAX) - self.gravity_nis);
-        self.kalman.correct_vector(&h, &innovation, noise.correlated(), before);
+        self.kalman
+            .correct_vector(&h, &innovation, noise.correlated(), before);
     }
 
     /// The weight of the field follows the error that its strength and dip show. While the NIS exceeds 1, the excess counts
     /// as a further error of that kind. Beyond [`FIELD_NIS_MAX`] it grows with the square of the NIS, so that the weight of a
     /// disturbed field falls without a bound.
     fn correct_field(&mut self, turn: &Turn, rest: &Vector3<f64>, before: &StateVector) {
-        let white = self.alignment.mag_sigma_ut.max(MAG_SIGMA_MIN_UT).powi(2) / f64::from(self.mag.n);
+        let white =
+            self.alignment.mag_sigma_ut.max(MAG_SIGMA_MIN_UT).powi(2) / f64::from(self.mag.n);
         let single = white + (self.config.field_error * rest.norm()).powi(2);
         let h = KalmanState::rows(MAG, &turn.slopes(rest, &self.kalman.block(MAG)));
         let nis = self.kalman.nis(&h, &self.mag.mean(), single);
-        let gain = if nis > self.field_nis { FIELD_NIS_RISE } else { FIELD_NIS_FALL };
-        let mean_nis = self.field_nis + gain * (nis.min(FIELD_NIS_STEP_MAX * self.field_nis) - self.field_nis);
+        let gain = if nis > self.field_nis {
+            FIELD_NIS_RISE
+        } else {
+            FIELD_NIS_FALL
+        };
+        let mean_nis =
+            self.field_nis + gain * (nis.min(FIELD_NIS_STEP_MAX * self.field_nis) - self.field_nis);
         let variance = self.kalman.innovation_variance(&h, single) / 3.0;
         let persistent = (mean_nis.max(1.0) - 1.0) * (mean_nis / FIELD_NIS_MAX).max(1.0);
-        let sudden = if nis > NIS_GATE { nis / FIELD_NIS_MAX } else { 0.0 };
+        let sudden = if nis > NIS_GATE {
+            nis / FIELD_NIS_MAX
+        } else {
+            0.0
+        };
         let error_ut2 = self.field_error_ut2(turn, rest) + variance * persistent.max(sudden);
         let repeats = (self.config.field_time_s / self.config.correction_period_s).max(1.0);
-        self.kalman.correct_vector(&h, &self.mag.mean(), white + error_ut2 * repeats, before);
+        self.kalman
+            .correct_vector(&h, &self.mag.mean(), white + error_ut2 * repeats, before);
         self.field_nis = mean_nis;
     }
 
@@ -110,12 +128,16 @@ impl BendFilter {
         let gravity = seen(&self.alignment.acc_rest_m_s2, self.kalman.block(ACC));
         let innovation = self.mag.mean();
         // a vertical field has no heading
-        let heading = gravity.cross(&field).try_normalize(1e-6).unwrap_or_default();
+        let heading = gravity
+            .cross(&field)
+            .try_normalize(1e-6)
+            .unwrap_or_default();
         let revealed = innovation - heading * heading.dot(&innovation);
         let turned = self.rate_rad_s * self.config.correction_period_s;
         let gain = turned / (turned + FIELD_LEVEL_TURN_RAD);
         self.field_error_ut2 += gain * (revealed.norm_squared() / 2.0 - self.field_error_ut2);
-        self.field_error_ut2.max((FIELD_ERROR_MIN * rest.norm()).powi(2))
+        self.field_error_ut2
+            .max((FIELD_ERROR_MIN * rest.norm()).powi(2))
     }
 
     /// The twist is c β. Its error stays the same while the tip stays.
@@ -131,8 +153,11 @@ impl BendFilter {
         let noise = self.noise(0.0, TWIST_OFFSET_RAD + self.config.twist_error * twist.beta);
         let innovation = c * twist.beta - twist.psi;
         let gain = (self.config.correction_period_s / TWIST_NIS_TIME_S).min(1.0);
-        self.twist_nis += gain * (innovation * innovation / (self.kalman.variance(&h) + noise.direction) - self.twist_nis);
-        self.kalman.correct_scalar(&h, innovation, noise.direction * noise.repeats);
+        self.twist_nis += gain
+            * (innovation * innovation / (self.kalman.variance(&h) + noise.direction)
+                - self.twist_nis);
+        self.kalman
+            .correct_scalar(&h, innovation, noise.direction * noise.repeats);
     }
 
     /// While the pistons stand still the gyroscope measures its bias; the noise counts once per second of
@@ -143,7 +168,9 @@ impl BendFilter {
         let sigma = self.config.still_rate_sigma_rad_s;
         let noise = self.alignment.gyro_sigma_rad_s.max(GYRO_SIGMA_MIN_RAD_S);
         let r = sigma * sigma * n_per_s + noise * noise / f64::from(self.rate.n);
-        let expected = sigma * sigma + noise * noise / f64::from(self.rate.n) + self.kalman.sigma_of(GYRO).powi(2);
+        let expected = sigma * sigma
+            + noise * noise / f64::from(self.rate.n)
+            + self.kalman.sigma_of(GYRO).powi(2);
         if mean.norm_squared() > STILL_GATE * STILL_GATE * expected {
             return;
         }
@@ -157,6 +184,10 @@ impl BendFilter {
 
     fn noise(&self, white: f64, direction: f64) -> Noise {
         let repeats = (self.config.direction_time_s / self.config.correction_period_s).max(1.0);
-        Noise { white, direction: direction * direction, repeats }
+        Noise {
+            white,
+            direction: direction * direction,
+            repeats,
+        }
     }
 }

@@ -51,7 +51,10 @@ pub(super) struct KalmanState {
 impl KalmanState {
     /// A zero estimate with the given standard deviations.
     pub fn new(sigma: &[f64; N]) -> Self {
-        Self { x: SMatrix::zeros(), p: SMatrix::from_fn(|i, j| if i == j { sigma[i] * sigma[i] } else { 0.0 }) }
+        Self {
+            x: SMatrix::zeros(),
+            p: SMatrix::from_fn(|i, j| if i == j { sigma[i] * sigma[i] } else { 0.0 }),
+        }
     }
     /// Three entries from `at` on.
     pub fn block(&self, at: usize) -> Vector3<f64> {
@@ -65,7 +68,10 @@ impl KalmanState {
     }
     /// Largest 1 σ of the three entries from `at` on.
     pub fn sigma_of(&self, at: usize) -> f64 {
-        (at..at + 3).map(|i| self.p[(i, i)]).fold(0.0, f64::max).sqrt()
+        (at..at + 3)
+            .map(|i| self.p[(i, i)])
+            .fold(0.0, f64::max)
+            .sqrt()
     }
     /// Sets the orientation error to `sigma_rad`, uncorrelated with all other states.
     pub fn reset_turn(&mut self, sigma_rad: f64) {
@@ -87,13 +93,17 @@ impl KalmanState {
     pub fn propagate_turn(&mut self, f: &Matrix3<f64>) {
         for i in 0..3 {
             for j in 0..N {
-                let add = f[(i, 0)] * self.p[(GYRO, j)] + f[(i, 1)] * self.p[(GYRO + 1, j)] + f[(i, 2)] * self.p[(GYRO + 2, j)];
+                let add = f[(i, 0)] * self.p[(GYRO, j)]
+                    + f[(i, 1)] * self.p[(GYRO + 1, j)]
+                    + f[(i, 2)] * self.p[(GYRO + 2, j)];
                 self.p[(i, j)] += add;
             }
         }
         for i in 0..3 {
             for j in 0..N {
-                let add = f[(i, 0)] * self.p[(j, GYRO)] + f[(i, 1)] * self.p[(j, GYRO + 1)] + f[(i, 2)] * self.p[(j, GYRO + 2)];
+                let add = f[(i, 0)] * self.p[(j, GYRO)]
+                    + f[(i, 1)] * self.p[(j, GYRO + 1)]
+                    + f[(i, 2)] * self.p[(j, GYRO + 2)];
                 self.p[(j, i)] += add;
             }
         }
@@ -121,7 +131,13 @@ impl KalmanState {
 
     /// Three scalar corrections by one vector, each with variance `r`. Innovation and rows refer to the estimate
     /// `before`, so the effect of corrections since is subtracted.
-    pub fn correct_vector(&mut self, h: &[[f64; N]; 3], innovation: &Vector3<f64>, r: f64, before: &StateVector) {
+    pub fn correct_vector(
+        &mut self,
+        h: &[[f64; N]; 3],
+        innovation: &Vector3<f64>,
+        r: f64,
+        before: &StateVector,
+    ) {
         for axis in 0..3 {
             let moved: f64 = (0..N).map(|i| h[axis][i] * (self.x[i] - before[i])).sum();
             self.correct_scalar(&h[axis], innovation[axis] - moved, r);

@@ -25,7 +25,10 @@ impl Turn {
     /// ∂(reading)/∂θ and ∂(reading)/∂(bias).
     pub fn slopes(&self, rest: &Vector3<f64>, bias: &Vector3<f64>) -> (Matrix3<f64>, Matrix3<f64>) {
         let w = self.base_now * (rest - bias);
-        (self.s.transpose() * w.cross_matrix(), Matrix3::identity() - self.s.transpose() * self.base_now)
+        (
+            self.s.transpose() * w.cross_matrix(),
+            Matrix3::identity() - self.s.transpose() * self.base_now,
+        )
     }
 }
 
@@ -55,8 +58,18 @@ impl Twist {
         let now = q * axis;
         let across = now.cross(axis);
         let beta = across.norm().atan2(now.dot(axis));
-        let beta_by_theta = if beta > 1e-3 { -across / across.norm() } else { Vector3::zeros() };
-        Self { psi: 2.0 * along.atan2(w), psi_by_theta, psi_by_tilt, beta, beta_by_theta }
+        let beta_by_theta = if beta > 1e-3 {
+            -across / across.norm()
+        } else {
+            Vector3::zeros()
+        };
+        Self {
+            psi: 2.0 * along.atan2(w),
+            psi_by_theta,
+            psi_by_tilt,
+            beta,
+            beta_by_theta,
+        }
     }
 }
 
@@ -65,13 +78,22 @@ impl Twist {
 pub(crate) fn right_jacobian_inverse(phi: &Vector3<f64>) -> Matrix3<f64> {
     let a = phi.norm();
     let k = phi.cross_matrix();
-    let c = if a < 1e-3 { 1.0 / 12.0 } else { 1.0 / (a * a) - (1.0 + a.cos()) / (2.0 * a * a.sin()) };
+    let c = if a < 1e-3 {
+        1.0 / 12.0
+    } else {
+        1.0 / (a * a) - (1.0 + a.cos()) / (2.0 * a * a.sin())
+    };
     Matrix3::identity() + k * 0.5 + k * k * c
 }
 
 /// Velocity of the sensor, m/s, when the tip at bend `b` turns at `turn_rad_s` (both in alignment axes). The sensor
 /// sits `beyond_mm` past the end of an arc of constant length `arc_mm`.
-pub(super) fn velocity(config: &BendFilterConfig, b: &Vector2<f64>, turn_rad_s: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
+pub(super) fn velocity(
+    config: &BendFilterConfig,
+    b: &Vector2<f64>,
+    turn_rad_s: &Vector3<f64>,
+    dt_s: f64,
+) -> Vector3<f64> {
     let rate = bend_by_turn(b) * turn_rad_s;
     let ahead = b + rate * dt_s;
     (position_mm(config, &ahead) - position_mm(config, b)) * (1e-3 / dt_s)
@@ -82,22 +104,38 @@ fn position_mm(config: &BendFilterConfig, b: &Vector2<f64>) -> Vector3<f64> {
     let beta = b.norm();
     let (sine, cosine) = beta.sin_cos();
     // sin β / β and (1 − cos β) / β²
-    let (c0, c1) = if beta > 1e-4 { (sine / beta, (1.0 - cosine) / (beta * beta)) } else { (1.0, 0.5) };
+    let (c0, c1) = if beta > 1e-4 {
+        (sine / beta, (1.0 - cosine) / (beta * beta))
+    } else {
+        (1.0, 0.5)
+    };
     let across = config.arc_mm * c1 + config.beyond_mm * c0;
-    Vector3::new(across * b.x, -across * b.y, config.arc_mm * c0 + config.beyond_mm * cosine)
+    Vector3::new(
+        across * b.x,
+        -across * b.y,
+        config.arc_mm * c0 + config.beyond_mm * cosine,
+    )
 }
 
 /// Change of the bend vector per small rotation θ of the base frame: rows for b_x and b_y.
 pub(super) fn bend_by_turn(bend: &Vector2<f64>) -> Matrix2x3<f64> {
     // b = β (cos δ, sin δ), tip axis n = (sin β cos δ, −sin β sin δ, cos β), δn = θ × n
     let beta = bend.norm();
-    let (c, s) = if beta > 1e-9 { (bend.x / beta, bend.y / beta) } else { (1.0, 0.0) };
+    let (c, s) = if beta > 1e-9 {
+        (bend.x / beta, bend.y / beta)
+    } else {
+        (1.0, 0.0)
+    };
     let toward = Vector3::new(beta.cos() * c, -beta.cos() * s, -beta.sin());
     let across = Vector3::new(-s, -c, 0.0);
     let n = Vector3::new(beta.sin() * c, -beta.sin() * s, beta.cos());
     // δβ = toward · (θ × n), sin β δδ = across · (θ × n)
     let (by_beta, by_delta) = (n.cross(&toward), n.cross(&across));
-    let spread = if beta > 1e-3 { beta / beta.sin().max(0.05) } else { 1.0 };
+    let spread = if beta > 1e-3 {
+        beta / beta.sin().max(0.05)
+    } else {
+        1.0
+    };
     let row_x = by_beta * c - by_delta * (s * spread);
     let row_y = by_beta * s + by_delta * (c * spread);
     Matrix2x3::from_rows(&[row_x.transpose(), row_y.transpose()])
@@ -110,9 +148,16 @@ mod tests {
     use crate::primitives::frames::Rotation;
 
     fn attitudes() -> Vec<UnitQuaternion<f64>> {
-        let twisted =
-            |x: f64, y: f64, psi: f64| Bend(Vector2::new(x, y)).rotation().quat() * UnitQuaternion::from_scaled_axis(Vector3::z() * psi);
-        vec![twisted(0.0, 0.0, 0.0), twisted(0.4, -0.9, 0.1), twisted(-1.2, 0.3, -0.2), twisted(0.0, 1.4, 0.0)]
+        let twisted = |x: f64, y: f64, psi: f64| {
+            Bend(Vector2::new(x, y)).rotation().quat()
+                * UnitQuaternion::from_scaled_axis(Vector3::z() * psi)
+        };
+        vec![
+            twisted(0.0, 0.0, 0.0),
+            twisted(0.4, -0.9, 0.1),
+            twisted(-1.2, 0.3, -0.2),
+            twisted(0.0, 1.4, 0.0),
+        ]
     }
 
     fn turned(q: &UnitQuaternion<f64>, axis: usize, by: f64) -> UnitQuaternion<f64> {
@@ -125,17 +170,27 @@ mod tests {
     fn the_slopes_equal_finite_differences() {
         let h = 1e-6;
         let (rest, bias) = (Vector3::new(1.0, -4.0, 8.9), Vector3::new(0.1, 0.2, -0.1));
-        let base_now = UnitQuaternion::from_euler_angles(0.1, -0.05, 0.2).to_rotation_matrix().into_inner();
-        let turn = |q: &UnitQuaternion<f64>| Turn { s: q.to_rotation_matrix().into_inner(), base_now };
+        let base_now = UnitQuaternion::from_euler_angles(0.1, -0.05, 0.2)
+            .to_rotation_matrix()
+            .into_inner();
+        let turn = |q: &UnitQuaternion<f64>| Turn {
+            s: q.to_rotation_matrix().into_inner(),
+            base_now,
+        };
         for q in attitudes() {
             let (by_theta, by_bias) = turn(&q).slopes(&rest, &bias);
             for j in 0..3 {
                 let read = |by: f64| turn(&turned(&q, j, by)).predicted(&rest, &bias);
                 let slope = (read(h) - read(-h)) / (2.0 * h);
-                assert!((slope - by_theta.column(j)).norm() < 1e-6, "{slope} {by_theta}");
+                assert!(
+                    (slope - by_theta.column(j)).norm() < 1e-6,
+                    "{slope} {by_theta}"
+                );
                 let mut d = Vector3::zeros();
                 d[j] = h;
-                let slope = (turn(&q).predicted(&rest, &(bias + d)) - turn(&q).predicted(&rest, &(bias - d))) / (2.0 * h);
+                let slope = (turn(&q).predicted(&rest, &(bias + d))
+                    - turn(&q).predicted(&rest, &(bias - d)))
+                    / (2.0 * h);
                 assert!((slope - by_bias.column(j)).norm() < 1e-6);
             }
         }
@@ -152,10 +207,18 @@ mod tests {
             for j in 0..3 {
                 let at = |by: f64| Twist::of(&turned(q, j, by), &axis);
                 let psi_slope = (at(h).psi - at(-h).psi) / (2.0 * h);
-                assert!((psi_slope - twist.psi_by_theta[j]).abs() < 1e-6, "{psi_slope} {}", twist.psi_by_theta);
+                assert!(
+                    (psi_slope - twist.psi_by_theta[j]).abs() < 1e-6,
+                    "{psi_slope} {}",
+                    twist.psi_by_theta
+                );
                 if twist.beta > 0.1 {
                     let slope = (at(h).beta - at(-h).beta) / (2.0 * h);
-                    assert!((slope - twist.beta_by_theta[j]).abs() < 1e-6, "{slope} {}", twist.beta_by_theta);
+                    assert!(
+                        (slope - twist.beta_by_theta[j]).abs() < 1e-6,
+                        "{slope} {}",
+                        twist.beta_by_theta
+                    );
                 }
                 let tilted = |by: f64| {
                     let mut v = Vector3::zeros();
@@ -163,7 +226,11 @@ mod tests {
                     Twist::of(q, &(UnitQuaternion::from_scaled_axis(-v) * axis)).psi
                 };
                 let slope = (tilted(h) - tilted(-h)) / (2.0 * h);
-                assert!((slope - twist.psi_by_tilt[j]).abs() < 1e-5, "{slope} {}", twist.psi_by_tilt);
+                assert!(
+                    (slope - twist.psi_by_tilt[j]).abs() < 1e-5,
+                    "{slope} {}",
+                    twist.psi_by_tilt
+                );
             }
         }
     }
@@ -193,14 +260,24 @@ mod tests {
         let b = Bend::from_deg(90.0, 0.0);
         let round = velocity(&config, &b.0, &Vector3::z(), 1e-3);
         let radius_mm = config.arc_mm / std::f64::consts::FRAC_PI_2 + config.beyond_mm;
-        assert!((round.norm() - radius_mm * 1e-3).abs() < 2e-5, "a bent tip moves around the axis of the base: {round}");
+        assert!(
+            (round.norm() - radius_mm * 1e-3).abs() < 2e-5,
+            "a bent tip moves around the axis of the base: {round}"
+        );
     }
 
     #[test]
     fn the_inverse_jacobian_matches_the_exponential_map() {
-        for phi in [Vector3::new(0.3, -0.9, 0.0), Vector3::zeros(), Vector3::new(1e-5, 0.0, 0.0), Vector3::new(1.4, 0.9, 0.0)] {
-            let turned =
-                |h: f64| UnitQuaternion::from_scaled_axis(phi).inverse() * UnitQuaternion::from_scaled_axis(phi + Vector3::y() * h);
+        for phi in [
+            Vector3::new(0.3, -0.9, 0.0),
+            Vector3::zeros(),
+            Vector3::new(1e-5, 0.0, 0.0),
+            Vector3::new(1.4, 0.9, 0.0),
+        ] {
+            let turned = |h: f64| {
+                UnitQuaternion::from_scaled_axis(phi).inverse()
+                    * UnitQuaternion::from_scaled_axis(phi + Vector3::y() * h)
+            };
             let slope = (turned(1e-6).scaled_axis() - turned(-1e-6).scaled_axis()) / 2e-6;
             assert!((right_jacobian_inverse(&phi) * slope - Vector3::y()).norm() < 1e-5);
         }

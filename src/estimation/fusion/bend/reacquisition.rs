@@ -64,18 +64,27 @@ impl BendFilter {
         }
         self.reacquisition.testing_s -= self.since_correction_s;
         if self.reacquisition.lost && self.acc.n > 0 {
-            self.reacquisition = Reacquisition { lost: false, found: true, ..self.reacquisition };
+            self.reacquisition = Reacquisition {
+                lost: false,
+                found: true,
+                ..self.reacquisition
+            };
             self.reacquire(turn);
             return true;
         }
-        let contradicts = |at: usize, rest: &Vector3<f64>, innovation: &Vector3<f64>, variance: f64| {
-            let h = KalmanState::rows(at, &turn.slopes(rest, &self.kalman.block(at)));
-            self.kalman.nis(&h, innovation, variance) > NIS_GATE
-        };
+        let contradicts =
+            |at: usize, rest: &Vector3<f64>, innovation: &Vector3<f64>, variance: f64| {
+                let h = KalmanState::rows(at, &turn.slopes(rest, &self.kalman.block(at)));
+                self.kalman.nis(&h, innovation, variance) > NIS_GATE
+            };
         let rest = &self.alignment.acc_rest_m_s2;
-        let gravity = self.acc.n > 0 && contradicts(ACC, rest, &self.acc.mean(), self.gravity_variance());
+        let gravity =
+            self.acc.n > 0 && contradicts(ACC, rest, &self.acc.mean(), self.gravity_variance());
         let field = self.alignment.mag_rest_ut.filter(|_| self.mag.n > 0);
-        let jumped = gravity || field.is_some_and(|rest| contradicts(MAG, &rest, &self.mag.mean(), self.field_variance(&rest)));
+        let jumped = gravity
+            || field.is_some_and(|rest| {
+                contradicts(MAG, &rest, &self.mag.mean(), self.field_variance(&rest))
+            });
         self.reacquisition.lost |= jumped;
         self.reacquisition.lost
     }
@@ -92,31 +101,61 @@ impl BendFilter {
         self.alignment.mag_sigma_ut.powi(2) + (self.config.field_error * rest.norm()).powi(2)
     }
 
-    fn reading(&self, turn: &Turn, bias_at: usize, rest: Vector3<f64>, innovation: Vector3<f64>, variance: f64) -> Reading {
+    fn reading(
+        &self,
+        turn: &Turn,
+        bias_at: usize,
+        rest: Vector3<f64>,
+        innovation: Vector3<f64>,
+        variance: f64,
+    ) -> Reading {
         let sigma = self.kalman.sigma_of(bias_at);
         let now = innovation + turn.predicted(&rest, &self.kalman.block(bias_at));
-        Reading { bias_at, rest, now, variance: variance + sigma * sigma }
+        Reading {
+            bias_at,
+            rest,
+            now,
+            variance: variance + sigma * sigma,
+        }
     }
 
     /// Finds the orientation that explains the averaged readings, and its covariance.
     fn reacquire(&mut self, turn: &Turn) {
-        let gravity = self.reading(turn, ACC, self.alignment.acc_rest_m_s2, self.acc.mean(), self.gravity_variance());
+        let gravity = self.reading(
+            turn,
+            ACC,
+            self.alignment.acc_rest_m_s2,
+            self.acc.mean(),
+            self.gravity_variance(),
+        );
         let rest = self.alignment.mag_rest_ut.filter(|_| self.mag.n > 0);
-        let field = rest.map(|rest| self.reading(turn, MAG, rest, self.mag.mean(), self.field_variance(&rest)));
+        let field = rest
+            .map(|rest| self.reading(turn, MAG, rest, self.mag.mean(), self.field_variance(&rest)));
         let mut covariance = Matrix3::identity() * (JUMP_RAD * JUMP_RAD);
         for _ in 0..STEPS {
-            let here = Turn { s: self.s.to_rotation_matrix().into_inner(), ..*turn };
-            let mut normal = NormalEquations { a: Matrix3::identity() / (JUMP_RAD * JUMP_RAD), b: Vector3::zeros() };
+            let here = Turn {
+                s: self.s.to_rotation_matrix().into_inner(),
+                ..*turn
+            };
+            let mut normal = NormalEquations {
+                a: Matrix3::identity() / (JUMP_RAD * JUMP_RAD),
+                b: Vector3::zeros(),
+            };
             for reading in std::iter::once(&gravity).chain(&field) {
                 self.add_reading(&mut normal, &here, reading);
             }
             self.add_twist(&mut normal);
-            let Some(inverse) = normal.a.try_inverse() else { break };
+            let Some(inverse) = normal.a.try_inverse() else {
+                break;
+            };
             self.s = UnitQuaternion::from_scaled_axis(inverse * normal.b) * self.s;
             covariance = inverse;
         }
         self.kalman.reset_turn(0.0);
-        self.kalman.p.fixed_view_mut::<3, 3>(0, 0).copy_from(&covariance);
+        self.kalman
+            .p
+            .fixed_view_mut::<3, 3>(0, 0)
+            .copy_from(&covariance);
         (self.field_nis, self.gravity_nis) = (1.0, 1.0);
     }
 
@@ -125,7 +164,11 @@ impl BendFilter {
         let (by_theta, _) = here.slopes(&reading.rest, &bias);
         let residual = reading.now - here.predicted(&reading.rest, &bias);
         for axis in 0..3 {
-            normal.add(&by_theta.row(axis).transpose(), residual[axis], reading.variance);
+            normal.add(
+                &by_theta.row(axis).transpose(),
+                residual[axis],
+                reading.variance,
+            );
         }
     }
 

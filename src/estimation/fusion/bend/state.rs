@@ -71,7 +71,10 @@ impl BendFilter {
     pub fn new(config: &BendFilterConfig, alignment: &Alignment) -> Self {
         let mut sigma = [0.0; N];
         sigma[..GYRO].fill(START_SIGMA_RAD);
-        sigma[GYRO..ACC].fill(alignment.gyro_sigma_rad_s / f64::from(alignment.samples.max(1)).sqrt() + BIAS_START_SIGMA_RAD_S);
+        sigma[GYRO..ACC].fill(
+            alignment.gyro_sigma_rad_s / f64::from(alignment.samples.max(1)).sqrt()
+                + BIAS_START_SIGMA_RAD_S,
+        );
         sigma[ACC..MAG].fill(config.acc_bias_sigma_m_s2);
         sigma[MAG..TWIST].fill(config.mag_bias_sigma_ut);
         sigma[TWIST] = config.twist_sigma;
@@ -84,7 +87,8 @@ impl BendFilter {
             kalman,
             gravity_nis: 1.0,
             field_nis: 1.0,
-            field_error_ut2: (config.field_error * alignment.mag_rest_ut.map_or(0.0, |m| m.norm())).powi(2),
+            field_error_ut2: (config.field_error * alignment.mag_rest_ut.map_or(0.0, |m| m.norm()))
+                .powi(2),
             ..Self::default()
         }
     }
@@ -93,14 +97,22 @@ impl BendFilter {
     /// errors are kept.
     pub fn rebase(&mut self, now: &Alignment, bend: Bend, sigma_rad: f64) {
         // half of the twist on either side leaves the bend unchanged
-        let half = UnitQuaternion::from_scaled_axis(Vector3::z() * (self.kalman.x[TWIST] * bend.beta() / 2.0));
+        let half = UnitQuaternion::from_scaled_axis(
+            Vector3::z() * (self.kalman.x[TWIST] * bend.beta() / 2.0),
+        );
         self.s = half * bend.rotation().quat() * half;
         let straight = |v: &Vector3<f64>, b: Vector3<f64>| self.s * (v - b) + b;
         self.alignment.acc_rest_m_s2 = straight(&now.acc_rest_m_s2, self.kalman.block(ACC));
-        self.alignment.mag_rest_ut = now.mag_rest_ut.map(|m| straight(&m, self.kalman.block(MAG)));
+        self.alignment.mag_rest_ut = now
+            .mag_rest_ut
+            .map(|m| straight(&m, self.kalman.block(MAG)));
         self.kalman.reset_turn(sigma_rad);
         self.kalman.set(GYRO, &now.gyro_bias_rad_s);
-        (self.acc, self.mag, self.rate) = (Innovation::default(), Innovation::default(), Innovation::default());
+        (self.acc, self.mag, self.rate) = (
+            Innovation::default(),
+            Innovation::default(),
+            Innovation::default(),
+        );
         (self.gravity_nis, self.field_nis, self.twist_nis) = (1.0, 1.0, 0.0);
     }
 
@@ -151,12 +163,18 @@ impl BendFilter {
         let (x, p) = (&self.kalman.x, &self.kalman.p);
         let tilt = x[MOUNT].hypot(x[MOUNT + 1]);
         let variance = p[(TWIST, TWIST)] + p[(MOUNT, MOUNT)] + p[(MOUNT + 1, MOUNT + 1)];
-        x[TWIST].abs() + tilt + 3.0 * (variance + self.config.twist_error * self.config.twist_error).sqrt()
+        x[TWIST].abs()
+            + tilt
+            + 3.0 * (variance + self.config.twist_error * self.config.twist_error).sqrt()
     }
 
     /// The axis that bending never turns about, `Exp(−μ) z`.
     pub(super) fn axis(&self) -> Vector3<f64> {
-        UnitQuaternion::from_scaled_axis(-Vector3::new(self.kalman.x[MOUNT], self.kalman.x[MOUNT + 1], 0.0)) * Vector3::z()
+        UnitQuaternion::from_scaled_axis(-Vector3::new(
+            self.kalman.x[MOUNT],
+            self.kalman.x[MOUNT + 1],
+            0.0,
+        )) * Vector3::z()
     }
 
     /// Propagates orientation and covariance over `dt_s` of measured rate.
@@ -181,7 +199,11 @@ impl BendFilter {
         for i in 0..GYRO {
             p[(i, i)] += q_turn;
         }
-        let walks = [(GYRO, c.gyro_walk_rad_s_rts * drift), (ACC, c.acc_walk_m_s2_rts), (MAG, c.mag_walk_ut_rts)];
+        let walks = [
+            (GYRO, c.gyro_walk_rad_s_rts * drift),
+            (ACC, c.acc_walk_m_s2_rts),
+            (MAG, c.mag_walk_ut_rts),
+        ];
         for (at, walk) in walks {
             for i in at..at + 3 {
                 p[(i, i)] += walk * walk * dt_s;
@@ -196,15 +218,27 @@ impl TipEstimator for BendFilter {
         let base_rate = self.s.inverse() * base.rate_rad_s;
         self.predict(&(sample.gyro_rad_s - base_rate), dt_s);
         let base_now = base.r_rest_now.inverse().to_rotation_matrix().into_inner();
-        let turn = Turn { s: self.s.to_rotation_matrix().into_inner(), base_now };
+        let turn = Turn {
+            s: self.s.to_rotation_matrix().into_inner(),
+            base_now,
+        };
         if mask.acc {
-            self.acc.add(&(sample.acc_m_s2 - turn.predicted(&self.alignment.acc_rest_m_s2, &self.kalman.block(ACC))));
+            self.acc.add(
+                &(sample.acc_m_s2
+                    - turn.predicted(&self.alignment.acc_rest_m_s2, &self.kalman.block(ACC))),
+            );
         }
-        if let (true, Some(m), Some(rest)) = (self.config.use_mag && mask.mag, &sample.mag_ut, &self.alignment.mag_rest_ut) {
-            self.mag.add(&(m - turn.predicted(rest, &self.kalman.block(MAG))));
+        if let (true, Some(m), Some(rest)) = (
+            self.config.use_mag && mask.mag,
+            &sample.mag_ut,
+            &self.alignment.mag_rest_ut,
+        ) {
+            self.mag
+                .add(&(m - turn.predicted(rest, &self.kalman.block(MAG))));
         }
         if mask.still {
-            self.rate.add(&(sample.gyro_rad_s - base_rate - self.gyro_bias_rad_s()));
+            self.rate
+                .add(&(sample.gyro_rad_s - base_rate - self.gyro_bias_rad_s()));
         }
         self.since_correction_s += dt_s;
         self.correction = Vector2::zeros();
@@ -216,7 +250,13 @@ impl TipEstimator for BendFilter {
         }
     }
 
-    fn recover(&mut self, _sample: &ImuSample, gap_s: f64, _mask: MeasurementMask, _base: &BaseTurn) {
+    fn recover(
+        &mut self,
+        _sample: &ImuSample,
+        gap_s: f64,
+        _mask: MeasurementMask,
+        _base: &BaseTurn,
+    ) {
         self.widen((gap_s * UNOBSERVED_RAD_S).min(UNOBSERVED_MAX_RAD));
         (self.field_nis, self.gravity_nis) = (1.0, 1.0);
     }

@@ -14,10 +14,16 @@ use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
 
 const DT_S: f64 = 0.005;
-const USE: MeasurementMask = MeasurementMask { acc: true, mag: true, still: false };
+const USE: MeasurementMask = MeasurementMask {
+    acc: true,
+    mag: true,
+    still: false,
+};
 
 fn noise(rng: &mut StdRng, sigma: f64) -> Vector3<f64> {
-    Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng))
+    Vector3::from_fn(|_, _| {
+        sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng)
+    })
 }
 
 /// A sensor with bias and hard iron on a tip whose base has the attitude `base`.
@@ -78,7 +84,9 @@ impl Sensor {
         (self.before, self.t_s) = (q, self.t_s + DT_S);
         ImuSample {
             t: Seconds(self.t_s),
-            gyro_rad_s: rate * (1.0 + self.gyro_scale) + self.gyro_bias + noise(&mut self.rng, 0.002),
+            gyro_rad_s: rate * (1.0 + self.gyro_scale)
+                + self.gyro_bias
+                + noise(&mut self.rng, 0.002),
             acc_m_s2: self.gravity(&q) + noise(&mut self.rng, 0.02),
             mag_ut: mag.then(|| self.field(&q) + noise(&mut self.rng, 0.35)),
         }
@@ -91,16 +99,29 @@ fn tilted(tilt: f64) -> UnitQuaternion<f64> {
 
 /// The sensor of these tests rotates without translation.
 fn turning_only() -> BendFilterConfig {
-    BendFilterConfig { arc_mm: 0.0, beyond_mm: 0.0, ..BendFilterConfig::default() }
+    BendFilterConfig {
+        arc_mm: 0.0,
+        beyond_mm: 0.0,
+        ..BendFilterConfig::default()
+    }
 }
 
 /// A path through the poses of a session, with pauses near straight.
 fn path(t_s: f64) -> Bend {
     let swing = (t_s * 0.9).sin().powi(3);
-    Bend::from_polar(crate::primitives::units::Rad(1.1 * swing.abs()), crate::primitives::units::Rad(0.4 * t_s))
+    Bend::from_polar(
+        crate::primitives::units::Rad(1.1 * swing.abs()),
+        crate::primitives::units::Rad(0.4 * t_s),
+    )
 }
 
-fn simulate(filter: &mut BendFilter, sensor: &mut Sensor, seconds: f64, mag: bool, mut each: impl FnMut(&BendFilter, &Bend)) {
+fn simulate(
+    filter: &mut BendFilter,
+    sensor: &mut Sensor,
+    seconds: f64,
+    mag: bool,
+    mut each: impl FnMut(&BendFilter, &Bend),
+) {
     for _ in 0..(seconds / DT_S) as usize {
         let bend = path(sensor.t_s + DT_S);
         let sample = sensor.sample(&bend, mag);
@@ -117,7 +138,10 @@ fn covariance_stays_symmetric_and_positive() {
     let p = filter.kalman.p;
     let scale = SMatrix::<f64, N, 1>::from_fn(|i, _| p[(i, i)].sqrt());
     let correlation = SMatrix::<f64, N, N>::from_fn(|i, j| p[(i, j)] / (scale[i] * scale[j]));
-    assert!((correlation - correlation.transpose()).amax() < 1e-6, "after ten minutes");
+    assert!(
+        (correlation - correlation.transpose()).amax() < 1e-6,
+        "after ten minutes"
+    );
     assert!(correlation.symmetric_eigen().eigenvalues.min() > 0.0);
 }
 
@@ -135,8 +159,15 @@ fn biases_converge_within_their_standard_deviations() {
         assert!(rms_deg < 0.6, "seed {seed}: {rms_deg}");
         for (at, truth) in [(ACC, sensor.acc_bias), (MAG, sensor.iron)] {
             for i in 0..3 {
-                let (error, sigma) = (filter.kalman.x[at + i] - truth[i], filter.kalman.p[(at + i, at + i)].sqrt());
-                assert!(error.abs() < 4.0 * sigma, "seed {seed}, entry {}: {error} with σ {sigma}", at + i);
+                let (error, sigma) = (
+                    filter.kalman.x[at + i] - truth[i],
+                    filter.kalman.p[(at + i, at + i)].sqrt(),
+                );
+                assert!(
+                    error.abs() < 4.0 * sigma,
+                    "seed {seed}, entry {}: {error} with σ {sigma}",
+                    at + i
+                );
             }
         }
     }
@@ -161,12 +192,22 @@ fn the_covariance_is_consistent_where_gravity_does_not_observe() {
         let (error, c) = (filter.bend().0, filter.covariance());
         nees += error.dot(&(c.try_inverse().unwrap() * error)) / 2.0;
         n += 1.0;
-        let sigmas = c.symmetric_eigen().eigenvalues.map(|v| v.sqrt().to_degrees());
+        let sigmas = c
+            .symmetric_eigen()
+            .eigenvalues
+            .map(|v| v.sqrt().to_degrees());
         unobserved = unobserved.max(sigmas.max());
         observed = observed.max(sigmas.min());
     }
-    assert!(unobserved > 3.0 * observed, "1 σ: {unobserved}° unobserved, {observed}° observed");
-    assert!(nees / n < 3.0, "mean NEES per degree of freedom {}", nees / n);
+    assert!(
+        unobserved > 3.0 * observed,
+        "1 σ: {unobserved}° unobserved, {observed}° observed"
+    );
+    assert!(
+        nees / n < 3.0,
+        "mean NEES per degree of freedom {}",
+        nees / n
+    );
 }
 
 /// Poses whose bend is about the vertical, with a field of the motors that differs from pose to pose.
@@ -191,11 +232,20 @@ fn a_field_that_the_motors_disturb_does_no_harm_and_a_clean_one_helps() {
                     // half a second from one side to the other, then a second of rest
                     let swing = (f64::from(step) * DT_S / 0.5).min(1.0) * std::f64::consts::PI;
                     let side = if pose % 2 == 0 { 1.2 } else { -1.2 };
-                    let beta = if pose == 0 { 0.5 * side * (1.0 - swing.cos()) } else { -side * swing.cos() };
+                    let beta = if pose == 0 {
+                        0.5 * side * (1.0 - swing.cos())
+                    } else {
+                        -side * swing.cos()
+                    };
                     let bend = Bend([0.1, beta].into());
                     let sample = sensor.sample(&bend, mag);
                     let still = stands && step > 120;
-                    filter.update(&sample, DT_S, MeasurementMask { still, ..USE }, &BaseTurn::none());
+                    filter.update(
+                        &sample,
+                        DT_S,
+                        MeasurementMask { still, ..USE },
+                        &BaseTurn::none(),
+                    );
                     if step > 240 && pose > 10 {
                         sum += (filter.bend().0 - bend.0).norm_squared();
                         n += 1.0;
@@ -209,7 +259,10 @@ fn a_field_that_the_motors_disturb_does_no_harm_and_a_clean_one_helps() {
     for motors_ut in [0.0, 0.1, 0.3, 1.0, 3.0, 8.0, 20.0] {
         let with = rms_deg(motors_ut, true, true);
         println!("{motors_ut} µT: {with:.2}°, without magnetometer {alone:.2}°");
-        assert!(with < 1.2 * alone, "{motors_ut} µT: {with}°, without {alone}°");
+        assert!(
+            with < 1.2 * alone,
+            "{motors_ut} µT: {with}°, without {alone}°"
+        );
     }
     // without standstill the gyroscope drifts, and the field bounds it
     let (with, alone) = (rms_deg(0.0, true, false), rms_deg(0.0, false, false));

@@ -48,21 +48,45 @@ impl HealthCause {
     /// Advice to the operator.
     pub fn advice(self) -> &'static str {
         match self {
-            Self::Nack => "check plug, supply and pull-ups of the IMU cable; its length limit is 1.2 m at 400 kHz",
-            Self::ShortRead => "the chip stopped in the middle of a transfer: check the cable for a loose contact",
-            Self::StuckBus => "a line is held low: cycle the power of the IMU, then check the cable for a short circuit",
-            Self::WrongId => "another part is fitted: set `imu.chip.part` and `imu.chip.address` to the part on the board",
-            Self::BrownOut => "the supply of the IMU dipped: check the 3.3 V at the tip under motor load",
-            Self::Frozen => "the chip responds but no longer converts: initialise it again or cycle its power",
-            Self::NotFinite => "a value is NaN or infinite: check the plant or the log that supplies it",
-            Self::Spike => "isolated implausible samples: shield the cable and route it away from the motor wires",
+            Self::Nack => {
+                "check plug, supply and pull-ups of the IMU cable; its length limit is 1.2 m at 400 kHz"
+            }
+            Self::ShortRead => {
+                "the chip stopped in the middle of a transfer: check the cable for a loose contact"
+            }
+            Self::StuckBus => {
+                "a line is held low: cycle the power of the IMU, then check the cable for a short circuit"
+            }
+            Self::WrongId => {
+                "another part is fitted: set `imu.chip.part` and `imu.chip.address` to the part on the board"
+            }
+            Self::BrownOut => {
+                "the supply of the IMU dipped: check the 3.3 V at the tip under motor load"
+            }
+            Self::Frozen => {
+                "the chip responds but no longer converts: initialise it again or cycle its power"
+            }
+            Self::NotFinite => {
+                "a value is NaN or infinite: check the plant or the log that supplies it"
+            }
+            Self::Spike => {
+                "isolated implausible samples: shield the cable and route it away from the motor wires"
+            }
             Self::Saturated => "move more slowly or set a larger `imu.chip.gyro_range_dps`",
-            Self::StaleTimestamp => "samples arrive late: check the bus speed and the load of the computer",
-            Self::JumpingTimestamp => "the sample clock jumps: use one monotonic clock for all timestamps",
+            Self::StaleTimestamp => {
+                "samples arrive late: check the bus speed and the load of the computer"
+            }
+            Self::JumpingTimestamp => {
+                "the sample clock jumps: use one monotonic clock for all timestamps"
+            }
             Self::MagOverflow => "a strong magnet is near the tip: remove it",
             Self::MagSilent => "the magnetometer stopped: initialise the IMU again",
-            Self::FieldDisturbed => "iron or a current is near the tip: until it is removed the heading depends on the gyroscope",
-            Self::AccelDisturbed => "the tip is shaken or pushed: until it stops the tilt depends on the gyroscope",
+            Self::FieldDisturbed => {
+                "iron or a current is near the tip: until it is removed the heading depends on the gyroscope"
+            }
+            Self::AccelDisturbed => {
+                "the tip is shaken or pushed: until it stops the tilt depends on the gyroscope"
+            }
         }
     }
 
@@ -97,7 +121,9 @@ impl CauseSet {
     }
     /// The causes, in the order of [`HealthCause::ALL`].
     pub fn iter(self) -> impl Iterator<Item = HealthCause> {
-        HealthCause::ALL.into_iter().filter(move |c| self.contains(*c))
+        HealthCause::ALL
+            .into_iter()
+            .filter(move |c| self.contains(*c))
     }
 }
 

@@ -66,22 +66,45 @@ pub(super) struct Checks {
 
 impl Checks {
     /// Sets the estimated sensor errors; the references are recomputed from the raw means of the alignment.
-    pub fn set_known(&mut self, known: KnownErrors, acc_rest: &Vector3<f64>, mag_rest: Option<&Vector3<f64>>) {
+    pub fn set_known(
+        &mut self,
+        known: KnownErrors,
+        acc_rest: &Vector3<f64>,
+        mag_rest: Option<&Vector3<f64>>,
+    ) {
         let acc = acc_rest - known.acc_bias_m_s2;
-        self.reference = mag_rest.and_then(|mag| FieldReference::from_rest(&acc, &(mag - known.iron_ut)));
+        self.reference =
+            mag_rest.and_then(|mag| FieldReference::from_rest(&acc, &(mag - known.iron_ut)));
         self.gravity_m_s2 = Some(acc.norm());
         self.known = known;
     }
 
     /// Checks one reading at time `now`, s; `shaken` is true while the accelerometer counts as disturbed.
-    pub fn inspect(&mut self, config: &HealthConfig, now: f64, reading: &ImuReading, shaken: bool) -> Findings {
+    pub fn inspect(
+        &mut self,
+        config: &HealthConfig,
+        now: f64,
+        reading: &ImuReading,
+        shaken: bool,
+    ) -> Findings {
         let found = match reading {
-            ImuReading::Sample(sample, quality) => self.inspect_sample(config, now, sample, *quality, shaken),
+            ImuReading::Sample(sample, quality) => {
+                self.inspect_sample(config, now, sample, *quality, shaken)
+            }
             ImuReading::Failed(fault) => self.inspect_failure(config, *fault),
             ImuReading::Nothing => {
-                let stale = self.last.is_some_and(|last| now - last.t.0 > config.stale_after_s);
-                let faults = if stale { CauseSet::of(HealthCause::StaleTimestamp) } else { CauseSet::EMPTY };
-                Findings { faults, ..Findings::default() }
+                let stale = self
+                    .last
+                    .is_some_and(|last| now - last.t.0 > config.stale_after_s);
+                let faults = if stale {
+                    CauseSet::of(HealthCause::StaleTimestamp)
+                } else {
+                    CauseSet::EMPTY
+                };
+                Findings {
+                    faults,
+                    ..Findings::default()
+                }
             }
         };
         self.last_was_sample = matches!(reading, ImuReading::Sample(..));
@@ -102,28 +125,56 @@ impl Checks {
                 faults.insert(HealthCause::StuckBus);
             }
         }
-        Findings { faults, ..Findings::default() }
+        Findings {
+            faults,
+            ..Findings::default()
+        }
     }
 
-    fn inspect_sample(&mut self, config: &HealthConfig, now: f64, sample: &ImuSample, quality: Quality, shaken: bool) -> Findings {
+    fn inspect_sample(
+        &mut self,
+        config: &HealthConfig,
+        now: f64,
+        sample: &ImuSample,
+        quality: Quality,
+        shaken: bool,
+    ) -> Findings {
         let mut found = Findings::default();
         self.bus_failures = 0;
-        for cause in [HealthCause::Nack, HealthCause::ShortRead, HealthCause::StuckBus, HealthCause::WrongId, HealthCause::BrownOut] {
+        for cause in [
+            HealthCause::Nack,
+            HealthCause::ShortRead,
+            HealthCause::StuckBus,
+            HealthCause::WrongId,
+            HealthCause::BrownOut,
+        ] {
             found.test(cause, false);
         }
-        found.test(HealthCause::NotFinite, !sample.is_finite() || !sample.t.0.is_finite());
+        found.test(
+            HealthCause::NotFinite,
+            !sample.is_finite() || !sample.t.0.is_finite(),
+        );
         if found.faults.contains(HealthCause::NotFinite) {
             return found; // no other check is meaningful, and the values must not be stored
         }
         self.check_clock(config, now, sample, &mut found);
         self.check_repetition(config, sample, quality, &mut found);
-        found.test(HealthCause::Saturated, quality.gyro_load >= config.saturated_at);
+        found.test(
+            HealthCause::Saturated,
+            quality.gyro_load >= config.saturated_at,
+        );
         self.check_spike(config, sample, &mut found);
         let gravity = self.gravity_m_s2.unwrap_or(GRAVITY_M_S2);
         let force = (sample.acc_m_s2 - self.known.acc_bias_m_s2).norm();
-        let disturbed = (force - gravity).abs() > config.acc_norm_tolerance_m_s2 + self.known.acc_margin_m_s2;
-        found.test(HealthCause::AccelDisturbed, disturbed || quality.acc_load >= config.saturated_at);
-        if found.faults.contains(HealthCause::Spike) || found.faults.contains(HealthCause::Saturated) {
+        let disturbed =
+            (force - gravity).abs() > config.acc_norm_tolerance_m_s2 + self.known.acc_margin_m_s2;
+        found.test(
+            HealthCause::AccelDisturbed,
+            disturbed || quality.acc_load >= config.saturated_at,
+        );
+        if found.faults.contains(HealthCause::Spike)
+            || found.faults.contains(HealthCause::Saturated)
+        {
             self.up = None; // the gyroscope may have missed part of the rotation
         }
         self.propagate_vertical(config, sample, !disturbed && !shaken);
@@ -132,32 +183,66 @@ impl Checks {
         found
     }
 
-    fn check_clock(&self, config: &HealthConfig, now: f64, sample: &ImuSample, found: &mut Findings) {
+    fn check_clock(
+        &self,
+        config: &HealthConfig,
+        now: f64,
+        sample: &ImuSample,
+        found: &mut Findings,
+    ) {
         let t = sample.t.0;
         let step = self.last.map_or(f64::NAN, |last| t - last.t.0); // NaN: the first sample passes every comparison
-        found.test(HealthCause::StaleTimestamp, now - t > config.stale_after_s || step == 0.0);
+        found.test(
+            HealthCause::StaleTimestamp,
+            now - t > config.stale_after_s || step == 0.0,
+        );
         let jump = step > config.jump_max_s && self.last_was_sample;
-        found.test(HealthCause::JumpingTimestamp, step < 0.0 || jump || t - now > config.jump_max_s);
+        found.test(
+            HealthCause::JumpingTimestamp,
+            step < 0.0 || jump || t - now > config.jump_max_s,
+        );
     }
 
-    fn check_repetition(&mut self, config: &HealthConfig, sample: &ImuSample, quality: Quality, found: &mut Findings) {
-        let same = self.last.is_some_and(|s| s.gyro_rad_s == sample.gyro_rad_s && s.acc_m_s2 == sample.acc_m_s2);
-        self.repeated = if same { self.repeated.saturating_add(1) } else { 0 };
+    fn check_repetition(
+        &mut self,
+        config: &HealthConfig,
+        sample: &ImuSample,
+        quality: Quality,
+        found: &mut Findings,
+    ) {
+        let same = self
+            .last
+            .is_some_and(|s| s.gyro_rad_s == sample.gyro_rad_s && s.acc_m_s2 == sample.acc_m_s2);
+        self.repeated = if same {
+            self.repeated.saturating_add(1)
+        } else {
+            0
+        };
         let enabled = quality.expect_noise && config.frozen_after > 0;
-        found.test(HealthCause::Frozen, enabled && self.repeated >= config.frozen_after);
+        found.test(
+            HealthCause::Frozen,
+            enabled && self.repeated >= config.frozen_after,
+        );
     }
 
     /// A jump is a spike unless [`HealthConfig::spike_confirm`] samples in a row agree on the new value. What was rejected is
     /// confirmed if the rate goes on from there: a tip that snaps slows down before that many samples.
     fn check_spike(&mut self, config: &HealthConfig, sample: &ImuSample, found: &mut Findings) {
-        let near = |other: &Option<ImuSample>| other.as_ref().is_none_or(|o| reachable(config, o, sample));
+        let near =
+            |other: &Option<ImuSample>| other.as_ref().is_none_or(|o| reachable(config, o, sample));
         let mut spike = !near(&self.last_plausible);
         if spike {
-            self.agreeing = if near(&self.last) { self.agreeing + 1 } else { 0 };
+            self.agreeing = if near(&self.last) {
+                self.agreeing + 1
+            } else {
+                0
+            };
             spike = self.agreeing < config.spike_confirm;
         }
         if !spike {
-            let off = |from: &Option<ImuSample>| from.map_or(f64::INFINITY, |s| (sample.gyro_rad_s - s.gyro_rad_s).norm());
+            let off = |from: &Option<ImuSample>| {
+                from.map_or(f64::INFINITY, |s| (sample.gyro_rad_s - s.gyro_rad_s).norm())
+            };
             found.confirmed = off(&self.last) < off(&self.last_plausible);
             self.agreeing = 0;
             self.last_plausible = Some(*sample);
@@ -165,7 +250,14 @@ impl Checks {
         found.test(HealthCause::Spike, spike);
     }
 
-    fn check_magnetometer(&mut self, config: &HealthConfig, now: f64, sample: &ImuSample, quality: Quality, found: &mut Findings) {
+    fn check_magnetometer(
+        &mut self,
+        config: &HealthConfig,
+        now: f64,
+        sample: &ImuSample,
+        quality: Quality,
+        found: &mut Findings,
+    ) {
         let since = *self.last_mag_s.get_or_insert(now);
         if quality.mag_overflow || sample.mag_ut.is_some() {
             found.test(HealthCause::MagOverflow, quality.mag_overflow);
@@ -176,7 +268,13 @@ impl Checks {
         }
         if let (Some(mag), Some(reference)) = (&sample.mag_ut, &self.reference) {
             let field = mag - self.known.iron_ut;
-            let disturbed = field_disturbed(config, reference, self.up.as_ref(), &field, self.known.iron_margin_ut);
+            let disturbed = field_disturbed(
+                config,
+                reference,
+                self.up.as_ref(),
+                &field,
+                self.known.iron_margin_ut,
+            );
             found.test(HealthCause::FieldDisturbed, disturbed);
         }
     }
@@ -189,7 +287,11 @@ impl Checks {
         self.up = match self.up.filter(|_| bridged) {
             Some(up) => {
                 let turned = Rotation3::new(-sample.gyro_rad_s * dt) * up;
-                let gain = if calm { (dt / config.vertical_memory_s).min(1.0) } else { 0.0 };
+                let gain = if calm {
+                    (dt / config.vertical_memory_s).min(1.0)
+                } else {
+                    0.0
+                };
                 Some(turned * (1.0 - gain) + sample.acc_m_s2 * gain)
             }
             None => calm.then_some(sample.acc_m_s2),
@@ -200,7 +302,8 @@ impl Checks {
 fn reachable(config: &HealthConfig, from: &ImuSample, to: &ImuSample) -> bool {
     let dt = (to.t.0 - from.t.0).clamp(0.0, config.jump_max_s);
     let gyro_max = config.gyro_jump_allowed_rad_s + config.angular_acceleration_max_rad_s2 * dt;
-    (to.gyro_rad_s - from.gyro_rad_s).norm() <= gyro_max && (to.acc_m_s2 - from.acc_m_s2).norm() <= config.acc_jump_allowed_m_s2
+    (to.gyro_rad_s - from.gyro_rad_s).norm() <= gyro_max
+        && (to.acc_m_s2 - from.acc_m_s2).norm() <= config.acc_jump_allowed_m_s2
 }
 
 /// True if strength or dip of the field differ from the reference; without a vertical only the strength is checked.
@@ -212,7 +315,8 @@ pub(super) fn field_disturbed(
     margin_ut: f64,
 ) -> bool {
     let margin = margin_ut / reference.norm_ut;
-    let strength_off = (field.norm() / reference.norm_ut - 1.0).abs() > config.field_norm_tolerance + margin;
+    let strength_off =
+        (field.norm() / reference.norm_ut - 1.0).abs() > config.field_norm_tolerance + margin;
     let dip_max = config.field_dip_tolerance_deg.to_radians() + margin.min(1.0).asin();
     let dip_off = |up| dip(up, field).is_none_or(|d| (d - reference.dip_rad).abs() > dip_max);
     strength_off || up.is_some_and(dip_off)

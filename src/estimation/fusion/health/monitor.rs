@@ -40,13 +40,21 @@ pub struct SensorMonitor {
 impl SensorMonitor {
     /// Sets the estimated sensor errors. `acc_rest` and `mag_rest` are the raw means of the alignment, from which
     /// the references of gravity and field are computed.
-    pub fn set_known(&mut self, known: KnownErrors, acc_rest: &Vector3<f64>, mag_rest: Option<&Vector3<f64>>) {
+    pub fn set_known(
+        &mut self,
+        known: KnownErrors,
+        acc_rest: &Vector3<f64>,
+        mag_rest: Option<&Vector3<f64>>,
+    ) {
         self.checks.set_known(known, acc_rest, mag_rest);
     }
     /// Causes that are in force.
     pub fn in_force(&self) -> CauseSet {
         let mut set = CauseSet::EMPTY;
-        HealthCause::ALL.into_iter().filter(|c| self.track(*c).since.is_some()).for_each(|c| set.insert(c));
+        HealthCause::ALL
+            .into_iter()
+            .filter(|c| self.track(*c).since.is_some())
+            .for_each(|c| set.insert(c));
         set
     }
     /// How often a cause has come into force since the start.
@@ -58,16 +66,31 @@ impl SensorMonitor {
     }
 
     /// Assesses one reading; `now` is on the clock of the sample stamps.
-    pub fn assess(&mut self, config: &HealthConfig, now: Seconds, reading: &ImuReading) -> HealthVerdict {
+    pub fn assess(
+        &mut self,
+        config: &HealthConfig,
+        now: Seconds,
+        reading: &ImuReading,
+    ) -> HealthVerdict {
         let shaken = self.track(HealthCause::AccelDisturbed).since.is_some();
         let found = self.checks.inspect(config, now.0, reading, shaken);
         let (raised, recovered) = self.update_tracks(config, now.0, &found);
         let verdict = self.apply_policies(config, now.0, reading, found.faults);
-        HealthVerdict { raised, recovered, confirmed: found.confirmed, ..verdict }
+        HealthVerdict {
+            raised,
+            recovered,
+            confirmed: found.confirmed,
+            ..verdict
+        }
     }
 
     /// Advances the track of every cause by one reading; returns the causes raised and those cleared.
-    fn update_tracks(&mut self, config: &HealthConfig, now: f64, found: &Findings) -> (CauseSet, Option<Recovered>) {
+    fn update_tracks(
+        &mut self,
+        config: &HealthConfig,
+        now: f64,
+        found: &Findings,
+    ) -> (CauseSet, Option<Recovered>) {
         let (mut raised, mut cleared, mut after_s) = (CauseSet::EMPTY, CauseSet::EMPTY, 0.0_f64);
         for cause in HealthCause::ALL {
             let track = &mut self.tracks[cause as usize];
@@ -76,8 +99,14 @@ impl SensorMonitor {
                 if track.since.is_none() {
                     track.since = Some(now);
                     track.times = track.times.saturating_add(1);
-                    let soon = track.cleared.is_some_and(|cleared| now - cleared < RETURN_S);
-                    track.returns = if soon { track.returns.saturating_add(1) } else { 0 };
+                    let soon = track
+                        .cleared
+                        .is_some_and(|cleared| now - cleared < RETURN_S);
+                    track.returns = if soon {
+                        track.returns.saturating_add(1)
+                    } else {
+                        0
+                    };
                     raised.insert(cause);
                 }
             } else if let Some(since) = track.since
@@ -91,13 +120,33 @@ impl SensorMonitor {
                 }
             }
         }
-        (raised, (!cleared.is_empty()).then_some(Recovered { causes: cleared, after_s }))
+        (
+            raised,
+            (!cleared.is_empty()).then_some(Recovered {
+                causes: cleared,
+                after_s,
+            }),
+        )
     }
 
     /// Applies the policies of all causes in force to the reading.
-    fn apply_policies(&mut self, config: &HealthConfig, now: f64, reading: &ImuReading, faults: CauseSet) -> HealthVerdict {
-        let sample = if let ImuReading::Sample(sample, _) = reading { Some(sample) } else { None };
-        let (mut gyro, mut acc, mut mag) = (sample.is_some(), sample.is_some(), sample.is_some_and(|s| s.mag_ut.is_some()));
+    fn apply_policies(
+        &mut self,
+        config: &HealthConfig,
+        now: f64,
+        reading: &ImuReading,
+        faults: CauseSet,
+    ) -> HealthVerdict {
+        let sample = if let ImuReading::Sample(sample, _) = reading {
+            Some(sample)
+        } else {
+            None
+        };
+        let (mut gyro, mut acc, mut mag) = (
+            sample.is_some(),
+            sample.is_some(),
+            sample.is_some_and(|s| s.mag_ut.is_some()),
+        );
         let mut hold = false;
         let in_force = self.in_force();
         for cause in in_force.iter() {
@@ -121,7 +170,16 @@ impl SensorMonitor {
         if gyro {
             self.used_s = Some(now);
         }
-        HealthVerdict { gyro, acc: acc && gyro, mag: mag && gyro, hold: hold || blind, blind, faults, in_force, ..HealthVerdict::default() }
+        HealthVerdict {
+            gyro,
+            acc: acc && gyro,
+            mag: mag && gyro,
+            hold: hold || blind,
+            blind,
+            faults,
+            in_force,
+            ..HealthVerdict::default()
+        }
     }
 }
 
@@ -129,7 +187,9 @@ impl SensorMonitor {
 /// and then by chance, so every return doubles the number.
 fn readings_to_clear(config: &HealthConfig, cause: HealthCause, returns: u32) -> u32 {
     match cause {
-        HealthCause::FieldDisturbed => config.recover_mag_samples.saturating_mul(1 << returns.min(RETURNS_MAX)),
+        HealthCause::FieldDisturbed => config
+            .recover_mag_samples
+            .saturating_mul(1 << returns.min(RETURNS_MAX)),
         HealthCause::MagOverflow | HealthCause::MagSilent => config.recover_mag_samples,
         HealthCause::AccelDisturbed => config.recover_acc_samples,
         _ => config.recover_samples,

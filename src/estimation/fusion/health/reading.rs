@@ -34,7 +34,12 @@ pub struct Quality {
 
 impl Default for Quality {
     fn default() -> Self {
-        Self { gyro_load: 0.0, acc_load: 0.0, mag_overflow: false, expect_noise: true }
+        Self {
+            gyro_load: 0.0,
+            acc_load: 0.0,
+            mag_overflow: false,
+            expect_noise: true,
+        }
     }
 }
 
@@ -53,7 +58,10 @@ pub enum ImuReading {
 impl ImuReading {
     /// The reading of a plant or a log, which may be free of noise.
     pub fn from_world(sample: Option<ImuSample>) -> Self {
-        let quality = Quality { expect_noise: false, ..Quality::default() };
+        let quality = Quality {
+            expect_noise: false,
+            ..Quality::default()
+        };
         sample.map_or(Self::Nothing, |s| Self::Sample(s, quality))
     }
 }
@@ -70,7 +78,10 @@ pub struct FieldReference {
 impl FieldReference {
     /// From the means over a still stretch; `None` when either is zero or not finite.
     pub fn from_rest(acc_m_s2: &Vector3<f64>, mag_ut: &Vector3<f64>) -> Option<Self> {
-        Some(Self { norm_ut: mag_ut.norm(), dip_rad: dip(acc_m_s2, mag_ut)? })
+        Some(Self {
+            norm_ut: mag_ut.norm(),
+            dip_rad: dip(acc_m_s2, mag_ut)?,
+        })
     }
 }
 

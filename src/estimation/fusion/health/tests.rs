@@ -23,10 +23,18 @@ struct Source {
 impl Source {
     fn new(seed: u64) -> Self {
         let (acc, mag) = (Vector3::new(0.0, 0.0, 9.81), Vector3::new(20.0, 0.0, -45.0));
-        Self { rng: StdRng::seed_from_u64(seed), n: 0, rate: Vector3::zeros(), acc, mag }
+        Self {
+            rng: StdRng::seed_from_u64(seed),
+            n: 0,
+            rate: Vector3::zeros(),
+            acc,
+            mag,
+        }
     }
     fn noise(&mut self, sigma: f64) -> Vector3<f64> {
-        Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut self.rng))
+        Vector3::from_fn(|_, _| {
+            sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut self.rng)
+        })
     }
     fn now(&self) -> f64 {
         f64::from(self.n) * DT
@@ -36,7 +44,12 @@ impl Source {
         let mag = self.n.is_multiple_of(5).then(|| self.mag + self.noise(0.5));
         let gyro_rad_s = self.rate + self.noise(0.004);
         let acc_m_s2 = self.acc + self.noise(0.03);
-        ImuSample { t: Seconds(self.now()), gyro_rad_s, acc_m_s2, mag_ut: mag }
+        ImuSample {
+            t: Seconds(self.now()),
+            gyro_rad_s,
+            acc_m_s2,
+            mag_ut: mag,
+        }
     }
 }
 
@@ -51,10 +64,15 @@ impl Rig {
         let mut monitor = SensorMonitor::default();
         let source = Source::new(7);
         monitor.set_known(KnownErrors::default(), &source.acc, Some(&source.mag));
-        Self { config: HealthConfig::default(), monitor, source }
+        Self {
+            config: HealthConfig::default(),
+            monitor,
+            source,
+        }
     }
     fn put(&mut self, reading: ImuReading) -> HealthVerdict {
-        self.monitor.assess(&self.config, Seconds(self.source.now()), &reading)
+        self.monitor
+            .assess(&self.config, Seconds(self.source.now()), &reading)
     }
     fn good(&mut self) -> HealthVerdict {
         let sample = self.source.next();
@@ -120,14 +138,21 @@ fn nacks_are_skipped_then_blind_then_a_stuck_bus() {
         if v.blind && blind_after.is_none() {
             blind_after = Some(f64::from(n) * DT);
         }
-        assert_eq!(v.faults.contains(HealthCause::StuckBus), n >= b.config.stuck_after, "{n}");
+        assert_eq!(
+            v.faults.contains(HealthCause::StuckBus),
+            n >= b.config.stuck_after,
+            "{n}"
+        );
         assert_eq!(v.hold, n >= b.config.stuck_after || v.blind);
     }
     let blind_after = blind_after.expect("40 periods without a sample must be blind");
     assert!(blind_after > 0.05 && blind_after < 0.056, "{blind_after}");
     let (n, after_s) = b.until_recovered(HealthCause::StuckBus);
     assert_eq!(n, b.config.recover_samples);
-    assert!((after_s - (39.0 + f64::from(n)) * DT).abs() < 1e-9, "counted from the first nack: {after_s}");
+    assert!(
+        (after_s - (39.0 + f64::from(n)) * DT).abs() < 1e-9,
+        "counted from the first nack: {after_s}"
+    );
     assert!(b.good().in_force.is_empty());
     assert_eq!(b.monitor.times(HealthCause::StuckBus), 1);
 }
@@ -138,8 +163,17 @@ fn samples_are_used_while_a_hold_recovers() {
     b.settle();
     assert!(b.fail(ReadFault::BrownOut).hold);
     let v = b.good();
-    assert!(v.hold && v.gyro && v.acc && v.faults.is_empty() && v.in_force.contains(HealthCause::BrownOut));
-    assert_eq!(b.until_recovered(HealthCause::BrownOut).0, b.config.recover_samples - 1);
+    assert!(
+        v.hold
+            && v.gyro
+            && v.acc
+            && v.faults.is_empty()
+            && v.in_force.contains(HealthCause::BrownOut)
+    );
+    assert_eq!(
+        b.until_recovered(HealthCause::BrownOut).0,
+        b.config.recover_samples - 1
+    );
     assert!(!b.good().hold);
 }
 
@@ -152,8 +186,15 @@ fn a_fault_during_recovery_restarts_the_count() {
         assert!(b.good().recovered.is_none());
     }
     b.fail(ReadFault::WrongId);
-    assert_eq!(b.until_recovered(HealthCause::WrongId).0, b.config.recover_samples);
-    assert_eq!(b.monitor.times(HealthCause::WrongId), 1, "the cause stayed in force");
+    assert_eq!(
+        b.until_recovered(HealthCause::WrongId).0,
+        b.config.recover_samples
+    );
+    assert_eq!(
+        b.monitor.times(HealthCause::WrongId),
+        1,
+        "the cause stayed in force"
+    );
 }
 
 #[test]
@@ -202,9 +243,18 @@ fn a_spike_is_skipped_and_a_true_step_is_accepted() {
     let v = b.with(|s, _| s.acc_m_s2.x -= 30.0);
     assert!(v.faults.contains(HealthCause::Spike));
     b.settle_again();
-    let skipped = (0..20).filter(|_| b.with(|s, _| s.gyro_rad_s.z += 6.0).faults.contains(HealthCause::Spike)).count();
+    let skipped = (0..20)
+        .filter(|_| {
+            b.with(|s, _| s.gyro_rad_s.z += 6.0)
+                .faults
+                .contains(HealthCause::Spike)
+        })
+        .count();
     // the allowed change grows with the time since the last plausible sample: at most `spike_confirm` are skipped
-    assert!((1..=b.config.spike_confirm as usize).contains(&skipped), "{skipped}");
+    assert!(
+        (1..=b.config.spike_confirm as usize).contains(&skipped),
+        "{skipped}"
+    );
 }
 
 #[test]
@@ -212,12 +262,24 @@ fn a_snap_that_decays_confirms_what_was_rejected_and_a_spike_does_not() {
     let mut b = Rig::new();
     b.settle();
     let decaying = |k: i32| 1.4 * (-f64::from(k) * DT / 0.025).exp();
-    let seen: Vec<_> = (0..40).map(|k| b.with(|s, _| s.gyro_rad_s.z += decaying(k))).collect();
-    let skipped = seen.iter().take_while(|v| v.faults.contains(HealthCause::Spike)).count();
-    assert!((1..5).contains(&skipped) && seen[skipped].confirmed, "{skipped}");
+    let seen: Vec<_> = (0..40)
+        .map(|k| b.with(|s, _| s.gyro_rad_s.z += decaying(k)))
+        .collect();
+    let skipped = seen
+        .iter()
+        .take_while(|v| v.faults.contains(HealthCause::Spike))
+        .count();
+    assert!(
+        (1..5).contains(&skipped) && seen[skipped].confirmed,
+        "{skipped}"
+    );
     assert_eq!(seen.iter().filter(|v| v.confirmed).count(), 1);
     b.settle_again();
-    assert!(b.with(|s, _| s.gyro_rad_s.z += 1.4).faults.contains(HealthCause::Spike));
+    assert!(
+        b.with(|s, _| s.gyro_rad_s.z += 1.4)
+            .faults
+            .contains(HealthCause::Spike)
+    );
     assert!(!b.good().confirmed, "the rate is back at once");
 }
 
@@ -236,7 +298,11 @@ fn saturation_holds_the_pistons() {
     assert!(b.with(|_, q| q.gyro_load = 0.979).faults.is_empty());
     let v = b.with(|_, q| q.gyro_load = 0.98);
     assert!(v.faults.contains(HealthCause::Saturated) && v.hold && !v.gyro);
-    assert!(b.with(|_, q| q.acc_load = 1.0).faults.contains(HealthCause::AccelDisturbed));
+    assert!(
+        b.with(|_, q| q.acc_load = 1.0)
+            .faults
+            .contains(HealthCause::AccelDisturbed)
+    );
 }
 
 #[test]
@@ -244,23 +310,44 @@ fn invalid_timestamps_are_detected() {
     let mut b = Rig::new();
     b.settle();
     let t = b.source.now();
-    assert!(b.with(|s, _| s.t = Seconds(t)).faults.contains(HealthCause::StaleTimestamp), "repeated timestamp");
+    assert!(
+        b.with(|s, _| s.t = Seconds(t))
+            .faults
+            .contains(HealthCause::StaleTimestamp),
+        "repeated timestamp"
+    );
     b.good();
-    assert!(b.with(|s, _| s.t.0 -= 0.03).faults.contains(HealthCause::StaleTimestamp), "old timestamp");
+    assert!(
+        b.with(|s, _| s.t.0 -= 0.03)
+            .faults
+            .contains(HealthCause::StaleTimestamp),
+        "old timestamp"
+    );
     assert!(b.good().faults.is_empty());
     let back = b.with(|s, _| s.t.0 -= 0.01);
     assert!(back.faults.contains(HealthCause::JumpingTimestamp) && !back.gyro);
     b.good();
-    assert!(b.with(|s, _| s.t.0 += 0.5).faults.contains(HealthCause::JumpingTimestamp), "timestamp in the future");
+    assert!(
+        b.with(|s, _| s.t.0 += 0.5)
+            .faults
+            .contains(HealthCause::JumpingTimestamp),
+        "timestamp in the future"
+    );
     b.settle_again();
     b.source.n += 100; // the loop paused for 0.2 s
-    assert!(b.good().faults.contains(HealthCause::JumpingTimestamp), "jump ahead");
+    assert!(
+        b.good().faults.contains(HealthCause::JumpingTimestamp),
+        "jump ahead"
+    );
     b.settle_again();
     for _ in 0..30 {
         b.fail(ReadFault::Nack);
     }
     b.source.n += 100;
-    assert!(!b.good().faults.contains(HealthCause::JumpingTimestamp), "a gap after failed transfers is no jump");
+    assert!(
+        !b.good().faults.contains(HealthCause::JumpingTimestamp),
+        "a gap after failed transfers is no jump"
+    );
 }
 
 #[test]
@@ -272,24 +359,44 @@ fn silence_becomes_stale_then_blind() {
         let v = b.put(ImuReading::Nothing);
         let silent_s = f64::from(n) * DT;
         if (silent_s - 0.02).abs() > 1e-6 && (silent_s - 0.05).abs() > 1e-6 {
-            assert_eq!(v.faults.contains(HealthCause::StaleTimestamp), silent_s > 0.02);
+            assert_eq!(
+                v.faults.contains(HealthCause::StaleTimestamp),
+                silent_s > 0.02
+            );
             assert_eq!(v.blind, silent_s > 0.05, "{silent_s}");
         }
     }
     assert!(b.good().gyro);
-    assert_eq!(b.until_recovered(HealthCause::StaleTimestamp).0, b.config.recover_samples - 1);
+    assert_eq!(
+        b.until_recovered(HealthCause::StaleTimestamp).0,
+        b.config.recover_samples - 1
+    );
 }
 
 #[test]
 fn policies_are_parsed_and_invalid_limits_are_named() {
     let text = "frozen_after = 0\n[policy]\nspike = { do = \"hold\" }\nnack = { do = \"coast_on_gyro\", for_s = 0.5 }\n";
     let c: HealthConfig = toml::from_str(text).expect("valid");
-    assert_eq!((c.policy.spike, c.policy.nack), (Policy::Hold, Policy::CoastOnGyro { for_s: 0.5 }));
+    assert_eq!(
+        (c.policy.spike, c.policy.nack),
+        (Policy::Hold, Policy::CoastOnGyro { for_s: 0.5 })
+    );
     c.checked("fuse.health").expect("sound");
-    assert!(toml::from_str::<HealthConfig>("blind_maxs = 1").is_err(), "a typo is an error");
-    let bad = HealthConfig { saturated_at: 98.0, ..HealthConfig::default() };
-    assert_eq!(bad.checked("fuse.health").unwrap_err().key, "fuse.health.saturated_at");
-    let back: HealthConfig = toml::from_str(&toml::to_string(&HealthConfig::default()).expect("serialises")).expect("reads back");
+    assert!(
+        toml::from_str::<HealthConfig>("blind_maxs = 1").is_err(),
+        "a typo is an error"
+    );
+    let bad = HealthConfig {
+        saturated_at: 98.0,
+        ..HealthConfig::default()
+    };
+    assert_eq!(
+        bad.checked("fuse.health").unwrap_err().key,
+        "fuse.health.saturated_at"
+    );
+    let back: HealthConfig =
+        toml::from_str(&toml::to_string(&HealthConfig::default()).expect("serialises"))
+            .expect("reads back");
     assert_eq!(back, HealthConfig::default());
 }
 
@@ -297,7 +404,10 @@ fn policies_are_parsed_and_invalid_limits_are_named() {
 fn names_match_serde() {
     for (i, c) in HealthCause::ALL.into_iter().enumerate() {
         assert_eq!(c as usize, i);
-        assert_eq!(serde_json::to_string(&c).expect("plain"), format!("\"{}\"", c.name()));
+        assert_eq!(
+            serde_json::to_string(&c).expect("plain"),
+            format!("\"{}\"", c.name())
+        );
         assert!(!c.advice().is_empty());
     }
 }

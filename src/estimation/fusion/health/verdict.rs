@@ -54,7 +54,12 @@ pub struct HealthVerdict {
 impl HealthVerdict {
     /// The strictest consequence of the verdict.
     pub fn action(&self) -> HealthAction {
-        let magnetic = |c| matches!(c, HealthCause::MagOverflow | HealthCause::MagSilent | HealthCause::FieldDisturbed);
+        let magnetic = |c| {
+            matches!(
+                c,
+                HealthCause::MagOverflow | HealthCause::MagSilent | HealthCause::FieldDisturbed
+            )
+        };
         if self.hold {
             HealthAction::Hold
         } else if !self.gyro {

@@ -47,8 +47,19 @@ impl Block {
         self.turning_sq += rate.norm_squared() * dt_s;
         let step = rotation * dt_s;
         let (x, y, z) = (step.column(0), step.column(1), step.column(2));
-        let mixed = [x * rate.y + y * rate.x, x * rate.z + z * rate.x, y * rate.z + z * rate.y];
-        let columns = [x * rate.x, y * rate.y, z * rate.z, mixed[0], mixed[1], mixed[2]];
+        let mixed = [
+            x * rate.y + y * rate.x,
+            x * rate.z + z * rate.x,
+            y * rate.z + z * rate.y,
+        ];
+        let columns = [
+            x * rate.x,
+            y * rate.y,
+            z * rate.z,
+            mixed[0],
+            mixed[1],
+            mixed[2],
+        ];
         for (k, column) in columns.iter().enumerate() {
             let mut sum = self.skewed.column_mut(k);
             sum += column;
@@ -64,7 +75,12 @@ impl Block {
 
     /// Adds a magnetometer reading (µT, sensor axes) that was taken at orientation `rotation` and angular rate
     /// `rate` (rad/s, sensor axes).
-    pub fn add_field(&mut self, mag: &Vector3<f64>, rotation: &UnitQuaternion<f64>, rate: &Vector3<f64>) {
+    pub fn add_field(
+        &mut self,
+        mag: &Vector3<f64>,
+        rotation: &UnitQuaternion<f64>,
+        rate: &Vector3<f64>,
+    ) {
         let world = rotation * mag;
         self.readings += 1.0;
         self.field += world;
@@ -74,7 +90,11 @@ impl Block {
 
     /// Propagation of the errors over the block.
     pub fn flow(&self) -> Flow {
-        Flow { attitude_by_bias: -self.rotated, attitude_by_scale: self.skewed, velocity_by_tilt_m_s: GRAVITY_M_S2 * self.length_s }
+        Flow {
+            attitude_by_bias: -self.rotated,
+            attitude_by_scale: self.skewed,
+            velocity_by_tilt_m_s: GRAVITY_M_S2 * self.length_s,
+        }
     }
     /// Mean square angular rate, rad²/s².
     pub fn turning_sq(&self) -> f64 {
@@ -87,6 +107,10 @@ impl Block {
     /// Mean of the magnetometer readings, if there were any.
     pub fn field(&self) -> Option<FieldMean> {
         let n = self.readings;
-        (n > 0.0).then(|| FieldMean { world_ut: self.field / n, by_age_ut_s: self.field_by_age / n, to_world: self.field_rotation / n })
+        (n > 0.0).then(|| FieldMean {
+            world_ut: self.field / n,
+            by_age_ut_s: self.field_by_age / n,
+            to_world: self.field_rotation / n,
+        })
     }
 }

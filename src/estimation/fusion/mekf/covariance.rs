@@ -82,16 +82,27 @@ impl Covariance {
     /// P ← F P Fᵀ: first the velocity, by the attitude error at the start of the block, then the attitude.
     pub fn flow(&mut self, flow: &Flow) {
         let pull = flow.velocity_by_tilt_m_s;
-        self.couple(&[(VELOCITY, ATTITUDE + 1, pull), (VELOCITY + 1, ATTITUDE, -pull)]);
+        self.couple(&[
+            (VELOCITY, ATTITUDE + 1, pull),
+            (VELOCITY + 1, ATTITUDE, -pull),
+        ]);
         let mut links = [(0, 0, 0.0); 27];
         let mut n = 0;
         for row in 0..3 {
             for col in 0..3 {
-                links[n] = (ATTITUDE + row, BIAS + col, flow.attitude_by_bias[(row, col)]);
+                links[n] = (
+                    ATTITUDE + row,
+                    BIAS + col,
+                    flow.attitude_by_bias[(row, col)],
+                );
                 n += 1;
             }
             for col in 0..6 {
-                links[n] = (ATTITUDE + row, SCALE + col, flow.attitude_by_scale[(row, col)]);
+                links[n] = (
+                    ATTITUDE + row,
+                    SCALE + col,
+                    flow.attitude_by_scale[(row, col)],
+                );
                 n += 1;
             }
         }
@@ -113,14 +124,26 @@ impl Covariance {
 
     /// Variance of `Σ gain · error`.
     pub fn variance_of(&self, row: &[(usize, f64)]) -> f64 {
-        row.iter().map(|&(j, a)| row.iter().map(|&(k, b)| a * b * self.0[(j, k)]).sum::<f64>()).sum::<f64>()
+        row.iter()
+            .map(|&(j, a)| {
+                row.iter()
+                    .map(|&(k, b)| a * b * self.0[(j, k)])
+                    .sum::<f64>()
+            })
+            .sum::<f64>()
     }
 
     /// Processes one scalar observation `innovation = Σ gain · error + noise`.
     ///
     /// `row` holds (error, gain) pairs and `variance` is that of the noise. An observation that is not finite, or
     /// whose innovation variance is not positive, is ignored.
-    pub fn observe(&mut self, errors: &mut Errors, row: &[(usize, f64)], innovation: f64, variance: f64) {
+    pub fn observe(
+        &mut self,
+        errors: &mut Errors,
+        row: &[(usize, f64)],
+        innovation: f64,
+        variance: f64,
+    ) {
         let mut spread = Errors::zeros();
         let mut expected = 0.0;
         for &(k, gain) in row {
@@ -141,7 +164,9 @@ mod tests {
     use super::*;
 
     fn correlated() -> Covariance {
-        let root = SMatrix::<f64, DIM, DIM>::from_fn(|r, c| ((r * 7 + c * 3) % 11) as f64 / 11.0 + f64::from(r == c));
+        let root = SMatrix::<f64, DIM, DIM>::from_fn(|r, c| {
+            ((r * 7 + c * 3) % 11) as f64 / 11.0 + f64::from(r == c)
+        });
         Covariance(root * root.transpose())
     }
 
@@ -156,8 +181,12 @@ mod tests {
         by_tilt[(VELOCITY, 1)] = 0.35;
         by_tilt[(VELOCITY + 1, 0)] = -0.35;
         let mut by_gyro = SMatrix::<f64, DIM, DIM>::identity();
-        by_gyro.fixed_view_mut::<3, 3>(ATTITUDE, BIAS).copy_from(&flow.attitude_by_bias);
-        by_gyro.fixed_view_mut::<3, 6>(ATTITUDE, SCALE).copy_from(&flow.attitude_by_scale);
+        by_gyro
+            .fixed_view_mut::<3, 3>(ATTITUDE, BIAS)
+            .copy_from(&flow.attitude_by_bias);
+        by_gyro
+            .fixed_view_mut::<3, 6>(ATTITUDE, SCALE)
+            .copy_from(&flow.attitude_by_scale);
         let f = by_gyro * by_tilt;
         let mut p = correlated();
         let want = f * p.0 * f.transpose();

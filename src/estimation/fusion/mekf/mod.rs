@@ -35,7 +35,9 @@ use super::intake::{self, Step, Usable};
 use super::standstill::StandstillDetector;
 use crate::primitives::{ImuSample, Rotation, Sensor, World};
 use block::Block;
-use covariance::{ATTITUDE, BIAS, Covariance, DIM, Errors, FIELD, GRAVITY_M_S2, IRON, LATENCY, SCALE, VELOCITY};
+use covariance::{
+    ATTITUDE, BIAS, Covariance, DIM, Errors, FIELD, GRAVITY_M_S2, IRON, LATENCY, SCALE, VELOCITY,
+};
 use nalgebra::{SVector, UnitQuaternion, Vector2, Vector3};
 
 /// Rate that a lost gyroscope sample may have missed, rad/s, 1 σ.
@@ -88,9 +90,17 @@ pub struct Mekf {
 impl Mekf {
     /// A filter that levels itself with the first sample.
     pub fn new(config: MekfConfig) -> Self {
-        let estimate = Estimate { latency_s: config.latency_ms * 1e-3, ..Estimate::default() };
+        let estimate = Estimate {
+            latency_s: config.latency_ms * 1e-3,
+            ..Estimate::default()
+        };
         let covariance = Covariance::from_sigmas(&first_sigmas(&config));
-        Self { config, estimate, covariance, ..Self::default() }
+        Self {
+            config,
+            estimate,
+            covariance,
+            ..Self::default()
+        }
     }
 
     /// Estimated hard iron in sensor axes, µT.
@@ -120,7 +130,11 @@ impl Mekf {
             + (acc.norm() / GRAVITY_M_S2 - 1.0).abs().min(1.0)
             + if moving { MOVING_TILT_RAD } else { 0.0 };
         let fresh = first_sigmas(&self.config);
-        for (k, sigma) in [(ATTITUDE, tilt), (ATTITUDE + 1, tilt), (ATTITUDE + 2, HEADING_UNKNOWN_RAD)] {
+        for (k, sigma) in [
+            (ATTITUDE, tilt),
+            (ATTITUDE + 1, tilt),
+            (ATTITUDE + 2, HEADING_UNKNOWN_RAD),
+        ] {
             self.covariance.isolate(k, sigma);
         }
         for k in (VELOCITY..VELOCITY + 2).chain(FIELD..FIELD + 2) {
@@ -153,9 +167,14 @@ impl Mekf {
 
     /// Integrates one sample into the estimate and adds it to the block.
     fn integrate(&mut self, usable: &Usable, dt_s: f64) {
-        let rotation = self.estimate.r_world_sensor * UnitQuaternion::from_scaled_axis(self.rate * dt_s);
+        let rotation =
+            self.estimate.r_world_sensor * UnitQuaternion::from_scaled_axis(self.rate * dt_s);
         self.estimate.r_world_sensor = rotation;
-        self.block.add_turning(&rotation.to_rotation_matrix().into_inner(), &self.rate, dt_s);
+        self.block.add_turning(
+            &rotation.to_rotation_matrix().into_inner(),
+            &self.rate,
+            dt_s,
+        );
         match usable.acc_m_s2 {
             Some(acc) => self.block.add_force(&(rotation * acc), dt_s),
             None => {
@@ -163,9 +182,12 @@ impl Mekf {
                 self.block.missed_velocity_m2_s2 += missed * missed;
             }
         }
-        let Some(mag) = usable.mag_ut.filter(|m| self.last_mag != Some(*m)) else { return };
+        let Some(mag) = usable.mag_ut.filter(|m| self.last_mag != Some(*m)) else {
+            return;
+        };
         self.last_mag = Some(mag);
-        let then = rotation * UnitQuaternion::from_scaled_axis(-self.rate * self.estimate.latency_s);
+        let then =
+            rotation * UnitQuaternion::from_scaled_axis(-self.rate * self.estimate.latency_s);
         if self.estimate.field_ut.is_none() {
             self.find_north(&(then * mag));
         } else {
@@ -176,7 +198,12 @@ impl Mekf {
     /// The first field reading of a levelled sensor defines north, to within the errors of room and hard iron.
     fn find_north(&mut self, world_ut: &Vector3<f64>) {
         self.estimate.provisional_rad = world_ut.y.atan2(world_ut.x);
-        if self.covariance.sigma(ATTITUDE).max(self.covariance.sigma(ATTITUDE + 1)) > LEVEL_ENOUGH_RAD {
+        if self
+            .covariance
+            .sigma(ATTITUDE)
+            .max(self.covariance.sigma(ATTITUDE + 1))
+            > LEVEL_ENOUGH_RAD
+        {
             return;
         }
         let turn = about_up(-std::mem::take(&mut self.estimate.provisional_rad));
@@ -221,14 +248,29 @@ impl Mekf {
         let dt_s = block.length_s;
         let squared = |sigma: f64| sigma * sigma;
         self.covariance.flow(&block.flow());
-        let wander = c.gyro_wander_deg_rt_s.to_radians() * if self.standstill.standstill() { 0.1 } else { 1.0 };
-        let turn = (squared(wander) + squared(c.gyro_nonlinearity_rt_s) * block.turning_sq()) * dt_s;
-        self.covariance.grow(ATTITUDE, 3, turn + block.missed_turn_rad2);
-        self.covariance.grow(BIAS, 3, squared(c.bias_wander_deg_s_rt_s.to_radians()) * dt_s);
-        let push = (squared(c.acc_floor_m_s_rt_s) + squared(c.acc_fault_rt_s) * block.force_sq()) * dt_s;
-        self.covariance.grow(VELOCITY, 2, push + block.missed_velocity_m2_s2);
-        self.covariance.grow(FIELD, 2, squared(c.field_wander_ut_rt_s) * dt_s);
-        self.covariance.grow(IRON, 3, squared(c.iron_wander_ut_rt_s) * dt_s);
+        let wander = c.gyro_wander_deg_rt_s.to_radians()
+            * if self.standstill.standstill() {
+                0.1
+            } else {
+                1.0
+            };
+        let turn =
+            (squared(wander) + squared(c.gyro_nonlinearity_rt_s) * block.turning_sq()) * dt_s;
+        self.covariance
+            .grow(ATTITUDE, 3, turn + block.missed_turn_rad2);
+        self.covariance.grow(
+            BIAS,
+            3,
+            squared(c.bias_wander_deg_s_rt_s.to_radians()) * dt_s,
+        );
+        let push =
+            (squared(c.acc_floor_m_s_rt_s) + squared(c.acc_fault_rt_s) * block.force_sq()) * dt_s;
+        self.covariance
+            .grow(VELOCITY, 2, push + block.missed_velocity_m2_s2);
+        self.covariance
+            .grow(FIELD, 2, squared(c.field_wander_ut_rt_s) * dt_s);
+        self.covariance
+            .grow(IRON, 3, squared(c.iron_wander_ut_rt_s) * dt_s);
     }
 
     /// Adds the estimated errors to the estimate.
@@ -246,13 +288,20 @@ impl Mekf {
             field.x = field.x.max(self.config.horizontal_field_min_ut);
         }
         e.iron_ut += errors.fixed_rows::<3>(IRON);
-        e.scale = e.scale.map(|s| s.clamp(-self.config.scale_max, self.config.scale_max));
+        e.scale = e
+            .scale
+            .map(|s| s.clamp(-self.config.scale_max, self.config.scale_max));
         e.latency_s = (e.latency_s + errors[LATENCY]).clamp(0.0, self.config.latency_max_ms * 1e-3);
     }
 
     fn is_sane(&self) -> bool {
         let e = &self.estimate;
-        e.r_world_sensor.coords.iter().chain(e.bias_rad_s.iter()).chain(e.iron_ut.iter()).all(|x| x.is_finite())
+        e.r_world_sensor
+            .coords
+            .iter()
+            .chain(e.bias_rad_s.iter())
+            .chain(e.iron_ut.iter())
+            .all(|x| x.is_finite())
             && self.covariance.is_sane()
     }
 }
@@ -302,7 +351,9 @@ impl OrientationFilter for Mekf {
     }
 
     fn orientation(&self) -> Rotation<World, Sensor> {
-        Rotation::assert_frames(about_up(-self.estimate.provisional_rad) * self.estimate.r_world_sensor)
+        Rotation::assert_frames(
+            about_up(-self.estimate.provisional_rad) * self.estimate.r_world_sensor,
+        )
     }
 
     fn gyro_bias_rad_s(&self) -> Vector3<f64> {

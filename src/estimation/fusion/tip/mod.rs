@@ -19,14 +19,19 @@ use crate::estimation::fusion::align::{AlignState, Alignment};
 use crate::estimation::fusion::base::BaseTracker;
 use crate::estimation::fusion::bend::BendFilter;
 use crate::estimation::fusion::estimator::Estimator;
-use crate::estimation::fusion::health::{CauseSet, HealthCause, HealthVerdict, ImuReading, KnownErrors, Quality, SensorMonitor};
+use crate::estimation::fusion::health::{
+    CauseSet, HealthCause, HealthVerdict, ImuReading, KnownErrors, Quality, SensorMonitor,
+};
 use crate::model::Bend;
 use crate::primitives::{Base, ImuSample, Rotation, Seconds, World};
 use nalgebra::Vector3;
 use tracking::Tracker;
 
 #[derive(Debug, Clone)]
-#[allow(clippy::large_enum_variant, reason = "lives in the state of the loop, which may not allocate")]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "lives in the state of the loop, which may not allocate"
+)]
 enum Stage {
     /// Waiting for a still tip.
     Aligning(AlignState),
@@ -58,14 +63,19 @@ pub struct Fusion {
 impl Fusion {
     /// Processes one tick.
     pub fn update(&mut self, config: &FuseConfig, input: &FusionInput) {
-        let input = &FusionInput { tip: self.without_coils(input), ..*input };
+        let input = &FusionInput {
+            tip: self.without_coils(input),
+            ..*input
+        };
         self.update_base(config, input);
         match &mut self.stage {
             Stage::Aligning(state) => {
                 let verdict = self.monitor.assess(&config.health, input.now, &input.tip);
                 self.verdict = Some(verdict);
-                if let (true, ImuReading::Sample(sample, _)) = (verdict.gyro && !verdict.in_force.contains(HealthCause::Frozen), &input.tip)
-                    && let Some(alignment) = state.add(&config.align, sample)
+                if let (true, ImuReading::Sample(sample, _)) = (
+                    verdict.gyro && !verdict.in_force.contains(HealthCause::Frozen),
+                    &input.tip,
+                ) && let Some(alignment) = state.add(&config.align, sample)
                 {
                     self.stage = Stage::Tracking(Tracker::new(config, &alignment));
                     self.set_known(KnownErrors::default());
@@ -89,8 +99,13 @@ impl Fusion {
         if !self.with_base {
             return;
         }
-        let quality = Quality { expect_noise: self.base.noisy(), ..Quality::default() };
-        let reading = input.base.map_or(ImuReading::Nothing, |sample| ImuReading::Sample(sample, quality));
+        let quality = Quality {
+            expect_noise: self.base.noisy(),
+            ..Quality::default()
+        };
+        let reading = input.base.map_or(ImuReading::Nothing, |sample| {
+            ImuReading::Sample(sample, quality)
+        });
         let limits = match &self.stage {
             Stage::Aligning(_) => config.health,
             Stage::Tracking(t) => t.base_limits(),
@@ -100,24 +115,43 @@ impl Fusion {
         let up = self.alignment().map(|a| a.acc_rest_m_s2);
         match &input.base {
             Some(sample) if verdict.gyro => {
-                let sample = ImuSample { mag_ut: sample.mag_ut.filter(|_| verdict.mag), ..*sample };
-                self.base.update(&config.base, &config.align, &sample, up.as_ref());
+                let sample = ImuSample {
+                    mag_ut: sample.mag_ut.filter(|_| verdict.mag),
+                    ..*sample
+                };
+                self.base
+                    .update(&config.base, &config.align, &sample, up.as_ref());
                 if let (false, Some(rest)) = (self.with_base_field, self.base.rest()) {
-                    self.base_monitor.set_known(KnownErrors::default(), &rest.acc_rest_m_s2, rest.mag_rest_ut.as_ref());
+                    self.base_monitor.set_known(
+                        KnownErrors::default(),
+                        &rest.acc_rest_m_s2,
+                        rest.mag_rest_ut.as_ref(),
+                    );
                 }
                 self.with_base_field = self.base.rest().is_some();
             }
             _ if verdict.blind => self.base.lose(),
             _ => {}
         }
-        if let (true, Stage::Tracking(t), Some(rate)) = (input.still && input.base.is_some(), &self.stage, self.rate_rad_s()) {
-            self.base.compare(&t.estimator.r_base_tip().apply(&rate), t.alignment.periods_s().0);
+        if let (true, Stage::Tracking(t), Some(rate)) = (
+            input.still && input.base.is_some(),
+            &self.stage,
+            self.rate_rad_s(),
+        ) {
+            self.base.compare(
+                &t.estimator.r_base_tip().apply(&rate),
+                t.alignment.periods_s().0,
+            );
         }
     }
 
     fn set_known(&mut self, known: KnownErrors) {
         if let Stage::Tracking(Tracker { alignment, .. }) = &self.stage {
-            self.monitor.set_known(known, &alignment.acc_rest_m_s2, alignment.mag_rest_ut.as_ref());
+            self.monitor.set_known(
+                known,
+                &alignment.acc_rest_m_s2,
+                alignment.mag_rest_ut.as_ref(),
+            );
         }
     }
 
@@ -128,7 +162,13 @@ impl Fusion {
             Stage::Tracking(t) => t.estimator.r_base_tip().inverse().apply(&input.coils_ut),
         };
         match input.tip {
-            ImuReading::Sample(s, quality) => ImuReading::Sample(ImuSample { mag_ut: s.mag_ut.map(|m| m - coils_ut), ..s }, quality),
+            ImuReading::Sample(s, quality) => ImuReading::Sample(
+                ImuSample {
+                    mag_ut: s.mag_ut.map(|m| m - coils_ut),
+                    ..s
+                },
+                quality,
+            ),
             other => other,
         }
     }
@@ -152,7 +192,13 @@ impl Fusion {
 
     /// Right after alignment: corrects it for a tip that was not straight but at `bend`. The straight alignment is
     /// known from before a restart: mean specific force, m/s², and mean field, µT.
-    pub fn assume(&mut self, config: &FuseConfig, bend: Bend, acc_m_s2: &Vector3<f64>, mag_ut: Option<Vector3<f64>>) {
+    pub fn assume(
+        &mut self,
+        config: &FuseConfig,
+        bend: Bend,
+        acc_m_s2: &Vector3<f64>,
+        mag_ut: Option<Vector3<f64>>,
+    ) {
         if let Stage::Tracking(t) = &mut self.stage {
             t.assume(config, bend, acc_m_s2, mag_ut);
             self.set_known(KnownErrors::default());
@@ -166,20 +212,34 @@ impl Fusion {
 
     /// What the alignment waits for, as text.
     pub fn waiting_for(&self) -> String {
-        let reason = |state: &AlignState| state.refused.map_or_else(|| "no sample has arrived".to_owned(), |reason| reason.to_string());
+        let reason = |state: &AlignState| {
+            state.refused.map_or_else(
+                || "no sample has arrived".to_owned(),
+                |reason| reason.to_string(),
+            )
+        };
         let faults = self.in_force();
         match &self.stage {
             Stage::Aligning(_) if faults.contains(HealthCause::Spike) => {
-                format!("gyroscope or accelerometer readings jump further than a tip can move: {faults}")
+                format!(
+                    "gyroscope or accelerometer readings jump further than a tip can move: {faults}"
+                )
             }
             Stage::Aligning(_) if !faults.is_empty() => format!("the IMU is faulty: {faults}"),
             Stage::Aligning(state) => reason(state),
-            Stage::Tracking(t) => t.realignment.as_ref().map_or_else(|| "nothing".to_owned(), |(state, _)| reason(state)),
+            Stage::Tracking(t) => t
+                .realignment
+                .as_ref()
+                .map_or_else(|| "nothing".to_owned(), |(state, _)| reason(state)),
         }
     }
 
     fn tracker(&self) -> Option<&Tracker> {
-        if let Stage::Tracking(t) = &self.stage { Some(t) } else { None }
+        if let Stage::Tracking(t) = &self.stage {
+            Some(t)
+        } else {
+            None
+        }
     }
     fn bend_filter(&self) -> Option<&BendFilter> {
         self.tracker().and_then(Tracker::bend_filter)
@@ -202,7 +262,8 @@ impl Fusion {
     }
     /// Causes against the IMU on the base: those in force, and those raised by the last reading. `None` without such an IMU.
     pub fn base_health(&self) -> Option<(CauseSet, CauseSet)> {
-        self.with_base.then(|| (self.base_monitor.in_force(), self.base_raised))
+        self.with_base
+            .then(|| (self.base_monitor.in_force(), self.base_raised))
     }
     /// The base has an IMU of its own, and it is aligned.
     pub fn tracks_base(&self) -> bool {
@@ -214,8 +275,13 @@ impl Fusion {
     }
     /// The tip has twisted against the mechanism for several seconds without a base IMU: the base may have turned.
     pub fn suspects_base_motion(&self, config: &FuseConfig) -> bool {
-        let observable = config.watch.enabled && !self.base.follows() && !self.in_force().contains(HealthCause::FieldDisturbed);
-        observable && self.bend_filter().is_some_and(|f| f.twist_misfit() > config.watch.misfit)
+        let observable = config.watch.enabled
+            && !self.base.follows()
+            && !self.in_force().contains(HealthCause::FieldDisturbed);
+        observable
+            && self
+                .bend_filter()
+                .is_some_and(|f| f.twist_misfit() > config.watch.misfit)
     }
     /// Largest twist per bend that is consistent with the estimates so far, rad/rad, if the bend filter runs.
     pub fn twist_per_bend_max(&self) -> Option<f64> {
@@ -234,7 +300,13 @@ impl Fusion {
     /// part of a turn of the base.
     pub fn rate_rad_s(&self) -> Option<Vector3<f64>> {
         let (tracker, verdict) = (self.tracker()?, self.verdict?);
-        let bias = tracker.saved.as_ref().map_or(tracker.alignment.gyro_bias_rad_s, BendFilter::gyro_bias_rad_s);
-        tracker.last.filter(|_| verdict.gyro).map(|s| s.gyro_rad_s - bias)
+        let bias = tracker.saved.as_ref().map_or(
+            tracker.alignment.gyro_bias_rad_s,
+            BendFilter::gyro_bias_rad_s,
+        );
+        tracker
+            .last
+            .filter(|_| verdict.gyro)
+            .map(|s| s.gyro_rad_s - bias)
     }
 }

@@ -7,7 +7,9 @@ use crate::estimation::fusion::bend::BendFilter;
 use crate::estimation::fusion::correction_smoother::CorrectionSmoother;
 use crate::estimation::fusion::estimator::Estimator;
 use crate::estimation::fusion::filter::MeasurementMask;
-use crate::estimation::fusion::health::{HealthCause, HealthConfig, HealthVerdict, ImuReading, KnownErrors, Quality};
+use crate::estimation::fusion::health::{
+    HealthCause, HealthConfig, HealthVerdict, ImuReading, KnownErrors, Quality,
+};
 use crate::estimation::fusion::second::Second;
 use crate::model::Bend;
 use crate::primitives::{ImuSample, Seconds};
@@ -62,10 +64,17 @@ pub(super) struct Tracker {
 impl Tracker {
     pub fn new(config: &FuseConfig, alignment: &Alignment) -> Self {
         let (imu_s, mag_s) = alignment.periods_s();
-        let second = Estimator::new(config.filter.second(), &config.bend, alignment, config.second.period_s);
+        let second = Estimator::new(
+            config.filter.second(),
+            &config.bend,
+            alignment,
+            config.second.period_s,
+        );
         Self {
             alignment: *alignment,
-            limits: config.health.for_periods(imu_s, alignment.mag_rest_ut.map(|_| mag_s)),
+            limits: config
+                .health
+                .for_periods(imu_s, alignment.mag_rest_ut.map(|_| mag_s)),
             noisy: alignment.noisy(),
             estimator: Estimator::new(config.filter, &config.bend, alignment, 0.0),
             second: Second::new(second),
@@ -82,10 +91,15 @@ impl Tracker {
 
     /// Limits of the monitor of the base IMU: it must notice a stuck one as soon as a silent one.
     pub fn base_limits(&self) -> HealthConfig {
-        let readings = (self.limits.blind_max_s * FROZEN_SHARE / self.alignment.periods_s().0) as u32;
+        let readings =
+            (self.limits.blind_max_s * FROZEN_SHARE / self.alignment.periods_s().0) as u32;
         let frozen_after = readings.clamp(3, self.limits.frozen_after.max(3));
         // readings that stick after a jump count as stuck before the jump counts as true
-        HealthConfig { frozen_after, spike_confirm: self.limits.spike_confirm.max(2 * frozen_after), ..self.limits }
+        HealthConfig {
+            frozen_after,
+            spike_confirm: self.limits.spike_confirm.max(2 * frozen_after),
+            ..self.limits
+        }
     }
 
     /// Expects noise of every source that had noise during alignment.
@@ -93,7 +107,13 @@ impl Tracker {
         match reading {
             ImuReading::Sample(sample, quality) => {
                 let expect_noise = quality.expect_noise || self.noisy;
-                ImuReading::Sample(sample, Quality { expect_noise, ..quality })
+                ImuReading::Sample(
+                    sample,
+                    Quality {
+                        expect_noise,
+                        ..quality
+                    },
+                )
             }
             other => other,
         }
@@ -106,7 +126,13 @@ impl Tracker {
         }
     }
 
-    pub fn update(&mut self, config: &FuseConfig, verdict: &HealthVerdict, input: &FusionInput, base: &BaseTracker) {
+    pub fn update(
+        &mut self,
+        config: &FuseConfig,
+        verdict: &HealthVerdict,
+        input: &FusionInput,
+        base: &BaseTracker,
+    ) {
         if verdict.recovered.is_some() {
             self.smoother.arm();
         }
@@ -117,7 +143,11 @@ impl Tracker {
             self.reject(verdict, &input.tip);
             return;
         };
-        let mask = MeasurementMask { acc: verdict.acc, mag: verdict.mag, still: input.still && !verdict.hold };
+        let mask = MeasurementMask {
+            acc: verdict.acc,
+            mag: verdict.mag,
+            still: input.still && !verdict.hold,
+        };
         let period_s = self.alignment.periods_s().0;
         let gap_s = self.last.map_or(period_s, |last| sample.t.0 - last.t.0);
         if gap_s <= 0.0 {
@@ -128,14 +158,22 @@ impl Tracker {
         }
         if gap_s <= (BRIDGED_PERIODS * period_s).max(self.limits.jump_max_s) {
             if gap_s - period_s > 0.5 * period_s && !verdict.confirmed {
-                self.estimator.widen_for_gap(self.limits.angular_acceleration_max_rad_s2, gap_s);
+                self.estimator
+                    .widen_for_gap(self.limits.angular_acceleration_max_rad_s2, gap_s);
                 self.smoother.arm();
             }
-            self.step(config, &self.bridge(sample, gap_s, verdict.confirmed), gap_s, mask, &base.turn());
+            self.step(
+                config,
+                &self.bridge(sample, gap_s, verdict.confirmed),
+                gap_s,
+                mask,
+                &base.turn(),
+            );
         } else {
             self.resume(sample, gap_s, mask, &base.turn());
         }
-        (self.last, self.extrapolation, self.rejected) = (Some(*sample), Vector2::zeros(), RejectedRates::default());
+        (self.last, self.extrapolation, self.rejected) =
+            (Some(*sample), Vector2::zeros(), RejectedRates::default());
         self.continue_realignment(config, sample, verdict);
     }
 
@@ -152,8 +190,14 @@ impl Tracker {
     fn reject(&mut self, verdict: &HealthVerdict, tip: &ImuReading) {
         if verdict.faults.contains(HealthCause::Saturated) {
             self.estimator.suspect_jump();
-        } else if let (true, ImuReading::Sample(sample, _)) = (verdict.faults.contains(HealthCause::Spike), tip) {
-            let since_s = self.rejected.until_s.or(self.last.map(|last| last.t.0)).map_or(0.0, |before| sample.t.0 - before);
+        } else if let (true, ImuReading::Sample(sample, _)) =
+            (verdict.faults.contains(HealthCause::Spike), tip)
+        {
+            let since_s = self
+                .rejected
+                .until_s
+                .or(self.last.map(|last| last.t.0))
+                .map_or(0.0, |before| sample.t.0 - before);
             self.rejected.turn_rad += sample.gyro_rad_s * since_s;
             self.rejected.until_s = Some(sample.t.0);
         }
@@ -163,14 +207,28 @@ impl Tracker {
     /// of the rejected rates if they were confirmed.
     fn bridge(&self, sample: &ImuSample, gap_s: f64, confirmed: bool) -> ImuSample {
         let gyro_rad_s = match (&self.last, self.rejected.until_s) {
-            (Some(_), Some(until_s)) if confirmed => (self.rejected.turn_rad + sample.gyro_rad_s * (sample.t.0 - until_s)) / gap_s,
-            (Some(last), _) if gap_s > 1.5 * self.alignment.periods_s().0 => (sample.gyro_rad_s + last.gyro_rad_s) / 2.0,
+            (Some(_), Some(until_s)) if confirmed => {
+                (self.rejected.turn_rad + sample.gyro_rad_s * (sample.t.0 - until_s)) / gap_s
+            }
+            (Some(last), _) if gap_s > 1.5 * self.alignment.periods_s().0 => {
+                (sample.gyro_rad_s + last.gyro_rad_s) / 2.0
+            }
             _ => sample.gyro_rad_s,
         };
-        ImuSample { gyro_rad_s, ..*sample }
+        ImuSample {
+            gyro_rad_s,
+            ..*sample
+        }
     }
 
-    fn step(&mut self, config: &FuseConfig, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, turn: &BaseTurn) {
+    fn step(
+        &mut self,
+        config: &FuseConfig,
+        sample: &ImuSample,
+        dt_s: f64,
+        mask: MeasurementMask,
+        turn: &BaseTurn,
+    ) {
         let before = self.estimator.bend().0;
         self.estimator.update(sample, dt_s, mask, turn);
         if self.estimator.take_reacquired() {
@@ -182,16 +240,30 @@ impl Tracker {
         self.smoother.step(&correction, dt_s);
         if self.second.add(&config.second, sample, dt_s, mask, turn) {
             let up = self.alignment.acc_rest_m_s2;
-            let field = mask.mag && self.estimator.trusts_field() && self.second.estimator.trusts_field();
+            let field =
+                mask.mag && self.estimator.trusts_field() && self.second.estimator.trusts_field();
             let rate_rad_s = (sample.gyro_rad_s - self.alignment.gyro_bias_rad_s).norm();
-            self.second.compare(&config.second, &*self.estimator, &up, field, rate_rad_s);
+            self.second
+                .compare(&config.second, &*self.estimator, &up, field, rate_rad_s);
         }
     }
 
     /// Adds a sample to the still stretch of a re-alignment, if one is requested, and completes it.
-    fn continue_realignment(&mut self, config: &FuseConfig, sample: &ImuSample, verdict: &HealthVerdict) {
-        let Some((state, bend)) = &mut self.realignment else { return };
-        let Some(now) = state.add(&config.align, sample).filter(|_| verdict.acc && !verdict.hold) else { return };
+    fn continue_realignment(
+        &mut self,
+        config: &FuseConfig,
+        sample: &ImuSample,
+        verdict: &HealthVerdict,
+    ) {
+        let Some((state, bend)) = &mut self.realignment else {
+            return;
+        };
+        let Some(now) = state
+            .add(&config.align, sample)
+            .filter(|_| verdict.acc && !verdict.hold)
+        else {
+            return;
+        };
         let bend = *bend;
         self.realignment = None;
         let estimate = self.estimate().bend.0;
@@ -213,22 +285,45 @@ impl Tracker {
         self.smoother.offset = estimate - self.estimator.bend().0;
     }
 
-    pub fn assume(&mut self, config: &FuseConfig, bend: Bend, acc_m_s2: &Vector3<f64>, mag_ut: Option<Vector3<f64>>) {
+    pub fn assume(
+        &mut self,
+        config: &FuseConfig,
+        bend: Bend,
+        acc_m_s2: &Vector3<f64>,
+        mag_ut: Option<Vector3<f64>>,
+    ) {
         let bent = bend.rotation().inverse();
         let mag_rest_ut = self.alignment.mag_rest_ut.and(mag_ut);
-        let now = Alignment { acc_rest_m_s2: bent.apply(acc_m_s2), mag_rest_ut: mag_rest_ut.map(|m| bent.apply(&m)), ..self.alignment };
-        self.alignment = Alignment { acc_rest_m_s2: *acc_m_s2, mag_rest_ut, ..self.alignment };
+        let now = Alignment {
+            acc_rest_m_s2: bent.apply(acc_m_s2),
+            mag_rest_ut: mag_rest_ut.map(|m| bent.apply(&m)),
+            ..self.alignment
+        };
+        self.alignment = Alignment {
+            acc_rest_m_s2: *acc_m_s2,
+            mag_rest_ut,
+            ..self.alignment
+        };
         self.rebase(config, &now, bend);
     }
 
     fn rebase(&mut self, config: &FuseConfig, now: &Alignment, bend: Bend) {
-        self.estimator.rebase(config.filter, &config.bend, now, bend, REALIGN_SIGMA_RAD);
-        self.second.estimator.rebase(config.filter.second(), &config.bend, now, bend, REALIGN_SIGMA_RAD);
+        self.estimator
+            .rebase(config.filter, &config.bend, now, bend, REALIGN_SIGMA_RAD);
+        self.second.estimator.rebase(
+            config.filter.second(),
+            &config.bend,
+            now,
+            bend,
+            REALIGN_SIGMA_RAD,
+        );
     }
 
     /// The bend filter, whether it is the selected or the second estimator.
     pub fn bend_filter(&self) -> Option<&BendFilter> {
-        self.estimator.as_bend().or_else(|| self.second.estimator.as_bend())
+        self.estimator
+            .as_bend()
+            .or_else(|| self.second.estimator.as_bend())
     }
 
     /// Sensor errors as estimated by the bend filter.

@@ -57,7 +57,11 @@ pub struct Settings {
 fn filter(table: &[f64; 8], wanted_hz: f64) -> u8 {
     (0..8_u8)
         .filter(|i| table[usize::from(*i)] >= wanted_hz)
-        .min_by(|a, b| table[usize::from(*a)].total_cmp(&table[usize::from(*b)]).then(b.cmp(a)))
+        .min_by(|a, b| {
+            table[usize::from(*a)]
+                .total_cmp(&table[usize::from(*b)])
+                .then(b.cmp(a))
+        })
         .unwrap_or(7)
 }
 
@@ -69,7 +73,12 @@ impl IcmConfig {
     pub fn settings(&self) -> Result<Settings, Invalid> {
         self.checked("imu.chip")?;
         // every value is in its list: the search finds it
-        let code = |list: &[u16], have: u16| (0_u8..).zip(list).find(|(_, x)| **x == have).map_or(0, |(i, _)| i);
+        let code = |list: &[u16], have: u16| {
+            (0_u8..)
+                .zip(list)
+                .find(|(_, x)| **x == have)
+                .map_or(0, |(i, _)| i)
+        };
         let gyro_fs = code(&[250, 500, 1000, 2000], self.gyro_range_dps);
         let acc_fs = code(&[2, 4, 8, 16], u16::from(self.acc_range_g));
         let mag_mode = code(&[10, 20, 50, 100], self.mag_rate_hz);
@@ -115,7 +124,11 @@ mod tests {
         assert_eq!(s.gyro_config, 2 << 3 | 1 << 1 | 1, "119.5 Hz, 500 dps");
         assert_eq!(s.acc_config, 3 << 3 | 1 << 1 | 1, "50.4 Hz, 4 g");
         assert_eq!(s.mag_mode, 0x08, "continuous mode 4");
-        let fast = IcmConfig { rate_hz: 1125.0, gyro_bandwidth_hz: 300.0, ..IcmConfig::default() };
+        let fast = IcmConfig {
+            rate_hz: 1125.0,
+            gyro_bandwidth_hz: 300.0,
+            ..IcmConfig::default()
+        };
         let s = fast.settings().expect("fast");
         assert_eq!((s.divider, s.gyro_config >> 3), (0, 7));
     }
@@ -123,14 +136,62 @@ mod tests {
     #[test]
     fn settings_name_what_is_wrong() {
         let bad = [
-            (IcmConfig { address: 0x42, ..IcmConfig::default() }, "address"),
-            (IcmConfig { gyro_range_dps: 300, ..IcmConfig::default() }, "gyro_range_dps"),
-            (IcmConfig { acc_range_g: 3, ..IcmConfig::default() }, "acc_range_g"),
-            (IcmConfig { rate_hz: 2000.0, ..IcmConfig::default() }, "rate_hz"),
-            (IcmConfig { rate_hz: f64::NAN, ..IcmConfig::default() }, "rate_hz"),
-            (IcmConfig { gyro_bandwidth_hz: 400.0, ..IcmConfig::default() }, "gyro_bandwidth_hz"),
-            (IcmConfig { acc_bandwidth_hz: f64::NAN, ..IcmConfig::default() }, "acc_bandwidth_hz"),
-            (IcmConfig { mag_rate_hz: 75, ..IcmConfig::default() }, "mag_rate_hz"),
+            (
+                IcmConfig {
+                    address: 0x42,
+                    ..IcmConfig::default()
+                },
+                "address",
+            ),
+            (
+                IcmConfig {
+                    gyro_range_dps: 300,
+                    ..IcmConfig::default()
+                },
+                "gyro_range_dps",
+            ),
+            (
+                IcmConfig {
+                    acc_range_g: 3,
+                    ..IcmConfig::default()
+                },
+                "acc_range_g",
+            ),
+            (
+                IcmConfig {
+                    rate_hz: 2000.0,
+                    ..IcmConfig::default()
+                },
+                "rate_hz",
+            ),
+            (
+                IcmConfig {
+                    rate_hz: f64::NAN,
+                    ..IcmConfig::default()
+                },
+                "rate_hz",
+            ),
+            (
+                IcmConfig {
+                    gyro_bandwidth_hz: 400.0,
+                    ..IcmConfig::default()
+                },
+                "gyro_bandwidth_hz",
+            ),
+            (
+                IcmConfig {
+                    acc_bandwidth_hz: f64::NAN,
+                    ..IcmConfig::default()
+                },
+                "acc_bandwidth_hz",
+            ),
+            (
+                IcmConfig {
+                    mag_rate_hz: 75,
+                    ..IcmConfig::default()
+                },
+                "mag_rate_hz",
+            ),
         ];
         for (config, field) in bad {
             let error = config.settings().expect_err(field);
@@ -141,10 +202,18 @@ mod tests {
     #[test]
     fn every_rate_is_met_or_exceeded_by_the_slowest_that_does() {
         for rate_hz in [4.4, 10.0, 100.0, 225.0, 226.0, 499.0, 562.5, 563.0, 1125.0] {
-            let s = IcmConfig { rate_hz, ..IcmConfig::default() }.settings().expect("in range");
+            let s = IcmConfig {
+                rate_hz,
+                ..IcmConfig::default()
+            }
+            .settings()
+            .expect("in range");
             let odr = |n: u8| BASE_RATE_HZ / (1.0 + f64::from(n));
             assert!(odr(s.divider) >= rate_hz - 1e-9, "{rate_hz}");
-            assert!(s.divider == 255 || odr(s.divider + 1) < rate_hz, "{rate_hz}");
+            assert!(
+                s.divider == 255 || odr(s.divider + 1) < rate_hz,
+                "{rate_hz}"
+            );
         }
     }
 }

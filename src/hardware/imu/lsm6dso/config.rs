@@ -5,7 +5,9 @@ use crate::parameters;
 use crate::primitives::{Checker, Invalid, Parameters};
 
 /// Conversion rates by ODR code 1 to 10, Hz (p. 10).
-pub const RATES_HZ: [f64; 10] = [12.5, 26.0, 52.0, 104.0, 208.0, 416.0, 833.0, 1666.0, 3332.0, 6664.0];
+pub const RATES_HZ: [f64; 10] = [
+    12.5, 26.0, 52.0, 104.0, 208.0, 416.0, 833.0, 1666.0, 3332.0, 6664.0,
+];
 
 parameters! {
     /// Settings of an LSM6DSO and the LIS2MDL beside it.
@@ -53,7 +55,13 @@ pub struct Settings {
 }
 
 /// Gyroscope: range in °/s, FS_G and FS_125 bits (DS12140, CTRL2_G).
-const GYRO: [(u16, u8); 5] = [(125, 0b0010), (250, 0b0000), (500, 0b0100), (1000, 0b1000), (2000, 0b1100)];
+const GYRO: [(u16, u8); 5] = [
+    (125, 0b0010),
+    (250, 0b0000),
+    (500, 0b0100),
+    (1000, 0b1000),
+    (2000, 0b1100),
+];
 /// Accelerometer: range in g, FS_XL bits (CTRL1_XL); note that 16 g sits at code 1.
 const ACC: [(u8, u8); 4] = [(2, 0b0000), (4, 0b1000), (8, 0b1100), (16, 0b0100)];
 /// Accelerometer filter: divisor of the rate by HPCF_XL (CTRL8_XL); 2 is the first stage alone.
@@ -85,10 +93,21 @@ impl LsmConfig {
             .hint("each of x, y and z once, with a sign");
         checker.done()?;
         // every value is in its list: the searches find it
-        let fs_g = GYRO.into_iter().find(|(range, _)| *range == self.gyro_range_dps).map_or(0, |(_, bits)| bits);
-        let fs_xl = ACC.into_iter().find(|(range, _)| *range == self.acc_range_g).map_or(0, |(_, bits)| bits);
-        let (odr, rate_hz) = (1_u8..).zip(RATES_HZ).find(|(_, rate)| *rate >= self.rate_hz).unwrap_or((1, RATES_HZ[0]));
-        let divisor = ACC_DIVISORS.into_iter().position(|d| d == self.acc_filter_divisor);
+        let fs_g = GYRO
+            .into_iter()
+            .find(|(range, _)| *range == self.gyro_range_dps)
+            .map_or(0, |(_, bits)| bits);
+        let fs_xl = ACC
+            .into_iter()
+            .find(|(range, _)| *range == self.acc_range_g)
+            .map_or(0, |(_, bits)| bits);
+        let (odr, rate_hz) = (1_u8..)
+            .zip(RATES_HZ)
+            .find(|(_, rate)| *rate >= self.rate_hz)
+            .unwrap_or((1, RATES_HZ[0]));
+        let divisor = ACC_DIVISORS
+            .into_iter()
+            .position(|d| d == self.acc_filter_divisor);
         Ok(Settings {
             address: self.address,
             ctrl1: odr << 4 | fs_xl | if divisor.is_some() { 0x02 } else { 0 },
@@ -98,7 +117,9 @@ impl LsmConfig {
             ctrl8: divisor.map_or(0, |d| (d as u8) << 5),
             rate_hz,
             // a quarter faster than the magnetometer, so that none of its values is missed
-            mag_every: (self.rate_hz / (1.25 * f64::from(self.mag_rate_hz))).floor().max(1.0) as u16,
+            mag_every: (self.rate_hz / (1.25 * f64::from(self.mag_rate_hz)))
+                .floor()
+                .max(1.0) as u16,
             canary_every: self.canary_every,
             scale: scale(self.gyro_range_dps, self.acc_range_g, self.mag_axes),
         })
@@ -112,19 +133,37 @@ mod tests {
     #[test]
     fn settings_are_the_register_fields() {
         let s = LsmConfig::default().settings().expect("default");
-        assert_eq!((s.ctrl1, s.ctrl2), (0x78, 0x74), "833 Hz; 4 g is code 2, 500 dps code 1");
+        assert_eq!(
+            (s.ctrl1, s.ctrl2),
+            (0x78, 0x74),
+            "833 Hz; 4 g is code 2, 500 dps code 1"
+        );
         assert_eq!((s.ctrl4, s.ctrl6, s.ctrl8, s.mag_every), (0, 0, 0, 4));
-        let filtered = LsmConfig { acc_filter_divisor: 20, gyro_filter: Some(5), ..LsmConfig::default() };
+        let filtered = LsmConfig {
+            acc_filter_divisor: 20,
+            gyro_filter: Some(5),
+            ..LsmConfig::default()
+        };
         let s = filtered.settings().expect("filtered");
         assert_eq!((s.ctrl1, s.ctrl4, s.ctrl6, s.ctrl8), (0x7A, 0x02, 5, 0x40));
-        let wide = LsmConfig { acc_range_g: 16, gyro_range_dps: 125, ..LsmConfig::default() };
+        let wide = LsmConfig {
+            acc_range_g: 16,
+            gyro_range_dps: 125,
+            ..LsmConfig::default()
+        };
         let s = wide.settings().expect("wide");
         assert_eq!((s.ctrl1, s.ctrl2), (0x74, 0x72));
     }
 
     #[test]
     fn scales_are_the_data_sheets_sensitivities() {
-        for (dps, mdps) in [(125, 4.375), (250, 8.75), (500, 17.5), (1000, 35.0), (2000, 70.0)] {
+        for (dps, mdps) in [
+            (125, 4.375),
+            (250, 8.75),
+            (500, 17.5),
+            (1000, 35.0),
+            (2000, 70.0),
+        ] {
             let have = scale(dps, 2, Axes::ALIGNED).gyro_rad_s.to_degrees() * 1e3;
             assert!((have - mdps).abs() < 1e-9, "{dps}: {have}");
         }
@@ -137,24 +176,85 @@ mod tests {
     #[test]
     fn settings_name_what_is_wrong() {
         let bad = [
-            (LsmConfig { address: 0x68, ..LsmConfig::default() }, "address"),
-            (LsmConfig { gyro_range_dps: 245, ..LsmConfig::default() }, "gyro_range_dps"),
-            (LsmConfig { acc_range_g: 6, ..LsmConfig::default() }, "acc_range_g"),
-            (LsmConfig { rate_hz: 7000.0, ..LsmConfig::default() }, "rate_hz"),
-            (LsmConfig { rate_hz: 0.0, ..LsmConfig::default() }, "rate_hz"),
-            (LsmConfig { gyro_filter: Some(8), ..LsmConfig::default() }, "gyro_filter"),
-            (LsmConfig { acc_filter_divisor: 3, ..LsmConfig::default() }, "acc_filter_divisor"),
+            (
+                LsmConfig {
+                    address: 0x68,
+                    ..LsmConfig::default()
+                },
+                "address",
+            ),
+            (
+                LsmConfig {
+                    gyro_range_dps: 245,
+                    ..LsmConfig::default()
+                },
+                "gyro_range_dps",
+            ),
+            (
+                LsmConfig {
+                    acc_range_g: 6,
+                    ..LsmConfig::default()
+                },
+                "acc_range_g",
+            ),
+            (
+                LsmConfig {
+                    rate_hz: 7000.0,
+                    ..LsmConfig::default()
+                },
+                "rate_hz",
+            ),
+            (
+                LsmConfig {
+                    rate_hz: 0.0,
+                    ..LsmConfig::default()
+                },
+                "rate_hz",
+            ),
+            (
+                LsmConfig {
+                    gyro_filter: Some(8),
+                    ..LsmConfig::default()
+                },
+                "gyro_filter",
+            ),
+            (
+                LsmConfig {
+                    acc_filter_divisor: 3,
+                    ..LsmConfig::default()
+                },
+                "acc_filter_divisor",
+            ),
         ];
         for (config, field) in bad {
-            assert_eq!(config.settings().expect_err(field).key, format!("imu.chip.{field}"));
+            assert_eq!(
+                config.settings().expect_err(field).key,
+                format!("imu.chip.{field}")
+            );
         }
-        let text = "part = \"lsm6dso_lis2mdl\"\nmag_axes = [\"-y\", \"+x\", \"+z\"]\nacc_range_g = 8\n";
+        let text =
+            "part = \"lsm6dso_lis2mdl\"\nmag_axes = [\"-y\", \"+x\", \"+z\"]\nacc_range_g = 8\n";
         let config: crate::hardware::imu::ChipConfig = toml::from_str(text).expect("valid");
-        let crate::hardware::imu::ChipConfig::Lsm6dsoLis2mdl(config) = config else { panic!("wrong part") };
+        let crate::hardware::imu::ChipConfig::Lsm6dsoLis2mdl(config) = config else {
+            panic!("wrong part")
+        };
         assert_eq!(config.acc_range_g, 8);
-        let twice = LsmConfig { mag_axes: Axes([crate::hardware::imu::Axis::PlusX; 3]), ..LsmConfig::default() };
-        assert_eq!(twice.settings().expect_err("twice x").key, "imu.chip.mag_axes");
-        assert!(toml::from_str::<crate::hardware::imu::ChipConfig>("part = \"icm20948\"\nacc_rang_g = 8\n").is_err());
-        assert!(toml::from_str::<crate::hardware::imu::ChipConfig>("part = \"mpu6050\"\n").is_err());
+        let twice = LsmConfig {
+            mag_axes: Axes([crate::hardware::imu::Axis::PlusX; 3]),
+            ..LsmConfig::default()
+        };
+        assert_eq!(
+            twice.settings().expect_err("twice x").key,
+            "imu.chip.mag_axes"
+        );
+        assert!(
+            toml::from_str::<crate::hardware::imu::ChipConfig>(
+                "part = \"icm20948\"\nacc_rang_g = 8\n"
+            )
+            .is_err()
+        );
+        assert!(
+            toml::from_str::<crate::hardware::imu::ChipConfig>("part = \"mpu6050\"\n").is_err()
+        );
     }
 }

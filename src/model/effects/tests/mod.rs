@@ -36,7 +36,10 @@ const TABLE: [(&str, &str); 26] = [
 
 #[test]
 fn the_catalogue_is_the_published_table() {
-    let got: Vec<_> = catalogue().iter().map(|e| (e.name(), e.stage().name())).collect();
+    let got: Vec<_> = catalogue()
+        .iter()
+        .map(|e| (e.name(), e.stage().name()))
+        .collect();
     assert_eq!(got, TABLE);
     for (name, _) in TABLE {
         assert_eq!(by_name(name).map(|e| e.name()), Some(name));
@@ -49,8 +52,16 @@ fn an_effect_is_only_taken_for_others_of_the_catalogue() {
     for e in catalogue() {
         assert!(!e.info().confused_with.is_empty(), "{}", e.name());
         for other in e.info().confused_with {
-            assert!(by_name(other).is_some() && *other != e.name(), "{} / {other}", e.name());
+            assert!(
+                by_name(other).is_some() && *other != e.name(),
+                "{} / {other}",
+                e.name()
+            );
         }
-        assert!(e.info().signature.len() > 20 && e.info().separated_by.len() > 10, "{}", e.name());
+        assert!(
+            e.info().signature.len() > 20 && e.info().separated_by.len() > 10,
+            "{}",
+            e.name()
+        );
     }
 }

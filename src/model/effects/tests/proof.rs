@@ -4,7 +4,9 @@
 //! constant curvature → sensor, at 100 Hz.
 
 use crate::model::Geometry;
-use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Pose, Stage, by_name};
+use crate::model::effects::{
+    Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Pose, Stage, by_name,
+};
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector2, Vector3};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 
@@ -26,7 +28,15 @@ impl Link {
     fn numbers(&self) -> Vec<f64> {
         let r = &self.reading;
         let mut out = Vec::new();
-        for v in [self.u_mm, self.w_mm, self.q_mm, self.pose.bellow_mm, r.acc_m_s2, r.gyro_rad_s, r.mag_ut] {
+        for v in [
+            self.u_mm,
+            self.w_mm,
+            self.q_mm,
+            self.pose.bellow_mm,
+            r.acc_m_s2,
+            r.gyro_rad_s,
+            r.mag_ut,
+        ] {
             out.extend(v.iter());
         }
         out.extend(self.pose.bend.iter());
@@ -44,9 +54,20 @@ pub fn nothing(e: &dyn Effect) -> Vec<f64> {
 pub fn with(e: &dyn Effect, set: &[(&str, f64)]) -> Vec<f64> {
     let params = e.params();
     for (name, _) in set {
-        assert!(params.iter().any(|p| p.name == *name), "{} has no {name}", e.name());
+        assert!(
+            params.iter().any(|p| p.name == *name),
+            "{} has no {name}",
+            e.name()
+        );
     }
-    params.iter().map(|p| set.iter().find(|(n, _)| *n == p.name).map_or(p.start, |(_, v)| *v)).collect()
+    params
+        .iter()
+        .map(|p| {
+            set.iter()
+                .find(|(n, _)| *n == p.name)
+                .map_or(p.start, |(_, v)| *v)
+        })
+        .collect()
 }
 
 pub fn moment(t_s: f64, counted_mm: Vector3<f64>) -> Moment {
@@ -62,7 +83,12 @@ pub fn moment(t_s: f64, counted_mm: Vector3<f64>) -> Moment {
 }
 
 /// Drives pistons along `path` for `lasting_s`.
-pub fn drive(e: &dyn Effect, p: &[f64], lasting_s: f64, path: impl Fn(f64) -> Vector3<f64>) -> Vec<Link> {
+pub fn drive(
+    e: &dyn Effect,
+    p: &[f64],
+    lasting_s: f64,
+    path: impl Fn(f64) -> Vector3<f64>,
+) -> Vec<Link> {
     let mut m = Memory::default();
     let (mut last, mut idle_s) = (Vector3::zeros(), 0.0);
     let n = (lasting_s / DT_S).round() as u32;
@@ -71,13 +97,24 @@ pub fn drive(e: &dyn Effect, p: &[f64], lasting_s: f64, path: impl Fn(f64) -> Ve
         let counted = path(t_s);
         idle_s = if counted == last { idle_s + DT_S } else { 0.0 };
         last = counted;
-        link(e, p, &mut m, &Moment { idle_s, ..moment(t_s, counted) })
+        link(
+            e,
+            p,
+            &mut m,
+            &Moment {
+                idle_s,
+                ..moment(t_s, counted)
+            },
+        )
     });
     steps.collect()
 }
 
 fn link(e: &dyn Effect, p: &[f64], m: &mut Memory, at: &Moment) -> Link {
-    let geometry = Geometry { r_mm: at.r_mm, ..Geometry::default() };
+    let geometry = Geometry {
+        r_mm: at.r_mm,
+        ..Geometry::default()
+    };
     let mut u_mm = at.counted_mm;
     e.pistons(p, m, at, &mut u_mm);
     let mut w_mm = u_mm;
@@ -85,9 +122,14 @@ fn link(e: &dyn Effect, p: &[f64], m: &mut Memory, at: &Moment) -> Link {
     let mut q_mm = w_mm.component_div(&at.k_epsilon.add_scalar(1.0));
     e.bellows(p, m, at, &mut q_mm);
     let bend = geometry.shape(&q_mm).bend;
-    let mut pose = Pose { bend: bend.0, twist: 0.0, bellow_mm: q_mm };
+    let mut pose = Pose {
+        bend: bend.0,
+        twist: 0.0,
+        bellow_mm: q_mm,
+    };
     e.shape(p, m, at, &mut pose);
-    let r_base_sensor = UnitQuaternion::from_scaled_axis(Vector3::new(pose.bend.y, pose.bend.x, pose.twist));
+    let r_base_sensor =
+        UnitQuaternion::from_scaled_axis(Vector3::new(pose.bend.y, pose.bend.x, pose.twist));
     let mut reading = ImuPrediction {
         acc_m_s2: r_base_sensor.inverse() * at.up_base * 9.81,
         gyro_rad_s: Vector3::new(0.01, -0.02, 0.03),
@@ -95,7 +137,14 @@ fn link(e: &dyn Effect, p: &[f64], m: &mut Memory, at: &Moment) -> Link {
         r_base_sensor,
     };
     e.sensor(p, m, at, &mut reading);
-    Link { t_s: at.t_s, u_mm, w_mm, q_mm, pose, reading }
+    Link {
+        t_s: at.t_s,
+        u_mm,
+        w_mm,
+        q_mm,
+        pose,
+        reading,
+    }
 }
 
 /// Standstill, then motions of several speeds and sizes on all channels, with holds.
@@ -104,9 +153,17 @@ pub fn exercise(t_s: f64) -> Vector3<f64> {
         return Vector3::zeros();
     }
     let held = (t_s / 3.0).floor() * 3.0;
-    let t = if (held as u32).is_multiple_of(2) { held } else { t_s };
+    let t = if (held as u32).is_multiple_of(2) {
+        held
+    } else {
+        t_s
+    };
     let size = 4.0 + 14.0 * (t / 60.0).min(1.0);
-    Vector3::new((0.9 * t).sin(), (0.53 * t + 1.0).sin() - 0.3, 0.4 + (0.31 * t + 2.0).cos()) * size
+    Vector3::new(
+        (0.9 * t).sin(),
+        (0.53 * t + 1.0).sin() - 0.3,
+        0.4 + (0.31 * t + 2.0).cos(),
+    ) * size
 }
 
 /// The parameters are consistent; the effect vanishes at their start values, acts at every starting point of a
@@ -122,15 +179,30 @@ fn consistent_parameters(e: &dyn Effect) {
     let params = e.params();
     assert!(!params.is_empty(), "{}", e.name());
     for (k, p) in params.iter().enumerate() {
-        assert!(p.low <= p.start && p.start <= p.high && p.scale > 0.0 && p.channel <= 3, "{}: {p:?}", e.name());
-        assert!(p.scale <= p.high - p.low, "{}: the prior is wider than the range: {p:?}", e.name());
+        assert!(
+            p.low <= p.start && p.start <= p.high && p.scale > 0.0 && p.channel <= 3,
+            "{}: {p:?}",
+            e.name()
+        );
+        assert!(
+            p.scale <= p.high - p.low,
+            "{}: the prior is wider than the range: {p:?}",
+            e.name()
+        );
         let same = |q: &Param| (q.name, q.channel) == (p.name, p.channel);
-        assert!(!params[..k].iter().any(same), "{}: {p:?} occurs twice", e.name());
+        assert!(
+            !params[..k].iter().any(same),
+            "{}: {p:?} occurs twice",
+            e.name()
+        );
     }
     assert!(!e.starts().is_empty(), "{}", e.name());
     for s in e.starts() {
         assert_eq!(s.len(), params.len(), "{}", e.name());
-        let inside = s.iter().zip(params).all(|(v, p)| (p.low..=p.high).contains(v));
+        let inside = s
+            .iter()
+            .zip(params)
+            .all(|(v, p)| (p.low..=p.high).contains(v));
         assert!(inside, "{}: start {s:?} outside its range", e.name());
     }
     assert!(by_name(e.name()).is_some_and(|own| own.params() == params));
@@ -173,13 +245,21 @@ fn bits(e: &dyn Effect, p: &[f64]) -> Vec<u64> {
 }
 
 fn vanishes_at_start_values(e: &dyn Effect) {
-    assert!(bits(e, &nothing(e)) == bits(&Absent, &[]), "{} acts at its start values", e.name());
+    assert!(
+        bits(e, &nothing(e)) == bits(&Absent, &[]),
+        "{} acts at its start values",
+        e.name()
+    );
 }
 
 fn acts_at_every_starting_point(e: &dyn Effect) {
     let none = bits(&Absent, &[]);
     for s in e.starts() {
-        assert!(bits(e, &s) != none, "{} does nothing at the starting point {s:?}", e.name());
+        assert!(
+            bits(e, &s) != none,
+            "{} does nothing at the starting point {s:?}",
+            e.name()
+        );
     }
 }
 
@@ -223,12 +303,19 @@ pub fn bend_deg(beta: f64, delta: f64) -> Vector2<f64> {
 /// The shape hook on its own, at rest first and then at a bend that no bellow change explains.
 pub fn shaped(e: &dyn Effect, p: &[f64], bend: Vector2<f64>, up_base: Vector3<f64>) -> Pose {
     let mut m = Memory::default();
-    let at = Moment { up_base, ..moment(5.0, Vector3::zeros()) };
+    let at = Moment {
+        up_base,
+        ..moment(5.0, Vector3::zeros())
+    };
     let geometry = Geometry::default();
     let mut out = None;
     for b in [Vector2::zeros(), bend] {
         let q = Vector3::from_fn(|i, _| -geometry.r_mm * Geometry::spoke(i).dot(&b));
-        let mut pose = Pose { bend: b, twist: 0.0, bellow_mm: q };
+        let mut pose = Pose {
+            bend: b,
+            twist: 0.0,
+            bellow_mm: q,
+        };
         e.shape(p, &mut m, &at, &mut pose);
         out = Some(pose);
     }
@@ -241,7 +328,12 @@ fn data(e: &dyn Effect, p: &[f64]) -> DVector<f64> {
     let row = |l: &Link| {
         let r = &l.reading;
         let mut out = vec![l.pose.bend.x, l.pose.bend.y, l.pose.twist];
-        out.extend((r.acc_m_s2 / 9.81).iter().chain(r.gyro_rad_s.iter()).chain((r.mag_ut / 50.0).iter()));
+        out.extend(
+            (r.acc_m_s2 / 9.81)
+                .iter()
+                .chain(r.gyro_rad_s.iter())
+                .chain((r.mag_ut / 50.0).iter()),
+        );
         out
     };
     DVector::from_vec(run.iter().step_by(20).flat_map(row).collect())
@@ -260,14 +352,24 @@ fn fit(e: &dyn Effect, start: &[f64], want: &DVector<f64>) -> (Vec<f64>, f64) {
         let mut slopes = DMatrix::zeros(residual.len(), p.len());
         for k in 0..p.len() {
             let mut step = DVector::zeros(p.len());
-            step[k] = if p[k] + 1e-4 * params[k].scale > params[k].high { -1e-4 } else { 1e-4 };
-            slopes.set_column(k, &((data(e, &moved(&p, &step)) - (want - &residual)) / step[k]));
+            step[k] = if p[k] + 1e-4 * params[k].scale > params[k].high {
+                -1e-4
+            } else {
+                1e-4
+            };
+            slopes.set_column(
+                k,
+                &((data(e, &moved(&p, &step)) - (want - &residual)) / step[k]),
+            );
         }
         let (normal, pull) = (slopes.tr_mul(&slopes), slopes.tr_mul(&residual));
         let before = residual.norm();
         for _ in 0..8 {
-            let damped = &normal + DMatrix::from_diagonal(&(normal.diagonal() * damping).add_scalar(1e-12));
-            let Some(step) = damped.cholesky().map(|c| c.solve(&pull)) else { break };
+            let damped =
+                &normal + DMatrix::from_diagonal(&(normal.diagonal() * damping).add_scalar(1e-12));
+            let Some(step) = damped.cholesky().map(|c| c.solve(&pull)) else {
+                break;
+            };
             let next = moved(&p, &step);
             let left = want - data(e, &next);
             if left.norm() < residual.norm() {
@@ -297,13 +399,23 @@ pub fn fitted(e: &dyn Effect, truth: &[f64]) -> Vec<f64> {
             break;
         }
     }
-    assert!(best.1 < 1e-4, "{} leaves {:.2e} at {:?}, truth {truth:?}", e.name(), best.1, best.0);
+    assert!(
+        best.1 < 1e-4,
+        "{} leaves {:.2e} at {:?}, truth {truth:?}",
+        e.name(),
+        best.1,
+        best.0
+    );
     best.0
 }
 
 /// A fit recovers the true parameters.
 pub fn is_recovered(e: &dyn Effect, truth: &[f64]) {
     for ((param, found), true_value) in e.params().iter().zip(fitted(e, truth)).zip(truth) {
-        assert!((found - true_value).abs() < 0.05 * param.scale, "{} {param:?}: {found}, not {true_value}", e.name());
+        assert!(
+            (found - true_value).abs() < 0.05 * param.scale,
+            "{} {param:?}: {found}, not {true_value}",
+            e.name()
+        );
     }
 }

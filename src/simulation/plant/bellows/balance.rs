@@ -37,14 +37,27 @@ const ROUNDS: usize = 30;
 
 impl Balance {
     pub(crate) fn new(config: &LineConfig, laws: &Laws) -> Self {
-        let straight = laws.iter().all(|law| law.gas(0.0).is_none() && law.wall(0.0).is_none());
+        let straight = laws
+            .iter()
+            .all(|law| law.gas(0.0).is_none() && law.wall(0.0).is_none());
         let k_epsilon = Vector3::from(config.k_epsilon);
-        Self { k_epsilon, kpa_per_mm: config.kpa_per_mm, straight, last: [Point::default(); 3] }
+        Self {
+            k_epsilon,
+            kpa_per_mm: config.kpa_per_mm,
+            straight,
+            last: [Point::default(); 3],
+        }
     }
 
     /// Length changes and pressures for the air delivered (mm of piston), the factors on the compliance of the air
     /// and those on the stiffness of the walls.
-    pub(crate) fn solve(&mut self, air_mm: &Vector3<f64>, compliance: &Vector3<f64>, stiffness: &Vector3<f64>, laws: &Laws) -> BellowState {
+    pub(crate) fn solve(
+        &mut self,
+        air_mm: &Vector3<f64>,
+        compliance: &Vector3<f64>,
+        stiffness: &Vector3<f64>,
+        laws: &Laws,
+    ) -> BellowState {
         for i in 0..3 {
             let k = self.k_epsilon[i] * compliance[i];
             self.last[i] = if self.straight {
@@ -62,12 +75,21 @@ impl Balance {
     fn linear(&self, air_mm: f64, k: f64, softness: f64) -> Point {
         let slope = 1.0 / (1.0 + k * softness);
         let bellow_mm = air_mm * slope;
-        Point { air_mm, bellow_mm, slope, pressure_kpa: self.kpa_per_mm * softness * bellow_mm }
+        Point {
+            air_mm,
+            bellow_mm,
+            slope,
+            pressure_kpa: self.kpa_per_mm * softness * bellow_mm,
+        }
     }
 
     fn newton(&self, air_mm: f64, k: f64, softness: f64, last: &Point, laws: &Laws) -> Point {
         let stiffness = self.kpa_per_mm * softness;
-        let mut p = Point { air_mm, bellow_mm: last.bellow_mm + last.slope * (air_mm - last.air_mm), ..*last };
+        let mut p = Point {
+            air_mm,
+            bellow_mm: last.bellow_mm + last.slope * (air_mm - last.air_mm),
+            ..*last
+        };
         for _ in 0..ROUNDS {
             let (wall, wall_slope) = wall(p.bellow_mm, laws);
             p.pressure_kpa = stiffness * wall;
@@ -123,7 +145,12 @@ mod tests {
     #[test]
     fn small_signals_are_nominal() {
         let (mut b, laws) = curved();
-        let s = b.solve(&Vector3::repeat(1e-4), &Vector3::repeat(1.0), &Vector3::repeat(1.0), &laws);
+        let s = b.solve(
+            &Vector3::repeat(1e-4),
+            &Vector3::repeat(1.0),
+            &Vector3::repeat(1.0),
+            &laws,
+        );
         for i in 0..3 {
             assert!((s.bellow_mm[i] * (1.0 + b.k_epsilon[i]) / 1e-4 - 1.0).abs() < 1e-3);
         }

@@ -34,7 +34,10 @@ pub(crate) struct BellowFaults {
 
 impl Default for BellowFaults {
     fn default() -> Self {
-        Self { compliance: Vector3::repeat(1.0), gain: Vector3::repeat(1.0) }
+        Self {
+            compliance: Vector3::repeat(1.0),
+            gain: Vector3::repeat(1.0),
+        }
     }
 }
 
@@ -50,7 +53,12 @@ impl Bellows {
     }
 
     /// Length changes of the bellows, mm, after one step with `air_mm` delivered.
-    pub(crate) fn step(&mut self, air_mm: &Vector3<f64>, at: &Moment, laws: &mut Laws) -> Vector3<f64> {
+    pub(crate) fn step(
+        &mut self,
+        air_mm: &Vector3<f64>,
+        at: &Moment,
+        laws: &mut Laws,
+    ) -> Vector3<f64> {
         let (mut compliance, mut stiffness) = (self.faults.compliance, Vector3::repeat(1.0));
         for law in laws.iter_mut() {
             law.compliance(&mut compliance, at.t);

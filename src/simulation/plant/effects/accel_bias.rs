@@ -16,7 +16,9 @@ impl PlantEffect for AccelBias {
     const BACKGROUND: f64 = 1.0;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(25.0, 120.0, severity);
-        Self { bias_mg: (rng.direction() * size).into() }
+        Self {
+            bias_mg: (rng.direction() * size).into(),
+        }
     }
 }
 
@@ -25,7 +27,9 @@ const LOADED: f64 = 0.15;
 
 impl Law for AccelBias {
     fn sensor(&mut self, stimulus: &mut Stimulus, _at: &Moment) {
-        let loaded = stimulus.force.map(|f| 1e-3 * GRAVITY_M_S2 * (1.0 + LOADED * (f / GRAVITY_M_S2).powi(2)));
+        let loaded = stimulus
+            .force
+            .map(|f| 1e-3 * GRAVITY_M_S2 * (1.0 + LOADED * (f / GRAVITY_M_S2).powi(2)));
         stimulus.force += Vector3::from(self.bias_mg).component_mul(&loaded);
     }
 }

@@ -20,7 +20,10 @@ parameters! {
 impl PlantEffect for Asymmetry {
     const BACKGROUND: f64 = 0.003;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { share: rng.sign() * rng.sized(0.08, 0.3, severity), knee_mm: rng.between(0.3, 1.2) }
+        Self {
+            share: rng.sign() * rng.sized(0.08, 0.3, severity),
+            knee_mm: rng.between(0.3, 1.2),
+        }
     }
 }
 
@@ -28,7 +31,10 @@ impl Law for Asymmetry {
     fn wall(&self, q_mm: f64) -> Option<(f64, f64)> {
         let x = q_mm / self.knee_mm;
         let root = (1.0 + x * x).sqrt();
-        Some((self.share * self.knee_mm * (root - 1.0), self.share * x / root))
+        Some((
+            self.share * self.knee_mm * (root - 1.0),
+            self.share * x / root,
+        ))
     }
 }
 
@@ -38,7 +44,10 @@ mod tests {
 
     #[test]
     fn one_side_is_stiffer_than_the_other() {
-        let a = Asymmetry { share: 0.2, ..Asymmetry::default() };
+        let a = Asymmetry {
+            share: 0.2,
+            ..Asymmetry::default()
+        };
         let extra = |q_mm: f64| a.wall(q_mm).unwrap();
         assert!((extra(5.0).1 - 0.2).abs() < 2e-3 && (extra(-5.0).1 + 0.2).abs() < 2e-3);
         assert!(extra(0.0).0.abs() < 1e-15 && extra(3.0).0 > 0.0 && extra(-3.0).0 > 0.0);

@@ -35,12 +35,21 @@ impl PlantEffect for BaseMotion {
             axis: rng.direction().into(),
             at_s: rng.between(8.0, 35.0),
             over_s: rng.between(2.0, 15.0),
-            sway_deg: if rng.chance(0.5) { angle_deg * rng.between(0.05, 0.2) } else { 0.0 },
+            sway_deg: if rng.chance(0.5) {
+                angle_deg * rng.between(0.05, 0.2)
+            } else {
+                0.0
+            },
             sway_period_s: rng.between(5.0, 20.0),
         }
     }
     fn consistent(&self) -> Result<(), PlantError> {
-        range("effects.base_motion.axis length", Vector3::from(self.axis).norm(), 1e-3..=1e4, "a direction has a length")
+        range(
+            "effects.base_motion.axis length",
+            Vector3::from(self.axis).norm(),
+            1e-3..=1e4,
+            "a direction has a length",
+        )
     }
 }
 
@@ -52,7 +61,11 @@ const GOLDEN: f64 = 1.618_033_988_749_895;
 impl BaseMotion {
     /// Angle about the axis at time `t`, rad.
     fn angle(&self, t: f64) -> f64 {
-        let step = if t < self.at_s { 0.0 } else { smooth_step((t - self.at_s) / self.over_s) };
+        let step = if t < self.at_s {
+            0.0
+        } else {
+            smooth_step((t - self.at_s) / self.over_s)
+        };
         let since = (t - STILL_S).max(0.0);
         let grown = 1.0 - (-since / STILL_S).exp();
         let phase = TAU * since / self.sway_period_s;
@@ -63,7 +76,9 @@ impl BaseMotion {
 
 impl Law for BaseMotion {
     fn base(&self, t: f64) -> Option<UnitQuaternion<f64>> {
-        Some(UnitQuaternion::from_scaled_axis(Vector3::from(self.axis).normalize() * self.angle(t)))
+        Some(UnitQuaternion::from_scaled_axis(
+            Vector3::from(self.axis).normalize() * self.angle(t),
+        ))
     }
 }
 
@@ -73,10 +88,20 @@ mod tests {
 
     #[test]
     fn the_base_turns_once_by_the_angle_and_stands_before() {
-        let m = BaseMotion { angle_deg: 5.0, sway_deg: 0.0, ..BaseMotion::default() };
+        let m = BaseMotion {
+            angle_deg: 5.0,
+            sway_deg: 0.0,
+            ..BaseMotion::default()
+        };
         assert_eq!(m.angle(14.9), 0.0);
-        assert!((m.angle(18.0).to_degrees() - 2.5).abs() < 1e-9 && (m.angle(30.0).to_degrees() - 5.0).abs() < 1e-9);
-        let sway = BaseMotion { sway_deg: 1.0, ..BaseMotion::default() };
+        assert!(
+            (m.angle(18.0).to_degrees() - 2.5).abs() < 1e-9
+                && (m.angle(30.0).to_degrees() - 5.0).abs() < 1e-9
+        );
+        let sway = BaseMotion {
+            sway_deg: 1.0,
+            ..BaseMotion::default()
+        };
         assert_eq!(sway.angle(2.9), 0.0);
         assert!((30..300).any(|k| sway.angle(f64::from(k) * 0.1).to_degrees().abs() > 0.4));
     }

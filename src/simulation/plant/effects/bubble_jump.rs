@@ -22,14 +22,31 @@ parameters! {
 impl PlantEffect for BubbleJump {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let at_s = rng.between(15.0, 50.0);
-        let until_s = if rng.chance(0.5) { 1e9 } else { at_s + rng.between(10.0, 40.0) };
+        let until_s = if rng.chance(0.5) {
+            1e9
+        } else {
+            at_s + rng.between(10.0, 40.0)
+        };
         let change = rng.sized(0.25, 0.8, severity);
-        Self { change: if rng.chance(0.3) { -0.7 * change } else { change }, channel: rng.channel(), at_s, until_s }
+        Self {
+            change: if rng.chance(0.3) {
+                -0.7 * change
+            } else {
+                change
+            },
+            channel: rng.channel(),
+            at_s,
+            until_s,
+        }
     }
 }
 
 impl Law for BubbleJump {
     fn compliance(&self, compliance: &mut Vector3<f64>, t: f64) {
-        compliance[self.channel - 1] *= if t >= self.at_s && t < self.until_s { 1.0 + self.change } else { 1.0 };
+        compliance[self.channel - 1] *= if t >= self.at_s && t < self.until_s {
+            1.0 + self.change
+        } else {
+            1.0
+        };
     }
 }

@@ -21,10 +21,18 @@ parameters! {
 
 impl PlantEffect for CableStiffness {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { share: rng.sized(0.1, 0.4, severity), direction_deg: rng.angle_deg(), one_sided: rng.between(0.1, 0.6) }
+        Self {
+            share: rng.sized(0.1, 0.4, severity),
+            direction_deg: rng.angle_deg(),
+            one_sided: rng.between(0.1, 0.6),
+        }
     }
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { share: up_to(0.0015), direction_deg: up_to(180.0), ..Self::default() })
+        Some(Self {
+            share: up_to(0.0015),
+            direction_deg: up_to(180.0),
+            ..Self::default()
+        })
     }
 }
 
@@ -42,7 +50,11 @@ pub(crate) struct Cable {
 impl Cable {
     pub(crate) fn new(config: &CableStiffness) -> Self {
         let (sin, cos) = config.direction_deg.to_radians().sin_cos();
-        Self { side: Vector2::new(cos, sin), share: config.share, one_sided: config.one_sided }
+        Self {
+            side: Vector2::new(cos, sin),
+            share: config.share,
+            one_sided: config.one_sided,
+        }
     }
 }
 
@@ -61,8 +73,17 @@ mod tests {
 
     #[test]
     fn the_cable_acts_both_ways_and_more_when_taut() {
-        let section = SectionState { t: 0.0, length_mm: 20.0, longer_mm: 0.0, r_world_plate: Rotation::identity() };
-        let mut c = Cable::new(&CableStiffness { share: 0.2, direction_deg: 30.0, one_sided: 0.3 });
+        let section = SectionState {
+            t: 0.0,
+            length_mm: 20.0,
+            longer_mm: 0.0,
+            r_world_plate: Rotation::identity(),
+        };
+        let mut c = Cable::new(&CableStiffness {
+            share: 0.2,
+            direction_deg: 30.0,
+            one_sided: 0.3,
+        });
         let mut along = |deg: f64| {
             let free = Vector2::new(deg.to_radians().cos(), deg.to_radians().sin());
             let mut bend = free;

@@ -13,7 +13,9 @@ parameters! {
 
 impl PlantEffect for ClockDrift {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { per_mille: rng.sign() * rng.sized(5.0, 40.0, severity) }
+        Self {
+            per_mille: rng.sign() * rng.sized(5.0, 40.0, severity),
+        }
     }
 }
 

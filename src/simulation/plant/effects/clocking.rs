@@ -23,10 +23,16 @@ impl PlantEffect for Clocking {
             offset_deg = [0.0; 3];
             offset_deg[rng.channel() - 1] = size;
         }
-        Self { offset_deg, wander: rng.between(0.03, 0.12) }
+        Self {
+            offset_deg,
+            wander: rng.between(0.03, 0.12),
+        }
     }
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { offset_deg: [up_to(0.08), -up_to(0.08), up_to(0.08)], ..Self::default() })
+        Some(Self {
+            offset_deg: [up_to(0.08), -up_to(0.08), up_to(0.08)],
+            ..Self::default()
+        })
     }
 }
 
@@ -35,6 +41,8 @@ const FULL_MM: f64 = 5.0;
 
 impl Law for Clocking {
     fn offsets(&self, bellow_mm: &Vector3<f64>) -> Option<[f64; 3]> {
-        Some(std::array::from_fn(|i| self.offset_deg[i].to_radians() * (1.0 + self.wander * bellow_mm[i] / FULL_MM)))
+        Some(std::array::from_fn(|i| {
+            self.offset_deg[i].to_radians() * (1.0 + self.wander * bellow_mm[i] / FULL_MM)
+        }))
     }
 }

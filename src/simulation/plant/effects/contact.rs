@@ -49,7 +49,11 @@ pub(crate) struct Touching {
 impl Touching {
     pub(crate) fn new(config: Contact) -> Self {
         let (sin, cos) = config.direction_deg.to_radians().sin_cos();
-        Self { config, normal: Vector2::new(cos, sin), stuck: None }
+        Self {
+            config,
+            normal: Vector2::new(cos, sin),
+            stuck: None,
+        }
     }
 
     /// The bend that the wall leaves of `free`, and whether it touches.
@@ -63,7 +67,10 @@ impl Touching {
         let give = self.config.give_deg.to_radians();
         let pressed = self.config.block * (beyond - give * (beyond / give).ln_1p());
         let (aside, hold) = (free.dot(&along), self.config.friction * pressed);
-        let stuck = self.stuck.unwrap_or(aside).clamp(aside - hold, aside + hold);
+        let stuck = self
+            .stuck
+            .unwrap_or(aside)
+            .clamp(aside - hold, aside + hold);
         self.stuck = Some(stuck);
         (free - self.normal * pressed + along * (stuck - aside), true)
     }
@@ -90,7 +97,12 @@ mod tests {
 
     #[test]
     fn the_wall_stops_the_tip_one_way_and_holds_it_sideways() {
-        let mut w = Touching::new(Contact { block: 1.0, friction: 0.5, until_s: 5.0, ..Contact::default() });
+        let mut w = Touching::new(Contact {
+            block: 1.0,
+            friction: 0.5,
+            until_s: 5.0,
+            ..Contact::default()
+        });
         let rad = |x: f64, y: f64| Vector2::new(x.to_radians(), y.to_radians());
         assert_eq!(w.step(&rad(29.0, 50.0)), (rad(29.0, 50.0), false));
         assert_eq!(w.step(&rad(-60.0, 0.0)), (rad(-60.0, 0.0), false));

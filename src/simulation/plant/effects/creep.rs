@@ -23,7 +23,11 @@ parameters! {
 impl PlantEffect for Creep {
     const BACKGROUND: f64 = 0.002;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { share: rng.sized(0.08, 0.4, severity), exponent: rng.between(0.0, 0.3), nonlinear: rng.between(0.0, 0.6) }
+        Self {
+            share: rng.sized(0.08, 0.4, severity),
+            exponent: rng.between(0.0, 0.3),
+            nonlinear: rng.between(0.0, 0.6),
+        }
     }
 }
 
@@ -44,11 +48,21 @@ pub(crate) struct Creeping {
 
 impl Creeping {
     pub(crate) fn new(config: Creep) -> Self {
-        let tau = |j: usize| SHORTEST_S * (LONGEST_S / SHORTEST_S).powf(j as f64 / (ELEMENTS - 1) as f64);
+        let tau =
+            |j: usize| SHORTEST_S * (LONGEST_S / SHORTEST_S).powf(j as f64 / (ELEMENTS - 1) as f64);
         let raw: [f64; ELEMENTS] = std::array::from_fn(|j| tau(j).powf(config.exponent));
         let sum: f64 = raw.iter().sum();
-        let elements = std::array::from_fn(|j| (Decay::new(tau(j)), config.share * raw[j] / sum, Vector3::zeros()));
-        Self { nonlinear: config.nonlinear, elements }
+        let elements = std::array::from_fn(|j| {
+            (
+                Decay::new(tau(j)),
+                config.share * raw[j] / sum,
+                Vector3::zeros(),
+            )
+        });
+        Self {
+            nonlinear: config.nonlinear,
+            elements,
+        }
     }
 }
 
@@ -70,7 +84,11 @@ mod tests {
 
     #[test]
     fn creep_grows_over_decades_of_time_and_recovers() {
-        let mut c = Creeping::new(Creep { share: 0.2, nonlinear: 0.0, ..Creep::default() });
+        let mut c = Creeping::new(Creep {
+            share: 0.2,
+            nonlinear: 0.0,
+            ..Creep::default()
+        });
         let mut crept = |q: f64| {
             let mut q_mm = Vector3::repeat(q);
             c.bellows(&mut q_mm, &Moment { t: 0.0, dt_s: 0.01 });

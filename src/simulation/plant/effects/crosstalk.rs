@@ -20,7 +20,10 @@ parameters! {
 impl PlantEffect for Crosstalk {
     const BACKGROUND: f64 = 0.0015;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { share: rng.sized(0.05, 0.3, severity), lopsided: rng.between(-0.6, 0.6) }
+        Self {
+            share: rng.sized(0.05, 0.3, severity),
+            lopsided: rng.between(-0.6, 0.6),
+        }
     }
 }
 
@@ -30,8 +33,18 @@ const KNEE_MM: f64 = 0.8;
 impl Crosstalk {
     /// What is pressed into each line by the others, mm of piston: elongation times what a line needs
     /// for it.
-    pub(crate) fn squeezed_mm(&self, bellow_mm: &Vector3<f64>, k_epsilon: &Vector3<f64>) -> Vector3<f64> {
-        let swell = bellow_mm.map(|q| if q > 0.0 { self.share * q * q / (q + KNEE_MM) } else { 0.0 });
+    pub(crate) fn squeezed_mm(
+        &self,
+        bellow_mm: &Vector3<f64>,
+        k_epsilon: &Vector3<f64>,
+    ) -> Vector3<f64> {
+        let swell = bellow_mm.map(|q| {
+            if q > 0.0 {
+                self.share * q * q / (q + KNEE_MM)
+            } else {
+                0.0
+            }
+        });
         Vector3::from_fn(|i, _| {
             let (before, after) = (swell[(i + 2) % 3], swell[(i + 1) % 3]);
             (before * (1.0 + self.lopsided) + after * (1.0 - self.lopsided)) * (1.0 + k_epsilon[i])
@@ -48,7 +61,9 @@ pub(crate) struct Squeezing {
 
 impl Law for Squeezing {
     fn air(&mut self, air_mm: &mut Vector3<f64>, bellows: &BellowState, _at: &Moment) {
-        *air_mm += self.crosstalk.squeezed_mm(&bellows.bellow_mm, &self.k_epsilon);
+        *air_mm += self
+            .crosstalk
+            .squeezed_mm(&bellows.bellow_mm, &self.k_epsilon);
     }
 }
 
@@ -58,7 +73,10 @@ mod tests {
 
     #[test]
     fn pressure_moves_the_neighbours_and_vacuum_does_not() {
-        let c = Crosstalk { share: 0.1, lopsided: 0.0 };
+        let c = Crosstalk {
+            share: 0.1,
+            lopsided: 0.0,
+        };
         let k = Vector3::repeat(2.0);
         let pushed = c.squeezed_mm(&Vector3::new(5.0, 0.0, 0.0), &k);
         assert!(pushed.x == 0.0 && pushed.y > 1.0 && pushed.y == pushed.z);

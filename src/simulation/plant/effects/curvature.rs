@@ -17,7 +17,9 @@ parameters! {
 impl PlantEffect for Curvature {
     const BACKGROUND: f64 = 0.1;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { excess_deg: rng.sign() * rng.sized(3.0, 10.0, severity) }
+        Self {
+            excess_deg: rng.sign() * rng.sized(3.0, 10.0, severity),
+        }
     }
 }
 
@@ -39,7 +41,12 @@ mod tests {
     #[test]
     fn the_excess_is_isotropic_and_stated_at_sixty_degrees() {
         let mut c = Curvature { excess_deg: 5.0 };
-        let section = SectionState { t: 0.0, length_mm: 20.0, longer_mm: 0.0, r_world_plate: Rotation::identity() };
+        let section = SectionState {
+            t: 0.0,
+            length_mm: 20.0,
+            longer_mm: 0.0,
+            r_world_plate: Rotation::identity(),
+        };
         let mut bent = |mut bend: Vector2<f64>| {
             c.bend(&mut bend, &section);
             bend.norm()

@@ -14,7 +14,9 @@ parameters! {
 impl PlantEffect for GSensitivity {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(0.6, 4.0, severity);
-        Self { deg_s_per_g: (rng.direction() * size).into() }
+        Self {
+            deg_s_per_g: (rng.direction() * size).into(),
+        }
     }
 }
 
@@ -31,8 +33,14 @@ mod tests {
 
     #[test]
     fn one_g_adds_the_stated_rate() {
-        let mut stimulus = Stimulus { force: Vector3::new(0.0, 0.0, GRAVITY_M_S2), ..Stimulus::default() };
-        GSensitivity { deg_s_per_g: [0.0, 0.0, 2.0] }.sensor(&mut stimulus, &Moment { t: 0.0, dt_s: 0.0 });
+        let mut stimulus = Stimulus {
+            force: Vector3::new(0.0, 0.0, GRAVITY_M_S2),
+            ..Stimulus::default()
+        };
+        GSensitivity {
+            deg_s_per_g: [0.0, 0.0, 2.0],
+        }
+        .sensor(&mut stimulus, &Moment { t: 0.0, dt_s: 0.0 });
         assert!((stimulus.rate.z.to_degrees() - 2.0).abs() < 1e-12);
     }
 }

@@ -25,7 +25,11 @@ parameters! {
 impl PlantEffect for GasCompression {
     const BACKGROUND: f64 = 0.012;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { strength: rng.sized(0.5, 2.2, severity), polytropic: rng.between(1.05, 1.35), ..Self::default() }
+        Self {
+            strength: rng.sized(0.5, 2.2, severity),
+            polytropic: rng.between(1.05, 1.35),
+            ..Self::default()
+        }
     }
 }
 
@@ -40,7 +44,10 @@ impl Law for GasCompression {
         let bounded = ratio.max(VACUUM_FLOOR);
         let shrunk = (-bounded.ln() / n).exp();
         let slope = shrunk / bounded;
-        Some((n / s * (1.0 - shrunk) + slope * (ratio - bounded) / s, slope))
+        Some((
+            n / s * (1.0 - shrunk) + slope * (ratio - bounded) / s,
+            slope,
+        ))
     }
 }
 
@@ -50,7 +57,10 @@ mod tests {
 
     #[test]
     fn the_gas_obeys_boyle_and_is_linear_for_small_signals() {
-        let g = GasCompression { strength: 1.0, ..GasCompression::default() };
+        let g = GasCompression {
+            strength: 1.0,
+            ..GasCompression::default()
+        };
         let linearised_kpa = |p: f64| g.gas(p).unwrap();
         let volume = g.polytropic * g.atmosphere_kpa; // dead volume in the unit of the result
         for p in [-80.0, -40.0, -10.0, 5.0, 40.0] {

@@ -48,7 +48,12 @@ pub(crate) struct Teeth {
 impl Teeth {
     pub(crate) fn new(config: GearPeriodic) -> Self {
         let rest_mm = Vector3::from_fn(|i, _| config.wave(i, 0.0));
-        Self { config, rest_mm, rack_mm: Vector3::zeros(), error_mm: Vector3::zeros() }
+        Self {
+            config,
+            rest_mm,
+            rack_mm: Vector3::zeros(),
+            error_mm: Vector3::zeros(),
+        }
     }
     /// Error of the three racks at their positions, mm; only racks that moved are worked out anew.
     pub(crate) fn error_mm(&mut self, rack_mm: &Vector3<f64>) -> Vector3<f64> {
@@ -65,7 +70,9 @@ impl Teeth {
 impl GearPeriodic {
     fn wave(&self, i: usize, rack_mm: f64) -> f64 {
         let theta = TAU * rack_mm / self.pitch_mm + self.phase_deg[i].to_radians();
-        self.amplitude_mm * (1.0 + self.variation * (0.37 * theta).sin()) * (theta + self.skew * theta.sin()).sin()
+        self.amplitude_mm
+            * (1.0 + self.variation * (0.37 * theta).sin())
+            * (theta + self.skew * theta.sin()).sin()
     }
 }
 
@@ -81,7 +88,11 @@ mod tests {
 
     #[test]
     fn the_error_repeats_every_pitch_and_starts_at_zero() {
-        let config = GearPeriodic { amplitude_mm: 0.2, variation: 0.0, ..GearPeriodic::default() };
+        let config = GearPeriodic {
+            amplitude_mm: 0.2,
+            variation: 0.0,
+            ..GearPeriodic::default()
+        };
         let mut g = Teeth::new(config.clone());
         assert!(g.error_mm(&Vector3::zeros()).norm() < 1e-15);
         for k in 0..60 {

@@ -23,7 +23,10 @@ parameters! {
 impl PlantEffect for Gravity {
     const BACKGROUND: f64 = 0.1;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { sag_deg: rng.sized(2.5, 10.0, severity), com_mm: rng.between(3.0, 9.0) }
+        Self {
+            sag_deg: rng.sized(2.5, 10.0, severity),
+            com_mm: rng.between(3.0, 9.0),
+        }
     }
 }
 
@@ -44,11 +47,20 @@ pub(crate) struct Weight {
 impl Weight {
     pub(crate) fn new(config: Gravity, rest_length_mm: f64) -> Self {
         let lever_mm = 0.5 * rest_length_mm + config.com_mm;
-        Self { com_mm: config.com_mm, compliance: config.sag_deg.to_radians() / lever_mm, sag: Vector2::zeros() }
+        Self {
+            com_mm: config.com_mm,
+            compliance: config.sag_deg.to_radians() / lever_mm,
+            sag: Vector2::zeros(),
+        }
     }
 
     /// Bend with the weight on, from the bend `free` without it.
-    pub(crate) fn sagged(&mut self, free: &Vector2<f64>, length_mm: f64, r_world_plate: &Rotation<World, Plate>) -> Vector2<f64> {
+    pub(crate) fn sagged(
+        &mut self,
+        free: &Vector2<f64>,
+        length_mm: f64,
+        r_world_plate: &Rotation<World, Plate>,
+    ) -> Vector2<f64> {
         let up = r_world_plate.inverse().apply(&Vector3::z());
         for _ in 0..ROUNDS {
             let next = self.climb(&(free + self.sag), length_mm, &up) * -self.compliance;
@@ -68,7 +80,10 @@ impl Weight {
         let (across, across_slope) = (l * t.v + c * t.s, l * t.dv + c * t.ds);
         let along_slope = l * t.ds - c * t.s;
         let turning = across_slope * (bend.x * up.x - bend.y * up.y) + along_slope * up.z;
-        Vector2::new(across * up.x + bend.x * turning, -across * up.y + bend.y * turning)
+        Vector2::new(
+            across * up.x + bend.x * turning,
+            -across * up.y + bend.y * turning,
+        )
     }
 }
 
@@ -84,18 +99,32 @@ mod tests {
     use nalgebra::UnitQuaternion;
 
     fn attitude(pitch_deg: f64) -> Rotation<World, Plate> {
-        Rotation::assert_frames(UnitQuaternion::from_axis_angle(&Vector3::y_axis(), pitch_deg.to_radians()))
+        Rotation::assert_frames(UnitQuaternion::from_axis_angle(
+            &Vector3::y_axis(),
+            pitch_deg.to_radians(),
+        ))
     }
 
     #[test]
     fn the_gradient_is_that_of_the_height() {
-        let w = Weight::new(Gravity { sag_deg: 5.0, com_mm: 6.0 }, 20.0);
+        let w = Weight::new(
+            Gravity {
+                sag_deg: 5.0,
+                com_mm: 6.0,
+            },
+            20.0,
+        );
         let up = Vector3::new(0.4, -0.5, 0.3);
         let height = |b: Vector2<f64>| {
             let t = Terms::of(&b);
-            (t.tip_mm(&b, 21.0) + Vector3::new(b.x * t.s, -b.y * t.s, b.norm().cos()) * 6.0).dot(&up)
+            (t.tip_mm(&b, 21.0) + Vector3::new(b.x * t.s, -b.y * t.s, b.norm().cos()) * 6.0)
+                .dot(&up)
         };
-        for b in [Vector2::new(0.9, -0.4), Vector2::new(0.02, 0.01), Vector2::zeros()] {
+        for b in [
+            Vector2::new(0.9, -0.4),
+            Vector2::new(0.02, 0.01),
+            Vector2::zeros(),
+        ] {
             let h = 1e-6;
             let slope = |d: Vector2<f64>| (height(b + d * h) - height(b - d * h)) / (2.0 * h);
             let want = Vector2::new(slope(Vector2::x()), slope(Vector2::y()));
@@ -105,10 +134,19 @@ mod tests {
 
     #[test]
     fn a_level_tip_sags_and_an_upright_one_bends_further() {
-        let mut w = Weight::new(Gravity { sag_deg: 5.0, ..Gravity::default() }, 20.0);
+        let mut w = Weight::new(
+            Gravity {
+                sag_deg: 5.0,
+                ..Gravity::default()
+            },
+            20.0,
+        );
         let level = w.sagged(&Vector2::zeros(), 20.0, &attitude(90.0));
         // pitched by 90°, the base's x axis points down
-        assert!((level.x.to_degrees() - 5.0).abs() < 0.1 && level.y.abs() < 1e-9, "{level}");
+        assert!(
+            (level.x.to_degrees() - 5.0).abs() < 0.1 && level.y.abs() < 1e-9,
+            "{level}"
+        );
         let bent = Vector2::new(0.8, 0.0);
         let upright = w.sagged(&bent, 20.0, &attitude(0.0)) - bent;
         let hanging = w.sagged(&bent, 20.0, &attitude(180.0)) - bent;

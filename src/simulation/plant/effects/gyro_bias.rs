@@ -21,7 +21,11 @@ parameters! {
 impl PlantEffect for GyroBias {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(0.5, 4.0, severity);
-        Self { warm_up_deg_s: (rng.direction() * size).into(), over_s: rng.between(15.0, 70.0), wander_deg_s: 0.1 * size }
+        Self {
+            warm_up_deg_s: (rng.direction() * size).into(),
+            over_s: rng.between(15.0, 70.0),
+            wander_deg_s: 0.1 * size,
+        }
     }
 }
 
@@ -40,7 +44,12 @@ impl Drifting {
         let mut wander = Wander::new(config.wander_deg_s.to_radians(), 40.0, &mut rng);
         // the value at the start is a constant bias, which is part of the nominal model
         let start = wander.step(0.0, &mut rng);
-        Self { config, wander, rng, start }
+        Self {
+            config,
+            wander,
+            rng,
+            start,
+        }
     }
 }
 
@@ -58,7 +67,13 @@ mod tests {
 
     #[test]
     fn the_drift_starts_at_zero_and_ends_at_its_size() {
-        let mut d = Drifting::new(GyroBias { warm_up_deg_s: [1.0, 0.0, -2.0], ..GyroBias::default() }, 1);
+        let mut d = Drifting::new(
+            GyroBias {
+                warm_up_deg_s: [1.0, 0.0, -2.0],
+                ..GyroBias::default()
+            },
+            1,
+        );
         let mut rate = |t: f64, dt_s: f64| {
             let mut stimulus = Stimulus::default();
             d.sensor(&mut stimulus, &Moment { t, dt_s });

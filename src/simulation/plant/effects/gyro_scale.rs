@@ -14,7 +14,9 @@ parameters! {
 impl PlantEffect for GyroScale {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(0.03, 0.15, severity);
-        Self { share: std::array::from_fn(|_| size * rng.sign() * rng.between(0.6, 1.2)) }
+        Self {
+            share: std::array::from_fn(|_| size * rng.sign() * rng.between(0.6, 1.2)),
+        }
     }
 }
 

@@ -20,7 +20,10 @@ impl PlantEffect for HardIron {
     const BACKGROUND: f64 = 0.06;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(4.0, 40.0, severity);
-        Self { offset_ut: (rng.direction() * size).into(), viscous: rng.between(0.02, 0.15) }
+        Self {
+            offset_ut: (rng.direction() * size).into(),
+            viscous: rng.between(0.02, 0.15),
+        }
     }
 }
 
@@ -37,7 +40,11 @@ pub(crate) struct Iron {
 
 impl Iron {
     pub(crate) fn new(config: HardIron) -> Self {
-        Self { config, decay: Decay::new(VISCOUS_S), acquired: None }
+        Self {
+            config,
+            decay: Decay::new(VISCOUS_S),
+            acquired: None,
+        }
     }
 }
 
@@ -48,7 +55,9 @@ impl Law for Iron {
         let acquired = before + (stimulus.field - before) * self.decay.share(at.dt_s);
         self.acquired = Some(acquired);
         let offset = Vector3::from(self.config.offset_ut);
-        stimulus.field += offset + acquired.try_normalize(1e-9).unwrap_or_default() * (self.config.viscous * offset.norm());
+        stimulus.field += offset
+            + acquired.try_normalize(1e-9).unwrap_or_default()
+                * (self.config.viscous * offset.norm());
     }
 }
 
@@ -58,10 +67,16 @@ mod tests {
 
     #[test]
     fn the_field_is_fixed_to_the_body_except_for_its_viscous_part() {
-        let mut iron = Iron::new(HardIron { offset_ut: [10.0, 0.0, 0.0], viscous: 0.1 });
+        let mut iron = Iron::new(HardIron {
+            offset_ut: [10.0, 0.0, 0.0],
+            viscous: 0.1,
+        });
         let mut field = |y: f64| {
             let outer = Vector3::new(0.0, y, 0.0);
-            let mut stimulus = Stimulus { field: outer, ..Stimulus::default() };
+            let mut stimulus = Stimulus {
+                field: outer,
+                ..Stimulus::default()
+            };
             iron.sensor(&mut stimulus, &Moment { t: 0.0, dt_s: 0.01 });
             stimulus.field - outer
         };

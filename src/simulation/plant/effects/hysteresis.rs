@@ -60,7 +60,8 @@ pub(crate) struct Plies {
 
 impl Plies {
     pub(crate) fn new(config: Hysteresis) -> Self {
-        let ladder: [f64; PLIES] = std::array::from_fn(|j| REACH.ln() * (2.0 * j as f64 / (PLIES - 1) as f64 - 1.0));
+        let ladder: [f64; PLIES] =
+            std::array::from_fn(|j| REACH.ln() * (2.0 * j as f64 / (PLIES - 1) as f64 - 1.0));
         let raw = ladder.map(|x| (-0.5 * (x / config.spread).powi(2)).exp());
         let sum: f64 = raw.iter().sum();
         Self {
@@ -80,12 +81,15 @@ impl Law for Plies {
         for i in 0..3 {
             let mut taken = 0.0;
             for j in 0..PLIES {
-                let e = (self.strain_mm[i][j] + moved[i]).clamp(-self.config.back * self.yield_mm[j], self.yield_mm[j]);
+                let e = (self.strain_mm[i][j] + moved[i])
+                    .clamp(-self.config.back * self.yield_mm[j], self.yield_mm[j]);
                 self.strain_mm[i][j] = e;
                 taken += self.weight[j] * e;
             }
             let x = q_mm[i] / LONG_MM;
-            q_mm[i] -= self.config.share * (1.0 + self.config.long_side * x / (1.0 + x * x).sqrt()) * taken;
+            q_mm[i] -= self.config.share
+                * (1.0 + self.config.long_side * x / (1.0 + x * x).sqrt())
+                * taken;
         }
     }
 }
@@ -103,24 +107,43 @@ mod tests {
                 at = to;
                 let mut left = |mm: f64| {
                     let mut q_mm = Vector3::repeat(mm);
-                    plies.bellows(&mut q_mm, &Moment { t: 0.0, dt_s: 0.001 });
+                    plies.bellows(
+                        &mut q_mm,
+                        &Moment {
+                            t: 0.0,
+                            dt_s: 0.001,
+                        },
+                    );
                     q_mm.x
                 };
-                (1..=n).map(|k| left(from + (to - from) * f64::from(k) / f64::from(n))).last().unwrap()
+                (1..=n)
+                    .map(|k| left(from + (to - from) * f64::from(k) / f64::from(n)))
+                    .last()
+                    .unwrap()
             })
             .collect()
     }
 
     fn plies() -> Plies {
-        Plies::new(Hysteresis { share: 0.4, ..Hysteresis::default() })
+        Plies::new(Hysteresis {
+            share: 0.4,
+            ..Hysteresis::default()
+        })
     }
 
     #[test]
     fn loops_close_and_are_wide() {
         let mut p = plies();
         let cycle = [5.0, 0.0, -5.0, 0.0];
-        let (first, second, third) = (run(&mut p, &cycle), run(&mut p, &cycle), run(&mut p, &cycle));
-        assert!((first[0] - second[0]).abs() < 0.2 && second.iter().zip(&third).all(|(a, b)| (a - b).abs() < 1e-9));
+        let (first, second, third) = (
+            run(&mut p, &cycle),
+            run(&mut p, &cycle),
+            run(&mut p, &cycle),
+        );
+        assert!(
+            (first[0] - second[0]).abs() < 0.2
+                && second.iter().zip(&third).all(|(a, b)| (a - b).abs() < 1e-9)
+        );
         let width = third[1] - third[3];
         assert!((0.4..1.5).contains(&width), "{width}");
     }

@@ -24,13 +24,21 @@ impl PlantEffect for Leak {
     const BACKGROUND: f64 = 5e-5;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let rate = rng.sized(2e-3, 6e-2, severity);
-        Self { rate_per_s: rng.on_channels(rate), vacuum: rng.between(0.4, 1.0), ..Self::default() }
+        Self {
+            rate_per_s: rng.on_channels(rate),
+            vacuum: rng.between(0.4, 1.0),
+            ..Self::default()
+        }
     }
 }
 
 impl Leak {
     /// No holes yet; what they leak is proportional to pressure and the same under vacuum.
-    pub(crate) const CLOSED: Self = Self { rate_per_s: [0.0; 3], turbulent_kpa: 1e6, vacuum: 1.0 };
+    pub(crate) const CLOSED: Self = Self {
+        rate_per_s: [0.0; 3],
+        turbulent_kpa: 1e6,
+        vacuum: 1.0,
+    };
 }
 
 /// Three lines that leak, with what they lost so far.
@@ -42,22 +50,38 @@ pub(crate) struct Leaking {
 
 impl Leaking {
     pub(crate) fn new(config: Leak) -> Self {
-        Self { config, lost_mm: Vector3::zeros() }
+        Self {
+            config,
+            lost_mm: Vector3::zeros(),
+        }
     }
     /// What has leaked by the end of `dt_s`, mm of piston.
-    pub(crate) fn step(&mut self, pushed_mm: &Vector3<f64>, pressure_kpa: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
+    pub(crate) fn step(
+        &mut self,
+        pushed_mm: &Vector3<f64>,
+        pressure_kpa: &Vector3<f64>,
+        dt_s: f64,
+    ) -> Vector3<f64> {
         for i in 0..3 {
             if self.config.rate_per_s[i] > 0.0 {
                 let x = self.config.rate_per_s[i] * self.opening(pressure_kpa[i]) * dt_s;
                 // 1 − e^(−x), for slow leaks by its first terms (error below x³)
-                let share = if x < 1e-4 { x * (1.0 - 0.5 * x) } else { -(-x).exp_m1() };
+                let share = if x < 1e-4 {
+                    x * (1.0 - 0.5 * x)
+                } else {
+                    -(-x).exp_m1()
+                };
                 self.lost_mm[i] += (pushed_mm[i] - self.lost_mm[i]) * share;
             }
         }
         self.lost_mm
     }
     fn opening(&self, pressure_kpa: f64) -> f64 {
-        let side = if pressure_kpa < 0.0 { self.config.vacuum } else { 1.0 };
+        let side = if pressure_kpa < 0.0 {
+            self.config.vacuum
+        } else {
+            1.0
+        };
         side * 2.0 / (1.0 + (1.0 + pressure_kpa.abs() / self.config.turbulent_kpa).sqrt())
     }
 }
@@ -77,7 +101,10 @@ mod tests {
 
     #[test]
     fn a_hold_decays_and_leaves_an_offset() {
-        let mut l = Leaking::new(Leak { rate_per_s: [0.05, 0.0, 0.0], ..Leak::default() });
+        let mut l = Leaking::new(Leak {
+            rate_per_s: [0.05, 0.0, 0.0],
+            ..Leak::default()
+        });
         let held = Vector3::repeat(10.0);
         let kpa = Vector3::repeat(1.0);
         let lost: Vec<f64> = (0..20_000).map(|_| l.step(&held, &kpa, 0.001).x).collect();
@@ -85,12 +112,17 @@ mod tests {
         let left = (10.0 - lost[19_999]) / 10.0;
         assert!((left.ln() / 20.0 + 0.05).abs() < 0.003, "{left}");
         assert_eq!(l.lost_mm.y, 0.0);
-        assert!((l.step(&Vector3::zeros(), &Vector3::zeros(), 0.001).x - lost[19_999]).abs() < 0.01);
+        assert!(
+            (l.step(&Vector3::zeros(), &Vector3::zeros(), 0.001).x - lost[19_999]).abs() < 0.01
+        );
     }
 
     #[test]
     fn a_leak_is_less_than_proportional_and_less_under_vacuum() {
-        let l = Leaking::new(Leak { rate_per_s: [0.05; 3], ..Leak::default() });
+        let l = Leaking::new(Leak {
+            rate_per_s: [0.05; 3],
+            ..Leak::default()
+        });
         assert!(l.opening(20.0) < 0.75 * l.opening(0.1) && l.opening(-5.0) < l.opening(5.0));
     }
 }

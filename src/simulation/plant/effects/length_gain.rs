@@ -15,7 +15,9 @@ parameters! {
 
 impl PlantEffect for LengthGain {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { share: rng.sign() * rng.sized(0.2, 0.7, severity) }
+        Self {
+            share: rng.sign() * rng.sized(0.2, 0.7, severity),
+        }
     }
 }
 

@@ -22,7 +22,10 @@ parameters! {
 impl PlantEffect for LineLag {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let tau = rng.sized(0.12, 0.9, severity);
-        Self { lag_s: std::array::from_fn(|_| tau * rng.between(0.85, 1.15)), port: rng.between(0.2, 1.0) }
+        Self {
+            lag_s: std::array::from_fn(|_| tau * rng.between(0.85, 1.15)),
+            port: rng.between(0.2, 1.0),
+        }
     }
 }
 
@@ -35,7 +38,10 @@ pub(crate) struct Lumen {
 
 impl Lumen {
     pub(crate) fn new(config: LineLag) -> Self {
-        Self { config, passed_mm: Vector3::zeros() }
+        Self {
+            config,
+            passed_mm: Vector3::zeros(),
+        }
     }
 
     /// Δ / f for a strain Δ ≥ 0.
@@ -55,7 +61,11 @@ impl Law for Lumen {
         for i in 0..3 {
             let strain = air_mm[i] - self.passed_mm[i];
             let tau = self.tau_at(i, strain.abs());
-            self.passed_mm[i] += if tau > 0.0 { -strain * (-at.dt_s / tau).exp_m1() } else { strain };
+            self.passed_mm[i] += if tau > 0.0 {
+                -strain * (-at.dt_s / tau).exp_m1()
+            } else {
+                strain
+            };
         }
         *air_mm = self.passed_mm;
     }
@@ -77,7 +87,15 @@ mod tests {
 
     /// Time to cover 63 % of a step of `size_mm`, s.
     fn rise(size_mm: f64) -> f64 {
-        let mut passed = flow(LineLag { lag_s: [0.2; 3], port: 1.0 }, size_mm, 0.001).take(5000);
+        let mut passed = flow(
+            LineLag {
+                lag_s: [0.2; 3],
+                port: 1.0,
+            },
+            size_mm,
+            0.001,
+        )
+        .take(5000);
         (1 + passed.position(|z| z.x > 0.632 * size_mm).unwrap()) as f64 * 0.001
     }
 
@@ -89,7 +107,16 @@ mod tests {
 
     #[test]
     fn the_flow_never_overshoots() {
-        for z in flow(LineLag { lag_s: [0.05, 0.5, 0.0], port: 0.5 }, 3.0, 0.01).take(100) {
+        for z in flow(
+            LineLag {
+                lag_s: [0.05, 0.5, 0.0],
+                port: 0.5,
+            },
+            3.0,
+            0.01,
+        )
+        .take(100)
+        {
             assert!(z.iter().all(|z| (0.0..=3.0).contains(z)));
         }
     }

@@ -59,7 +59,16 @@ const SLOW_S: f64 = 0.04;
 impl Stall {
     pub(crate) fn new(config: MissedSteps, step_mm: f64, microsteps: f64) -> Self {
         let (quick, slow) = ((Decay::new(QUICK_S), 0.0), (Decay::new(SLOW_S), 0.0));
-        Self { config, step_mm, microsteps, quick, slow, to_lose: 0.0, stalls: 0, ready: true }
+        Self {
+            config,
+            step_mm,
+            microsteps,
+            quick,
+            slow,
+            to_lose: 0.0,
+            stalls: 0,
+            ready: true,
+        }
     }
 
     /// True once each time the required torque exceeds the available torque.
@@ -67,7 +76,8 @@ impl Stall {
         self.quick.1 += (speed_mm_s - self.quick.1) * self.quick.0.share(dt_s);
         self.slow.1 += (speed_mm_s - self.slow.1) * self.slow.0.share(dt_s);
         let slope = (self.quick.1 - self.slow.1) / (SLOW_S - QUICK_S);
-        let load = slope.abs() / self.config.accel_max_mm_s2 + self.quick.1.abs() / self.config.speed_max_mm_s;
+        let load = slope.abs() / self.config.accel_max_mm_s2
+            + self.quick.1.abs() / self.config.speed_max_mm_s;
         let fires = load > 1.0 && self.ready;
         self.ready = load < 0.3 || (self.ready && load <= 1.0);
         fires
@@ -114,9 +124,22 @@ mod tests {
 
     #[test]
     fn a_hard_start_loses_steps_and_a_soft_one_none() {
-        let config = MissedSteps { full_steps: 3.0, stalls_max: 1, ..MissedSteps::default() };
+        let config = MissedSteps {
+            full_steps: 3.0,
+            stalls_max: 1,
+            ..MissedSteps::default()
+        };
         assert_eq!(lost(config.clone(), 1.0), -48.0);
         assert_eq!(lost(config.clone(), 0.02), 0.0);
-        assert_eq!(lost(MissedSteps { after_s: 100.0, ..config }, 1.0), 0.0);
+        assert_eq!(
+            lost(
+                MissedSteps {
+                    after_s: 100.0,
+                    ..config
+                },
+                1.0
+            ),
+            0.0
+        );
     }
 }

@@ -66,7 +66,11 @@ pub struct EffectName {
 }
 
 /// The running law of an effect, at its start.
-fn started<E, L: Law + 'static>(effect: &E, unit: &UnitData, start: fn(&E, &UnitData) -> L) -> Box<dyn Law> {
+fn started<E, L: Law + 'static>(
+    effect: &E,
+    unit: &UnitData,
+    start: fn(&E, &UnitData) -> L,
+) -> Box<dyn Law> {
     Box::new(start(effect, unit))
 }
 
@@ -233,7 +237,10 @@ mod tests {
 
     #[test]
     fn the_list_begins_with_the_catalogue() {
-        let catalogue: Vec<_> = catalogue().iter().map(|e| (e.name(), e.stage().name())).collect();
+        let catalogue: Vec<_> = catalogue()
+            .iter()
+            .map(|e| (e.name(), e.stage().name()))
+            .collect();
         let names: Vec<_> = CATALOGUE.iter().map(|e| (e.name, e.stage)).collect();
         assert_eq!(names, catalogue);
         let all: std::collections::BTreeSet<_> = effect_names().map(|e| e.name).collect();

@@ -54,16 +54,30 @@ pub(crate) struct Motors {
 impl Motors {
     pub(crate) fn new(config: MotorField, microsteps: f64) -> Self {
         let current = Vector3::repeat(config.idle);
-        Self { config, cycle: 4.0 * microsteps, counts: Vector3::zeros(), current, decay: Decay::new(CURRENT_S) }
+        Self {
+            config,
+            cycle: 4.0 * microsteps,
+            counts: Vector3::zeros(),
+            current,
+            decay: Decay::new(CURRENT_S),
+        }
     }
     /// Field in the world, µT, with the drivers at `counts`, `dt_s` after the last.
     pub(crate) fn field_ut(&mut self, counts: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
         let share = self.decay.share(dt_s);
         let mut field = Vector3::zeros();
         for i in 0..3 {
-            let target = if counts[i] == self.counts[i] { self.config.idle } else { 1.0 };
+            let target = if counts[i] == self.counts[i] {
+                self.config.idle
+            } else {
+                1.0
+            };
             // up at once, down slowly: a driver boosts on the first pulse
-            self.current[i] = if target > self.current[i] { target } else { self.current[i] + (target - self.current[i]) * share };
+            self.current[i] = if target > self.current[i] {
+                target
+            } else {
+                self.current[i] + (target - self.current[i]) * share
+            };
             field += self.coils(i, counts[i]) * (self.config.amplitude_ut[i] * self.current[i]);
         }
         self.counts = *counts;
@@ -73,7 +87,10 @@ impl Motors {
     fn coils(&self, i: usize, counts: f64) -> Vector3<f64> {
         let phase = TAU * counts / self.cycle;
         let h = self.config.saturation;
-        let (first, second) = (phase.cos() + h * (3.0 * phase).cos(), phase.sin() - h * (3.0 * phase).sin());
+        let (first, second) = (
+            phase.cos() + h * (3.0 * phase).cos(),
+            phase.sin() - h * (3.0 * phase).sin(),
+        );
         let (sin, cos) = self.config.azimuth_deg[i].to_radians().sin_cos();
         Vector3::new(cos * first, sin * first, second)
     }
@@ -91,9 +108,18 @@ mod tests {
 
     #[test]
     fn the_field_repeats_every_64_microsteps_and_weakens_at_standstill() {
-        let mut m = Motors::new(MotorField { amplitude_ut: [5.0, 0.0, 0.0], ..MotorField::default() }, 16.0);
+        let mut m = Motors::new(
+            MotorField {
+                amplitude_ut: [5.0, 0.0, 0.0],
+                ..MotorField::default()
+            },
+            16.0,
+        );
         let moving = m.field_ut(&Vector3::new(7.0, 0.0, 0.0), 0.002);
-        assert!((m.coils(0, 7.0) - m.coils(0, 71.0)).norm() < 1e-9 && (m.coils(0, 7.0) - m.coils(0, 39.0)).norm() > 1.0);
+        assert!(
+            (m.coils(0, 7.0) - m.coils(0, 71.0)).norm() < 1e-9
+                && (m.coils(0, 7.0) - m.coils(0, 39.0)).norm() > 1.0
+        );
         for _ in 0..1000 {
             m.field_ut(&Vector3::new(7.0, 0.0, 0.0), 0.002);
         }

@@ -20,7 +20,10 @@ impl PlantEffect for MountMisalignment {
     const BACKGROUND: f64 = 0.06;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(3.0, 15.0, severity);
-        Self { tilt_deg: (rng.direction() * size).into(), give: rng.between(0.0, 0.05) }
+        Self {
+            tilt_deg: (rng.direction() * size).into(),
+            give: rng.between(0.0, 0.05),
+        }
     }
 }
 

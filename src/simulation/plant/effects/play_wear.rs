@@ -17,7 +17,10 @@ parameters! {
 
 impl PlantEffect for PlayWear {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { growth: rng.sized(0.5, 2.5, severity), over_mm: rng.between(100.0, 400.0) }
+        Self {
+            growth: rng.sized(0.5, 2.5, severity),
+            over_mm: rng.between(100.0, 400.0),
+        }
     }
 }
 
@@ -31,7 +34,11 @@ pub(crate) struct Wearing {
 
 impl Wearing {
     pub(crate) fn new(wear: PlayWear) -> Self {
-        Self { wear, plunger_mm: Vector3::zeros(), gone_mm: Vector3::zeros() }
+        Self {
+            wear,
+            plunger_mm: Vector3::zeros(),
+            gone_mm: Vector3::zeros(),
+        }
     }
 }
 
@@ -40,7 +47,8 @@ impl Law for Wearing {
         self.gone_mm += (plunger_mm - self.plunger_mm).abs();
         self.plunger_mm = *plunger_mm;
         for i in 0..3 {
-            half_width_mm[i] *= 1.0 - self.wear.growth * (-self.gone_mm[i] / self.wear.over_mm).exp_m1();
+            half_width_mm[i] *=
+                1.0 - self.wear.growth * (-self.gone_mm[i] / self.wear.over_mm).exp_m1();
         }
     }
 }
@@ -51,7 +59,14 @@ mod tests {
 
     #[test]
     fn the_half_width_grows_with_the_distance() {
-        let mut worn = Wearing { wear: PlayWear { growth: 1.0, over_mm: 20.0 }, plunger_mm: Vector3::zeros(), gone_mm: Vector3::zeros() };
+        let mut worn = Wearing {
+            wear: PlayWear {
+                growth: 1.0,
+                over_mm: 20.0,
+            },
+            plunger_mm: Vector3::zeros(),
+            gone_mm: Vector3::zeros(),
+        };
         let mut width = |to: f64| {
             let mut half_width = Vector3::repeat(0.5);
             worn.play(&mut half_width, &Vector3::repeat(to));

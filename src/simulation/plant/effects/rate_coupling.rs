@@ -16,7 +16,9 @@ parameters! {
 
 impl PlantEffect for RateCoupling {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { shift_s: rng.sign() * rng.sized(0.06, 0.3, severity) }
+        Self {
+            shift_s: rng.sign() * rng.sized(0.06, 0.3, severity),
+        }
     }
 }
 
@@ -33,7 +35,11 @@ pub(crate) struct Dragging {
 
 impl Dragging {
     pub(crate) fn new(config: RateCoupling) -> Self {
-        Self { config, decay: Decay::new(FRAME_S), followed_mm: Vector3::zeros() }
+        Self {
+            config,
+            decay: Decay::new(FRAME_S),
+            followed_mm: Vector3::zeros(),
+        }
     }
 }
 
@@ -55,7 +61,14 @@ mod tests {
         let mut d = Dragging::new(RateCoupling { shift_s: 0.1 });
         let mut step = |x_mm: f64| {
             let mut air_mm = Vector3::new(x_mm, 0.0, 0.0);
-            d.air(&mut air_mm, &BellowState::default(), &Moment { t: 0.0, dt_s: 0.001 });
+            d.air(
+                &mut air_mm,
+                &BellowState::default(),
+                &Moment {
+                    t: 0.0,
+                    dt_s: 0.001,
+                },
+            );
             air_mm - Vector3::new(x_mm, 0.0, 0.0)
         };
         let mut shift = Vector3::zeros();

@@ -19,7 +19,11 @@ parameters! {
 
 impl PlantEffect for Respiration {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { amplitude_deg: rng.sized(1.0, 5.0, severity), period_s: rng.between(3.0, 5.0), direction_deg: rng.angle_deg() }
+        Self {
+            amplitude_deg: rng.sized(1.0, 5.0, severity),
+            period_s: rng.between(3.0, 5.0),
+            direction_deg: rng.angle_deg(),
+        }
     }
 }
 
@@ -31,7 +35,8 @@ impl Respiration {
     fn push(&self, t: f64) -> Vector2<f64> {
         let phase = TAU * (t - STILL_S).max(0.0) / self.period_s;
         let (sin, cos) = self.direction_deg.to_radians().sin_cos();
-        Vector2::new(cos, sin) * (self.amplitude_deg.to_radians() * (0.8 * phase.sin() + 0.2 * (2.0 * phase).sin()))
+        Vector2::new(cos, sin)
+            * (self.amplitude_deg.to_radians() * (0.8 * phase.sin() + 0.2 * (2.0 * phase).sin()))
     }
 }
 
@@ -47,11 +52,22 @@ mod tests {
 
     #[test]
     fn the_push_starts_late_and_repeats() {
-        let r = Respiration { amplitude_deg: 4.0, direction_deg: 90.0, ..Respiration::default() };
+        let r = Respiration {
+            amplitude_deg: 4.0,
+            direction_deg: 90.0,
+            ..Respiration::default()
+        };
         assert_eq!(r.push(2.9), Vector2::zeros());
-        let path: Vec<f64> = (0..400).map(|k| r.push(3.0 + 0.01 * f64::from(k)).y.to_degrees()).collect();
-        let (low, high) = path.iter().fold((0.0f64, 0.0f64), |(l, h), &y| (l.min(y), h.max(y)));
-        assert!(low < -3.0 && high > 3.0 && low >= -4.0 && high <= 4.0, "{low} {high}");
+        let path: Vec<f64> = (0..400)
+            .map(|k| r.push(3.0 + 0.01 * f64::from(k)).y.to_degrees())
+            .collect();
+        let (low, high) = path
+            .iter()
+            .fold((0.0f64, 0.0f64), |(l, h), &y| (l.min(y), h.max(y)));
+        assert!(
+            low < -3.0 && high > 3.0 && low >= -4.0 && high <= 4.0,
+            "{low} {high}"
+        );
         assert!((r.push(8.7) - r.push(4.7)).norm() < 1e-12 && r.push(8.7).x.abs() < 1e-9);
     }
 }

@@ -19,7 +19,11 @@ parameters! {
 
 impl PlantEffect for Ringing {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { share: rng.sized(0.4, 0.9, severity), frequency_hz: rng.between(1.0, 4.0), damping: rng.between(0.03, 0.12) }
+        Self {
+            share: rng.sized(0.4, 0.9, severity),
+            frequency_hz: rng.between(1.0, 4.0),
+            damping: rng.between(0.03, 0.12),
+        }
     }
 }
 
@@ -35,12 +39,21 @@ pub(crate) struct Rings {
 
 impl Rings {
     pub(crate) fn new(config: Ringing) -> Self {
-        Self { config, dt_s: f64::NAN, turn: Matrix2::identity(), at_mm: Vector3::zeros(), speed: Vector3::zeros() }
+        Self {
+            config,
+            dt_s: f64::NAN,
+            turn: Matrix2::identity(),
+            at_mm: Vector3::zeros(),
+            speed: Vector3::zeros(),
+        }
     }
 
     /// Matrix of (distance, speed/ω) over `dt_s`.
     fn transition(&self, dt_s: f64) -> Matrix2<f64> {
-        let (omega, zeta) = (std::f64::consts::TAU * self.config.frequency_hz, self.config.damping);
+        let (omega, zeta) = (
+            std::f64::consts::TAU * self.config.frequency_hz,
+            self.config.damping,
+        );
         let root = (1.0 - zeta * zeta).sqrt();
         let (sin, cos) = (omega * root * dt_s).sin_cos();
         let (fade, side) = ((-zeta * omega * dt_s).exp(), zeta / root);
@@ -68,7 +81,10 @@ mod tests {
     #[test]
     fn the_tip_overshoots_at_its_frequency_and_settles() {
         let path = |steps: usize, dt_s: f64| -> Vec<f64> {
-            let mut r = Rings::new(Ringing { share: 1.0, ..Ringing::default() });
+            let mut r = Rings::new(Ringing {
+                share: 1.0,
+                ..Ringing::default()
+            });
             let step = |_| {
                 let mut q_mm = Vector3::repeat(1.0);
                 r.lagged(&mut q_mm, &Moment { t: 0.0, dt_s });
@@ -77,7 +93,9 @@ mod tests {
             (0..steps).map(step).collect()
         };
         let (path, coarse) = (path(4000, 0.001), path(25, 0.01));
-        let peak = (0..4000).max_by(|&a, &b| path[a].total_cmp(&path[b])).unwrap();
+        let peak = (0..4000)
+            .max_by(|&a, &b| path[a].total_cmp(&path[b]))
+            .unwrap();
         assert!((peak as f64 * 0.001 - 0.125).abs() < 0.003 && path[peak] > 1.7);
         assert!((path[3999] - 1.0).abs() < 0.01);
         // a coarse step meets the fine one

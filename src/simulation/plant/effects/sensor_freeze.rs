@@ -16,7 +16,11 @@ parameters! {
 
 impl PlantEffect for SensorFreeze {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { for_s: rng.sized(0.5, 3.0, severity), at_s: rng.between(8.0, 20.0), every_s: rng.between(10.0, 25.0) }
+        Self {
+            for_s: rng.sized(0.5, 3.0, severity),
+            at_s: rng.between(8.0, 20.0),
+            every_s: rng.between(10.0, 25.0),
+        }
     }
 }
 
@@ -32,7 +36,11 @@ mod tests {
 
     #[test]
     fn a_freeze_recurs() {
-        let f = SensorFreeze { for_s: 1.0, at_s: 5.0, every_s: 10.0 };
+        let f = SensorFreeze {
+            for_s: 1.0,
+            at_s: 5.0,
+            every_s: 10.0,
+        };
         assert!(!f.hangs(4.9) && f.hangs(5.5) && !f.hangs(6.5) && f.hangs(15.5));
     }
 }

@@ -17,7 +17,10 @@ parameters! {
 
 impl PlantEffect for SensorLatency {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { latency_s: rng.sized(0.05, 0.25, severity), jitter: rng.between(0.02, 0.1) }
+        Self {
+            latency_s: rng.sized(0.05, 0.25, severity),
+            jitter: rng.between(0.02, 0.1),
+        }
     }
 }
 
@@ -27,7 +30,12 @@ pub(crate) struct Late(DeadTime<Stimulus>);
 
 impl Late {
     pub(crate) fn new(config: &SensorLatency, seed: u64) -> Self {
-        Self(DeadTime::new(config.latency_s, config.jitter, Stimulus::default(), PlantRng::new(seed, Stream::SensorLatency)))
+        Self(DeadTime::new(
+            config.latency_s,
+            config.jitter,
+            Stimulus::default(),
+            PlantRng::new(seed, Stream::SensorLatency),
+        ))
     }
 }
 

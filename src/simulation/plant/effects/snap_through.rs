@@ -20,7 +20,11 @@ parameters! {
 
 impl PlantEffect for SnapThrough {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { jump_mm: rng.sized(0.4, 1.5, severity), at_mm: rng.between(1.0, 2.5), channel: rng.channel() }
+        Self {
+            jump_mm: rng.sized(0.4, 1.5, severity),
+            at_mm: rng.between(1.0, 2.5),
+            channel: rng.channel(),
+        }
     }
 }
 
@@ -35,7 +39,12 @@ pub(crate) struct Snapping {
 
 impl Snapping {
     pub(crate) fn new(config: SnapThrough) -> Self {
-        Self { config, popped: false, decay: Decay::new(0.05), added_mm: 0.0 }
+        Self {
+            config,
+            popped: false,
+            decay: Decay::new(0.05),
+            added_mm: 0.0,
+        }
     }
 }
 
@@ -44,7 +53,11 @@ impl Law for Snapping {
         let i = self.config.channel - 1;
         let back_mm = self.config.at_mm - (1.5 * self.config.jump_mm).max(0.5);
         self.popped = q_mm[i] > self.config.at_mm || (self.popped && q_mm[i] > back_mm);
-        let target = if self.popped { self.config.jump_mm } else { 0.0 };
+        let target = if self.popped {
+            self.config.jump_mm
+        } else {
+            0.0
+        };
         self.added_mm += (target - self.added_mm) * self.decay.share(at.dt_s);
         let mut added = Vector3::zeros();
         added[i] = self.added_mm;
@@ -58,10 +71,20 @@ mod tests {
 
     #[test]
     fn the_fold_pops_with_hysteresis() {
-        let mut s = Snapping::new(SnapThrough { jump_mm: 0.5, at_mm: 2.0, channel: 2 });
+        let mut s = Snapping::new(SnapThrough {
+            jump_mm: 0.5,
+            at_mm: 2.0,
+            channel: 2,
+        });
         let mut step = |q: f64| {
             let mut q_mm = Vector3::new(9.0, q, 9.0);
-            s.bellows(&mut q_mm, &Moment { t: 0.0, dt_s: 0.001 });
+            s.bellows(
+                &mut q_mm,
+                &Moment {
+                    t: 0.0,
+                    dt_s: 0.001,
+                },
+            );
             q_mm - Vector3::new(9.0, q, 9.0)
         };
         let mut settle = |q: f64| (0..500).map(|_| step(q)).last().unwrap();

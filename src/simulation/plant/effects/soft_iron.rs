@@ -15,10 +15,18 @@ parameters! {
 
 impl PlantEffect for SoftIron {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { stretch: rng.sized(0.06, 0.35, severity), direction: rng.direction().into() }
+        Self {
+            stretch: rng.sized(0.06, 0.35, severity),
+            direction: rng.direction().into(),
+        }
     }
     fn consistent(&self) -> Result<(), PlantError> {
-        range("effects.outside.soft_iron.direction length", Vector3::from(self.direction).norm(), 1e-3..=1e4, "a direction has a length")
+        range(
+            "effects.outside.soft_iron.direction length",
+            Vector3::from(self.direction).norm(),
+            1e-3..=1e4,
+            "a direction has a length",
+        )
     }
 }
 
@@ -35,8 +43,15 @@ mod tests {
 
     #[test]
     fn the_field_is_stretched_along_one_direction() {
-        let mut stimulus = Stimulus { field: Vector3::new(10.0, 20.0, 0.0), ..Stimulus::default() };
-        SoftIron { stretch: 0.5, direction: [0.0, 2.0, 0.0] }.sensor(&mut stimulus, &Moment { t: 0.0, dt_s: 0.0 });
+        let mut stimulus = Stimulus {
+            field: Vector3::new(10.0, 20.0, 0.0),
+            ..Stimulus::default()
+        };
+        SoftIron {
+            stretch: 0.5,
+            direction: [0.0, 2.0, 0.0],
+        }
+        .sensor(&mut stimulus, &Moment { t: 0.0, dt_s: 0.0 });
         assert!((stimulus.field - Vector3::new(10.0, 30.0, 0.0)).norm() < 1e-12);
     }
 }

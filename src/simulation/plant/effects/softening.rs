@@ -20,7 +20,10 @@ parameters! {
 impl PlantEffect for Softening {
     const BACKGROUND: f64 = 0.003;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { share: rng.sized(0.1, 0.5, severity), stretch_mm: rng.between(2.0, 4.0) }
+        Self {
+            share: rng.sized(0.1, 0.5, severity),
+            stretch_mm: rng.between(2.0, 4.0),
+        }
     }
 }
 
@@ -37,7 +40,11 @@ pub(crate) struct Damage {
 
 impl Damage {
     pub(crate) fn new(config: Softening) -> Self {
-        Self { config, worst_mm: Vector3::zeros(), left: Vector3::repeat(1.0) }
+        Self {
+            config,
+            worst_mm: Vector3::zeros(),
+            left: Vector3::repeat(1.0),
+        }
     }
     /// The walls have been stretched to `bellow_mm`.
     pub(crate) fn stretch(&mut self, bellow_mm: &Vector3<f64>) {
@@ -45,7 +52,8 @@ impl Damage {
             let strain = bellow_mm[i].max(-CONTRACTION * bellow_mm[i]);
             if strain > self.worst_mm[i] {
                 self.worst_mm[i] = strain;
-                self.left[i] = 1.0 + self.config.share * (-(strain / self.config.stretch_mm).powi(2)).exp_m1();
+                self.left[i] =
+                    1.0 + self.config.share * (-(strain / self.config.stretch_mm).powi(2)).exp_m1();
             }
         }
     }
@@ -64,7 +72,10 @@ mod tests {
 
     #[test]
     fn stiffness_falls_only_beyond_the_past_maximum() {
-        let mut d = Damage::new(Softening { share: 0.4, ..Softening::default() });
+        let mut d = Damage::new(Softening {
+            share: 0.4,
+            ..Softening::default()
+        });
         d.stretch(&Vector3::new(3.0, -3.0, 0.0));
         let once = d.left;
         assert!(once.x < 0.76 && once.y > once.x && once.y < 1.0 && once.z == 1.0);

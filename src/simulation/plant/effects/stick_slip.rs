@@ -22,7 +22,11 @@ parameters! {
 
 impl PlantEffect for StickSlip {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { breakaway_mm: rng.sized(0.3, 1.5, severity), sliding: rng.between(0.0, 0.4), ..Self::default() }
+        Self {
+            breakaway_mm: rng.sized(0.3, 1.5, severity),
+            sliding: rng.between(0.0, 0.4),
+            ..Self::default()
+        }
     }
 }
 
@@ -36,7 +40,11 @@ pub(crate) struct Sticking {
 
 impl Sticking {
     pub(crate) fn new(config: StickSlip) -> Self {
-        Self { config, plunger_mm: Vector3::zeros(), resting_s: Vector3::zeros() }
+        Self {
+            config,
+            plunger_mm: Vector3::zeros(),
+            resting_s: Vector3::zeros(),
+        }
     }
 }
 
@@ -44,9 +52,11 @@ impl Law for Sticking {
     fn rack(&mut self, rack_mm: &mut Vector3<f64>, at: &Moment) {
         for i in 0..3 {
             let strain = rack_mm[i] - self.plunger_mm[i];
-            let holds = self.config.breakaway_mm * (1.0 + self.config.ageing * self.resting_s[i].ln_1p());
+            let holds =
+                self.config.breakaway_mm * (1.0 + self.config.ageing * self.resting_s[i].ln_1p());
             if strain.abs() > holds {
-                self.plunger_mm[i] = rack_mm[i] - strain.signum() * self.config.sliding * self.config.breakaway_mm;
+                self.plunger_mm[i] =
+                    rack_mm[i] - strain.signum() * self.config.sliding * self.config.breakaway_mm;
                 self.resting_s[i] = 0.0;
             } else {
                 self.resting_s[i] += at.dt_s;
@@ -62,14 +72,30 @@ mod tests {
 
     #[test]
     fn the_plunger_moves_in_jumps() {
-        let mut s = Sticking::new(StickSlip { breakaway_mm: 0.5, ..StickSlip::default() });
+        let mut s = Sticking::new(StickSlip {
+            breakaway_mm: 0.5,
+            ..StickSlip::default()
+        });
         let mut at = |rod_mm: f64| {
             let mut rack_mm = Vector3::repeat(rod_mm);
-            s.rack(&mut rack_mm, &Moment { t: 0.0, dt_s: 0.001 });
+            s.rack(
+                &mut rack_mm,
+                &Moment {
+                    t: 0.0,
+                    dt_s: 0.001,
+                },
+            );
             rack_mm.x
         };
         let path: Vec<f64> = (0..=400).map(|k| at(0.01 * f64::from(k))).collect();
-        let jumps: Vec<f64> = path.windows(2).map(|w| w[1] - w[0]).filter(|d| *d != 0.0).collect();
-        assert!((8..=14).contains(&jumps.len()) && jumps.iter().all(|j| (0.3..0.6).contains(j)), "{jumps:?}");
+        let jumps: Vec<f64> = path
+            .windows(2)
+            .map(|w| w[1] - w[0])
+            .filter(|d| *d != 0.0)
+            .collect();
+        assert!(
+            (8..=14).contains(&jumps.len()) && jumps.iter().all(|j| (0.3..0.6).contains(j)),
+            "{jumps:?}"
+        );
     }
 }

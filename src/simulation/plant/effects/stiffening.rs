@@ -20,7 +20,10 @@ parameters! {
 impl PlantEffect for Stiffening {
     const BACKGROUND: f64 = 0.003;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { share: rng.sized(0.12, 0.7, severity), onset_mm: rng.between(1.8, 4.0) }
+        Self {
+            share: rng.sized(0.12, 0.7, severity),
+            onset_mm: rng.between(1.8, 4.0),
+        }
     }
 }
 
@@ -36,7 +39,10 @@ pub(crate) struct Hardening {
 
 impl Hardening {
     pub(crate) fn new(config: &Stiffening) -> Self {
-        Self { h: config.share / (FULL_MM / config.onset_mm).exp_m1(), onset_mm: config.onset_mm }
+        Self {
+            h: config.share / (FULL_MM / config.onset_mm).exp_m1(),
+            onset_mm: config.onset_mm,
+        }
     }
 }
 
@@ -54,7 +60,10 @@ mod tests {
 
     #[test]
     fn the_extra_force_is_odd_and_stated_at_full_stretch() {
-        let s = Hardening::new(&Stiffening { share: 0.3, ..Stiffening::default() });
+        let s = Hardening::new(&Stiffening {
+            share: 0.3,
+            ..Stiffening::default()
+        });
         let extra = |q_mm: f64| s.wall(q_mm).unwrap();
         assert!((extra(5.0).0 - 1.5).abs() < 1e-12 && extra(-5.0).0 == -extra(5.0).0);
         let gain = |q: f64| extra(q).0 / q;

@@ -26,10 +26,17 @@ impl PlantEffect for ThermalDrift {
         let share = rng.between(-0.4, 0.4);
         let mut offset_mm = [size * sign * share; 3];
         offset_mm[main] = size * sign;
-        Self { offset_mm, air_s: rng.between(6.0, 25.0), case_s: rng.between(30.0, 120.0) }
+        Self {
+            offset_mm,
+            air_s: rng.between(6.0, 25.0),
+            case_s: rng.between(30.0, 120.0),
+        }
     }
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { offset_mm: [up_to(0.02), -up_to(0.02), 0.0], ..Self::default() })
+        Some(Self {
+            offset_mm: [up_to(0.02), -up_to(0.02), 0.0],
+            ..Self::default()
+        })
     }
 }
 
@@ -45,9 +52,17 @@ impl Warming {
     pub(crate) fn new(config: ThermalDrift) -> Self {
         // equal time constants are the limit of unequal ones; a difference of 0.2 % keeps the formula stable
         let alike = (config.case_s / config.air_s - 1.0).abs() < 1e-3;
-        let case_s = if alike { config.case_s * 1.002 } else { config.case_s };
+        let case_s = if alike {
+            config.case_s * 1.002
+        } else {
+            config.case_s
+        };
         let mass = |tau_s: f64| (tau_s, Decay::new(tau_s), 1.0);
-        Self { offset_mm: Vector3::from(config.offset_mm), air: mass(config.air_s), case: mass(case_s) }
+        Self {
+            offset_mm: Vector3::from(config.offset_mm),
+            air: mass(config.air_s),
+            case: mass(case_s),
+        }
     }
 }
 
@@ -68,10 +83,18 @@ mod tests {
     #[test]
     fn the_offset_starts_without_slope_and_ends_at_its_size() {
         for case_s in [90.0, 20.0] {
-            let mut w = Warming::new(ThermalDrift { offset_mm: [1.0, 0.0, -0.5], case_s, ..ThermalDrift::default() });
+            let mut w = Warming::new(ThermalDrift {
+                offset_mm: [1.0, 0.0, -0.5],
+                case_s,
+                ..ThermalDrift::default()
+            });
             let offset = |_| {
                 let mut air_mm = Vector3::zeros();
-                w.air(&mut air_mm, &BellowState::default(), &Moment { t: 0.0, dt_s: 0.1 });
+                w.air(
+                    &mut air_mm,
+                    &BellowState::default(),
+                    &Moment { t: 0.0, dt_s: 0.1 },
+                );
                 air_mm
             };
             let path: Vec<_> = (0..20_000).map(offset).collect();

@@ -19,7 +19,10 @@ parameters! {
 impl PlantEffect for Torsion {
     const BACKGROUND: f64 = 0.1;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { twist_deg: rng.sign() * rng.sized(3.0, 20.0, severity), direction_deg: rng.angle_deg() }
+        Self {
+            twist_deg: rng.sign() * rng.sized(3.0, 20.0, severity),
+            direction_deg: rng.angle_deg(),
+        }
     }
 }
 
@@ -43,7 +46,10 @@ mod tests {
 
     #[test]
     fn twist_grows_with_bend_from_zero() {
-        let mut t = Torsion { twist_deg: 10.0, direction_deg: 30.0 };
+        let mut t = Torsion {
+            twist_deg: 10.0,
+            direction_deg: 30.0,
+        };
         let mut at = |beta: f64| t.twist(&Vector2::new(0.0, beta), &Moment { t: 0.0, dt_s: 0.0 });
         assert_eq!(at(0.0), 0.0);
         assert!(at(0.3) > 0.0 && at(0.6) > at(0.3) && at(0.6) < 2.0 * at(0.3));

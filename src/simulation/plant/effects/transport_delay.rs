@@ -17,7 +17,10 @@ parameters! {
 
 impl PlantEffect for TransportDelay {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { delay_s: rng.sized(0.05, 0.25, severity), jitter: rng.between(0.02, 0.1) }
+        Self {
+            delay_s: rng.sized(0.05, 0.25, severity),
+            jitter: rng.between(0.02, 0.1),
+        }
     }
 }
 
@@ -27,7 +30,12 @@ pub(crate) struct Late(DeadTime<Vector3<f64>>);
 
 impl Late {
     pub(crate) fn new(config: &TransportDelay, seed: u64) -> Self {
-        Self(DeadTime::new(config.delay_s, config.jitter, Vector3::zeros(), PlantRng::new(seed, Stream::TransportDelay)))
+        Self(DeadTime::new(
+            config.delay_s,
+            config.jitter,
+            Vector3::zeros(),
+            PlantRng::new(seed, Stream::TransportDelay),
+        ))
     }
 }
 

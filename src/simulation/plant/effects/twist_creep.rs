@@ -17,7 +17,10 @@ parameters! {
 
 impl PlantEffect for TwistCreep {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self { twist_deg: rng.sign() * rng.sized(5.0, 20.0, severity), over_s: rng.between(3.0, 15.0) }
+        Self {
+            twist_deg: rng.sign() * rng.sized(5.0, 20.0, severity),
+            over_s: rng.between(3.0, 15.0),
+        }
     }
 }
 
@@ -32,7 +35,11 @@ pub(crate) struct Twisting {
 impl Twisting {
     pub(crate) fn new(config: TwistCreep) -> Self {
         let decay = Decay::new(config.over_s);
-        Self { config, decay, twist: 0.0 }
+        Self {
+            config,
+            decay,
+            twist: 0.0,
+        }
     }
 }
 

@@ -62,7 +62,12 @@ parameters! {
 impl ImuConfig {
     /// The same make with no constant bias.
     pub(crate) fn unbiased(&self) -> Self {
-        Self { gyro_bias_deg_s: [0.0; 3], acc_bias_mg: [0.0; 3], mag_bias_ut: [0.0; 3], ..self.clone() }
+        Self {
+            gyro_bias_deg_s: [0.0; 3],
+            acc_bias_mg: [0.0; 3],
+            mag_bias_ut: [0.0; 3],
+            ..self.clone()
+        }
     }
 }
 
@@ -84,7 +89,11 @@ impl Axes {
         }
         x.map(|x| {
             let clipped = x.clamp(-self.range, self.range);
-            if self.digit > 0.0 { (clipped / self.digit).round() * self.digit } else { clipped }
+            if self.digit > 0.0 {
+                (clipped / self.digit).round() * self.digit
+            } else {
+                clipped
+            }
         })
     }
 }
@@ -114,21 +123,55 @@ impl Chip {
             digit: digit * unit,
             range: range * unit,
         };
-        let gyro = [c.gyro_noise_deg_s_rthz * white, c.gyro_wander_deg_s, c.gyro_digit_deg_s, c.gyro_range_deg_s];
-        let acc = [c.acc_noise_mg_rthz * white, c.acc_wander_mg, c.acc_digit_mg, c.acc_range_g * 1000.0];
-        let mag = [c.mag_noise_ut, c.mag_wander_ut, c.mag_digit_ut, c.mag_range_ut];
+        let gyro = [
+            c.gyro_noise_deg_s_rthz * white,
+            c.gyro_wander_deg_s,
+            c.gyro_digit_deg_s,
+            c.gyro_range_deg_s,
+        ];
+        let acc = [
+            c.acc_noise_mg_rthz * white,
+            c.acc_wander_mg,
+            c.acc_digit_mg,
+            c.acc_range_g * 1000.0,
+        ];
+        let mag = [
+            c.mag_noise_ut,
+            c.mag_wander_ut,
+            c.mag_digit_ut,
+            c.mag_range_ut,
+        ];
         let gyro = axes(&c.gyro_bias_deg_s, gyro, deg);
         let acc = axes(&c.acc_bias_mg, acc, mg);
         let mag = axes(&c.mag_bias_ut, mag, 1.0);
-        Self { period_s: c.period_s, mag_period_s: c.mag_period_s, gyro, acc, mag, rng, mag_dt_s: 0.0 }
+        Self {
+            period_s: c.period_s,
+            mag_period_s: c.mag_period_s,
+            gyro,
+            acc,
+            mag,
+            rng,
+            mag_dt_s: 0.0,
+        }
     }
     /// A sample of the stimulus; the caller sets its time.
     pub(crate) fn read(&mut self, stimulus: &Stimulus, dt_s: f64, with_mag: bool) -> ImuSample {
         self.mag_dt_s += dt_s;
         let gyro_rad_s = self.gyro.read(&stimulus.rate, dt_s, &mut self.rng);
         let acc_m_s2 = self.acc.read(&stimulus.force, dt_s, &mut self.rng);
-        let mag_ut = with_mag.then(|| self.mag.read(&stimulus.field, std::mem::take(&mut self.mag_dt_s), &mut self.rng));
-        ImuSample { t: Seconds(0.0), gyro_rad_s, acc_m_s2, mag_ut }
+        let mag_ut = with_mag.then(|| {
+            self.mag.read(
+                &stimulus.field,
+                std::mem::take(&mut self.mag_dt_s),
+                &mut self.rng,
+            )
+        });
+        ImuSample {
+            t: Seconds(0.0),
+            gyro_rad_s,
+            acc_m_s2,
+            mag_ut,
+        }
     }
     /// Full scale on every axis of rate and force, on the side of the present reading.
     pub(crate) fn pin_to_range(&self, sample: &mut ImuSample) {
@@ -143,29 +186,61 @@ mod tests {
     use crate::simulation::plant::rng::Stream;
 
     fn still() -> Stimulus {
-        Stimulus { rate: Vector3::zeros(), force: Vector3::new(0.0, 0.0, GRAVITY_M_S2), field: Vector3::new(20.0, 0.0, -43.0) }
+        Stimulus {
+            rate: Vector3::zeros(),
+            force: Vector3::new(0.0, 0.0, GRAVITY_M_S2),
+            field: Vector3::new(20.0, 0.0, -43.0),
+        }
     }
 
     #[test]
     fn white_noise_has_the_stated_density() {
-        let config = ImuConfig { gyro_wander_deg_s: 0.0, gyro_digit_deg_s: 0.0, ..ImuConfig::default() };
+        let config = ImuConfig {
+            gyro_wander_deg_s: 0.0,
+            gyro_digit_deg_s: 0.0,
+            ..ImuConfig::default()
+        };
         let mut chip = Chip::new(&config, PlantRng::new(5, Stream::TipImu));
         let n = 20_000;
-        let square: f64 = (0..n).map(|_| chip.read(&still(), 0.002, false).gyro_rad_s.norm_squared() / 3.0).sum();
+        let square: f64 = (0..n)
+            .map(|_| chip.read(&still(), 0.002, false).gyro_rad_s.norm_squared() / 3.0)
+            .sum();
         let density = (square / f64::from(n)).sqrt().to_degrees() / 250f64.sqrt();
         assert!((density / 0.015 - 1.0).abs() < 0.02, "{density}");
     }
 
     #[test]
     fn readings_have_bias_range_and_quantisation() {
-        let config = ImuConfig { acc_bias_mg: [10.0, 0.0, 0.0], ..ImuConfig::default() };
+        let config = ImuConfig {
+            acc_bias_mg: [10.0, 0.0, 0.0],
+            ..ImuConfig::default()
+        };
         let mut chip = Chip::new(&config, PlantRng::new(5, Stream::TipImu));
         let n = 5000;
-        let mean: Vector3<f64> = (0..n).map(|_| chip.read(&still(), 0.002, false).acc_m_s2).sum::<Vector3<f64>>() / f64::from(n);
-        assert!((mean - Vector3::new(0.0981, 0.0, GRAVITY_M_S2)).norm() < 0.01, "{mean}");
-        let s = chip.read(&Stimulus { rate: Vector3::new(99.0, 0.0, -99.0), ..still() }, 0.002, true);
-        assert!((s.gyro_rad_s.x.to_degrees() - 500.0).abs() < 0.02 && (s.gyro_rad_s.z.to_degrees() + 500.0).abs() < 0.02);
+        let mean: Vector3<f64> = (0..n)
+            .map(|_| chip.read(&still(), 0.002, false).acc_m_s2)
+            .sum::<Vector3<f64>>()
+            / f64::from(n);
+        assert!(
+            (mean - Vector3::new(0.0981, 0.0, GRAVITY_M_S2)).norm() < 0.01,
+            "{mean}"
+        );
+        let s = chip.read(
+            &Stimulus {
+                rate: Vector3::new(99.0, 0.0, -99.0),
+                ..still()
+            },
+            0.002,
+            true,
+        );
+        assert!(
+            (s.gyro_rad_s.x.to_degrees() - 500.0).abs() < 0.02
+                && (s.gyro_rad_s.z.to_degrees() + 500.0).abs() < 0.02
+        );
         let mag = s.mag_ut.unwrap();
-        assert!(mag.iter().all(|x| ((x / 0.15).round() - x / 0.15).abs() < 1e-6));
+        assert!(
+            mag.iter()
+                .all(|x| ((x / 0.15).round() - x / 0.15).abs() < 1e-6)
+        );
     }
 }

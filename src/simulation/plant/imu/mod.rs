@@ -80,7 +80,11 @@ impl Imu {
     }
     /// The base's IMU, of the same make but without bias.
     pub(crate) fn base(config: &ImuConfig, seed: u64, here: Surroundings) -> Self {
-        Self::new(&config.unbiased(), PlantRng::new(seed, Stream::BaseImu), here)
+        Self::new(
+            &config.unbiased(),
+            PlantRng::new(seed, Stream::BaseImu),
+            here,
+        )
     }
     fn new(config: &ImuConfig, rng: PlantRng, here: Surroundings) -> Self {
         let turn = Vector3::from(config.mount_deg).map(f64::to_radians);
@@ -104,14 +108,18 @@ impl Imu {
     /// The sample that is due.
     pub(crate) fn sample(&mut self, here: &Surroundings, laws: &mut Laws) -> ImuSample {
         let t = here.t;
-        let at = Moment { t, dt_s: t - self.last.t };
+        let at = Moment {
+            t,
+            dt_s: t - self.last.t,
+        };
         self.due_s = next_due(self.due_s, self.chip.period_s, t);
         let mut stimulus = self.stimulus(here, at.dt_s);
         laws.iter_mut().for_each(|law| law.late(&mut stimulus, &at));
         if let Some(mount) = &self.mount {
             stimulus = stimulus.turned_by(mount);
         }
-        laws.iter_mut().for_each(|law| law.sensor(&mut stimulus, &at));
+        laws.iter_mut()
+            .for_each(|law| law.sensor(&mut stimulus, &at));
         let (rate, force) = self.faults.spike.take().unwrap_or_default();
         stimulus.rate = stimulus.rate + self.faults.rate + rate;
         stimulus.force += force;
@@ -129,10 +137,19 @@ impl Imu {
     fn output(&mut self, mut sample: ImuSample, hangs: bool) -> ImuSample {
         match self.shown {
             Some(shown) if hangs || self.faults.frozen => {
-                sample = ImuSample { t: sample.t, mag_ut: sample.mag_ut.and(shown.mag_ut), ..shown };
+                sample = ImuSample {
+                    t: sample.t,
+                    mag_ut: sample.mag_ut.and(shown.mag_ut),
+                    ..shown
+                };
             }
             // a sample without a field keeps the field that is repeated
-            Some(shown) => self.shown = Some(ImuSample { mag_ut: sample.mag_ut.or(shown.mag_ut), ..sample }),
+            Some(shown) => {
+                self.shown = Some(ImuSample {
+                    mag_ut: sample.mag_ut.or(shown.mag_ut),
+                    ..sample
+                })
+            }
             None => self.shown = Some(sample),
         }
         if self.faults.saturated {
@@ -163,7 +180,11 @@ impl Imu {
 /// The next time of a periodic event after `t`; times that a long step passed over are dropped.
 fn next_due(due_s: f64, period_s: f64, t: f64) -> f64 {
     let next = due_s + period_s;
-    if next > t { next } else { t + period_s - (t - due_s) % period_s }
+    if next > t {
+        next
+    } else {
+        t + period_s - (t - due_s) % period_s
+    }
 }
 
 #[cfg(test)]
@@ -174,6 +195,10 @@ mod tests {
     fn samples_keep_their_period_through_long_steps() {
         assert_eq!(next_due(0.002, 0.002, 0.002), 0.004);
         let next = next_due(0.002, 0.002, 0.0131);
-        assert!(next > 0.0131 && next < 0.0131 + 0.002 + 1e-12 && ((next / 0.002).round() - next / 0.002).abs() < 1e-6);
+        assert!(
+            next > 0.0131
+                && next < 0.0131 + 0.002 + 1e-12
+                && ((next / 0.002).round() - next / 0.002).abs() < 1e-6
+        );
     }
 }

@@ -27,11 +27,21 @@ impl Section {
     /// With each bellow at its distance from the axis and `offset` (rad) from its 120° place.
     pub(crate) fn new(r_mm: [f64; 3], offset: &[f64; 3], rest_length_mm: f64) -> Self {
         let angle = std::array::from_fn(|i| TAU / 3.0 * i as f64 + offset[i]);
-        Self { r_mm, angle, rest_length_mm, solve: Matrix3::identity() }.solved()
+        Self {
+            r_mm,
+            angle,
+            rest_length_mm,
+            solve: Matrix3::identity(),
+        }
+        .solved()
     }
     /// The same with bellows turned by `offset` (rad) about the axis.
     pub(crate) fn turned(&self, offset: &[f64; 3]) -> Self {
-        Self { angle: std::array::from_fn(|i| self.angle[i] + offset[i]), ..self.clone() }.solved()
+        Self {
+            angle: std::array::from_fn(|i| self.angle[i] + offset[i]),
+            ..self.clone()
+        }
+        .solved()
     }
     fn solved(mut self) -> Self {
         let row = |i: usize| {
@@ -39,7 +49,9 @@ impl Section {
             RowVector3::new(-self.r_mm[i] * cos, self.r_mm[i] * sin, 1.0)
         };
         // singular only with all bellows on one line, which the allowed angles rule out
-        self.solve = Matrix3::from_rows(&[row(0), row(1), row(2)]).try_inverse().unwrap_or_else(Matrix3::zeros);
+        self.solve = Matrix3::from_rows(&[row(0), row(1), row(2)])
+            .try_inverse()
+            .unwrap_or_else(Matrix3::zeros);
         self
     }
     /// Bend vector, rad, and centre length, mm, for length changes of the bellows.
@@ -75,7 +87,12 @@ impl Terms {
         let beta = b2.sqrt();
         let (sin, cos) = beta.sin_cos();
         let (s, v) = (sin / beta, (1.0 - cos) / b2);
-        Self { s, v, ds: (cos - s) / b2, dv: (s - 2.0 * v) / b2 }
+        Self {
+            s,
+            v,
+            ds: (cos - s) / b2,
+            dv: (s - 2.0 * v) / b2,
+        }
     }
     /// Where the tip of an arc of `length_mm` lies on the plate, mm.
     pub(crate) fn tip_mm(&self, bend: &Vector2<f64>, length_mm: f64) -> Vector3<f64> {
@@ -116,9 +133,13 @@ mod tests {
 
     #[test]
     fn a_bellow_out_of_place_skews_the_bend() {
-        let section = |offset: f64| Section::new([Geometry::default().r_mm; 3], &[offset, 0.0, 0.0], 20.0);
+        let section =
+            |offset: f64| Section::new([Geometry::default().r_mm; 3], &[offset, 0.0, 0.0], 20.0);
         let off = section(10f64.to_radians());
-        let q = Geometry::default().lengths(&Shape { bend: Bend::from_deg(60.0, 90.0), length: Mm(20.0) });
+        let q = Geometry::default().lengths(&Shape {
+            bend: Bend::from_deg(60.0, 90.0),
+            length: Mm(20.0),
+        });
         assert!((Bend(off.shape(&q).0).delta().to_degrees() - 90.0).abs() > 2.0);
         let all = section(0.0).turned(&[0.2; 3]);
         assert!(((Bend(all.shape(&q).0).delta() - 90f64.to_radians()).abs() - 0.2).abs() < 1e-9);

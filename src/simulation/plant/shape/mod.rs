@@ -43,18 +43,38 @@ impl Pose {
 
 impl Shape {
     pub(crate) fn new(config: &ShapeConfig) -> Self {
-        let section = Section::new(config.r_mm, &config.angle_deg.map(f64::to_radians), config.rest_length_mm);
-        Self { section, push: Vector2::zeros(), wall: None }
+        let section = Section::new(
+            config.r_mm,
+            &config.angle_deg.map(f64::to_radians),
+            config.rest_length_mm,
+        );
+        Self {
+            section,
+            push: Vector2::zeros(),
+            wall: None,
+        }
     }
 
     /// The pose after one step with bellow length changes `bellow_mm` and the plate held as given.
-    pub(crate) fn step(&mut self, bellow_mm: &Vector3<f64>, r_world_plate: Rotation<World, Plate>, at: &Moment, laws: &mut Laws) -> Pose {
+    pub(crate) fn step(
+        &mut self,
+        bellow_mm: &Vector3<f64>,
+        r_world_plate: Rotation<World, Plate>,
+        at: &Moment,
+        laws: &mut Laws,
+    ) -> Pose {
         let (mut bend, length_mm) = match laws.iter().find_map(|law| law.offsets(bellow_mm)) {
             Some(offsets) => self.section.turned(&offsets).shape(bellow_mm),
             None => self.section.shape(bellow_mm),
         };
-        let section = SectionState { t: at.t, length_mm, longer_mm: length_mm - self.section.rest_length_mm, r_world_plate };
-        laws.iter_mut().for_each(|law| law.bend(&mut bend, &section));
+        let section = SectionState {
+            t: at.t,
+            length_mm,
+            longer_mm: length_mm - self.section.rest_length_mm,
+            r_world_plate,
+        };
+        laws.iter_mut()
+            .for_each(|law| law.bend(&mut bend, &section));
         bend += self.push;
         let touched = match &mut self.wall {
             Some(wall) => wall.contact(&mut bend, at),
@@ -66,7 +86,12 @@ impl Shape {
                 touched
             }
         };
-        Pose { r_plate_tip: oriented(&bend, at, laws), bend, length_mm, touched }
+        Pose {
+            r_plate_tip: oriented(&bend, at, laws),
+            bend,
+            length_mm,
+            touched,
+        }
     }
 }
 

@@ -10,7 +10,10 @@ fn magnetic_faults_select_gravity_only() {
     let v = b.with(|s, q| (s.mag_ut, q.mag_overflow) = (None, true));
     assert!(v.faults.contains(HealthCause::MagOverflow) && v.action() == HealthAction::GravityOnly);
     let (n, _) = b.until_recovered(HealthCause::MagOverflow);
-    assert!((46..=50).contains(&n), "ten magnetometer values take fifty samples: {n}");
+    assert!(
+        (46..=50).contains(&n),
+        "ten magnetometer values take fifty samples: {n}"
+    );
     b.source.mag += Vector3::new(12.0, 0.0, 0.0);
     let mut caught = false;
     for _ in 0..5 {
@@ -18,25 +21,59 @@ fn magnetic_faults_select_gravity_only() {
         caught |= v.faults.contains(HealthCause::FieldDisturbed);
         assert!(v.gyro && v.acc && (!caught || !v.mag));
     }
-    assert!(caught, "12 µT change the strength by 9 % and the dip by 10°");
+    assert!(
+        caught,
+        "12 µT change the strength by 9 % and the dip by 10°"
+    );
     b.source.mag -= Vector3::new(12.0, 0.0, 0.0);
     b.until_recovered(HealthCause::FieldDisturbed);
 }
 
 #[test]
 fn strength_and_dip_are_checked_separately() {
-    let reference = FieldReference::from_rest(&Vector3::z(), &Vector3::new(20.0, 0.0, -45.0)).expect("sound");
-    assert!((reference.dip_rad.to_degrees() - 66.04).abs() < 0.01, "the dip is positive below the horizon");
+    let reference =
+        FieldReference::from_rest(&Vector3::z(), &Vector3::new(20.0, 0.0, -45.0)).expect("sound");
+    assert!(
+        (reference.dip_rad.to_degrees() - 66.04).abs() < 0.01,
+        "the dip is positive below the horizon"
+    );
     let (c, up) = (HealthConfig::default(), Vector3::new(0.0, 0.0, 9.81));
     let turned = |deg: f64| {
         let a = (reference.dip_rad.to_degrees() + deg).to_radians();
         Vector3::new(a.cos(), 0.0, -a.sin()) * reference.norm_ut
     };
-    assert!(!field_disturbed(&c, &reference, Some(&up), &turned(9.0), 0.0));
-    assert!(field_disturbed(&c, &reference, Some(&up), &turned(11.0), 0.0));
-    assert!(!field_disturbed(&c, &reference, None, &turned(11.0), 0.0), "no dip check without a vertical");
-    assert!(field_disturbed(&c, &reference, None, &(turned(0.0) * 1.16), 0.0));
-    assert!(!field_disturbed(&c, &reference, Some(&up), &(turned(0.0) * 0.86), 0.0));
+    assert!(!field_disturbed(
+        &c,
+        &reference,
+        Some(&up),
+        &turned(9.0),
+        0.0
+    ));
+    assert!(field_disturbed(
+        &c,
+        &reference,
+        Some(&up),
+        &turned(11.0),
+        0.0
+    ));
+    assert!(
+        !field_disturbed(&c, &reference, None, &turned(11.0), 0.0),
+        "no dip check without a vertical"
+    );
+    assert!(field_disturbed(
+        &c,
+        &reference,
+        None,
+        &(turned(0.0) * 1.16),
+        0.0
+    ));
+    assert!(!field_disturbed(
+        &c,
+        &reference,
+        Some(&up),
+        &(turned(0.0) * 0.86),
+        0.0
+    ));
 }
 
 #[test]
@@ -79,7 +116,10 @@ fn a_silent_magnetometer_is_detected_unless_absent() {
             }
         }
         assert_eq!(detected.is_some(), expect_mag);
-        assert!(detected.is_none_or(|t| (0.2..0.206).contains(&t)), "{detected:?}");
+        assert!(
+            detected.is_none_or(|t| (0.2..0.206).contains(&t)),
+            "{detected:?}"
+        );
     }
 }
 
@@ -92,7 +132,15 @@ fn a_shaken_tip_coasts_and_then_holds() {
         assert!(v.faults.contains(HealthCause::AccelDisturbed) && v.gyro && !v.acc && !v.mag);
         let t = f64::from(n - 1) * DT;
         if (t - 5.0).abs() > 1e-6 {
-            assert_eq!(v.action(), if t > 5.0 { HealthAction::Hold } else { HealthAction::CoastOnGyro }, "{t}");
+            assert_eq!(
+                v.action(),
+                if t > 5.0 {
+                    HealthAction::Hold
+                } else {
+                    HealthAction::CoastOnGyro
+                },
+                "{t}"
+            );
         }
     }
     b.until_recovered(HealthCause::AccelDisturbed);
@@ -103,7 +151,11 @@ fn a_shaken_tip_coasts_and_then_holds() {
 fn repeated_field_disturbances_lengthen_the_recovery() {
     let (config, mut monitor) = (HealthConfig::default(), SensorMonitor::default());
     let field = Vector3::new(20.0, 0.0, -45.0);
-    monitor.set_known(KnownErrors::default(), &Vector3::new(0.0, 0.0, 9.81), Some(&field));
+    monitor.set_known(
+        KnownErrors::default(),
+        &Vector3::new(0.0, 0.0, 9.81),
+        Some(&field),
+    );
     let mut t = 0.0;
     let mut assess = |times: f64| {
         t += 0.01;
@@ -113,7 +165,11 @@ fn repeated_field_disturbances_lengthen_the_recovery() {
             acc_m_s2: Vector3::new(0.0, 0.0, 9.81),
             mag_ut: Some(field * times),
         };
-        monitor.assess(&config, Seconds(t), &ImuReading::Sample(sample, Quality::default()))
+        monitor.assess(
+            &config,
+            Seconds(t),
+            &ImuReading::Sample(sample, Quality::default()),
+        )
     };
     let mut waits = Vec::new();
     for _ in 0..5 {
@@ -129,5 +185,8 @@ fn repeated_field_disturbances_lengthen_the_recovery() {
         assess(1.0);
     }
     assess(1.4);
-    assert!((0..10).any(|_| assess(1.0).mag), "after an undisturbed minute the recovery is short again");
+    assert!(
+        (0..10).any(|_| assess(1.0).mag),
+        "after an undisturbed minute the recovery is short again"
+    );
 }
