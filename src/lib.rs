@@ -1,6 +1,6 @@
 //! Closed-loop bend control and sim-to-real gap diagnosis for a disposable pneumatic endoscope tip.
 //!
-//! The library has sixteen rooms. A file imports only from rooms above its own in this table; `tests/architecture.rs`
+//! The library has sixteen rooms. A file imports only from rooms above its own in this table; `tests/library/architecture.rs`
 //! reads the table and enforces it.
 //!
 //! | room | contents | may use |

@@ -13,6 +13,7 @@ pub mod demo;
 pub mod doctor;
 pub mod drill;
 pub mod evaluate;
+mod failure;
 pub mod fleet;
 pub mod gap;
 pub mod help;
@@ -142,7 +143,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Man(args) => help::man(&args, command()),
     };
     if let Err(report) = &end {
-        eprintln!("{report:?}");
+        failure::print(report);
     }
     ExitCode::from(exit_code(&end))
 }

@@ -99,16 +99,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if let Some(path) = &feedforward {
         texts.push(source::text_of(path)?);
     }
-    if let Some(socket) = &args.socket {
-        board.service.socket = Some(socket.clone());
-        board.service.status_socket = None;
-    }
-    if let Some(state) = &args.state {
-        board.service.state = Some(state.clone());
-    }
-    if let Some(path) = &args.record {
-        check_record(path, &board.service)?;
-    }
+    place(args, &mut board.service)?;
     let bound = PressureBound::of(&board);
     if !foreign && !bound.is_bounded() {
         tracing::warn!("pressure: {bound}; {}", PressureBound::REMEDY);
@@ -150,6 +141,20 @@ fn report(error: ServiceError) -> miette::Report {
         }
         _ => miette!("{error}"),
     }
+}
+
+/// The folders and files that the command line names in place of the board's.
+fn place(args: &Args, service: &mut ServiceSection) -> Result<()> {
+    if let Some(socket) = &args.socket {
+        service.socket = Some(socket.clone());
+        service.status_socket = None;
+    }
+    if let Some(state) = &args.state {
+        service.state = Some(state.clone());
+    }
+    args.record
+        .as_deref()
+        .map_or(Ok(()), |path| check_record(path, service))
 }
 
 /// Refuses a recording whose files exist already or cannot be written.

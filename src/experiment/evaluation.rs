@@ -254,10 +254,8 @@ pub fn run(
         plant.clone_from(&world.info().name);
         let config = arm.config(&for_world(&base, world.as_ref()));
         twin = twin.or_else(|| described.clone());
-        let config = match described.filter(|_| matches!(arm, Arm::Diagnosed | Arm::Closed)) {
-            Some(machine) => config.fed_forward(machine),
-            None => config,
-        };
+        let uses = matches!(arm, Arm::Diagnosed | Arm::Closed);
+        let config = fed_forward(config, described.filter(|_| uses));
         let name = format!("arm {}", arm.name());
         arms.push(arm::run(
             arm.name(),
@@ -269,28 +267,31 @@ pub fn run(
     let foretold = twin.map_or(Ok(vec![]), |machine| {
         foretell(&base, &machine, plan.seed, &arms)
     })?;
-    let mut track = None;
-    if let Some(Track { path, live }) = &plan.track {
-        path.within(&base.limits, &base.geometry, &base.lines)?;
-        let mut world = open(Purpose::Track).map_err(RigError::from)?;
-        plant.clone_from(&world.info().name);
-        let config = for_world(&base, world.as_ref());
-        let config = match &plan.feedforward {
-            Some(machine) => config.fed_forward(Arc::clone(machine)),
-            None => config,
-        };
-        track = Some(track::run(
-            &mut Rig::new(config, world.as_mut()),
-            &path.path,
-            *live,
-            &mut || progress("path"),
-        )?);
-    }
+    let track = match &plan.track {
+        Some(Track { path, live }) => {
+            path.within(&base.limits, &base.geometry, &base.lines)?;
+            let mut world = open(Purpose::Track).map_err(RigError::from)?;
+            plant.clone_from(&world.info().name);
+            let config = fed_forward(for_world(&base, world.as_ref()), plan.feedforward.clone());
+            let mut rig = Rig::new(config, world.as_mut());
+            Some(track::run(&mut rig, &path.path, *live, &mut || {
+                progress("path")
+            })?)
+        }
+        None => None,
+    };
     Ok(Evaluation {
         track,
         foretold,
         ..gather(plan, &base, found.as_ref(), plant, arms)
     })
+}
+
+fn fed_forward(config: LoopConfig, machine: Option<Arc<DescribedMachine>>) -> LoopConfig {
+    match machine {
+        Some(machine) => config.fed_forward(machine),
+        None => config,
+    }
 }
 
 /// Runs the open-loop arms on the described machine and on the nominal model.

@@ -163,14 +163,10 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         watch: ThreadWatch::default(),
     };
     let (thread, grants) = start_loop(rt_loop, wish(&config.service, pace))?;
-    let calm = RtRequest {
-        priority: 0,
+    let [calm, urgent] = [0, control_priority(&config.service)].map(|priority| RtRequest {
+        priority,
         cpu: None,
-    };
-    let urgent = RtRequest {
-        priority: control_priority(&config.service),
-        ..calm
-    };
+    });
     let stop = stop_socket::start(stop, Arc::clone(&shared), urgent);
     let stop = stop.map_err(ServiceError::system("the thread of stop"))?;
     let start_port = |socket, which, wish| {

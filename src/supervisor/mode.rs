@@ -1,6 +1,6 @@
 //! The modes of the service, and one table of all transitions.
 //!
-//! ARCHITECTURE.md shows [`TABLE`] as a state diagram; `tests/modes.rs` compares the two. The supervisor changes its mode
+//! ARCHITECTURE.md shows [`TABLE`] as a state diagram; `tests/library/modes.rs` compares the two. The supervisor changes its mode
 //! only through [`Mode::after`].
 
 use crate::named;

@@ -10,7 +10,9 @@ use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::control::tick::LoopConfig;
 use retroflex::diagnosis::rig::Rig;
-use retroflex::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose};
+use retroflex::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose, for_world};
+use retroflex::experiment::identify::{Identified, algorithm_1};
+use retroflex::experiment::schedule::paper;
 use retroflex::model::arc::Geometry;
 use retroflex::model::chain::nominal_theta;
 use retroflex::model::described::{DescribedMachine, RestReadings};
@@ -23,6 +25,23 @@ use std::path::{Path, PathBuf};
 /// A file of the repository.
 pub fn repo(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+/// What a command printed as one line, without the lines of the file that an error quotes.
+pub fn flat(text: &str) -> String {
+    let is_quoted = |line: &&str| {
+        let head = line.split('|').next().unwrap_or_default().trim();
+        line.contains('|') && head.parse::<u32>().map_or(head.is_empty(), |_| true)
+    };
+    let lines = text.lines().filter(|line| !is_quoted(line));
+    let words: Vec<&str> = lines.flat_map(str::split_whitespace).collect();
+    words.join(" ")
+}
+
+/// How often a test that draws kills or attacks repeats them; `RETROFLEX_TRIES` sets it.
+pub fn tries() -> u32 {
+    let set = std::env::var("RETROFLEX_TRIES").ok();
+    set.map_or(1, |n| n.parse().expect("RETROFLEX_TRIES is a number"))
 }
 
 /// The board that `evaluate` uses when none is named.
@@ -105,5 +124,20 @@ pub fn described() -> DescribedMachine {
         RestReadings::default(),
         &nominal_theta(&lines, 0.025),
         causes,
+    )
+}
+
+/// The loop with the gains that Algorithm 1 finds on unit `seed` of the twin.
+pub fn identified(seed: u64) -> (LoopConfig, Identified) {
+    let mut world = unit(seed, 0);
+    let config = for_world(&uncalibrated(), &world);
+    let found = algorithm_1(&config, &mut world, &paper(), None, &mut |_| ()).unwrap();
+    (
+        LoopConfig {
+            lines: found.lines(),
+            dynamics: found.dynamics,
+            ..config
+        },
+        found,
     )
 }

@@ -2,8 +2,8 @@
 //! equal the pulses on the lines.
 #![allow(unsafe_code)]
 
-use crate::rig::Rig;
-use crate::server::ADDRESS;
+use super::rig::Rig;
+use super::server::ADDRESS;
 use retroflex::model::bend::Bend;
 use retroflex::service::client::Client;
 use retroflex::service::protocol::{Frame, Request};

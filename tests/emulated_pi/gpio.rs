@@ -4,7 +4,7 @@
 //! A line request must return a file descriptor to the caller, which a file server cannot do. The caller is therefore
 //! started with some files of the server open at known numbers, and receives one of these.
 
-use crate::fuse::{Answer, Ioctl, long, word};
+use super::fuse::{Answer, Ioctl, long, word};
 use retroflex::hardware::pins::PinsConfig;
 use std::collections::BTreeMap;
 

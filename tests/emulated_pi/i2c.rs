@@ -1,7 +1,7 @@
 //! An I²C bus behind its device file (`linux/i2c-dev.h`): messages go to register-level fakes of the chips.
 
+use super::fuse::{Answer, Ioctl, long, peek, poke, word};
 use crate::fake_imu::Machine;
-use crate::fuse::{Answer, Ioctl, long, peek, poke, word};
 
 const I2C_SLAVE: u32 = 0x0703;
 const I2C_FUNCS: u32 = 0x0705;

@@ -2,9 +2,9 @@
 //! `/dev/i2c-1`, `/dev/gpiochip0`, `/dev/gpiomem` and the device tree.
 #![allow(unsafe_code)]
 
-use crate::fuse;
-use crate::gpio::{HANDLE_FD, HANDLES};
-use crate::server::World;
+use super::fuse;
+use super::gpio::{HANDLE_FD, HANDLES};
+use super::server::World;
 use std::ffi::CString;
 use std::fs::File;
 use std::io;

@@ -3,10 +3,10 @@
 //! Pulses move the plant, and the plant moves the sensor's registers. Time is real: every transfer and every access from
 //! outside first advances the plant to the present in steps of a millisecond.
 
+use super::fuse::{Answer, Files, Ioctl};
+use super::gpio::{Chip, HANDLES};
+use super::i2c::Bus;
 use crate::fake_imu::{Device, FakeIcm20948, Motion, Noise};
-use crate::fuse::{Answer, Files, Ioctl};
-use crate::gpio::{Chip, HANDLES};
-use crate::i2c::Bus;
 use retroflex::config::board::{Board, PlantSection};
 use retroflex::hardware::rt::monotonic_ns;
 use retroflex::primitives::units::Steps;

@@ -32,20 +32,9 @@ pub struct Done {
 }
 
 impl Done {
-    /// The words without the frame that an error report has around them.
+    /// The words of the output on one line.
     pub fn flat(&self) -> String {
-        let plain: String = self
-            .text
-            .chars()
-            .map(|c| {
-                if "│╭╰─▶×├┬·".contains(c) {
-                    ' '
-                } else {
-                    c
-                }
-            })
-            .collect();
-        plain.split_whitespace().collect::<Vec<_>>().join(" ")
+        crate::common::flat(&self.text)
     }
 }
 

@@ -1,8 +1,8 @@
 //! The service in the guest, as a person at the machine sees it: systemctl and the program's own commands.
 
-use crate::guest::{Done, Guest};
-use crate::tip::TheTip;
-use crate::verdicts::Verdicts;
+use super::guest::{Done, Guest};
+use super::tip::TheTip;
+use super::verdicts::Verdicts;
 use serde_json::Value;
 use std::time::{Duration, Instant};
 

@@ -1,7 +1,7 @@
 //! What is asked of the machine before the service runs on it: files, the I²C controller, pins.
 
-use crate::chips;
-use crate::service::Scene;
+use super::chips;
+use super::service::Scene;
 
 /// Kernel, systemd and the files that the project installs.
 pub fn machine(scene: &mut Scene) {

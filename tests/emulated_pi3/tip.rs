@@ -1,10 +1,10 @@
 //! The tip on the host: pulses of the trace move the built-in plant in real time, and the plant's motion goes
 //! down the serial line to the sensor in the guest.
 
+use super::guest::Guest;
+use super::trace::Lines;
+use super::wire;
 use crate::fake_imu::Motion;
-use crate::guest::Guest;
-use crate::trace::Lines;
-use crate::wire;
 use retroflex::config::board::Board;
 use retroflex::hardware::rt::monotonic_ns;
 use retroflex::model::bend::Bend;

@@ -118,7 +118,7 @@ impl Lines {
 
 #[test]
 fn stores_become_steps() {
-    let mut lines = Lines::new(crate::board().pins.as_ref().unwrap());
+    let mut lines = Lines::new(super::board().pins.as_ref().unwrap());
     let mut store = |register: u64, value: u32| {
         lines.take(&format!(
             "memory_region_ops_write cpu 3 mr 0x7f0a addr {:#x} value {value:#x} size 4 name 'bcm2835_gpio'",

@@ -1,5 +1,5 @@
 //! The parsers of external input, as functions that return whether the input was accepted. They must not panic on any
-//! input; properties of accepted input are asserted here. Used by `tests/fuzz.rs` and by `fuzz/`.
+//! input; properties of accepted input are asserted here. Used by `tests/library/fuzz.rs` and by `fuzz/`.
 #![allow(dead_code, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use retroflex::config::board::Board;

@@ -67,6 +67,14 @@ fn readable(s: &Value) -> String {
     rows(s).iter().map(line).collect()
 }
 
+/// How far a path has come.
+fn path(path: &Value) -> Option<String> {
+    let (at_s, of_s) = (path["at_s"].as_f64()?, path["duration_s"].as_f64()?);
+    let slower = path["time_scale"].as_f64().filter(|scale| *scale > 1.0);
+    let slower = slower.map_or_else(String::new, |x| format!(", {x:.2} times slower than given"));
+    Some(format!("{at_s:.1} s of {of_s:.1} s{slower}"))
+}
+
 /// What a status says, as name and text. The recorded status of a log lacks some of it.
 pub(super) fn rows(s: &Value) -> Vec<(&'static str, String)> {
     let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
@@ -117,15 +125,7 @@ pub(super) fn rows(s: &Value) -> Vec<(&'static str, String)> {
     ];
     let present = optional.iter().filter(|(_, v)| !v.is_null());
     rows.extend(present.map(|(name, v)| (*name, text(v))));
-    if let (Some(at_s), Some(of_s)) = (s["path"]["at_s"].as_f64(), s["path"]["duration_s"].as_f64())
-    {
-        let slower = s["path"]["time_scale"]
-            .as_f64()
-            .filter(|scale| *scale > 1.0);
-        let slower =
-            slower.map_or_else(String::new, |x| format!(", {x:.2} times slower than given"));
-        rows.push(("path", format!("{at_s:.1} s of {of_s:.1} s{slower}")));
-    }
+    rows.extend(path(&s["path"]).map(|path| ("path", path)));
     if s["unverified"] == true {
         let stated = "stated by the operator; no measurement has confirmed it";
         rows.push(("zero", stated.to_owned()));

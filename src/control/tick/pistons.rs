@@ -243,8 +243,20 @@ fn invert_transmission(
             .is_some_and(|f| state.feedback.calm.is_calm(&f.calm))
     {
         backlash.forget();
-        return piston_mm;
+    } else {
+        adapt_backlash(config, state, reversed, estimate, dt_s);
     }
+    piston_mm
+}
+
+/// Judges the backlash by what the tip does after a reversal, and moves each play on by what is missing or too much.
+fn adapt_backlash(
+    config: &LoopConfig,
+    state: &mut LoopState,
+    reversed: [bool; 3],
+    estimate: Bend,
+    dt_s: f64,
+) {
     let answer_s = state.dynamics.best.delay_s + 3.0 * state.dynamics.best.lag_s + CROSSING_S;
     let worth_rad = config
         .feedback
@@ -255,7 +267,7 @@ fn invert_transmission(
     } else {
         state.setpoint.target.bend.0 - estimate.0
     };
-    let increments = backlash.step(
+    let increments = state.feedback.backlash.step(
         reversed,
         &error,
         &Patience {
@@ -264,8 +276,7 @@ fn invert_transmission(
         },
         dt_s,
     );
-    for (side, increment) in lines.sides.iter_mut().zip(increments) {
+    for (side, increment) in state.transmission.sides.iter_mut().zip(increments) {
         side.side = (side.side + 2.0 * increment * side.way).clamp(-1.0, 1.0);
     }
-    piston_mm
 }

@@ -123,18 +123,7 @@ pub(super) fn watch_base(
     }
     state.base.moved = flagged;
     if flagged {
-        // what has been taught since it began to twist is of the base, and the integral that from before it turned
-        let earlier = usize::from(state.feedback.sways_s > state.setpoint.target_rests_s);
-        let shift = state.feedback.taught[earlier]
-            .or(state.feedback.taught[0])
-            .map_or_else(Vector2::zeros, |taught| state.return_to(config, &taught));
-        let learned = state.feedback.error.at(&state.setpoint.bend.at);
-        let integral =
-            state.base.quiet.feedback * state.base.watch.share_of_tip() - learned + shift;
-        state.feedback.pi = PiState {
-            integral,
-            feedback: integral,
-        };
+        feed_back_as_before_the_turn(config, state);
     } else if state.base.watch.quiet() {
         state.base.quiet = QuietPose {
             feedback: state.feedback.feedback,
@@ -143,4 +132,19 @@ pub(super) fn watch_base(
         };
         state.fusion.remember(input.t);
     }
+}
+
+/// Takes back what the feedback has learned since the base began to turn.
+fn feed_back_as_before_the_turn(config: &LoopConfig, state: &mut LoopState) {
+    // what has been taught since it began to twist is of the base, and the integral that from before it turned
+    let earlier = usize::from(state.feedback.sways_s > state.setpoint.target_rests_s);
+    let shift = state.feedback.taught[earlier]
+        .or(state.feedback.taught[0])
+        .map_or_else(Vector2::zeros, |taught| state.return_to(config, &taught));
+    let learned = state.feedback.error.at(&state.setpoint.bend.at);
+    let integral = state.base.quiet.feedback * state.base.watch.share_of_tip() - learned + shift;
+    state.feedback.pi = PiState {
+        integral,
+        feedback: integral,
+    };
 }

@@ -275,19 +275,7 @@ pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore
             lab: left_out(true),
             field: left_out(false),
         },
-        effects: Reliability::of(all.iter().flat_map(|(q, a)| {
-            let said = a
-                .diagnosis
-                .effects
-                .iter()
-                .filter(|e| e.probability > PROBABLE);
-            said.map(|e| {
-                (
-                    e.probability,
-                    q.names.contains(&e.name) && q.content != Content::Outside,
-                )
-            })
-        })),
+        effects: Reliability::of(all.iter().flat_map(said_of_effects)),
         unknown: Reliability::of(all.iter().map(|(q, a)| {
             (
                 a.diagnosis.unknown.probability,
@@ -298,11 +286,7 @@ pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore
             lab: conformal(&all, true),
             field: conformal(&all, false),
         },
-        conformal_size: all
-            .iter()
-            .map(|(_, a)| a.diagnosis.verdict.conformal.len() as f64)
-            .sum::<f64>()
-            / all.len().max(1) as f64,
+        conformal_size: mean_size(&all),
         grouped: Count::of(
             all.iter()
                 .map(|(_, a)| !a.diagnosis.verdict.equivalent.is_empty()),
@@ -318,6 +302,22 @@ pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore
         nearest,
         confusion: confusion(&all),
     }
+}
+
+/// Mean number of effects in a 95 % set.
+fn mean_size(all: &[Answered<'_>]) -> f64 {
+    let sizes = all.iter().map(|(_, a)| a.diagnosis.verdict.conformal.len());
+    sizes.sum::<usize>() as f64 / all.len().max(1) as f64
+}
+
+/// The probabilities of the effects that an answer holds for possible, and whether each is there.
+fn said_of_effects<'a>((q, a): &Answered<'a>) -> impl Iterator<Item = (f64, bool)> + use<'a> {
+    let (q, effects) = (*q, &a.diagnosis.effects);
+    let said = effects.iter().filter(|e| e.probability > PROBABLE);
+    said.map(move |e| {
+        let there = q.names.contains(&e.name) && q.content != Content::Outside;
+        (e.probability, there)
+    })
 }
 
 fn row(all: &[Answered<'_>], content: Content, right: impl Fn(&Question, &Answer) -> bool) -> Row {

@@ -107,21 +107,8 @@ pub fn draw(seed: u64) -> RandomRig {
         .zip(&made.deviation)
         .map(|(y, d)| y + d + noise * normal(&mut rng))
         .collect();
-    let input = (!inputs.is_empty())
-        .then(|| Columns::Many((0..inputs.len()).map(|k| k.to_string()).collect()));
-    let map = MapFile {
-        input,
-        output: Columns::One("y".to_owned()),
-        motion: None,
-        time: None,
-        rate_hz: clocked.then_some(1.0 / dt),
-        input_unit: String::new(),
-        output_unit: String::new(),
-        nominal,
-        every: 1,
-    };
     RandomRig {
-        map,
+        map: map(nominal, inputs.len(), clocked.then_some(1.0 / dt)),
         signals: Signals {
             motion: inputs.first().cloned(),
             inputs,
@@ -130,6 +117,21 @@ pub fn draw(seed: u64) -> RandomRig {
             clocked,
         },
         truth: made.truth,
+    }
+}
+
+fn map(nominal: Nominal, inputs: usize, rate_hz: Option<f64>) -> MapFile {
+    let input = (inputs > 0).then(|| Columns::Many((0..inputs).map(|k| k.to_string()).collect()));
+    MapFile {
+        input,
+        output: Columns::One("y".to_owned()),
+        motion: None,
+        time: None,
+        rate_hz,
+        input_unit: String::new(),
+        output_unit: String::new(),
+        nominal,
+        every: 1,
     }
 }
 

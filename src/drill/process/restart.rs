@@ -190,11 +190,7 @@ fn refused_start(
     let out = command.arg("--state").arg(folder.join("state")).output()?;
     let mut row = row.ending("refused");
     row.detected_s = Some(started.elapsed().as_secs_f64());
-    // the message without the frame that surrounds it on a terminal
-    let stderr = String::from_utf8_lossy(&out.stderr);
-    let is_frame = |word: &&str| word.chars().all(|c| "│╰╭─×·▶".contains(c));
-    let words: Vec<&str> = stderr.split_whitespace().filter(|w| !is_frame(w)).collect();
-    row.message = words.join(" ");
+    row.message = String::from_utf8_lossy(&out.stderr).trim().to_owned();
     row.require(out.status.code() == Some(2), |_| {
         format!("ended with {}", out.status)
     });

@@ -1,0 +1,47 @@
+//! Prints the error that ends a command: one line that says what is wrong, the place in the file where there is one, and
+//! what to do. Lines are not wrapped, so that they can be searched and copied.
+
+use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
+use miette::{Report, SourceSpan};
+use std::io::{IsTerminal, stderr};
+
+/// Prints an error to standard error, in colour on a terminal unless `NO_COLOR` is set.
+pub fn print(report: &Report) {
+    let colour = stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    eprintln!("{}", rendered(report, colour));
+}
+
+fn rendered(report: &Report, colour: bool) -> String {
+    let renderer = if colour {
+        Renderer::styled()
+    } else {
+        Renderer::plain()
+    };
+    let causes = report.chain().skip(1).map(|cause| format!(": {cause}"));
+    let title: String = std::iter::once(report.to_string()).chain(causes).collect();
+    let title = Level::ERROR.primary_title(title);
+    let place = quoted(report);
+    let mut group = match &place {
+        Some((text, line, span)) => title.element(
+            Snippet::source(text)
+                .line_start(*line)
+                .annotation(AnnotationKind::Primary.span(span.clone())),
+        ),
+        None => Group::with_title(title),
+    };
+    if let Some(help) = report.help() {
+        group = group.element(Level::HELP.message(help.to_string()));
+    }
+    renderer.render(&[group])
+}
+
+/// The lines of the file that an error points into, the number of the first of them, and the place within them.
+fn quoted(report: &Report) -> Option<(String, usize, std::ops::Range<usize>)> {
+    let label = report.labels()?.next()?;
+    let span = *label.inner();
+    let read = report.source_code()?.read_span(&span, 1, 1).ok()?;
+    let text = String::from_utf8_lossy(read.data()).into_owned();
+    let from = span.offset() - SourceSpan::offset(read.span());
+    let to = (from + span.len()).min(text.len());
+    Some((text, read.line() + 1, from.min(to)..to))
+}

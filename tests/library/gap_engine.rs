@@ -1,0 +1,176 @@
+//! The diagnosis on logs of the built-in plant, whose laws differ in form from the catalogue's.
+
+use retroflex::diagnosis::decide::VerdictKind;
+use retroflex::diagnosis::diagnose::diagnose;
+use retroflex::diagnosis::document::{Diagnosis, ParamValue};
+use retroflex::diagnosis::exam::question::{Content, Question, questions};
+use retroflex::diagnosis::exam::run::run;
+use retroflex::diagnosis::exam::score::score;
+use retroflex::diagnosis::observe::Observed;
+use retroflex::diagnosis::rig::Rig;
+use retroflex::model::effects::catalogue;
+
+fn question(content: Content, names: &[&'static str], lab: bool, seed: u64) -> Question {
+    Question {
+        content,
+        names: names.to_vec(),
+        lab,
+        seed,
+    }
+}
+
+#[test]
+fn an_exam_asks_about_every_effect_and_is_reproducible() {
+    let asked = questions(5, 1);
+    assert_eq!(asked, questions(5, 1));
+    assert_ne!(asked, questions(6, 1));
+    for e in catalogue() {
+        for lab in [true, false] {
+            assert!(
+                asked
+                    .iter()
+                    .any(|q| q.content == Content::Single && q.names == [e.name()] && q.lab == lab),
+                "{} {lab}",
+                e.name()
+            );
+        }
+    }
+    assert!(asked.iter().filter(|q| q.content == Content::None).count() >= 20);
+    assert!(
+        asked
+            .iter()
+            .all(|q| q.content != Content::Pair || q.names[0] != q.names[1])
+    );
+}
+
+#[test]
+fn a_single_effect_and_none_are_recognised_and_scored() {
+    let asked = [
+        question(Content::Single, &["curvature"], true, 11),
+        question(Content::Single, &["hard_iron"], false, 12),
+        question(Content::None, &[], false, 13),
+    ];
+    let answers = run(&asked, Question::draw, &catalogue(), || {}).unwrap();
+    for (q, a) in asked.iter().zip(&answers) {
+        let v = &a.diagnosis.verdict;
+        assert_eq!(v.names, q.names, "{:?} {:?}", q.names, v);
+        assert_eq!(
+            v.kind,
+            if q.names.is_empty() {
+                VerdictKind::None
+            } else {
+                VerdictKind::Effects
+            }
+        );
+        let shares = &a.diagnosis.location.stages;
+        assert_eq!(shares.len(), 7);
+        assert!((shares.iter().map(|s| s.share).sum::<f64>() - 1.0).abs() < 1e-9);
+    }
+    assert_eq!(answers[0].diagnosis.location.stages[0].name, "shape");
+    assert!(answers[0].fresh_closed > 0.8, "{}", answers[0].fresh_closed);
+    let e = &answers[0].diagnosis.effects[0];
+    assert!(e.closed_ci95[0] <= e.closed && e.closed <= e.closed_ci95[1] && e.probability > 0.5);
+    let score = score(1, &asked, &answers);
+    assert_eq!(
+        (
+            score.diagnosis.single.lab.right,
+            score.diagnosis.single.field.right
+        ),
+        (1, 1)
+    );
+    assert_eq!(
+        (
+            score.diagnosis.alarm.field.right,
+            score.diagnosis.alarm.field.of
+        ),
+        (0, 1)
+    );
+    assert_eq!(score.stage.lab.right, 1);
+}
+
+#[test]
+fn several_logs_of_a_unit_are_diagnosed_together() {
+    let leak = question(Content::Single, &["leak"], false, 31)
+        .draw()
+        .unwrap();
+    let observed = |log| Observed::new(log, &Rig::default()).unwrap();
+    let [first, second] = [&leak.log, &leak.fresh].map(observed);
+    let mut both = first.clone();
+    both.append(second.clone());
+    assert_eq!(both.bins.len(), first.bins.len() + second.bins.len());
+    let of = |log: &Observed| diagnose(log, &catalogue(), &leak.lines, 1).document;
+    let [one, two, all] = [&first, &second, &both].map(of);
+    assert_eq!(all.verdict.names, ["leak"]);
+    assert_eq!((one.logs.len(), all.logs.len()), (1, 2));
+    for (alone, part) in [&one, &two].iter().zip(&all.logs) {
+        let [a, b] = [alone.gap.recalibrated_deg, part.recalibrated_deg];
+        assert!(
+            (a / b - 1.0).abs() < 0.25,
+            "each log keeps its own gap: {a} alone, {b} together"
+        );
+        assert!(part.explained_deg < 0.5 * part.recalibrated_deg, "{part:?}");
+    }
+    // more evidence makes a narrower interval
+    let width = |d: &Diagnosis| d.effects[0].params[0].ci95[1] - d.effects[0].params[0].ci95[0];
+    assert!(
+        width(&all) < width(&one).min(width(&two)),
+        "{} {} {}",
+        width(&one),
+        width(&two),
+        width(&all)
+    );
+}
+
+#[test]
+fn an_event_of_one_log_stays_in_that_log() {
+    let lost = question(Content::Single, &["missed_steps"], true, 32)
+        .draw()
+        .unwrap();
+    // the same seed draws the same unit
+    let healthy = question(Content::None, &[], true, 32).draw().unwrap();
+    let observed = |log| Observed::new(log, &Rig::default()).unwrap();
+    let mut both = observed(&healthy.log);
+    let later_s = both.duration_s();
+    both.append(observed(&lost.log));
+    let d = diagnose(&both, &catalogue(), &lost.lines, 1).document;
+    assert_eq!(d.verdict.names, ["missed_steps"], "{:?}", d.logs);
+    let events = d.effects[0].params.chunks_exact(4);
+    let lost_mm = |e: &[ParamValue]| e[1..].iter().map(|p| p.value.abs()).fold(0.0, f64::max);
+    assert!(
+        events
+            .filter(|e| lost_mm(e) > 0.3)
+            .all(|e| e[0].value > later_s),
+        "{:?}",
+        d.effects[0].params
+    );
+}
+
+#[test]
+fn equal_logs_give_equal_documents() {
+    let logs = question(Content::Single, &["accel_bias"], false, 21)
+        .draw()
+        .unwrap();
+    let log = Observed::new(&logs.log, &Rig::default()).unwrap();
+    let text =
+        || serde_json::to_string(&diagnose(&log, &catalogue(), &logs.lines, 1).document).unwrap();
+    assert_eq!(text(), text());
+}
+
+/// Training machines are made of deformed laws of the catalogue; the exam asks about the built-in plant, whose laws are others.
+#[test]
+fn training_and_exam_share_no_law() {
+    let folder = format!("{}/src/diagnosis/train", env!("CARGO_MANIFEST_DIR"));
+    let files: Vec<_> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|file| file.unwrap().path())
+        .collect();
+    assert!(files.len() > 3, "{files:?}");
+    for file in files {
+        let text = std::fs::read_to_string(&file).unwrap();
+        assert!(
+            !text.contains("simulation::plant") && !text.contains("simulation::sim"),
+            "{} uses the built-in plant",
+            file.display()
+        );
+    }
+}

@@ -1,0 +1,27 @@
+//! Tests that run the program.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod accept;
+mod attacks;
+mod bad_input;
+mod boards;
+mod command_line;
+#[path = "../common/mod.rs"]
+mod common;
+mod demo;
+mod emulated_pi;
+#[path = "../fake_imu/mod.rs"]
+mod fake_imu;
+mod fleet;
+mod flight_log;
+mod gap_cli;
+mod guided;
+mod imu_calibrate;
+mod monitor;
+mod page;
+#[path = "../emulated_pi/mod.rs"]
+mod pi;
+mod replay_golden;
+mod service;
+mod shown_commands;
+mod systemd;
