@@ -41,7 +41,7 @@ pub fn flat(text: &str) -> String {
 /// How often a test that draws kills or attacks repeats them; `RETROFLEX_TRIES` sets it.
 pub fn tries() -> u32 {
     let set = std::env::var("RETROFLEX_TRIES").ok();
-    set.map_or(1, |n| n.parse().expect("RETROFLEX_TRIES is a number"))
+    set.map_or(1, |n| n.parse().unwrap())
 }
 
 /// The board that `evaluate` uses when none is named.

@@ -1,8 +1,6 @@
 //! The loop on a plant in C that shares no code with the library.
 
-use crate::plant_in_c::{
-    Case, Cold, Figures, compiled, evaluated, helps, measure_all, rows, variable,
-};
+use crate::plant_in_c::{Case, Cold, compiled, evaluated, helps, measure_all};
 use retroflex::experiment::evaluation::Arm;
 
 #[test]
@@ -47,54 +45,6 @@ fn a_base_imu_keeps_the_bend_while_the_base_sways() {
     assert!(
         with < WITH_BASE_IMU_MAX_DEG && with < without,
         "{with} {without}"
-    );
-}
-
-/// Sways of 3 and 10 degrees, and of 3 degrees with turns, on five units from `first` on, with their own gains.
-fn swaying(folder: &tempfile::TempDir, first: u64) -> Vec<(Case, Figures)> {
-    let sizes = |seed| {
-        [("sway", 0.05), ("sway", 0.17), ("sway,base_motion", 0.05)]
-            .map(|(effect, value)| (effect, Some(value), seed))
-    };
-    let case = |(effect, value, seed)| Case {
-        effect,
-        value,
-        seed,
-        cold: Cold::Own,
-    };
-    measure_all(
-        folder,
-        &(first..first + 5)
-            .flat_map(sizes)
-            .map(case)
-            .collect::<Vec<_>>(),
-    )
-}
-
-/// The constants of the estimator were chosen on units 1 to 30.
-#[test]
-fn a_sway_without_a_base_imu_costs_little() {
-    let Some(folder) = compiled() else { return };
-    let measured = swaying(&folder, 31);
-    let harmed = rows(&measured, |f| f.closed > f.open + 0.5);
-    assert!(
-        harmed.len() <= 2 && measured.iter().all(|(_, f)| f.closed <= f.open + 2.0),
-        "{harmed:#?}"
-    );
-}
-
-/// `RETROFLEX_SEED` names the first unit.
-#[test]
-#[ignore = "one run in ten misses the goal, by up to 1.4 degrees more: a sway is recognised after some poses only"]
-fn a_sway_without_a_base_imu_costs_at_most_half_a_degree() {
-    let Some(folder) = compiled() else { return };
-    let measured = swaying(&folder, variable("RETROFLEX_SEED", 1));
-    let harmed = rows(&measured, |f| f.closed > f.open + 0.5);
-    assert!(
-        harmed.is_empty(),
-        "{} of {}: {harmed:#?}",
-        harmed.len(),
-        measured.len()
     );
 }
 

@@ -1,5 +1,5 @@
-//! Tests that take a minute or more. `cargo test` leaves them out; `cargo test --test slow minutes` takes about five minutes,
-//! `hours` more than an hour, each on two processors.
+//! Tests that take long. `cargo test` leaves them out; `.ci/slow` runs `minutes`, `.ci/long` runs `hours`, and
+//! `.ci/emulated-pi` runs `real_time`, which needs a machine with nothing else to do.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[path = "../common/mod.rs"]
@@ -18,8 +18,12 @@ mod hours {
 }
 
 mod minutes {
-    mod emulated_pi;
     mod fuse_cv;
     mod gap_recovery;
     mod identification;
+    mod sway;
+}
+
+mod real_time {
+    mod emulated_pi;
 }

@@ -204,7 +204,7 @@ fn each_imperfection_is_small() {
     let none = lab(&quiet);
     let mut seen = std::collections::BTreeSet::new();
     for seed in 0..12 {
-        let all = toml::Table::try_from(&quiet.clone().background(&mut rng(seed))).unwrap();
+        let all = toml::Table::try_from(quiet.clone().background(&mut rng(seed))).unwrap();
         let effects = all["effects"].as_table().unwrap().clone();
         for (name, table) in effects.iter().filter(|(name, _)| *name != "outside") {
             let mut one = toml::Table::try_from(&quiet).unwrap();

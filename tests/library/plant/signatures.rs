@@ -70,7 +70,8 @@ fn gear_error_follows_position_not_time() {
         (2..=12)
             .map(|mm| {
                 let to = [f64::from(mm), 0.0, 0.0];
-                (with.go(to, speed), without.go(to, speed));
+                with.go(to, speed);
+                without.go(to, speed);
                 (bend(with.hold(0.5).last().unwrap()) - bend(without.hold(0.5).last().unwrap()))
                     .norm()
             })
@@ -118,7 +119,8 @@ fn line_lag_delays_the_motion_and_reaches_the_target() {
         Rig::clean("[effects.line_lag]\nlag_s = [0.3, 0.3, 0.3]"),
         Rig::clean(""),
     );
-    (with.go(BEND, 50.0), without.go(BEND, 50.0));
+    with.go(BEND, 50.0);
+    without.go(BEND, 50.0);
     let (a, b) = (bends(&with.hold(4.0)), bends(&without.hold(4.0)));
     assert!(a[100] < 0.6 * b[100] && (a[3999] - b[3999]).abs() < 0.1);
 }
