@@ -60,6 +60,6 @@ bus_build() {
 
 # What the bus is made from.
 bus_inputs() {
-    find "$root"/src/hardware/imu "$root"/src/hardware/rt.rs "$root"/tests/fake_imu "$root"/tests/program/emulated_pi/{fuse,i2c}.rs "$root"/tests/emulated_pi3/{bus/main,wire}.rs \
+    find "$root"/src/hardware/imu "$root"/src/hardware/rt.rs "$root"/tests/fake_imu "$root"/tests/emulated_pi/{fuse,i2c}.rs "$root"/tests/emulated_pi3/{bus/main,wire}.rs \
         "$root/Cargo.lock" "$work/packages.key" -type f -exec sha256sum {} + | sort
 }

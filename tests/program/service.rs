@@ -479,7 +479,7 @@ fn the_official_reader_reads_a_log() {
         .unwrap();
     assert!(daemon.end().unwrap().0);
     let out = Command::new(&python)
-        .arg("tests/tip/read_mcap.py")
+        .arg("tests/program/read_mcap.py")
         .arg(flight(folder.path()))
         .output()
         .unwrap();
