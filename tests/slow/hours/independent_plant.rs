@@ -1,27 +1,22 @@
 //! The loop and the diagnosis on a plant in C that shares no code with the library.
 
-use crate::common::{repo, twin};
+use crate::plant_in_c::{
+    Case, Cold, compiled, evaluated, harms, helps, measure_all, rows, variable,
+};
 use rand::rngs::StdRng;
 use rand::{Rng, RngExt, SeedableRng};
-use rayon::prelude::*;
 use retroflex::cli::gap::exam::summary;
-use retroflex::config::assemble;
 use retroflex::config::calib::Calibration;
-use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::diagnosis::exam::question::{Content, Logs, Question, Recorded, questions};
 use retroflex::diagnosis::exam::record::record;
 use retroflex::diagnosis::exam::run::run as answer_all;
 use retroflex::diagnosis::exam::score::{Row, score};
-use retroflex::diagnosis::rig::Rig;
-use retroflex::experiment::arm::ArmResult;
-use retroflex::experiment::evaluation::{Arm, Evaluation, Plan, run};
+use retroflex::experiment::evaluation::Arm;
 use retroflex::model::Line;
 use retroflex::model::effects::catalogue;
 use retroflex::simulation::link::Link;
-use retroflex::simulation::world::World;
 use retroflex::supervisor::MachineError;
-use std::path::Path;
 use std::process::Command;
 
 /// The effects of the catalogue. A base that moves without an IMU of its own cannot be told from a tip that moves, and is left out.

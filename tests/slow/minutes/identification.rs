@@ -1,24 +1,16 @@
 //! Algorithm 1 on five units.
 
 use crate::common::{identified, unit};
-use nalgebra::{Vector2, Vector3};
-use rand::rngs::Xoshiro256PlusPlus;
-use rand::{RngExt, SeedableRng};
-use retroflex::config::calib::Calibration;
-use retroflex::config::source;
-use retroflex::control::learning::batch::{Measurement, Prior, solve};
+use nalgebra::Vector3;
+use retroflex::control::learning::batch::{Measurement, solve};
 use retroflex::control::tick::{Command, LoopConfig};
-use retroflex::experiment::arm;
-use retroflex::experiment::evaluation::for_world;
-use retroflex::experiment::identify::{Identified, algorithm_1};
 use retroflex::experiment::rig::Rig;
-use retroflex::experiment::schedule::{HOLD_S, arrivals, paper, short};
+use retroflex::experiment::schedule::{HOLD_S, paper};
 use retroflex::model::arc::Shape;
 use retroflex::model::bend::Bend;
 use retroflex::model::transmission::Line;
 use retroflex::primitives::units::Mm;
 use retroflex::simulation::sim::Sim;
-use retroflex::simulation::world::World;
 
 /// Effective gains of Eq. 16 on this unit: the least-squares fit to the true orientation, after `warm` rounds of the same
 /// poses in which air and rubber settle.

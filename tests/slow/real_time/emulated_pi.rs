@@ -1,14 +1,12 @@
 //! The program on an emulated Raspberry Pi in real time, on a machine with nothing else to do.
 
-use crate::common::{flat, repo};
+use crate::common::repo;
 use crate::pi::{
-    board, chip_board,
+    chip_board,
     closed::{Service, Spoil},
-    rig::{Rig, on_a_pi},
+    rig::on_a_pi,
     run, world,
 };
-use retroflex::config::board::Board;
-use retroflex::config::source;
 use retroflex::model::bend::Bend;
 use retroflex::service::protocol::Request;
 
@@ -102,7 +100,11 @@ fn the_service_closes_its_loop_through_the_device_files() {
         assert!(service.compared >= 30);
 
         let (status, stalled) = service.terminate();
-        assert!(status.success(), "{status}: {}", closed::said(rig));
+        assert!(
+            status.success(),
+            "{status}: {}",
+            crate::pi::closed::said(rig)
+        );
         let mut world = rig.world();
         assert_eq!((world.chip.lost, world.chip.torn), (0, 0));
         if stalled {
