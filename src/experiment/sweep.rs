@@ -23,7 +23,7 @@ const HUNTING_MAX_DEG: f64 = 0.5;
 /// Time at which the wall of `contact_and_release_deg` goes away: after half of the directions, s.
 const RELEASE_S: f64 = 36.0;
 /// Angle between the directions of successive units, degrees: the golden angle.
-const TURN_DEG: f64 = 137.5;
+pub const TURN_DEG: f64 = 137.5;
 
 /// A condition: what it changes on a unit, and the values of its rows.
 #[derive(Debug, Clone, Copy)]
@@ -51,7 +51,7 @@ const fn row(
 }
 
 /// Every condition.
-pub const CONDITIONS: [Condition; 15] = [
+pub const CONDITIONS: [Condition; 19] = [
     row("line_lag_s", &[0.1, 0.25, 0.6, 1.0], |p, v, _| {
         p.effects.line_lag.get_or_insert_default().lag_s = [v; 3];
     }),
@@ -109,6 +109,22 @@ pub const CONDITIONS: [Condition; 15] = [
     row("temperature_drift_mm", &[1.0, 2.0, 4.0], |p, v, _| {
         let air = p.effects.thermal_drift.get_or_insert_default();
         (air.offset_mm, air.case_s) = ([v, -0.5 * v, -0.5 * v], 40.0);
+    }),
+    row("gyro_warm_up_deg_s", &[1.0, 4.0], |p, v, turn| {
+        let gyro = p.effects.gyro_bias.get_or_insert_default();
+        gyro.warm_up_deg_s = askew(v, turn);
+    }),
+    row("gyro_wander_deg_s", &[0.3], |p, v, _| {
+        let gyro = p.effects.gyro_bias.get_or_insert_default();
+        gyro.wander_deg_s = v;
+    }),
+    row("gyro_g_sensitivity_deg_s_per_g", &[1.0], |p, v, _| {
+        let gyro = p.effects.outside.g_sensitivity.get_or_insert_default();
+        gyro.deg_s_per_g = [v, -v, v];
+    }),
+    row("gyro_scale", &[0.02], |p, v, _| {
+        let gyro = p.effects.outside.gyro_scale.get_or_insert_default();
+        gyro.share = [v, -v, v];
     }),
 ];
 

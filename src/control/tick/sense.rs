@@ -116,8 +116,8 @@ pub(super) fn watch_base(
     };
     let flagged = state.base.watch.step(&config.fuse.watch, &observed);
     if state.base.moved {
-        let unexplained =
-            estimate.0 - state.base.quiet.estimate - (played - state.base.quiet.played);
+        let bend = state.fusion.bend_on_standing_base().unwrap_or(estimate).0;
+        let unexplained = bend - state.base.quiet.estimate - (played - state.base.quiet.played);
         state.base.moved = !state.base.watch.returned(&unexplained, input.dt_s);
         return;
     }

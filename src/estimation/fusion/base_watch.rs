@@ -92,6 +92,8 @@ pub struct Watch {
     last: Option<(Vector2<f64>, Vector2<f64>)>,
     path_fast: f64,
     path_slow: f64,
+    /// Path of the predicted bend with the fast memory, rad.
+    driven: f64,
     /// Unexplained twist, rad.
     twist: f64,
     /// Time for which it has exceeded its limit, s.
@@ -125,6 +127,8 @@ enum Onset {
 /// determines when the set-point counts as constant, the slow one scales the allowed twist.
 const PATH_FAST_S: f64 = 0.25;
 const PATH_SLOW_S: f64 = 0.6;
+/// Share of the onset below which the motion that the pistons cause counts as none.
+const DRIVEN_SHARE: f64 = 0.5;
 /// Time for which the twist must exceed its limit, s.
 const CONFIRM_S: f64 = 0.03;
 /// Path of the set-point below which it counts as constant, rad (1°).
@@ -146,9 +150,11 @@ impl Watch {
             .replace((input.model, input.setpoint))
             .unwrap_or((input.model, input.setpoint));
         let path = (input.setpoint - setpoint).norm();
+        let driven = (input.model - model).norm();
         let decay = |tau_s: f64| (-input.dt_s / (tau_s + 2.0 * input.response_s)).exp();
         self.path_fast = self.path_fast * decay(PATH_FAST_S) + path;
         self.path_slow = self.path_slow * decay(PATH_SLOW_S) + path;
+        self.driven = self.driven * decay(PATH_FAST_S) + driven;
         let phi_rate = rotation_vector_rate(&input.estimate, &input.rate_rad_s);
         let fade = 1.0 - share(input.dt_s, config.memory_s);
         self.twist = self.twist * fade + phi_rate.z * input.dt_s;
@@ -199,7 +205,8 @@ impl Watch {
             if size < 0.5 * onset {
                 self.onset = Onset::None;
             } else if size > onset && self.onset == Onset::None {
-                let stood = input.still_s > 2.0 * input.response_s;
+                let stood =
+                    input.still_s > 2.0 * input.response_s || self.driven < DRIVEN_SHARE * onset;
                 self.onset = if stood {
                     Onset::Unprovoked
                 } else {

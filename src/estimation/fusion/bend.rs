@@ -6,7 +6,7 @@
 //! additional measurement. In the direction that gravity does not observe (bending about the vertical) the filter
 //! depends on gyroscope and field, and its covariance shows it.
 //!
-//! The orientation is a quaternion `S`, sensor now to sensor during alignment. The 15 error states are
+//! The orientation is a quaternion `S`, sensor now to sensor during alignment. The 24 error states are
 //!
 //! | entry | symbol | unit |
 //! |---|---|---|
@@ -16,24 +16,31 @@
 //! | 9-11 | b_m, field of the tip's own iron | µT |
 //! | 12 | c, twist per bend (torsion) | rad/rad |
 //! | 13-14 | μ, tilt about x and y of the axis that bending never turns about | rad |
+//! | 15-17 | φ, rotation of the base beyond the known one, `S_true = Exp(φ + θ) S` | rad |
+//! | 18-20 | w, error of the field in the base | µT |
+//! | 21-23 | s, scale error of the gyroscope | |
 //!
-//! * **Gyroscope**: `Ṡ = S [ω − b_g]×`, so `θ̇ = −S δb_g`. An error on the left does not turn with the tip.
+//! * **Gyroscope**: `Ṡ = S [ω − b_g − s ω]×`, so `θ̇ = −S (δb_g + ω δs)`. An error on the left does not turn with the tip.
 //! * **Acceleration**: the sensor sits at a known place on an arc, so the gyroscope determines its acceleration,
 //!   which is subtracted before the specific force counts as gravity.
-//! * **Gravity and field**: a world-fixed vector reads `v₀ = v + b` during alignment and `Sᵀ (v₀ − b) + b` later.
-//!   Each bias becomes observable after a few poses.
+//! * **Gravity and field**: a world-fixed vector reads `v₀ = v + b` during alignment and `Sᵀ (v₀ − b) + b` later. Turned
+//!   into the base it is `S (v − b) = v₀ − b`, with a slope by θ that does not depend on S: readings are averaged there
+//!   over a window ([`window`]). Each bias becomes observable after a few poses.
 //! * **Mechanism**: the twist ψ of S about the axis `a = Exp(−μ) z` is c β, with an error for torsion that is not
-//!   proportional. The error is correlated in time, so the constraint acts over seconds and the gyroscope
-//!   determines the twist within a motion.
-//! * **Standstill**: while the pistons stand still the gyroscope measures its bias.
+//!   proportional. The error is correlated in time, so the gyroscope determines the twist within a motion.
+//! * **Standstill**: while the pistons stand the gyroscope measures its bias and the rate that the tip still has.
+//!
+//! What the sensor suffers from cannot be known beforehand, and each remedy harms where it is not needed: a bias that may
+//! wander takes creep of the tip for drift, and one that may not loses the tip when the part warms up. Four **hypotheses**
+//! have a Kalman filter each, around the same nominal values ([`bank`]): the gyroscope is steady; its bias drifts; its rate is
+//! wrong while the tip turns (samples that are late by a time that wanders, a scale that changes); the base sways. Estimate and covariance
+//! are those of the mixture.
 //!
 //! A tilted chip turns a pure bend R into `S = Mᵀ R M`; a tip that sags by b₀ during alignment gives `R(b₀)ᵀ R(b)`.
 //! As quaternions both form the plane through 1 that is orthogonal to a = Mᵀ z, with half of b₀ in place of μ, so
-//! one tilt describes both. The output is S, which is correct if the chip is mounted straight or its mount is
-//! calibrated.
-//!
-//! Innovations are averaged between corrections, so that the corrections may run at a lower rate than the sensor.
+//! one tilt describes both. What exceeds sag and torsion is a chip that is mounted askew: the output is M S Mᵀ.
 
+mod bank;
 mod config;
 mod corrections;
 mod kalman;
@@ -42,6 +49,7 @@ mod reacquisition;
 mod state;
 #[cfg(test)]
 mod tests;
+mod window;
 
 pub use config::BendFilterConfig;
 pub(crate) use laws::right_jacobian_inverse;

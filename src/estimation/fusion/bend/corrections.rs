@@ -1,193 +1,262 @@
-//! Corrections of the bend filter: gravity, field, standstill and mechanism.
+//! What a window of readings says: gravity, field, standstill and mechanism.
 
-use super::kalman::{ACC, GYRO, KalmanState, MAG, MOUNT, N, NIS_GATE, StateVector, TWIST};
-use super::laws::{TWIST_OFFSET_RAD, Turn, Twist};
+use super::bank::{M, Noise, Reading, SWAYS};
+use super::kalman::{ACC, BASE, FIELD, GYRO, MAG, MOUNT, N, Row, TWIST};
+use super::laws::{TWIST_OFFSET_RAD, Twist, right_jacobian_inverse, velocity};
 use super::state::{BendFilter, FIELD_NIS_MAX, GYRO_SIGMA_MIN_RAD_S};
-use crate::estimation::fusion::align::Alignment;
-use nalgebra::{UnitQuaternion, Vector3};
+use super::window::Direction;
+use crate::estimation::fusion::filter::TipEstimator;
+use nalgebra::{Matrix3, Vector3};
 
-/// Time constant of the NIS of gravity, which indicates gyroscope drift, s.
-const GRAVITY_NIS_TIME_S: f64 = 1.0;
-/// Largest NIS of one gravity reading (a hundred standard deviations): limits the effect of a single reading.
-const GRAVITY_NIS_MAX: f64 = 1e4;
-/// Time constant of the NIS of the twist, s: a few poses.
-const TWIST_NIS_TIME_S: f64 = 3.0;
-/// Gains of the NIS of the field per correction: a disturbance is detected ten times faster than it is forgotten.
-const FIELD_NIS_RISE: f64 = 0.1;
-const FIELD_NIS_FALL: f64 = 0.01;
-/// Largest ratio of the NIS of one field reading to its mean. One reading raises the mean at most elevenfold.
-const FIELD_NIS_STEP_MAX: f64 = 100.0;
+/// NIS beyond which the noise model does not explain an innovation: four standard deviations.
+pub(super) const NIS_GATE: f64 = 16.0;
 /// Smallest noise of accelerometer, m/s², and magnetometer, µT: a simulated source may be noise-free.
 const ACC_SIGMA_MIN_M_S2: f64 = 0.005;
 const MAG_SIGMA_MIN_UT: f64 = 0.05;
+/// Time constant of the NIS of the twist, s: a few poses.
+const TWIST_NIS_TIME_S: f64 = 3.0;
+/// Time constants of the NIS of the field, s: a disturbance is detected ten times faster than it is forgotten.
+const FIELD_NIS_RISE_S: f64 = 0.1;
+const FIELD_NIS_FALL_S: f64 = 1.0;
+/// Largest ratio of the NIS of one field reading to its mean.
+const FIELD_NIS_STEP_MAX: f64 = 100.0;
 /// Rotation over which the mean square error of the field is averaged, rad: about three motions.
 const FIELD_LEVEL_TURN_RAD: f64 = 2.0;
-/// Smallest error of the field, as a fraction of it.
+/// Smallest error of the field: as a fraction of it, and µT.
 const FIELD_ERROR_MIN: f64 = 0.002;
-/// A rate at standstill beyond this many standard deviations is motion.
+const FIELD_ERROR_MIN_UT: f64 = 0.2;
+/// Share of an independent reading in a window of the field. Its error is a state, so that what is left is nearly white.
+const FIELD_SHARE: f64 = 0.3;
+/// A rate at standstill beyond this many standard deviations is a turn of the base.
 const STILL_GATE: f64 = 5.0;
+/// Memory of the mean square rates at standstill, s, and their share in what is expected next.
+const STILL_MEMORY_S: f64 = 8.0;
+const STILL_SHARE: f64 = 0.5;
+/// Largest mean square that counts, (rad/s)².
+const STILL_RATE_MAX: f64 = 0.01;
+/// Least rate of a base that sways, rad/s.
+const SWAY_RATE_MIN_RAD_S: f64 = 0.005;
+/// Weight of a reading that must not count.
+const NEGLECTED: f64 = 1e6;
 
-/// Noise of one averaged reading, as variances.
-struct Noise {
-    white: f64,
-    direction: f64,
-    /// Number of corrections over which the error of direction is correlated.
-    repeats: f64,
+/// Rows of a world-fixed vector `w` in the axes of the base, whose bias starts at `at`.
+fn rows(at: usize, w: &Vector3<f64>, by_bias: &Matrix3<f64>) -> [Row; 3] {
+    let by_turn = w.cross_matrix();
+    std::array::from_fn(|axis| {
+        let mut row = [0.0; N];
+        for j in 0..3 {
+            (row[j], row[at + j]) = (by_turn[(axis, j)], by_bias[(axis, j)]);
+        }
+        row
+    })
 }
 
-impl Noise {
-    fn single(&self) -> f64 {
-        self.white + self.direction
-    }
-    /// White noise of the same effect over the correlation time.
-    fn correlated(&self) -> f64 {
-        self.white + self.direction * self.repeats
+impl Reading {
+    /// A reading with white noise and an error that stays the same over `windows`, as variances.
+    fn new(rows: [Row; 3], innovation: Vector3<f64>, white: f64, error: f64, windows: f64) -> Self {
+        let noise = Noise {
+            single: Vector3::repeat(white + error),
+            correlated: Vector3::repeat(white + error * windows),
+        };
+        Self {
+            rows,
+            n: 3,
+            innovation,
+            noise: [noise; M],
+            share: 1.0 / windows,
+        }
     }
 }
 
 impl BendFilter {
-    /// Applies all corrections and transfers the estimated error into the orientation.
-    pub(super) fn correct(&mut self, turn: &Turn) {
-        let before = self.kalman.x;
-        if !self.test_for_jump(turn) {
-            if self.acc.n > 0 {
-                self.correct_gravity(turn, &before);
-            }
-            if let (true, Some(rest)) = (self.mag.n > 0, self.alignment.mag_rest_ut) {
-                self.correct_field(turn, &rest, &before);
-            }
-            if self.rate.n > 0 {
-                self.correct_standstill(&before);
-            }
-            self.correct_twist();
-            let theta = self.kalman.take_turn();
-            self.s = UnitQuaternion::from_scaled_axis(theta) * self.s;
-        }
-        self.velocity_m_s[1] = self.velocity_m_s[0];
-        (self.acc, self.mag, self.rate) = Default::default();
+    /// Number of windows in which an error of the given duration stays the same.
+    fn windows(&self, time_s: f64) -> f64 {
+        (time_s / self.window.length_s).max(1.0)
     }
 
-    /// A persistent innovation of gravity indicates gyroscope drift, so it raises the process noise of the bias and
-    /// not the noise of gravity. A brief one is an acceleration of the tip.
-    fn correct_gravity(&mut self, turn: &Turn, before: &StateVector) {
-        let Alignment {
-            acc_rest_m_s2: rest,
-            acc_sigma_m_s2,
-            ..
-        } = self.alignment;
+    /// A world-fixed vector without its bias, in the axes of the base.
+    pub(super) fn expected(&self, rest: &Vector3<f64>, bias: &Vector3<f64>) -> Vector3<f64> {
+        self.base_now * (rest - bias)
+    }
+
+    fn direction_rows(&self, at: usize, w: &Vector3<f64>, seen: &Direction) -> [Row; 3] {
+        rows(at, w, &(seen.turn() - self.base_now))
+    }
+
+    /// White noise of the mean specific force per axis, m²/s⁴.
+    pub(super) fn gravity_white(&self) -> f64 {
         let motion = self.config.acc_motion_m_s2_per_rad_s * self.rate_rad_s;
-        let white = acc_sigma_m_s2.max(ACC_SIGMA_MIN_M_S2).powi(2) / f64::from(self.acc.n)
-            + motion * motion;
-        let noise = self.noise(white, self.config.direction_error * rest.norm());
-        let h = KalmanState::rows(ACC, &turn.slopes(&rest, &self.kalman.block(ACC)));
-        let [velocity, velocity_before] = self.velocity_m_s;
-        let innovation = self.acc.mean()
-            - turn.s.tr_mul(&(velocity - velocity_before)) / self.since_correction_s;
-        let nis = self.kalman.nis(&h, &innovation, noise.single());
-        let gain = (self.config.correction_period_s / GRAVITY_NIS_TIME_S).min(1.0);
-        self.gravity_nis += gain * (nis.min(GRAVITY_NIS_MAX) - self.gravity_nis);
-        self.kalman
-            .correct_vector(&h, &innovation, noise.correlated(), before);
+        let sigma = self.alignment.acc_sigma_m_s2.max(ACC_SIGMA_MIN_M_S2);
+        sigma * sigma / f64::from(self.window.acc.n.max(1)) + motion * motion
     }
 
-    /// The weight of the field follows the error that its strength and dip show. While the NIS exceeds 1, the excess counts
-    /// as a further error of that kind. Beyond [`FIELD_NIS_MAX`] it grows with the square of the NIS, so that the weight of a
-    /// disturbed field falls without a bound.
-    fn correct_field(&mut self, turn: &Turn, rest: &Vector3<f64>, before: &StateVector) {
-        let white =
-            self.alignment.mag_sigma_ut.max(MAG_SIGMA_MIN_UT).powi(2) / f64::from(self.mag.n);
-        let single = white + (self.config.field_error * rest.norm()).powi(2);
-        let h = KalmanState::rows(MAG, &turn.slopes(rest, &self.kalman.block(MAG)));
-        let nis = self.kalman.nis(&h, &self.mag.mean(), single);
-        let gain = if nis > self.field_nis {
-            FIELD_NIS_RISE
+    /// Error of gravity as a direction per axis, m²/s⁴.
+    pub(super) fn gravity_error(&self) -> f64 {
+        (self.config.direction_error * self.alignment.acc_rest_m_s2.norm()).powi(2)
+    }
+
+    /// White noise of the mean field per axis, µT².
+    pub(super) fn field_white(&self) -> f64 {
+        let sigma = self.alignment.mag_sigma_ut.max(MAG_SIGMA_MIN_UT);
+        sigma * sigma / f64::from(self.window.mag.n.max(1))
+    }
+
+    /// Specific force less the acceleration of the sensor on its arc.
+    pub(super) fn gravity(&mut self) -> Option<Reading> {
+        let now = velocity(&self.config, &self.bend().0, &self.turn_rate);
+        let accelerates =
+            (now - std::mem::replace(&mut self.velocity_m_s, now)) / self.window.length_s;
+        let seen = (self.window.acc.n > 0).then_some(self.window.acc)?;
+        let w = self.expected(&self.alignment.acc_rest_m_s2, &self.acc_bias);
+        Some(Reading::new(
+            self.direction_rows(ACC, &w, &seen),
+            seen.mean() - w - accelerates,
+            self.gravity_white(),
+            self.gravity_error(),
+            self.windows(self.config.direction_time_s),
+        ))
+    }
+
+    /// The field, whose error in the base is a state. While the NIS exceeds 1, the excess counts as a further error. Beyond
+    /// [`FIELD_NIS_MAX`] it grows with the square of the NIS, so that the weight of a disturbed field falls without a bound.
+    pub(super) fn field(&mut self) -> Option<Reading> {
+        let seen = (self.window.mag.n > 0).then_some(self.window.mag)?;
+        let rest = self.alignment.mag_rest_ut?;
+        let w = self.expected(&rest, &self.mag_bias);
+        let mut rows = self.direction_rows(MAG, &w, &seen);
+        for (i, row) in rows.iter_mut().enumerate() {
+            row[FIELD + i] = 1.0;
+        }
+        let white = self.field_white();
+        let differs = seen.mean() - w;
+        let innovation = differs - self.field_offset;
+        let variance = self.bank.variance(&rows) + 3.0 * white;
+        let nis = innovation.norm_squared() / variance;
+        let time_s = if nis > self.field_nis {
+            FIELD_NIS_RISE_S
         } else {
-            FIELD_NIS_FALL
+            FIELD_NIS_FALL_S
         };
-        let mean_nis =
-            self.field_nis + gain * (nis.min(FIELD_NIS_STEP_MAX * self.field_nis) - self.field_nis);
-        let variance = self.kalman.innovation_variance(&h, single) / 3.0;
-        let persistent = (mean_nis.max(1.0) - 1.0) * (mean_nis / FIELD_NIS_MAX).max(1.0);
+        let gain = (self.window.length_s / time_s).min(1.0);
+        self.field_nis += gain * (nis.min(FIELD_NIS_STEP_MAX * self.field_nis) - self.field_nis);
+        let persistent =
+            (self.field_nis.max(1.0) - 1.0) * (self.field_nis / FIELD_NIS_MAX).max(1.0);
         let sudden = if nis > NIS_GATE {
             nis / FIELD_NIS_MAX
         } else {
             0.0
         };
-        let error_ut2 = self.field_error_ut2(turn, rest) + variance * persistent.max(sudden);
-        let repeats = (self.config.field_time_s / self.config.correction_period_s).max(1.0);
-        self.kalman
-            .correct_vector(&h, &self.mag.mean(), white + error_ut2 * repeats, before);
-        self.field_nis = mean_nis;
+        self.learn_field_error(&w, &differs, white);
+        let error = variance / 3.0 * persistent.max(sudden);
+        let windows = self.windows(self.config.field_time_s);
+        Some(Reading {
+            share: FIELD_SHARE,
+            ..Reading::new(rows, innovation, white, error, windows)
+        })
     }
 
-    /// Mean square error of the field per axis, µT², over the last motions: the part of the innovation that gravity and
-    /// strength reveal. The third axis is the heading, whose error is what the field shall correct.
-    fn field_error_ut2(&mut self, turn: &Turn, rest: &Vector3<f64>) -> f64 {
-        let seen = |rest: &Vector3<f64>, bias: Vector3<f64>| turn.predicted(rest, &bias) - bias;
-        let field = seen(rest, self.kalman.block(MAG));
-        let gravity = seen(&self.alignment.acc_rest_m_s2, self.kalman.block(ACC));
-        let innovation = self.mag.mean();
+    /// Mean square error of the field over the last motions: the part that gravity and strength reveal. The third axis is the
+    /// heading, whose error is what the field shall correct.
+    fn learn_field_error(&mut self, w: &Vector3<f64>, differs: &Vector3<f64>, white: f64) {
+        let up = self.expected(&self.alignment.acc_rest_m_s2, &self.acc_bias);
         // a vertical field has no heading
-        let heading = gravity
-            .cross(&field)
-            .try_normalize(1e-6)
-            .unwrap_or_default();
-        let revealed = innovation - heading * heading.dot(&innovation);
-        let turned = self.rate_rad_s * self.config.correction_period_s;
-        let gain = turned / (turned + FIELD_LEVEL_TURN_RAD);
-        self.field_error_ut2 += gain * (revealed.norm_squared() / 2.0 - self.field_error_ut2);
-        self.field_error_ut2
-            .max((FIELD_ERROR_MIN * rest.norm()).powi(2))
+        let heading = up.cross(w).try_normalize(1e-6).unwrap_or_default();
+        let revealed = differs - heading * heading.dot(differs);
+        let gain = self.window.path / (self.window.path + FIELD_LEVEL_TURN_RAD);
+        let now = (revealed.norm_squared() / 2.0 - white).max(0.0);
+        self.field_error_ut2 += gain * (now - self.field_error_ut2);
     }
 
-    /// The twist is c β. Its error stays the same while the tip stays.
-    fn correct_twist(&mut self) {
-        // S does not contain the corrections by gravity and field yet
-        let s = UnitQuaternion::from_scaled_axis(self.kalman.block(0)) * self.s;
-        let (twist, c) = (Twist::of(&s, &self.axis()), self.kalman.x[TWIST]);
+    /// Mean square error of the field per axis, µT².
+    pub(super) fn field_level(&self) -> f64 {
+        let norm = self.alignment.mag_rest_ut.map_or(0.0, |m| m.norm());
+        let least = (FIELD_ERROR_MIN * norm).max(FIELD_ERROR_MIN_UT);
+        self.field_error_ut2.max(least * least)
+    }
+
+    /// Standard deviation of a twist that is not c β, rad.
+    pub(super) fn twist_sigma_rad(&self, beta: f64) -> f64 {
+        let share = self
+            .config
+            .twist_error
+            .hypot(self.config.twist_form * self.twist_per_bend);
+        TWIST_OFFSET_RAD + share * beta
+    }
+
+    /// The twist is c β.
+    pub(super) fn twist(&mut self) -> Reading {
+        let (twist, c) = (Twist::of(&self.s, &self.axis()), self.twist_per_bend);
         let mut h = [0.0; N];
         let by_theta = twist.psi_by_theta - twist.beta_by_theta * c;
         h[..GYRO].copy_from_slice(by_theta.as_slice());
+        h[BASE..FIELD].copy_from_slice(by_theta.as_slice());
         h[TWIST] = -twist.beta;
         (h[MOUNT], h[MOUNT + 1]) = (twist.psi_by_tilt.x, twist.psi_by_tilt.y);
-        let noise = self.noise(0.0, TWIST_OFFSET_RAD + self.config.twist_error * twist.beta);
         let innovation = c * twist.beta - twist.psi;
-        let gain = (self.config.correction_period_s / TWIST_NIS_TIME_S).min(1.0);
-        self.twist_nis += gain
-            * (innovation * innovation / (self.kalman.variance(&h) + noise.direction)
-                - self.twist_nis);
-        self.kalman
-            .correct_scalar(&h, innovation, noise.direction * noise.repeats);
+        let error = self.twist_sigma_rad(twist.beta).powi(2);
+        let gain = (self.window.length_s / TWIST_NIS_TIME_S).min(1.0);
+        let nis = innovation * innovation / (self.bank.variance(&[h]) + error);
+        self.twist_nis += gain * (nis - self.twist_nis);
+        let windows = self.windows(self.config.direction_time_s);
+        let rows = [h, [0.0; N], [0.0; N]];
+        Reading {
+            n: 1,
+            ..Reading::new(rows, Vector3::x() * innovation, 0.0, error, windows)
+        }
     }
 
-    /// While the pistons stand still the gyroscope measures its bias; the noise counts once per second of
-    /// standstill. A rate beyond creep and drift is a turn of the base and is ignored.
-    fn correct_standstill(&mut self, before: &StateVector) {
-        let mean = self.rate.mean();
-        let n_per_s = 1.0 / self.config.correction_period_s;
-        let sigma = self.config.still_rate_sigma_rad_s;
-        let noise = self.alignment.gyro_sigma_rad_s.max(GYRO_SIGMA_MIN_RAD_S);
-        let r = sigma * sigma * n_per_s + noise * noise / f64::from(self.rate.n);
-        let expected = sigma * sigma
-            + noise * noise / f64::from(self.rate.n)
-            + self.kalman.sigma_of(GYRO).powi(2);
-        if mean.norm_squared() > STILL_GATE * STILL_GATE * expected {
-            return;
-        }
-        for axis in 0..3 {
+    /// While the pistons stand the gyroscope measures its bias and the rate that the tip still has. Written as the rate of
+    /// the rotation vector, a tip has no third component. What the tip has shown in the other two (creep, leak, breath)
+    /// counts as its own motion; a rate beyond that, or with a third component, is the base's.
+    pub(super) fn standstill(&mut self) -> Option<Reading> {
+        let n = f64::from((self.window.still_n > 0).then_some(self.window.still_n)?);
+        let bend = self.bend().0;
+        let to_phi = right_jacobian_inverse(&Vector3::new(bend.y, bend.x, 0.0));
+        let rate = to_phi * (self.window.still / n);
+        let white = self.gyro_sigma_rad_s().powi(2) / n;
+        let known = self.bank.mean_variance(GYRO) + white;
+        let (tip2, twist2) = (rate.xy().norm_squared() / 2.0, rate.z * rate.z);
+        let gain = (self.window.length_s / STILL_MEMORY_S).min(1.0);
+        let beyond = |square: f64| (square - known).clamp(0.0, STILL_RATE_MAX);
+        self.still_rate2 += gain * (beyond(tip2) - self.still_rate2);
+        self.sway_rate2 += gain * (beyond(twist2) - self.sway_rate2);
+        let least = self.config.still_rate_sigma_rad_s.powi(2);
+        let own = least.max(STILL_SHARE * self.still_rate2.max(beyond(tip2)));
+        let own = Vector3::new(own, own, self.config.still_twist_sigma_rad_s.powi(2));
+        let sways = Vector3::repeat(self.sway_level());
+        let nis = 2.0 * tip2 / (own.x + known) + twist2 / (own.z + known);
+        let windows = self.windows(1.0);
+        let noise = |v: Vector3<f64>, counts: bool| Noise {
+            single: v.add_scalar(white),
+            correlated: (v * windows * if counts { 1.0 } else { NEGLECTED }).add_scalar(white),
+        };
+        let mut all = [noise(own, nis < 3.0 * STILL_GATE * STILL_GATE); M];
+        all[SWAYS] = noise(sways, false);
+        let rows = std::array::from_fn(|axis| {
             let mut h = [0.0; N];
-            h[GYRO + axis] = 1.0;
-            let moved = self.kalman.x[GYRO + axis] - before[GYRO + axis];
-            self.kalman.correct_scalar(&h, mean[axis] - moved, r);
-        }
+            for j in 0..3 {
+                h[GYRO + j] = to_phi[(axis, j)];
+            }
+            h
+        });
+        Some(Reading {
+            rows,
+            n: 3,
+            innovation: rate,
+            noise: all,
+            share: 1.0 / windows,
+        })
     }
 
-    fn noise(&self, white: f64, direction: f64) -> Noise {
-        let repeats = (self.config.direction_time_s / self.config.correction_period_s).max(1.0);
-        Noise {
-            white,
-            direction: direction * direction,
-            repeats,
-        }
+    /// Mean square rate of a base that sways, per axis, (rad/s)².
+    pub(super) fn sway_level(&self) -> f64 {
+        self.still_rate2
+            .max(self.sway_rate2)
+            .max(SWAY_RATE_MIN_RAD_S * SWAY_RATE_MIN_RAD_S)
+    }
+
+    /// Noise of one rate sample, rad/s.
+    pub(super) fn gyro_sigma_rad_s(&self) -> f64 {
+        self.alignment.gyro_sigma_rad_s.max(GYRO_SIGMA_MIN_RAD_S)
     }
 }

@@ -8,18 +8,21 @@
 //! [`NIS_GATE`] within [`TEST_S`] of the rejected rate confirms a jump. The orientation then follows
 //! from measurements that do not depend on its past, with the sensor errors as estimated before,
 //!
-//! `min over θ of Σ |v − v̂(Exp(θ) S)|² / σ_v² + (c β − ψ)² / σ_ψ²`, v: gravity, field,
+//! `min over θ of Σ |w − Exp(θ) v|² / σ_v² + (c β − ψ)² / σ_ψ²`,
 //!
-//! in a few Gauss-Newton steps; the inverse of the normal matrix is its covariance. The ordinary correction assumes
-//! small errors and would move part of the jump into the biases.
+//! v: gravity and field as read, turned into the base, w: as expected there, in a few Gauss-Newton steps; the inverse of
+//! the normal matrix is its covariance. The ordinary correction assumes small errors and would move part of the jump into
+//! the biases.
 
-use super::kalman::{ACC, KalmanState, MAG, NIS_GATE, TWIST};
-use super::laws::{TWIST_OFFSET_RAD, Turn, Twist};
+use super::corrections::NIS_GATE;
+use super::kalman::{ACC, MAG, N, Row, TWIST};
+use super::laws::Twist;
 use super::state::{BendFilter, Reacquisition};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-/// Time after a rejected rate in which gravity and field are tested, s.
+/// Time after a rejected rate in which gravity and field are tested, s, and the time between two tests, s.
 const TEST_S: f64 = 0.4;
+const TEST_PERIOD_S: f64 = 0.02;
 /// Angle of a jump, rad, 1 σ.
 const JUMP_RAD: f64 = 1.0;
 /// Gauss-Newton steps.
@@ -38,14 +41,14 @@ impl NormalEquations {
     }
 }
 
-/// Reading of a world-fixed vector, averaged over a correction.
-struct Reading {
+/// A world-fixed vector in the axes of the base.
+struct Sight {
     /// First entry of its bias in the state.
     bias_at: usize,
-    /// Reading during alignment.
-    rest: Vector3<f64>,
-    /// Reading now.
-    now: Vector3<f64>,
+    /// As read, averaged over the window.
+    seen: Vector3<f64>,
+    /// As expected.
+    expected: Vector3<f64>,
     /// Variance of one axis.
     variance: f64,
 }
@@ -56,127 +59,117 @@ impl BendFilter {
         self.reacquisition.testing_s = TEST_S;
     }
 
+    /// Time between two corrections, s.
+    pub(super) fn period_s(&self) -> f64 {
+        if self.reacquisition.testing_s > 0.0 {
+            self.config.correction_period_s.min(TEST_PERIOD_S)
+        } else {
+            self.config.correction_period_s
+        }
+    }
+
     /// Runs the test before a correction. Returns true if the averaged readings must not be used for it: they are
     /// from before the jump, or have served to find the orientation after it.
-    pub(super) fn test_for_jump(&mut self, turn: &Turn) -> bool {
+    pub(super) fn test_for_jump(&mut self) -> bool {
         if self.reacquisition.testing_s <= 0.0 {
             return false;
         }
-        self.reacquisition.testing_s -= self.since_correction_s;
-        if self.reacquisition.lost && self.acc.n > 0 {
+        self.reacquisition.testing_s -= self.window.length_s;
+        let sights = self.sights();
+        // gravity alone leaves the heading open, so the field is waited for
+        let waits = sights[1].is_none() && self.uses_field() && self.reacquisition.testing_s > 0.0;
+        if self.reacquisition.lost && self.window.acc.n > 0 && !waits {
             self.reacquisition = Reacquisition {
                 lost: false,
                 found: true,
                 ..self.reacquisition
             };
-            self.reacquire(turn);
+            self.reacquire(&sights);
             return true;
         }
-        let contradicts =
-            |at: usize, rest: &Vector3<f64>, innovation: &Vector3<f64>, variance: f64| {
-                let h = KalmanState::rows(at, &turn.slopes(rest, &self.kalman.block(at)));
-                self.kalman.nis(&h, innovation, variance) > NIS_GATE
-            };
-        let rest = &self.alignment.acc_rest_m_s2;
-        let gravity =
-            self.acc.n > 0 && contradicts(ACC, rest, &self.acc.mean(), self.gravity_variance());
-        let field = self.alignment.mag_rest_ut.filter(|_| self.mag.n > 0);
-        let jumped = gravity
-            || field.is_some_and(|rest| {
-                contradicts(MAG, &rest, &self.mag.mean(), self.field_variance(&rest))
-            });
-        self.reacquisition.lost |= jumped;
+        self.reacquisition.lost |= sights.iter().flatten().any(|sight| {
+            let rows = by_turn(&sight.expected);
+            let differs = (sight.seen - sight.expected).norm_squared();
+            differs > NIS_GATE * (self.bank.variance(&rows) + 3.0 * self.variance(sight))
+        });
         self.reacquisition.lost
     }
 
-    /// Variance of one axis of gravity at the present rate of the tip, m²/s⁴.
-    fn gravity_variance(&self) -> f64 {
-        let motion = self.config.acc_motion_m_s2_per_rad_s * self.rate_rad_s;
-        let direction = self.config.direction_error * self.alignment.acc_rest_m_s2.norm();
-        self.alignment.acc_sigma_m_s2.powi(2) + motion * motion + direction * direction
+    fn uses_field(&self) -> bool {
+        self.config.use_mag && self.alignment.mag_rest_ut.is_some()
     }
 
-    /// Variance of one axis of the field, µT².
-    fn field_variance(&self, rest: &Vector3<f64>) -> f64 {
-        self.alignment.mag_sigma_ut.powi(2) + (self.config.field_error * rest.norm()).powi(2)
+    /// Gravity and field of the window.
+    fn sights(&self) -> [Option<Sight>; 2] {
+        let window = &self.window;
+        let gravity = (window.acc.n > 0).then(|| Sight {
+            bias_at: ACC,
+            seen: window.acc.mean(),
+            expected: self.expected(&self.alignment.acc_rest_m_s2, &self.acc_bias),
+            variance: self.gravity_white() + self.gravity_error(),
+        });
+        let rest = self.alignment.mag_rest_ut.filter(|_| window.mag.n > 0);
+        let field = rest.map(|rest| Sight {
+            bias_at: MAG,
+            seen: window.mag.mean() - self.field_offset,
+            expected: self.expected(&rest, &self.mag_bias),
+            variance: self.field_white() + (self.config.field_error * rest.norm()).powi(2),
+        });
+        [gravity, field]
     }
 
-    fn reading(
-        &self,
-        turn: &Turn,
-        bias_at: usize,
-        rest: Vector3<f64>,
-        innovation: Vector3<f64>,
-        variance: f64,
-    ) -> Reading {
-        let sigma = self.kalman.sigma_of(bias_at);
-        let now = innovation + turn.predicted(&rest, &self.kalman.block(bias_at));
-        Reading {
-            bias_at,
-            rest,
-            now,
-            variance: variance + sigma * sigma,
-        }
+    /// Variance of one axis, with that of its bias.
+    fn variance(&self, sight: &Sight) -> f64 {
+        sight.variance + self.bank.mean_variance(sight.bias_at)
     }
 
     /// Finds the orientation that explains the averaged readings, and its covariance.
-    fn reacquire(&mut self, turn: &Turn) {
-        let gravity = self.reading(
-            turn,
-            ACC,
-            self.alignment.acc_rest_m_s2,
-            self.acc.mean(),
-            self.gravity_variance(),
-        );
-        let rest = self.alignment.mag_rest_ut.filter(|_| self.mag.n > 0);
-        let field = rest
-            .map(|rest| self.reading(turn, MAG, rest, self.mag.mean(), self.field_variance(&rest)));
+    fn reacquire(&mut self, sights: &[Option<Sight>; 2]) {
         let mut covariance = Matrix3::identity() * (JUMP_RAD * JUMP_RAD);
+        let mut turn = UnitQuaternion::identity();
+        let before = self.s;
         for _ in 0..STEPS {
-            let here = Turn {
-                s: self.s.to_rotation_matrix().into_inner(),
-                ..*turn
-            };
             let mut normal = NormalEquations {
                 a: Matrix3::identity() / (JUMP_RAD * JUMP_RAD),
                 b: Vector3::zeros(),
             };
-            for reading in std::iter::once(&gravity).chain(&field) {
-                self.add_reading(&mut normal, &here, reading);
+            for sight in sights.iter().flatten() {
+                let seen = turn * sight.seen;
+                let (slope, residual) = (-seen.cross_matrix(), sight.expected - seen);
+                for axis in 0..3 {
+                    let row = slope.row(axis).transpose();
+                    normal.add(&row, residual[axis], self.variance(sight));
+                }
             }
             self.add_twist(&mut normal);
             let Some(inverse) = normal.a.try_inverse() else {
                 break;
             };
-            self.s = UnitQuaternion::from_scaled_axis(inverse * normal.b) * self.s;
+            turn = UnitQuaternion::from_scaled_axis(inverse * normal.b) * turn;
+            self.s = turn * before;
             covariance = inverse;
         }
-        self.kalman.reset_turn(0.0);
-        self.kalman
-            .p
-            .fixed_view_mut::<3, 3>(0, 0)
-            .copy_from(&covariance);
-        (self.field_nis, self.gravity_nis) = (1.0, 1.0);
-    }
-
-    fn add_reading(&self, normal: &mut NormalEquations, here: &Turn, reading: &Reading) {
-        let bias = self.kalman.block(reading.bias_at);
-        let (by_theta, _) = here.slopes(&reading.rest, &bias);
-        let residual = reading.now - here.predicted(&reading.rest, &bias);
-        for axis in 0..3 {
-            normal.add(
-                &by_theta.row(axis).transpose(),
-                residual[axis],
-                reading.variance,
-            );
-        }
+        self.reset_turn(&covariance);
+        self.derive();
     }
 
     fn add_twist(&self, normal: &mut NormalEquations) {
-        let (twist, c) = (Twist::of(&self.s, &self.axis()), self.kalman.x[TWIST]);
+        let (twist, c) = (Twist::of(&self.s, &self.axis()), self.twist_per_bend);
         let row = twist.psi_by_theta - twist.beta_by_theta * c;
-        let sigma = TWIST_OFFSET_RAD + self.config.twist_error * twist.beta;
-        let torsion = self.kalman.p[(TWIST, TWIST)] * twist.beta * twist.beta;
-        normal.add(&row, c * twist.beta - twist.psi, sigma * sigma + torsion);
+        let sigma = self.twist_sigma_rad(twist.beta);
+        let mut h = [0.0; N];
+        h[TWIST] = twist.beta;
+        let variance = sigma * sigma + self.bank.variance(&[h]);
+        normal.add(&row, c * twist.beta - twist.psi, variance);
     }
+}
+
+/// Rows of a world-fixed vector by the orientation alone.
+fn by_turn(w: &Vector3<f64>) -> [Row; 3] {
+    let by = w.cross_matrix();
+    std::array::from_fn(|axis| {
+        let mut h = [0.0; N];
+        (h[0], h[1], h[2]) = (by[(axis, 0)], by[(axis, 1)], by[(axis, 2)]);
+        h
+    })
 }

@@ -1,31 +1,52 @@
 //! State of the bend filter, its prediction by the gyroscope, and its use as a [`TipEstimator`].
 
+use super::bank::{Bank, DRIFTS, M, SWAYS, WRONG_RATE};
 use super::config::BendFilterConfig;
-use super::kalman::{ACC, GYRO, Innovation, KalmanState, MAG, MOUNT, N, TWIST};
-use super::laws::{Turn, bend_by_turn, velocity};
+use super::kalman::{
+    ACC, BASE, Covariance, FIELD, GYRO, KalmanState, MAG, MOUNT, N, SCALE, TWIST, block,
+};
+use super::laws::{Twist, bend_by_turn};
+use super::window::Window;
 use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::base::BaseTurn;
 use crate::estimation::fusion::filter::{MeasurementMask, TipEstimator};
 use crate::model::Bend;
 use crate::primitives::{Base, ImuSample, Rotation, Tip};
-use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
 /// Initial uncertainty of the orientation, rad, 1 σ: zero by definition, but not singular.
 const START_SIGMA_RAD: f64 = 1e-3;
 /// Drift of the gyroscope bias during alignment, rad/s, 1 σ, beyond the error of its mean.
 const BIAS_START_SIGMA_RAD_S: f64 = 2e-4;
+/// Error of the field during alignment, µT, 1 σ, beyond that of the bias.
+const FIELD_START_SIGMA_UT: f64 = 0.02;
 /// Smallest gyroscope noise assumed, rad/s: a simulated source may be noise-free.
 pub(super) const GYRO_SIGMA_MIN_RAD_S: f64 = 1e-3;
 /// Ratio of the process noise to the noise during alignment: motion adds vibration.
 const GYRO_NOISE_FACTOR: f64 = 1.5;
-/// Scale error of the gyroscope, as a share of the rate, and its correlation time, s.
-const GYRO_SCALE_ERROR: f64 = 0.005;
-const GYRO_SCALE_TIME_S: f64 = 0.1;
+/// Correlation time of the error of the rate, s.
+const RATE_ERROR_TIME_S: f64 = 0.1;
+/// Turn of the tip after which the error of the field is another, rad.
+const FIELD_TURN_RAD: f64 = 1.5;
+/// Random walk of the scale per √rad of motion while the rate is wrong.
+const SCALE_WALK: f64 = 0.02;
+/// Time in which a base that sways turns back, s; the time for which it turns the same way, s; creep of the tip meanwhile,
+/// rad/√s.
+const SWAY_BACK_S: f64 = 1.5;
+const SWAY_TIME_S: f64 = 1.2;
+const SWAY_CREEP: f64 = 0.003;
+/// Time after which a turn of the base that lasts is no sway, s.
+const SWAY_MEAN_S: f64 = 8.0;
 /// Field NIS from which the field counts as disturbed: two standard deviations.
 pub(super) const FIELD_NIS_MAX: f64 = 4.0;
 /// Rate by which the tip may turn unobserved, rad/s (60 °/s), 1 σ, and the largest such angle, rad.
 const UNOBSERVED_RAD_S: f64 = 1.0;
 const UNOBSERVED_MAX_RAD: f64 = 0.3;
+/// Tilt that the tip's sag explains, rad (1.7°), and twist of the tip as a share of c that passes for a tilt.
+const SAG_TILT_RAD: f64 = 0.03;
+const TILT_PER_TWIST: f64 = 0.9;
+/// Angle by which a chip that is glued straight is askew about each axis, rad (0.5°), 1 σ.
+const GLUED_SIGMA_RAD: f64 = 0.008;
 
 /// Test for a jump of the tip after a rejected rate; see [`super::reacquisition`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -38,30 +59,60 @@ pub(super) struct Reacquisition {
     pub found: bool,
 }
 
-/// The filter: estimate, covariance and averaged innovations.
+/// What follows from the estimate after a correction.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Derived {
+    /// Base as it is known to have turned to base now.
+    base_turn: UnitQuaternion<f64>,
+    /// Sensor to tip.
+    mount: UnitQuaternion<f64>,
+    /// Covariance of the bend vector, rad².
+    covariance: Matrix2<f64>,
+    /// Largest twist per bend that is consistent with the estimates, rad/rad.
+    twist_per_bend_max: f64,
+}
+
+/// The filter: nominal values, hypotheses around them, and the readings since the last correction.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct BendFilter {
     pub(super) config: BendFilterConfig,
     pub(super) alignment: Alignment,
-    /// Sensor now to sensor during alignment.
+    /// Sensor now to the base as it is known to have turned.
     pub(super) s: UnitQuaternion<f64>,
-    pub(super) kalman: KalmanState,
-    pub(super) acc: Innovation,
-    pub(super) mag: Innovation,
-    pub(super) rate: Innovation,
-    pub(super) since_correction_s: f64,
-    /// Rate of the tip relative to the base after the last sample, rad/s.
+    /// Gyroscope bias, rad/s, and scale error.
+    gyro_bias: Vector3<f64>,
+    gyro_scale: Vector3<f64>,
+    /// Accelerometer bias, m/s².
+    pub(super) acc_bias: Vector3<f64>,
+    /// Field of the tip's own iron, µT.
+    pub(super) mag_bias: Vector3<f64>,
+    /// Error of the field in the base, µT.
+    pub(super) field_offset: Vector3<f64>,
+    /// c, rad/rad.
+    pub(super) twist_per_bend: f64,
+    /// μ, rad.
+    tilt: Vector2<f64>,
+    pub(super) bank: Bank,
+    /// Covariance over the hypotheses after the last correction.
+    mixed: Covariance,
+    derived: Derived,
+    pub(super) window: Window,
+    /// Base during alignment to the base as it is known to have turned.
+    pub(super) base_now: Matrix3<f64>,
+    /// Rate of the tip relative to the base after the last sample: its size, rad/s, and in the axes of the base.
     pub(super) rate_rad_s: f64,
-    /// Running mean of the NIS of gravity. A value above 1 indicates gyroscope drift.
-    pub(super) gravity_nis: f64,
+    pub(super) turn_rate: Vector3<f64>,
     /// Running mean of the NIS of the field; 1 while the noise model holds.
     pub(super) field_nis: f64,
     /// Mean square error of the field per axis, µT².
     pub(super) field_error_ut2: f64,
     /// Running mean of the NIS of the twist.
     pub(super) twist_nis: f64,
-    /// Velocity of the sensor by the bend rate, now and at the last correction, m/s, alignment axes.
-    pub(super) velocity_m_s: [Vector3<f64>; 2],
+    /// Mean square rates at standstill of bend and of twist, (rad/s)².
+    pub(super) still_rate2: f64,
+    pub(super) sway_rate2: f64,
+    /// Velocity of the sensor by the bend rate at the last correction, m/s, axes of the base.
+    pub(super) velocity_m_s: Vector3<f64>,
     correction: Vector2<f64>,
     pub(super) reacquisition: Reacquisition,
 }
@@ -78,19 +129,22 @@ impl BendFilter {
         sigma[ACC..MAG].fill(config.acc_bias_sigma_m_s2);
         sigma[MAG..TWIST].fill(config.mag_bias_sigma_ut);
         sigma[TWIST] = config.twist_sigma;
-        sigma[MOUNT..].fill(config.mount_sigma_rad);
-        let mut kalman = KalmanState::new(&sigma);
-        kalman.set(GYRO, &alignment.gyro_bias_rad_s);
-        Self {
+        sigma[MOUNT..BASE].fill(config.mount_sigma_rad);
+        sigma[FIELD..SCALE].fill(FIELD_START_SIGMA_UT);
+        sigma[SCALE..].fill(config.gyro_scale_sigma);
+        let field_ut = alignment.mag_rest_ut.map_or(0.0, |m| m.norm());
+        let mut filter = Self {
             config: *config,
             alignment: *alignment,
-            kalman,
-            gravity_nis: 1.0,
+            gyro_bias: alignment.gyro_bias_rad_s,
+            bank: Bank::new(&sigma),
+            base_now: Matrix3::identity(),
             field_nis: 1.0,
-            field_error_ut2: (config.field_error * alignment.mag_rest_ut.map_or(0.0, |m| m.norm()))
-                .powi(2),
+            field_error_ut2: (config.field_error * field_ut).powi(2),
             ..Self::default()
-        }
+        };
+        filter.derive();
+        filter
     }
 
     /// Restarts from an alignment `now` during which the tip was at `bend` (1 σ `sigma_rad`). The estimated sensor
@@ -98,36 +152,31 @@ impl BendFilter {
     pub fn rebase(&mut self, now: &Alignment, bend: Bend, sigma_rad: f64) {
         // half of the twist on either side leaves the bend unchanged
         let half = UnitQuaternion::from_scaled_axis(
-            Vector3::z() * (self.kalman.x[TWIST] * bend.beta() / 2.0),
+            Vector3::z() * (self.twist_per_bend * bend.beta() / 2.0),
         );
         self.s = half * bend.rotation().quat() * half;
         let straight = |v: &Vector3<f64>, b: Vector3<f64>| self.s * (v - b) + b;
-        self.alignment.acc_rest_m_s2 = straight(&now.acc_rest_m_s2, self.kalman.block(ACC));
-        self.alignment.mag_rest_ut = now
-            .mag_rest_ut
-            .map(|m| straight(&m, self.kalman.block(MAG)));
-        self.kalman.reset_turn(sigma_rad);
-        self.kalman.set(GYRO, &now.gyro_bias_rad_s);
-        (self.acc, self.mag, self.rate) = (
-            Innovation::default(),
-            Innovation::default(),
-            Innovation::default(),
-        );
-        (self.gravity_nis, self.field_nis, self.twist_nis) = (1.0, 1.0, 0.0);
+        self.alignment.acc_rest_m_s2 = straight(&now.acc_rest_m_s2, self.acc_bias);
+        self.alignment.mag_rest_ut = now.mag_rest_ut.map(|m| straight(&m, self.mag_bias));
+        self.reset_turn(&(Matrix3::identity() * (sigma_rad * sigma_rad)));
+        self.gyro_bias = now.gyro_bias_rad_s;
+        self.twist_nis = 0.0;
+        self.derive();
     }
 
-    /// Largest standard deviation of the bend, rad.
-    fn bend_sigma_rad(&self) -> f64 {
-        let c = self.covariance();
-        // largest eigenvalue of a symmetric 2 × 2 matrix
-        let (mean, half) = ((c[(0, 0)] + c[(1, 1)]) / 2.0, (c[(0, 0)] - c[(1, 1)]) / 2.0);
-        (mean + half.hypot(c[(0, 1)])).max(0.0).sqrt()
+    /// Sets the covariance of the orientation, for a base that stands.
+    pub(super) fn reset_turn(&mut self, covariance: &Matrix3<f64>) {
+        for filter in &mut self.bank.filters {
+            filter.reset(0, covariance);
+            filter.reset(BASE, &Matrix3::zeros());
+        }
+        (self.window, self.field_nis) = (Window::default(), 1.0);
     }
 
     /// Adds an unobserved rotation of `turn_rad` (1 σ) to the covariance.
     fn widen(&mut self, turn_rad: f64) {
-        for i in 0..GYRO {
-            self.kalman.p[(i, i)] += turn_rad * turn_rad;
+        for filter in &mut self.bank.filters {
+            filter.widen(0, turn_rad * turn_rad);
         }
     }
 
@@ -135,117 +184,241 @@ impl BendFilter {
     pub fn alignment(&self) -> Alignment {
         self.alignment
     }
-    /// Covariance of the bend vector, rad².
+    /// Covariance of the bend vector after the last correction, rad².
     pub fn covariance(&self) -> Matrix2<f64> {
-        let rows = bend_by_turn(&self.bend().0);
-        rows * self.kalman.p.fixed_view::<3, 3>(0, 0) * rows.transpose()
+        self.derived.covariance
+    }
+    /// Probabilities that gyroscope and base are steady, that the bias of the gyroscope drifts, that its rate is wrong, and that the
+    /// base sways.
+    pub fn probabilities(&self) -> [f64; M] {
+        self.bank.probability
+    }
+    /// Bend of the tip if the base had stood since the alignment.
+    pub fn bend_on_standing_base(&self) -> Bend {
+        let mount = &self.derived.mount;
+        Bend::nearest(&Rotation::assert_frames(mount * self.s * mount.inverse()))
     }
     /// Estimated gyroscope bias, rad/s.
     pub fn gyro_bias_rad_s(&self) -> Vector3<f64> {
-        self.kalman.block(GYRO)
+        self.gyro_bias
     }
     /// Estimated accelerometer bias, m/s², and the largest 1 σ of its axes.
     pub fn acc_bias_m_s2(&self) -> (Vector3<f64>, f64) {
-        (self.kalman.block(ACC), self.kalman.sigma_of(ACC))
+        (self.acc_bias, self.sigma_of(ACC, 3))
     }
     /// Estimated field of the tip's own iron, µT, and the largest 1 σ of its axes.
     pub fn mag_bias_ut(&self) -> (Vector3<f64>, f64) {
-        (self.kalman.block(MAG), self.kalman.sigma_of(MAG))
+        (self.mag_bias, self.sigma_of(MAG, 3))
+    }
+    /// Estimated twist per bend, rad/rad, and its 1 σ.
+    pub fn twist_per_bend(&self) -> (f64, f64) {
+        (self.twist_per_bend, self.sigma_of(TWIST, 1))
+    }
+    /// Estimated tilt of the axis that bending never turns about, rad, and the larger 1 σ of its axes.
+    pub fn tilt_rad(&self) -> (Vector2<f64>, f64) {
+        (self.tilt, self.sigma_of(MOUNT, 2))
+    }
+    /// Largest standard deviation of `n` entries from `at` on.
+    fn sigma_of(&self, at: usize, n: usize) -> f64 {
+        (at..at + n)
+            .map(|i| self.mixed[(i, i)])
+            .fold(0.0, f64::max)
+            .sqrt()
     }
     /// Root mean square difference between the twist by gravity and field and that of the mechanism, over the last
     /// seconds, in standard deviations.
     pub fn twist_misfit(&self) -> f64 {
         self.twist_nis.sqrt()
     }
-    /// Largest twist per bend that is consistent with the estimates, rad/rad: torsion and tilt as estimated, plus
-    /// three standard deviations of both and of the non-proportional part.
+    /// Largest twist per bend that is consistent with the estimates at the present bend, rad/rad: the present twist, plus three
+    /// standard deviations of torsion and tilt together and of the part that is not proportional.
     pub fn twist_per_bend_max(&self) -> f64 {
-        let (x, p) = (&self.kalman.x, &self.kalman.p);
-        let tilt = x[MOUNT].hypot(x[MOUNT + 1]);
-        let variance = p[(TWIST, TWIST)] + p[(MOUNT, MOUNT)] + p[(MOUNT + 1, MOUNT + 1)];
-        x[TWIST].abs()
-            + tilt
-            + 3.0 * (variance + self.config.twist_error * self.config.twist_error).sqrt()
+        self.derived.twist_per_bend_max
     }
 
     /// The axis that bending never turns about, `Exp(−μ) z`.
     pub(super) fn axis(&self) -> Vector3<f64> {
-        UnitQuaternion::from_scaled_axis(-Vector3::new(
-            self.kalman.x[MOUNT],
-            self.kalman.x[MOUNT + 1],
-            0.0,
-        )) * Vector3::z()
+        UnitQuaternion::from_scaled_axis(-self.tilt.push(0.0)) * Vector3::z()
     }
 
-    /// Propagates orientation and covariance over `dt_s` of measured rate.
-    fn predict(&mut self, gyro: &Vector3<f64>, dt_s: f64) {
-        let rate = gyro - self.gyro_bias_rad_s();
+    /// Integrates one sample, and adds it to the window.
+    fn predict(&mut self, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, base: &BaseTurn) {
+        let measured = sample.gyro_rad_s - self.s.inverse() * base.rate_rad_s - self.gyro_bias;
+        let rate = measured - measured.component_mul(&self.gyro_scale);
         self.rate_rad_s = rate.norm();
         let half = UnitQuaternion::from_scaled_axis(rate * (dt_s / 2.0));
-        let midway = (self.s * half).to_rotation_matrix().into_inner();
-        self.s = UnitQuaternion::new_normalize((self.s * half * half).into_inner());
-        self.velocity_m_s[0] = velocity(&self.config, &self.bend().0, &(midway * rate), dt_s);
-        self.kalman.propagate_turn(&(midway * -dt_s));
-        self.add_process_noise(dt_s);
+        let midway = self.s * half;
+        self.s = UnitQuaternion::new_normalize((midway * half).into_inner());
+        let midway = midway.to_rotation_matrix().into_inner();
+        self.turn_rate = midway * rate;
+        let window = &mut self.window;
+        window.length_s += dt_s;
+        window.turns_s += midway * dt_s;
+        for j in 0..3 {
+            let mut column = window.scaled.column_mut(j);
+            column += midway.column(j) * (rate[j] * dt_s);
+        }
+        window.turned += self.turn_rate * dt_s;
+        window.path += self.rate_rad_s * dt_s;
+        let s = self.s.to_rotation_matrix().into_inner();
+        if mask.acc {
+            window.acc.add(&(sample.acc_m_s2 - self.acc_bias), &s);
+        }
+        if let (Some(m), Some(_)) = (
+            sample.mag_ut.filter(|_| self.config.use_mag && mask.mag),
+            self.alignment.mag_rest_ut,
+        ) {
+            window.mag.add(&(m - self.mag_bias), &s);
+        }
+        if mask.still {
+            window.still += rate;
+            window.still_n += 1;
+        }
     }
 
-    fn add_process_noise(&mut self, dt_s: f64) {
-        let c = &self.config;
-        let gyro = self.alignment.gyro_sigma_rad_s.max(GYRO_SIGMA_MIN_RAD_S) * GYRO_NOISE_FACTOR;
-        let scale = GYRO_SCALE_ERROR * self.rate_rad_s;
-        let q_turn = (gyro * gyro * dt_s + scale * scale * GYRO_SCALE_TIME_S) * dt_s;
-        let drift = self.gravity_nis.sqrt().clamp(1.0, c.gyro_walk_factor_max);
-        let p = &mut self.kalman.p;
-        for i in 0..GYRO {
-            p[(i, i)] += q_turn;
-        }
-        let walks = [
-            (GYRO, c.gyro_walk_rad_s_rts * drift),
-            (ACC, c.acc_walk_m_s2_rts),
-            (MAG, c.mag_walk_ut_rts),
-        ];
-        for (at, walk) in walks {
-            for i in at..at + 3 {
-                p[(i, i)] += walk * walk * dt_s;
+    /// Propagates every hypothesis over the window.
+    fn propagate(&mut self) {
+        let (c, w) = (self.config, self.window);
+        let t = w.length_s;
+        let white = (GYRO_NOISE_FACTOR * self.gyro_sigma_rad_s()).powi(2)
+            * self.alignment.periods_s().0.max(1e-4)
+            * t;
+        let keep = (-t / c.field_time_s - w.path / FIELD_TURN_RAD).exp();
+        let field = self.field_level() * (1.0 - keep * keep);
+        self.field_offset *= keep;
+        let sways = self.sway_level();
+        for (j, f) in self.bank.filters.iter_mut().enumerate() {
+            f.propagate_turn(&-w.turns_s, GYRO);
+            f.propagate_turn(&-w.scaled, SCALE);
+            f.widen(0, white);
+            let (walk, error) = match j {
+                DRIFTS => (c.gyro_drift_rad_s_rts, c.rate_error),
+                WRONG_RATE => (c.gyro_walk_rad_s_rts, c.wrong_rate_error),
+                _ => (c.gyro_walk_rad_s_rts, c.rate_error),
+            };
+            // what a wrong rate adds is along the turn
+            let along = error * error * RATE_ERROR_TIME_S / t;
+            for k in 0..3 {
+                for i in 0..3 {
+                    f.p[(i, k)] += along * w.turned[i] * w.turned[k];
+                }
+            }
+            f.widen(GYRO, walk * walk * t);
+            f.widen(ACC, c.acc_walk_m_s2_rts.powi(2) * t);
+            f.widen(MAG, c.mag_walk_ut_rts.powi(2) * t);
+            f.p[(TWIST, TWIST)] += c.twist_walk.powi(2) * w.path;
+            f.fade(FIELD, keep);
+            f.widen(FIELD, field);
+            match j {
+                WRONG_RATE => f.widen(SCALE, SCALE_WALK * SCALE_WALK * w.path),
+                SWAYS => sway(f, &w, sways),
+                _ => (),
             }
         }
-        p[(TWIST, TWIST)] += c.twist_walk * c.twist_walk * self.rate_rad_s * dt_s;
+    }
+
+    /// Applies all corrections and transfers the estimated errors into the nominal values.
+    fn correct(&mut self) {
+        self.propagate();
+        if self.test_for_jump() {
+            self.window = Window::default();
+            return;
+        }
+        let twist = Some(self.twist());
+        let readings = [self.gravity(), self.field(), self.standstill(), twist];
+        for reading in readings.iter().flatten() {
+            self.bank.correct(reading);
+        }
+        self.bank.weigh();
+        self.take_errors();
+        self.bank
+            .mix(self.config.change_per_s * self.window.length_s);
+        self.derive();
+        self.window = Window::default();
+    }
+
+    /// Moves the nominal values by the mean error. The rotation of the base stays with the hypothesis.
+    fn take_errors(&mut self) {
+        let mean = self.bank.mean();
+        self.mixed = self.bank.covariance(&mean);
+        let mut taken = mean;
+        taken.fixed_rows_mut::<3>(BASE).fill(0.0);
+        for filter in &mut self.bank.filters {
+            filter.x -= taken;
+        }
+        self.s = UnitQuaternion::from_scaled_axis(block(&mean, 0)) * self.s;
+        self.gyro_bias += block(&mean, GYRO);
+        self.acc_bias += block(&mean, ACC);
+        self.mag_bias += block(&mean, MAG);
+        self.twist_per_bend += mean[TWIST];
+        self.tilt += Vector2::new(mean[MOUNT], mean[MOUNT + 1]);
+        self.field_offset += block(&mean, FIELD);
+        self.gyro_scale += block(&mean, SCALE);
+    }
+
+    /// Updates what follows from the estimate.
+    ///
+    /// A chip that is tilted by more than the sag of the tip and the form of its torsion explain is mounted askew, and its axes are turned
+    /// back. A chip that is askew by μ about x and y is so about z too, by as much per axis; nothing but the covariance shows that.
+    pub(super) fn derive(&mut self) {
+        let mean = self.bank.mean();
+        self.mixed = self.bank.covariance(&mean);
+        let size = self.tilt.norm();
+        let explained = SAG_TILT_RAD.hypot(TILT_PER_TWIST * self.twist_per_bend);
+        let askew = 1.0 - (explained / size.max(1e-9)).powi(2).min(1.0);
+        let mount = self.tilt.push(0.0) * askew;
+        self.derived.mount = UnitQuaternion::from_scaled_axis(mount);
+        self.derived.base_turn = UnitQuaternion::from_scaled_axis(block(&mean, BASE));
+        let p = |i, j| self.mixed.fixed_view::<3, 3>(i, j).into_owned();
+        let turn = p(0, 0) + p(BASE, BASE) + p(0, BASE) + p(BASE, 0);
+        let r = self.r_base_tip();
+        let by_mount = Matrix3::identity() - r.quat().to_rotation_matrix().into_inner();
+        let glued2 = GLUED_SIGMA_RAD * GLUED_SIGMA_RAD;
+        let across = |i: usize| glued2 + askew * self.mixed[(i, i)];
+        let beyond = size - (SAG_TILT_RAD * SAG_TILT_RAD / size.max(SAG_TILT_RAD)).min(size);
+        let about_z = glued2 + beyond * beyond;
+        let mounts =
+            Matrix3::from_diagonal(&Vector3::new(across(MOUNT), across(MOUNT + 1), about_z));
+        let rows = bend_by_turn(&self.bend().0);
+        let total = turn + by_mount * mounts * by_mount.transpose();
+        self.derived.covariance = rows * total * rows.transpose();
+        let twist = Twist::of(&self.s, &self.axis());
+        let mut h = [0.0; N];
+        let by_tilt = twist.psi_by_tilt / twist.beta.max(1e-2);
+        (h[TWIST], h[MOUNT], h[MOUNT + 1]) = (1.0, -by_tilt.x, -by_tilt.y);
+        let sigma = self
+            .bank
+            .variance(&[h])
+            .sqrt()
+            .hypot(self.twist_sigma_rad(1.0));
+        let about_z = Twist::of(&self.s, &Vector3::z()).psi / twist.beta.max(1e-2);
+        self.derived.twist_per_bend_max = about_z.abs() + 3.0 * sigma;
+    }
+}
+
+/// Propagates the rotation of a base that sways with a mean square rate. While the pistons stand, what the gyroscope measures is the
+/// base; while they move it may be either.
+fn sway(f: &mut KalmanState, w: &Window, rate2: f64) {
+    if w.still_n > 0 {
+        f.fade(BASE, (-w.length_s / SWAY_MEAN_S).exp());
+        for i in 0..3 {
+            f.x[BASE + i] -= w.turned[i];
+        }
+        f.widen(BASE, SWAY_CREEP * SWAY_CREEP * w.length_s);
+    } else {
+        f.fade(BASE, (-w.length_s / SWAY_BACK_S).exp());
+        f.widen(BASE, 2.0 * SWAY_TIME_S * rate2 * w.length_s);
     }
 }
 
 impl TipEstimator for BendFilter {
     fn update(&mut self, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, base: &BaseTurn) {
-        let base_rate = self.s.inverse() * base.rate_rad_s;
-        self.predict(&(sample.gyro_rad_s - base_rate), dt_s);
-        let base_now = base.r_rest_now.inverse().to_rotation_matrix().into_inner();
-        let turn = Turn {
-            s: self.s.to_rotation_matrix().into_inner(),
-            base_now,
-        };
-        if mask.acc {
-            self.acc.add(
-                &(sample.acc_m_s2
-                    - turn.predicted(&self.alignment.acc_rest_m_s2, &self.kalman.block(ACC))),
-            );
-        }
-        if let (true, Some(m), Some(rest)) = (
-            self.config.use_mag && mask.mag,
-            &sample.mag_ut,
-            &self.alignment.mag_rest_ut,
-        ) {
-            self.mag
-                .add(&(m - turn.predicted(rest, &self.kalman.block(MAG))));
-        }
-        if mask.still {
-            self.rate
-                .add(&(sample.gyro_rad_s - base_rate - self.gyro_bias_rad_s()));
-        }
-        self.since_correction_s += dt_s;
+        self.predict(sample, dt_s, mask, base);
         self.correction = Vector2::zeros();
-        if self.since_correction_s >= self.config.correction_period_s - 1e-9 {
+        if self.window.length_s >= self.period_s() - 1e-9 {
+            self.base_now = base.r_rest_now.inverse().to_rotation_matrix().into_inner();
             let predicted = self.bend().0;
-            self.correct(&turn);
-            self.since_correction_s = 0.0;
+            self.correct();
             self.correction = self.bend().0 - predicted;
         }
     }
@@ -258,7 +431,10 @@ impl TipEstimator for BendFilter {
         _base: &BaseTurn,
     ) {
         self.widen((gap_s * UNOBSERVED_RAD_S).min(UNOBSERVED_MAX_RAD));
-        (self.field_nis, self.gravity_nis) = (1.0, 1.0);
+        (self.window, self.field_nis) = (Window::default(), 1.0);
+        (self.turn_rate, self.velocity_m_s) = (Vector3::zeros(), Vector3::zeros());
+        // many short steps instead of a long one, because the corrections are large
+        self.start_jump_test();
     }
 
     /// Over a gap the rate is interpolated. With an angular acceleration of at most α_max the rotation deviates from
@@ -268,11 +444,17 @@ impl TipEstimator for BendFilter {
     }
 
     fn r_base_tip(&self) -> Rotation<Base, Tip> {
-        Rotation::assert_frames(self.s)
+        let Derived {
+            base_turn, mount, ..
+        } = &self.derived;
+        Rotation::assert_frames(mount * base_turn * self.s * mount.inverse())
     }
 
     fn sigma_rad(&self) -> Option<f64> {
-        Some(self.bend_sigma_rad())
+        let c = self.covariance();
+        // largest eigenvalue of a symmetric 2 × 2 matrix
+        let (mean, half) = ((c[(0, 0)] + c[(1, 1)]) / 2.0, (c[(0, 0)] - c[(1, 1)]) / 2.0);
+        Some((mean + half.hypot(c[(0, 1)])).max(0.0).sqrt())
     }
 
     fn correction(&self) -> Vector2<f64> {

@@ -19,6 +19,7 @@ use crate::estimation::fusion::align::{AlignState, Alignment};
 use crate::estimation::fusion::base::BaseTracker;
 use crate::estimation::fusion::bend::BendFilter;
 use crate::estimation::fusion::estimator::Estimator;
+use crate::estimation::fusion::filter::TipEstimator;
 use crate::estimation::fusion::health::{
     CauseSet, HealthCause, HealthVerdict, ImuReading, KnownErrors, Quality, SensorMonitor,
 };
@@ -247,6 +248,15 @@ impl Fusion {
     /// The estimate, once aligned.
     pub fn estimate(&self) -> Option<TipEstimate> {
         self.tracker().map(Tracker::estimate)
+    }
+    /// Bend of the tip if the base had stood since the alignment: what the selected estimator takes for a sway counts as bend.
+    pub fn bend_on_standing_base(&self) -> Option<Bend> {
+        let estimator = self.estimator()?;
+        Some(
+            estimator
+                .as_bend()
+                .map_or_else(|| estimator.bend(), BendFilter::bend_on_standing_base),
+        )
     }
     /// The verdict on the last reading.
     pub fn verdict(&self) -> Option<HealthVerdict> {
