@@ -25,14 +25,14 @@
 //!   which is subtracted before the specific force counts as gravity.
 //! * **Gravity and field**: a world-fixed vector reads `v₀ = v + b` during alignment and `Sᵀ (v₀ − b) + b` later. Turned
 //!   into the base it is `S (v − b) = v₀ − b`, with a slope by θ that does not depend on S: readings are averaged there
-//!   over a window ([`window`]). Each bias becomes observable after a few poses.
+//!   over a window. Each bias becomes observable after a few poses.
 //! * **Mechanism**: the twist ψ of S about the axis `a = Exp(−μ) z` is c β, with an error for torsion that is not
 //!   proportional. The error is correlated in time, so the gyroscope determines the twist within a motion.
 //! * **Standstill**: while the pistons stand the gyroscope measures its bias and the rate that the tip still has.
 //!
 //! What the sensor suffers from cannot be known beforehand, and each remedy harms where it is not needed: a bias that may
 //! wander takes creep of the tip for drift, and one that may not loses the tip when the part warms up. Four **hypotheses**
-//! have a Kalman filter each, around the same nominal values ([`bank`]): the gyroscope is steady; its bias drifts; its rate is
+//! have a Kalman filter each, around the same nominal values: the gyroscope is steady; its bias drifts; its rate is
 //! wrong while the tip turns (samples that are late by a time that wanders, a scale that changes); the base sways. Estimate and covariance
 //! are those of the mixture.
 //!

@@ -19,7 +19,6 @@ use crate::estimation::fusion::align::{AlignState, Alignment};
 use crate::estimation::fusion::base::BaseTracker;
 use crate::estimation::fusion::bend::BendFilter;
 use crate::estimation::fusion::estimator::Estimator;
-use crate::estimation::fusion::filter::TipEstimator;
 use crate::estimation::fusion::health::{
     CauseSet, HealthCause, HealthVerdict, ImuReading, KnownErrors, Quality, SensorMonitor,
 };
