@@ -24,14 +24,14 @@ const START: f64 = 0.02;
 /// Largest normalised innovation squared of one reading: limits what a single outlier proves.
 const NIS_MAX: f64 = 50.0;
 /// Share of another hypothesis below which it is not mixed in.
-const NEGLIGIBLE: f64 = 1e-6;
+const NEGLIGIBLE: f64 = 1e-4;
 
 /// Noise of a reading per axis, as variances.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Noise {
     /// Of one reading.
     pub single: Vector3<f64>,
-    /// White noise of the same effect over the time for which the error stays the same.
+    /// White noise of the same effect over the time for which the error stays the same; infinite if the reading only weighs.
     pub correlated: Vector3<f64>,
 }
 
@@ -75,7 +75,7 @@ impl Bank {
         for (j, (filter, log)) in self.filters.iter_mut().zip(&mut self.log).enumerate() {
             let noise = &reading.noise[j];
             *log += reading.share * log_likelihood(filter, reading, &noise.single);
-            for axis in 0..reading.n {
+            for axis in (0..reading.n).filter(|&axis| noise.correlated[axis].is_finite()) {
                 let (h, r) = (&reading.rows[axis], noise.correlated[axis]);
                 filter.correct(h, reading.innovation[axis], r);
             }
@@ -119,9 +119,20 @@ impl Bank {
     pub fn mean(&self) -> StateVector {
         self.mean_by(&self.probability)
     }
-    /// Covariance over the hypotheses around their `mean`.
-    pub fn covariance(&self, mean: &StateVector) -> Covariance {
-        self.covariance_by(&self.probability, mean)
+    /// Variances over the hypotheses around their `mean`.
+    pub fn variances(&self, mean: &StateVector) -> StateVector {
+        StateVector::from_fn(|i, _| self.weighted(|f| f.p[(i, i)] + (f.x[i] - mean[i]).powi(2)))
+    }
+    /// Covariance of the rotation of the tip relative to the base, which is that of θ + φ, around their `mean`.
+    pub fn turn_covariance(&self, mean: &StateVector) -> Matrix3<f64> {
+        let turn = |x: &StateVector, i: usize| x[i] + x[BASE + i];
+        Matrix3::from_fn(|i, j| {
+            self.weighted(|f| {
+                let p = |i: usize, j: usize| f.p[(i, j)];
+                let off = |i: usize| turn(&f.x, i) - turn(mean, i);
+                p(i, j) + p(BASE + i, BASE + j) + p(i, BASE + j) + p(BASE + i, j) + off(i) * off(j)
+            })
+        })
     }
     /// Sum over the rows of the variance of a prediction.
     pub fn variance(&self, rows: &[Row]) -> f64 {

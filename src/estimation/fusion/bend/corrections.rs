@@ -2,11 +2,11 @@
 
 use super::bank::{M, Noise, Reading, SWAYS};
 use super::kalman::{ACC, BASE, FIELD, GYRO, MAG, MOUNT, N, Row, TWIST};
-use super::laws::{TWIST_OFFSET_RAD, Twist, right_jacobian_inverse, velocity};
+use super::laws::{TWIST_OFFSET_RAD, Twist, right_jacobian_inverse};
 use super::state::{BendFilter, FIELD_NIS_MAX, GYRO_SIGMA_MIN_RAD_S};
 use super::window::Direction;
 use crate::estimation::fusion::filter::TipEstimator;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
 /// NIS beyond which the noise model does not explain an innovation: four standard deviations.
 pub(super) const NIS_GATE: f64 = 16.0;
@@ -36,20 +36,6 @@ const STILL_SHARE: f64 = 0.5;
 const STILL_RATE_MAX: f64 = 0.01;
 /// Least rate of a base that sways, rad/s.
 const SWAY_RATE_MIN_RAD_S: f64 = 0.005;
-/// Weight of a reading that must not count.
-const NEGLECTED: f64 = 1e6;
-
-/// Rows of a world-fixed vector `w` in the axes of the base, whose bias starts at `at`.
-fn rows(at: usize, w: &Vector3<f64>, by_bias: &Matrix3<f64>) -> [Row; 3] {
-    let by_turn = w.cross_matrix();
-    std::array::from_fn(|axis| {
-        let mut row = [0.0; N];
-        for j in 0..3 {
-            (row[j], row[at + j]) = (by_turn[(axis, j)], by_bias[(axis, j)]);
-        }
-        row
-    })
-}
 
 impl Reading {
     /// A reading with white noise and an error that stays the same over `windows`, as variances.
@@ -79,8 +65,16 @@ impl BendFilter {
         self.base_now * (rest - bias)
     }
 
-    fn direction_rows(&self, at: usize, w: &Vector3<f64>, seen: &Direction) -> [Row; 3] {
-        rows(at, w, &(seen.turn() - self.base_now))
+    /// Rows of a world-fixed vector `w` in the axes of the base, whose bias starts at `at`.
+    fn rows(&self, at: usize, w: &Vector3<f64>, seen: &Direction) -> [Row; 3] {
+        let (by_turn, by_bias) = (w.cross_matrix(), seen.turn() - self.base_now);
+        std::array::from_fn(|axis| {
+            let mut row = [0.0; N];
+            for j in 0..3 {
+                (row[j], row[at + j]) = (by_turn[(axis, j)], by_bias[(axis, j)]);
+            }
+            row
+        })
     }
 
     /// White noise of the mean specific force per axis, m²/s⁴.
@@ -101,15 +95,12 @@ impl BendFilter {
         sigma * sigma / f64::from(self.window.mag.n.max(1))
     }
 
-    /// Specific force less the acceleration of the sensor on its arc.
-    pub(super) fn gravity(&mut self) -> Option<Reading> {
-        let now = velocity(&self.config, &self.bend().0, &self.turn_rate);
-        let accelerates =
-            (now - std::mem::replace(&mut self.velocity_m_s, now)) / self.window.length_s;
+    /// Specific force less the acceleration of the sensor.
+    pub(super) fn gravity(&self, accelerates: &Vector3<f64>) -> Option<Reading> {
         let seen = (self.window.acc.n > 0).then_some(self.window.acc)?;
         let w = self.expected(&self.alignment.acc_rest_m_s2, &self.acc_bias);
         Some(Reading::new(
-            self.direction_rows(ACC, &w, &seen),
+            self.rows(ACC, &w, &seen),
             seen.mean() - w - accelerates,
             self.gravity_white(),
             self.gravity_error(),
@@ -123,7 +114,7 @@ impl BendFilter {
         let seen = (self.window.mag.n > 0).then_some(self.window.mag)?;
         let rest = self.alignment.mag_rest_ut?;
         let w = self.expected(&rest, &self.mag_bias);
-        let mut rows = self.direction_rows(MAG, &w, &seen);
+        let mut rows = self.rows(MAG, &w, &seen);
         for (i, row) in rows.iter_mut().enumerate() {
             row[FIELD + i] = 1.0;
         }
@@ -228,7 +219,11 @@ impl BendFilter {
         let windows = self.windows(1.0);
         let noise = |v: Vector3<f64>, counts: bool| Noise {
             single: v.add_scalar(white),
-            correlated: (v * windows * if counts { 1.0 } else { NEGLECTED }).add_scalar(white),
+            correlated: if counts {
+                (v * windows).add_scalar(white)
+            } else {
+                Vector3::repeat(f64::INFINITY)
+            },
         };
         let mut all = [noise(own, nis < 3.0 * STILL_GATE * STILL_GATE); M];
         all[SWAYS] = noise(sways, false);

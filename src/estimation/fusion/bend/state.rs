@@ -3,9 +3,9 @@
 use super::bank::{Bank, DRIFTS, M, SWAYS, WRONG_RATE};
 use super::config::BendFilterConfig;
 use super::kalman::{
-    ACC, BASE, Covariance, FIELD, GYRO, KalmanState, MAG, MOUNT, N, SCALE, TWIST, block,
+    ACC, BASE, FIELD, GYRO, KalmanState, MAG, MOUNT, N, SCALE, StateVector, TWIST, block,
 };
-use super::laws::{Twist, bend_by_turn};
+use super::laws::{Twist, bend_by_turn, velocity};
 use super::window::Window;
 use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::base::BaseTurn;
@@ -93,11 +93,12 @@ pub struct BendFilter {
     /// μ, rad.
     tilt: Vector2<f64>,
     pub(super) bank: Bank,
-    /// Covariance over the hypotheses after the last correction.
-    mixed: Covariance,
+    /// Variances over the hypotheses after the last correction.
+    variances: StateVector,
     derived: Derived,
     pub(super) window: Window,
-    /// Base during alignment to the base as it is known to have turned.
+    /// Base during alignment to the base as it is known to have turned: at the last correction, and the mean since.
+    base_before: Matrix3<f64>,
     pub(super) base_now: Matrix3<f64>,
     /// Rate of the tip relative to the base after the last sample: its size, rad/s, and in the axes of the base.
     pub(super) rate_rad_s: f64,
@@ -111,8 +112,8 @@ pub struct BendFilter {
     /// Mean square rates at standstill of bend and of twist, (rad/s)².
     pub(super) still_rate2: f64,
     pub(super) sway_rate2: f64,
-    /// Velocity of the sensor by the bend rate at the last correction, m/s, axes of the base.
-    pub(super) velocity_m_s: Vector3<f64>,
+    /// Velocity of the sensor by the bend rate at the end of the last window, m/s, axes of the base.
+    velocity_m_s: Option<Vector3<f64>>,
     correction: Vector2<f64>,
     pub(super) reacquisition: Reacquisition,
 }
@@ -138,6 +139,7 @@ impl BendFilter {
             alignment: *alignment,
             gyro_bias: alignment.gyro_bias_rad_s,
             bank: Bank::new(&sigma),
+            base_before: Matrix3::identity(),
             base_now: Matrix3::identity(),
             field_nis: 1.0,
             field_error_ut2: (config.field_error * field_ut).powi(2),
@@ -221,7 +223,7 @@ impl BendFilter {
     /// Largest standard deviation of `n` entries from `at` on.
     fn sigma_of(&self, at: usize, n: usize) -> f64 {
         (at..at + n)
-            .map(|i| self.mixed[(i, i)])
+            .map(|i| self.variances[i])
             .fold(0.0, f64::max)
             .sqrt()
     }
@@ -270,6 +272,7 @@ impl BendFilter {
         ) {
             window.mag.add(&(m - self.mag_bias), &s);
         }
+        window.samples += 1;
         if mask.still {
             window.still += rate;
             window.still_n += 1;
@@ -317,15 +320,28 @@ impl BendFilter {
         }
     }
 
+    /// Mean acceleration of the sensor on its arc over the window, m/s²; zero where its beginning is not known.
+    fn accelerates(&mut self) -> Vector3<f64> {
+        let now = velocity(&self.config, &self.bend().0, &self.turn_rate);
+        let before = self.velocity_m_s.replace(now).unwrap_or(now);
+        (now - before) / self.window.length_s
+    }
+
     /// Applies all corrections and transfers the estimated errors into the nominal values.
     fn correct(&mut self) {
         self.propagate();
+        let accelerates = self.accelerates();
         if self.test_for_jump() {
             self.window = Window::default();
             return;
         }
         let twist = Some(self.twist());
-        let readings = [self.gravity(), self.field(), self.standstill(), twist];
+        let readings = [
+            self.gravity(&accelerates),
+            self.field(),
+            self.standstill(),
+            twist,
+        ];
         for reading in readings.iter().flatten() {
             self.bank.correct(reading);
         }
@@ -340,7 +356,6 @@ impl BendFilter {
     /// Moves the nominal values by the mean error. The rotation of the base stays with the hypothesis.
     fn take_errors(&mut self) {
         let mean = self.bank.mean();
-        self.mixed = self.bank.covariance(&mean);
         let mut taken = mean;
         taken.fixed_rows_mut::<3>(BASE).fill(0.0);
         for filter in &mut self.bank.filters {
@@ -362,19 +377,18 @@ impl BendFilter {
     /// back. A chip that is askew by μ about x and y is so about z too, by as much per axis; nothing but the covariance shows that.
     pub(super) fn derive(&mut self) {
         let mean = self.bank.mean();
-        self.mixed = self.bank.covariance(&mean);
+        self.variances = self.bank.variances(&mean);
         let size = self.tilt.norm();
         let explained = SAG_TILT_RAD.hypot(TILT_PER_TWIST * self.twist_per_bend);
         let askew = 1.0 - (explained / size.max(1e-9)).powi(2).min(1.0);
         let mount = self.tilt.push(0.0) * askew;
         self.derived.mount = UnitQuaternion::from_scaled_axis(mount);
         self.derived.base_turn = UnitQuaternion::from_scaled_axis(block(&mean, BASE));
-        let p = |i, j| self.mixed.fixed_view::<3, 3>(i, j).into_owned();
-        let turn = p(0, 0) + p(BASE, BASE) + p(0, BASE) + p(BASE, 0);
+        let turn = self.bank.turn_covariance(&mean);
         let r = self.r_base_tip();
         let by_mount = Matrix3::identity() - r.quat().to_rotation_matrix().into_inner();
         let glued2 = GLUED_SIGMA_RAD * GLUED_SIGMA_RAD;
-        let across = |i: usize| glued2 + askew * self.mixed[(i, i)];
+        let across = |i: usize| glued2 + askew * self.variances[i];
         let beyond = size - (SAG_TILT_RAD * SAG_TILT_RAD / size.max(SAG_TILT_RAD)).min(size);
         let about_z = glued2 + beyond * beyond;
         let mounts =
@@ -396,10 +410,15 @@ impl BendFilter {
     }
 }
 
+/// Base during alignment to base now.
+fn turned(base: &BaseTurn) -> Matrix3<f64> {
+    base.r_rest_now.inverse().to_rotation_matrix().into_inner()
+}
+
 /// Propagates the rotation of a base that sways with a mean square rate. While the pistons stand, what the gyroscope measures is the
 /// base; while they move it may be either.
 fn sway(f: &mut KalmanState, w: &Window, rate2: f64) {
-    if w.still_n > 0 {
+    if w.still_n == w.samples {
         f.fade(BASE, (-w.length_s / SWAY_MEAN_S).exp());
         for i in 0..3 {
             f.x[BASE + i] -= w.turned[i];
@@ -416,7 +435,9 @@ impl TipEstimator for BendFilter {
         self.predict(sample, dt_s, mask, base);
         self.correction = Vector2::zeros();
         if self.window.length_s >= self.period_s() - 1e-9 {
-            self.base_now = base.r_rest_now.inverse().to_rotation_matrix().into_inner();
+            let now = turned(base);
+            self.base_now = (self.base_before + now) / 2.0;
+            self.base_before = now;
             let predicted = self.bend().0;
             self.correct();
             self.correction = self.bend().0 - predicted;
@@ -428,11 +449,11 @@ impl TipEstimator for BendFilter {
         _sample: &ImuSample,
         gap_s: f64,
         _mask: MeasurementMask,
-        _base: &BaseTurn,
+        base: &BaseTurn,
     ) {
         self.widen((gap_s * UNOBSERVED_RAD_S).min(UNOBSERVED_MAX_RAD));
         (self.window, self.field_nis) = (Window::default(), 1.0);
-        (self.turn_rate, self.velocity_m_s) = (Vector3::zeros(), Vector3::zeros());
+        (self.base_before, self.velocity_m_s) = (turned(base), None);
         // many short steps instead of a long one, because the corrections are large
         self.start_jump_test();
     }

@@ -36,6 +36,8 @@ impl Direction {
 pub(super) struct Window {
     /// Duration, s.
     pub length_s: f64,
+    /// Number of samples.
+    pub samples: u32,
     /// ∫ S dt, s.
     pub turns_s: Matrix3<f64>,
     /// ∫ S diag(ω) dt, rad.
