@@ -160,9 +160,10 @@ impl Bank {
         for (f, &w) in self.filters.iter().zip(weights) {
             if w > NEGLIGIBLE {
                 let d = f.x - mean;
-                for j in 0..N {
-                    for i in 0..N {
-                        c[(i, j)] += w * (f.p[(i, j)] + d[i] * d[j]);
+                let columns = c.as_mut_slice().chunks_exact_mut(N);
+                for (j, (c, p)) in columns.zip(f.p.as_slice().chunks_exact(N)).enumerate() {
+                    for ((c, p), di) in c.iter_mut().zip(p).zip(d.as_slice()) {
+                        *c += w * (p + di * d[j]);
                     }
                 }
             }

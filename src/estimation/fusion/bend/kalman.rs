@@ -108,7 +108,9 @@ impl KalmanState {
         for (j, &phj) in ph.iter().enumerate() {
             let k = phj * inv;
             self.x[j] += k * left;
-            for (p, ph) in self.p.column_mut(j).iter_mut().zip(&ph) {
+            // a slice, unlike a column of a matrix, is worked on several entries at a time
+            let column = &mut self.p.as_mut_slice()[j * N..(j + 1) * N];
+            for (p, ph) in column.iter_mut().zip(&ph) {
                 *p -= ph * k;
             }
         }
@@ -124,7 +126,8 @@ impl KalmanState {
         let mut ph = [0.0; N];
         for (j, &hj) in h.iter().enumerate() {
             if hj != 0.0 {
-                for (out, p) in ph.iter_mut().zip(self.p.column(j).iter()) {
+                let column = &self.p.as_slice()[j * N..(j + 1) * N];
+                for (out, p) in ph.iter_mut().zip(column) {
                     *out += p * hj;
                 }
             }
