@@ -5,7 +5,7 @@
 //! longer than a window must not count anew in each, so the likelihood is raised to the share of an independent reading
 //! that the window contains.
 
-use super::kalman::{BASE, Covariance, KalmanState, N, Row, StateVector, dot};
+use super::kalman::{BASE, KalmanState, Row, StateVector};
 use nalgebra::{Matrix3, Vector3};
 
 /// Number of hypotheses.
@@ -28,23 +28,21 @@ const NEGLIGIBLE: f64 = 1e-4;
 
 /// Noise of a reading per axis, as variances.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Noise {
+pub(super) struct Noise<const R: usize> {
     /// Of one reading.
-    pub single: Vector3<f64>,
-    /// White noise of the same effect over the time for which the error stays the same; infinite if the reading only weighs.
-    pub correlated: Vector3<f64>,
+    pub single: [f64; R],
+    /// White noise of the same effect over the time for which the error stays the same; none if the reading only weighs.
+    pub correlated: Option<[f64; R]>,
 }
 
-/// A reading of up to three axes.
-pub(super) struct Reading {
+/// A reading of R axes.
+pub(super) struct Reading<const R: usize> {
     /// Rows of ∂(reading)/∂x.
-    pub rows: [Row; 3],
-    /// Number of rows.
-    pub n: usize,
+    pub rows: [Row; R],
     /// Reading less what the nominal values predict.
-    pub innovation: Vector3<f64>,
+    pub innovation: [f64; R],
     /// Noise under each hypothesis.
-    pub noise: [Noise; M],
+    pub noise: [Noise<R>; M],
     /// Share of an independent reading.
     pub share: f64,
 }
@@ -71,13 +69,17 @@ impl Bank {
     }
 
     /// Weighs every hypothesis by a reading, and corrects each with it.
-    pub fn correct(&mut self, reading: &Reading) {
-        for (j, (filter, log)) in self.filters.iter_mut().zip(&mut self.log).enumerate() {
-            let noise = &reading.noise[j];
-            *log += reading.share * log_likelihood(filter, reading, &noise.single);
-            for axis in (0..reading.n).filter(|&axis| noise.correlated[axis].is_finite()) {
-                let (h, r) = (&reading.rows[axis], noise.correlated[axis]);
-                filter.correct(h, reading.innovation[axis], r);
+    pub fn correct<const R: usize>(&mut self, reading: &Reading<R>) {
+        let each = self
+            .filters
+            .iter_mut()
+            .zip(&mut self.log)
+            .zip(&reading.noise);
+        for ((filter, log), noise) in each {
+            let predicted = filter.predict(&reading.rows, &reading.innovation);
+            *log += reading.share * predicted.log_likelihood(&noise.single, NIS_MAX);
+            if let Some(noise) = &noise.correlated {
+                filter.correct(&predicted, noise);
             }
         }
     }
@@ -92,43 +94,44 @@ impl Bank {
         self.probability.iter_mut().for_each(|p| *p /= sum);
     }
 
-    /// Lets hypotheses begin and end: `change` is the probability that one does so within a window.
+    /// Lets hypotheses begin and end: `change` is the probability that one does so within a window. Only the first passes
+    /// into others, and others only into it.
     pub fn mix(&mut self, change: f64) {
-        let before = self.clone();
-        let passes = |i: usize, j: usize| match (i, j) {
-            (STEADY, STEADY) => 1.0 - change * (M - 1) as f64,
-            (i, j) if i == j => 1.0 - change,
-            (STEADY, _) | (_, STEADY) => change,
-            _ => 0.0,
-        };
-        for j in 0..M {
-            let joint: [f64; M] = std::array::from_fn(|i| passes(i, j) * before.probability[i]);
-            let sum: f64 = joint.iter().sum();
-            self.probability[j] = sum;
-            let weights = joint.map(|w| w / sum);
-            let x = before.mean_by(&weights);
-            let p = before.covariance_by(&weights, &x);
-            self.filters[j] = KalmanState { x, p };
-            if j != SWAYS {
-                self.filters[j].reset(BASE, &Matrix3::zeros());
-            }
+        let p = self.probability;
+        let stays = 1.0 - change * (M - 1) as f64;
+        let ends = |j: usize| change * p[j];
+        let ended: f64 = (1..M).map(ends).sum();
+        let sum = stays * p[STEADY] + ended;
+        let (steady, others) = self.filters.split_at_mut(1);
+        let before = steady[0].clone();
+        let into = (1..M).map(|j| (ends(j) / sum, &others[j - 1]));
+        steady[0].mix(into.filter(|(w, _)| *w > NEGLIGIBLE));
+        if ends(SWAYS) / sum > NEGLIGIBLE {
+            steady[0].reset(BASE, &Matrix3::zeros());
+        }
+        self.probability[STEADY] = sum;
+        for (j, filter) in (1..M).zip(others) {
+            let begins = change * p[STEADY];
+            self.probability[j] = begins + (1.0 - change) * p[j];
+            filter.mix(std::iter::once((begins / self.probability[j], &before)));
         }
     }
 
     /// Mean over the hypotheses.
     pub fn mean(&self) -> StateVector {
-        self.mean_by(&self.probability)
+        let pairs = self.filters.iter().zip(self.probability);
+        pairs.map(|(f, p)| f.x * p).sum()
     }
     /// Variances over the hypotheses around their `mean`.
     pub fn variances(&self, mean: &StateVector) -> StateVector {
-        StateVector::from_fn(|i, _| self.weighted(|f| f.p[(i, i)] + (f.x[i] - mean[i]).powi(2)))
+        StateVector::from_fn(|i, _| self.weighted(|f| f.p[i][i] + (f.x[i] - mean[i]).powi(2)))
     }
     /// Covariance of the rotation of the tip relative to the base, which is that of θ + φ, around their `mean`.
     pub fn turn_covariance(&self, mean: &StateVector) -> Matrix3<f64> {
         let turn = |x: &StateVector, i: usize| x[i] + x[BASE + i];
         Matrix3::from_fn(|i, j| {
             self.weighted(|f| {
-                let p = |i: usize, j: usize| f.p[(i, j)];
+                let p = |i: usize, j: usize| f.p[i][j];
                 let off = |i: usize| turn(&f.x, i) - turn(mean, i);
                 p(i, j) + p(BASE + i, BASE + j) + p(i, BASE + j) + p(BASE + i, j) + off(i) * off(j)
             })
@@ -141,52 +144,11 @@ impl Bank {
     }
     /// Mean variance of three entries from `at` on.
     pub fn mean_variance(&self, at: usize) -> f64 {
-        self.weighted(|f| (at..at + 3).map(|i| f.p[(i, i)]).sum::<f64>() / 3.0)
+        self.weighted(|f| (at..at + 3).map(|i| f.p[i][i]).sum::<f64>() / 3.0)
     }
 
     fn weighted(&self, of: impl Fn(&KalmanState) -> f64) -> f64 {
         let pairs = self.filters.iter().zip(self.probability);
         pairs.map(|(f, p)| p * of(f)).sum()
     }
-    fn mean_by(&self, weights: &[f64; M]) -> StateVector {
-        let mut x = StateVector::zeros();
-        for (f, w) in self.filters.iter().zip(weights) {
-            x += f.x * *w;
-        }
-        x
-    }
-    fn covariance_by(&self, weights: &[f64; M], mean: &StateVector) -> Covariance {
-        let mut c = Covariance::zeros();
-        for (f, &w) in self.filters.iter().zip(weights) {
-            if w > NEGLIGIBLE {
-                let d = f.x - mean;
-                let columns = c.as_mut_slice().chunks_exact_mut(N);
-                for (j, (c, p)) in columns.zip(f.p.as_slice().chunks_exact(N)).enumerate() {
-                    for ((c, p), di) in c.iter_mut().zip(p).zip(d.as_slice()) {
-                        *c += w * (p + di * d[j]);
-                    }
-                }
-            }
-        }
-        c
-    }
-}
-
-/// Logarithm of the density of a reading, but for a constant.
-fn log_likelihood(filter: &KalmanState, reading: &Reading, noise: &Vector3<f64>) -> f64 {
-    let mut s = Matrix3::identity();
-    let mut left = Vector3::zeros();
-    for a in 0..reading.n {
-        let ph = filter.p_times(&reading.rows[a]);
-        for b in 0..reading.n {
-            s[(a, b)] = dot(&reading.rows[b], &ph);
-        }
-        s[(a, a)] += noise[a];
-        left[a] = reading.innovation[a] - dot(&reading.rows[a], filter.x.as_slice());
-    }
-    let Some(inverse) = s.try_inverse() else {
-        return 0.0;
-    };
-    let nis = left.dot(&(inverse * left));
-    -0.5 * (nis.min(NIS_MAX) + s.determinant().max(f64::MIN_POSITIVE).ln())
 }

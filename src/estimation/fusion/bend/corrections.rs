@@ -37,16 +37,15 @@ const STILL_RATE_MAX: f64 = 0.01;
 /// Least rate of a base that sways, rad/s.
 const SWAY_RATE_MIN_RAD_S: f64 = 0.005;
 
-impl Reading {
+impl<const R: usize> Reading<R> {
     /// A reading with white noise and an error that stays the same over `windows`, as variances.
-    fn new(rows: [Row; 3], innovation: Vector3<f64>, white: f64, error: f64, windows: f64) -> Self {
+    fn new(rows: [Row; R], innovation: [f64; R], white: f64, error: f64, windows: f64) -> Self {
         let noise = Noise {
-            single: Vector3::repeat(white + error),
-            correlated: Vector3::repeat(white + error * windows),
+            single: [white + error; R],
+            correlated: Some([white + error * windows; R]),
         };
         Self {
             rows,
-            n: 3,
             innovation,
             noise: [noise; M],
             share: 1.0 / windows,
@@ -96,12 +95,12 @@ impl BendFilter {
     }
 
     /// Specific force less the acceleration of the sensor.
-    pub(super) fn gravity(&self, accelerates: &Vector3<f64>) -> Option<Reading> {
+    pub(super) fn gravity(&self, accelerates: &Vector3<f64>) -> Option<Reading<3>> {
         let seen = (self.window.acc.n > 0).then_some(self.window.acc)?;
         let w = self.expected(&self.alignment.acc_rest_m_s2, &self.acc_bias);
         Some(Reading::new(
             self.rows(ACC, &w, &seen),
-            seen.mean() - w - accelerates,
+            (seen.mean() - w - accelerates).into(),
             self.gravity_white(),
             self.gravity_error(),
             self.windows(self.config.direction_time_s),
@@ -110,7 +109,7 @@ impl BendFilter {
 
     /// The field, whose error in the base is a state. While the NIS exceeds 1, the excess counts as a further error. Beyond
     /// [`FIELD_NIS_MAX`] it grows with the square of the NIS, so that the weight of a disturbed field falls without a bound.
-    pub(super) fn field(&mut self) -> Option<Reading> {
+    pub(super) fn field(&mut self) -> Option<Reading<3>> {
         let seen = (self.window.mag.n > 0).then_some(self.window.mag)?;
         let rest = self.alignment.mag_rest_ut?;
         let w = self.expected(&rest, &self.mag_bias);
@@ -142,7 +141,7 @@ impl BendFilter {
         let windows = self.windows(self.config.field_time_s);
         Some(Reading {
             share: FIELD_SHARE,
-            ..Reading::new(rows, innovation, white, error, windows)
+            ..Reading::new(rows, innovation.into(), white, error, windows)
         })
     }
 
@@ -175,7 +174,7 @@ impl BendFilter {
     }
 
     /// The twist is c β.
-    pub(super) fn twist(&mut self) -> Reading {
+    pub(super) fn twist(&mut self) -> Reading<1> {
         let (twist, c) = (Twist::of(&self.s, &self.axis()), self.twist_per_bend);
         let mut h = [0.0; N];
         let by_theta = twist.psi_by_theta - twist.beta_by_theta * c;
@@ -189,17 +188,13 @@ impl BendFilter {
         let nis = innovation * innovation / (self.bank.variance(&[h]) + error);
         self.twist_nis += gain * (nis - self.twist_nis);
         let windows = self.windows(self.config.direction_time_s);
-        let rows = [h, [0.0; N], [0.0; N]];
-        Reading {
-            n: 1,
-            ..Reading::new(rows, Vector3::x() * innovation, 0.0, error, windows)
-        }
+        Reading::new([h], [innovation], 0.0, error, windows)
     }
 
     /// While the pistons stand the gyroscope measures its bias and the rate that the tip still has. Written as the rate of
     /// the rotation vector, a tip has no third component. What the tip has shown in the other two (creep, leak, breath)
     /// counts as its own motion; a rate beyond that, or with a third component, is the base's.
-    pub(super) fn standstill(&mut self) -> Option<Reading> {
+    pub(super) fn standstill(&mut self) -> Option<Reading<3>> {
         let n = f64::from((self.window.still_n > 0).then_some(self.window.still_n)?);
         let bend = self.bend().0;
         let to_phi = right_jacobian_inverse(&Vector3::new(bend.y, bend.x, 0.0));
@@ -218,12 +213,8 @@ impl BendFilter {
         let nis = 2.0 * tip2 / (own.x + known) + twist2 / (own.z + known);
         let windows = self.windows(1.0);
         let noise = |v: Vector3<f64>, counts: bool| Noise {
-            single: v.add_scalar(white),
-            correlated: if counts {
-                (v * windows).add_scalar(white)
-            } else {
-                Vector3::repeat(f64::INFINITY)
-            },
+            single: v.add_scalar(white).into(),
+            correlated: counts.then(|| (v * windows).add_scalar(white).into()),
         };
         let mut all = [noise(own, nis < 3.0 * STILL_GATE * STILL_GATE); M];
         all[SWAYS] = noise(sways, false);
@@ -236,8 +227,7 @@ impl BendFilter {
         });
         Some(Reading {
             rows,
-            n: 3,
-            innovation: rate,
+            innovation: rate.into(),
             noise: all,
             share: 1.0 / windows,
         })

@@ -291,8 +291,7 @@ impl BendFilter {
         self.field_offset *= keep;
         let sways = self.sway_level();
         for (j, f) in self.bank.filters.iter_mut().enumerate() {
-            f.propagate_turn(&-w.turns_s, GYRO);
-            f.propagate_turn(&-w.scaled, SCALE);
+            f.propagate_turn(&[(GYRO, -w.turns_s), (SCALE, -w.scaled)]);
             f.widen(0, white);
             let (walk, error) = match j {
                 DRIFTS => (c.gyro_drift_rad_s_rts, c.rate_error),
@@ -303,13 +302,13 @@ impl BendFilter {
             let along = error * error * RATE_ERROR_TIME_S / t;
             for k in 0..3 {
                 for i in 0..3 {
-                    f.p[(i, k)] += along * w.turned[i] * w.turned[k];
+                    f.p[i][k] += along * w.turned[i] * w.turned[k];
                 }
             }
             f.widen(GYRO, walk * walk * t);
             f.widen(ACC, c.acc_walk_m_s2_rts.powi(2) * t);
             f.widen(MAG, c.mag_walk_ut_rts.powi(2) * t);
-            f.p[(TWIST, TWIST)] += c.twist_walk.powi(2) * w.path;
+            f.p[TWIST][TWIST] += c.twist_walk.powi(2) * w.path;
             f.fade(FIELD, keep);
             f.widen(FIELD, field);
             match j {
@@ -335,16 +334,12 @@ impl BendFilter {
             self.window = Window::default();
             return;
         }
-        let twist = Some(self.twist());
-        let readings = [
-            self.gravity(&accelerates),
-            self.field(),
-            self.standstill(),
-            twist,
-        ];
+        let twist = self.twist();
+        let readings = [self.gravity(&accelerates), self.field(), self.standstill()];
         for reading in readings.iter().flatten() {
             self.bank.correct(reading);
         }
+        self.bank.correct(&twist);
         self.bank.weigh();
         self.take_errors();
         self.bank
