@@ -3,9 +3,11 @@
 //! A complementary attitude filter (Mahony, Hamel & Pflimlin 2008, explicit form). The rotation `T` (base now → base during
 //! alignment) follows the gyroscope. A vector that read `v₀` then is predicted to read `Tᵀ v₀`, and the difference corrects `T`:
 //!
-//! `ω̂ = ω − b_g + k_a (a × Tᵀ a₀)/|a||a₀| + k_m (m × Tᵀ m₀)/|m||m₀|`.
+//! `ω̂ = ω − b_g − δb + k_a e_a + k_m e_m`, `e_a = (a × Tᵀ a₀)/|a||a₀|`, `e_m = (m × Tᵀ m₀)/|m||m₀|` about the vertical,
 //!
-//! The bias b_g comes from the alignment and from every later stretch without rotation. The axes of the base IMU are
+//! where b_g comes from the alignment and `δḃ = −(e_a + e_m)/T_b²`. The estimator of the tip gets the rate ω − b_g, whose bias is
+//! a part of its own, and what accelerometer and magnetometer read here since alignment: gravity and field at the tip are compared
+//! with those at the base. The axes of the base IMU are
 //! those of the tip's IMU during alignment, up to a configured mount. If the two disagree about the vertical, the
 //! smallest rotation that makes them agree is added. What is left of the mount, a few degrees about the vertical above all,
 //! shows when the base turns while the pistons stand: then both gyroscopes measure the same rate ([`BaseTracker::compare`]).
@@ -26,6 +28,10 @@ pub struct BaseTurn {
     pub r_rest_now: UnitQuaternion<f64>,
     /// Angular rate of the base in its present axes, rad/s.
     pub rate_rad_s: Vector3<f64>,
+    /// Change of the specific force since alignment in the present axes, m/s², as measured.
+    pub acc_change_m_s2: Option<Vector3<f64>>,
+    /// Change of the field since alignment in the present axes, µT, where a reading has just arrived.
+    pub mag_change_ut: Option<Vector3<f64>>,
 }
 
 impl BaseTurn {
@@ -34,6 +40,8 @@ impl BaseTurn {
         Self {
             r_rest_now: UnitQuaternion::identity(),
             rate_rad_s: Vector3::zeros(),
+            acc_change_m_s2: None,
+            mag_change_ut: None,
         }
     }
 }
@@ -50,9 +58,6 @@ parameters! {
         /// Time constant with which the field corrects the heading of the base; 0 does not use the field. A larger value is
         /// disturbed less by the motors' fields and drifts longer with the gyroscope.
         field_time_s: f64 = 20.0, "s", 0.0..=10_000.0, "20; 0 does not use the field";
-        /// Rate below which the base counts as standing. A larger value learns the bias more often, and takes a slow turn for
-        /// bias.
-        still_rate_rad_s: f64 = 0.002, "rad/s", 0.0001..=1.0, "0.002 is 0.1 °/s";
     }
 }
 
@@ -77,28 +82,17 @@ pub struct Follow {
     q_rest_now: UnitQuaternion<f64>,
     bias_rad_s: Vector3<f64>,
     rate_rad_s: Vector3<f64>,
+    /// Changes of specific force and field since alignment by the last sample.
+    change_m_s2: Option<Vector3<f64>>,
+    change_ut: Option<Vector3<f64>>,
     to_tip: UnitQuaternion<f64>,
     last_t_s: f64,
-    slow_rate: Vector3<f64>,
-    window: Window,
-    before: Option<Window>,
     /// Variance of the mount about each axis, rad².
     mount_variance: f64,
 }
 
-/// Integral of the gyroscope over a window, with the bias subtracted.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-struct Window {
-    turn_rad: Vector3<f64>,
-    length_s: f64,
-}
-
-/// Time constant of the mean rate that must stay below [`BaseConfig::still_rate_rad_s`], s.
-const STILL_TAU_S: f64 = 0.5;
-/// Time constant of the bias while the base stands still, s.
-const BIAS_TAU_S: f64 = 20.0;
-/// Length of the windows for the bias, s.
-const WINDOW_S: f64 = 1.0;
+/// Time constant of the bias, s.
+const BIAS_TIME_S: f64 = 40.0;
 /// Standard deviation of the mount beyond its configuration, rad (1.7°).
 const MOUNT_SIGMA_RAD: f64 = 0.03;
 /// Variance of a comparison of the rates times its duration, (rad/s)² s: the tip moves by 0.02 rad/s for 0.1 s.
@@ -137,6 +131,7 @@ impl BaseTracker {
     pub fn lose(&mut self) {
         if let Self::Following(follow) = self {
             follow.rate_rad_s = Vector3::zeros();
+            (follow.change_m_s2, follow.change_ut) = (None, None);
             *self = Self::Lost(*follow);
         }
     }
@@ -157,6 +152,8 @@ impl BaseTracker {
         BaseTurn {
             r_rest_now: f.to_tip * f.q_rest_now * f.to_tip.inverse(),
             rate_rad_s: f.to_tip * f.rate_rad_s,
+            acc_change_m_s2: f.change_m_s2.map(|v| f.to_tip * v),
+            mag_change_ut: f.change_ut.map(|v| f.to_tip * v),
         }
     }
 
@@ -195,7 +192,6 @@ impl Follow {
             .unwrap_or_default();
         Self {
             rest: *rest,
-            bias_rad_s: rest.gyro_bias_rad_s,
             to_tip: level * mount,
             last_t_s: t_s,
             mount_variance: MOUNT_SIGMA_RAD * MOUNT_SIGMA_RAD,
@@ -221,7 +217,6 @@ impl Follow {
     /// The rotation from gravity and field alone, after a gap in which the base may have turned.
     fn reacquire(&mut self, sample: &ImuSample) {
         self.last_t_s = sample.t.0;
-        (self.slow_rate, self.window, self.before) = (Vector3::zeros(), Window::default(), None);
         let usable = intake::usable(sample);
         if let Some(acc) = usable.acc_m_s2 {
             let predicted = self.q_rest_now.inverse() * self.rest.acc_rest_m_s2;
@@ -243,13 +238,17 @@ impl Follow {
         };
         self.last_t_s = sample.t.0;
         let usable = intake::usable(sample);
+        self.change_m_s2 = usable.acc_m_s2.map(|v| v - self.rest.acc_rest_m_s2);
+        let rest_ut = self.rest.mag_rest_ut;
+        self.change_ut = usable.mag_ut.zip(rest_ut).map(|(v, rest)| v - rest);
         let Some(gyro) = usable.gyro_rad_s else {
             return;
         };
-        self.rate_rad_s = gyro - self.bias_rad_s;
-        let mut correction = Vector3::zeros();
+        self.rate_rad_s = gyro - self.rest.gyro_bias_rad_s;
+        let (mut correction, mut misfit) = (Vector3::zeros(), Vector3::zeros());
         if let Some(acc) = usable.acc_m_s2 {
-            correction += self.misfit(&acc, &self.rest.acc_rest_m_s2) / config.gravity_time_s;
+            misfit = self.misfit(&acc, &self.rest.acc_rest_m_s2);
+            correction = misfit / config.gravity_time_s;
         }
         if let (Some(mag), Some(rest), true) = (
             usable.mag_ut,
@@ -258,10 +257,13 @@ impl Follow {
         ) {
             // only the component about the vertical: the field must not change the tilt
             let up = self.q_rest_now.inverse() * self.rest.acc_rest_m_s2.normalize();
-            correction += up * (self.misfit(&mag, &rest).dot(&up) / config.field_time_s);
+            let heading = up * self.misfit(&mag, &rest).dot(&up);
+            correction += heading / config.field_time_s;
+            misfit += heading;
         }
-        self.update_bias(config, dt_s);
-        self.q_rest_now *= UnitQuaternion::from_scaled_axis((self.rate_rad_s + correction) * dt_s);
+        let rate = self.rate_rad_s - self.bias_rad_s + correction;
+        self.q_rest_now *= UnitQuaternion::from_scaled_axis(rate * dt_s);
+        self.bias_rad_s -= misfit * (dt_s / (BIAS_TIME_S * BIAS_TIME_S));
         self.q_rest_now.renormalize_fast();
     }
 
@@ -269,25 +271,6 @@ impl Follow {
     fn misfit(&self, measured: &Vector3<f64>, rest: &Vector3<f64>) -> Vector3<f64> {
         let predicted = self.q_rest_now.inverse() * rest;
         measured.cross(&predicted) / (measured.norm() * rest.norm()).max(1e-9)
-    }
-
-    /// The mean rate of a still window is bias if the next window is still too: a rotation that starts within a
-    /// window may not be visible at its end.
-    fn update_bias(&mut self, config: &BaseConfig, dt_s: f64) {
-        self.slow_rate += (self.rate_rad_s - self.slow_rate) * intake::share(dt_s, STILL_TAU_S);
-        if self.slow_rate.amax() >= config.still_rate_rad_s {
-            (self.window, self.before) = (Window::default(), None);
-            return;
-        }
-        self.window.turn_rad += self.rate_rad_s * dt_s;
-        self.window.length_s += dt_s;
-        if self.window.length_s >= WINDOW_S {
-            if let Some(before) = self.before.replace(self.window) {
-                self.bias_rad_s +=
-                    before.turn_rad / before.length_s * intake::share(before.length_s, BIAS_TAU_S);
-            }
-            self.window = Window::default();
-        }
     }
 }
 

@@ -6,7 +6,7 @@
 //! that the window contains.
 
 use super::kalman::{BASE, KalmanState, Row, StateVector};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
 
 /// Number of hypotheses.
 pub(super) const M: usize = 4;

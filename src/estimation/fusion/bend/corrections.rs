@@ -6,7 +6,7 @@ use super::laws::{TWIST_OFFSET_RAD, Twist, right_jacobian_inverse};
 use super::state::{BendFilter, FIELD_NIS_MAX, GYRO_SIGMA_MIN_RAD_S};
 use super::window::Direction;
 use crate::estimation::fusion::filter::TipEstimator;
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 /// NIS beyond which the noise model does not explain an innovation: four standard deviations.
 pub(super) const NIS_GATE: f64 = 16.0;
@@ -59,14 +59,20 @@ impl BendFilter {
         (time_s / self.window.length_s).max(1.0)
     }
 
-    /// A world-fixed vector without its bias, in the axes of the base.
-    pub(super) fn expected(&self, rest: &Vector3<f64>, bias: &Vector3<f64>) -> Vector3<f64> {
-        self.base_now * (rest - bias)
+    /// Gravity without bias, in the axes of the base.
+    pub(super) fn expected_acc(&self) -> Vector3<f64> {
+        self.alignment.acc_rest_m_s2 - self.acc_bias + self.acc_change
+    }
+
+    /// The field without bias, in the axes of the base, where there is a magnetometer.
+    pub(super) fn expected_mag(&self) -> Option<Vector3<f64>> {
+        let rest = self.alignment.mag_rest_ut?;
+        Some(rest - self.mag_bias + self.mag_change)
     }
 
     /// Rows of a world-fixed vector `w` in the axes of the base, whose bias starts at `at`.
     fn rows(&self, at: usize, w: &Vector3<f64>, seen: &Direction) -> [Row; 3] {
-        let (by_turn, by_bias) = (w.cross_matrix(), seen.turn() - self.base_now);
+        let (by_turn, by_bias) = (w.cross_matrix(), seen.turn() - Matrix3::identity());
         std::array::from_fn(|axis| {
             let mut row = [0.0; N];
             for j in 0..3 {
@@ -97,7 +103,7 @@ impl BendFilter {
     /// Specific force less the acceleration of the sensor.
     pub(super) fn gravity(&self, accelerates: &Vector3<f64>) -> Option<Reading<3>> {
         let seen = (self.window.acc.n > 0).then_some(self.window.acc)?;
-        let w = self.expected(&self.alignment.acc_rest_m_s2, &self.acc_bias);
+        let w = self.expected_acc();
         Some(Reading::new(
             self.rows(ACC, &w, &seen),
             (seen.mean() - w - accelerates).into(),
@@ -111,8 +117,7 @@ impl BendFilter {
     /// [`FIELD_NIS_MAX`] it grows with the square of the NIS, so that the weight of a disturbed field falls without a bound.
     pub(super) fn field(&mut self) -> Option<Reading<3>> {
         let seen = (self.window.mag.n > 0).then_some(self.window.mag)?;
-        let rest = self.alignment.mag_rest_ut?;
-        let w = self.expected(&rest, &self.mag_bias);
+        let w = self.expected_mag()?;
         let mut rows = self.rows(MAG, &w, &seen);
         for (i, row) in rows.iter_mut().enumerate() {
             row[FIELD + i] = 1.0;
@@ -148,7 +153,7 @@ impl BendFilter {
     /// Mean square error of the field over the last motions: the part that gravity and strength reveal. The third axis is the
     /// heading, whose error is what the field shall correct.
     fn learn_field_error(&mut self, w: &Vector3<f64>, differs: &Vector3<f64>, white: f64) {
-        let up = self.expected(&self.alignment.acc_rest_m_s2, &self.acc_bias);
+        let up = self.expected_acc();
         // a vertical field has no heading
         let heading = up.cross(w).try_normalize(1e-6).unwrap_or_default();
         let revealed = differs - heading * heading.dot(differs);

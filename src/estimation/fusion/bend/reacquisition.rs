@@ -105,15 +105,15 @@ impl BendFilter {
         let gravity = (window.acc.n > 0).then(|| Sight {
             bias_at: ACC,
             seen: window.acc.mean(),
-            expected: self.expected(&self.alignment.acc_rest_m_s2, &self.acc_bias),
+            expected: self.expected_acc(),
             variance: self.gravity_white() + self.gravity_error(),
         });
-        let rest = self.alignment.mag_rest_ut.filter(|_| window.mag.n > 0);
-        let field = rest.map(|rest| Sight {
+        let expected = self.expected_mag().filter(|_| window.mag.n > 0);
+        let field = expected.map(|expected| Sight {
             bias_at: MAG,
             seen: window.mag.mean() - self.field_offset,
-            expected: self.expected(&rest, &self.mag_bias),
-            variance: self.field_white() + (self.config.field_error * rest.norm()).powi(2),
+            expected,
+            variance: self.field_white() + (self.config.field_error * expected.norm()).powi(2),
         });
         [gravity, field]
     }

@@ -26,6 +26,8 @@ pub(super) const GYRO_SIGMA_MIN_RAD_S: f64 = 1e-3;
 const GYRO_NOISE_FACTOR: f64 = 1.5;
 /// Correlation time of the error of the rate, s.
 const RATE_ERROR_TIME_S: f64 = 0.1;
+/// Random walk that the bias of the gyroscope on the base adds: it is constant in other axes.
+const BASE_GYRO_WALK_RAD_S_RTS: f64 = 3e-4;
 /// Turn of the tip after which the error of the field is another, rad.
 const FIELD_TURN_RAD: f64 = 1.5;
 /// Random walk of the scale per √rad of motion while the rate is wrong.
@@ -97,9 +99,9 @@ pub struct BendFilter {
     variances: StateVector,
     derived: Derived,
     pub(super) window: Window,
-    /// Base during alignment to the base as it is known to have turned: at the last correction, and the mean since.
-    base_before: Matrix3<f64>,
-    pub(super) base_now: Matrix3<f64>,
+    /// Changes since alignment of the specific force, m/s², and of the field, µT, that the turn of the base explains.
+    pub(super) acc_change: Vector3<f64>,
+    pub(super) mag_change: Vector3<f64>,
     /// Rate of the tip relative to the base after the last sample: its size, rad/s, and in the axes of the base.
     pub(super) rate_rad_s: f64,
     pub(super) turn_rate: Vector3<f64>,
@@ -139,8 +141,6 @@ impl BendFilter {
             alignment: *alignment,
             gyro_bias: alignment.gyro_bias_rad_s,
             bank: Bank::new(&sigma),
-            base_before: Matrix3::identity(),
-            base_now: Matrix3::identity(),
             field_nis: 1.0,
             field_error_ut2: (config.field_error * field_ut).powi(2),
             ..Self::default()
@@ -255,6 +255,8 @@ impl BendFilter {
         self.turn_rate = midway * rate;
         let window = &mut self.window;
         window.length_s += dt_s;
+        window.base_acc.add(base.acc_change_m_s2);
+        window.base_mag.add(base.mag_change_ut);
         window.turns_s += midway * dt_s;
         for j in 0..3 {
             let mut column = window.scaled.column_mut(j);
@@ -279,6 +281,20 @@ impl BendFilter {
         }
     }
 
+    /// What the base measures of gravity and field is compared with what the tip measures: the attitude of the base, with the drift
+    /// of its gyroscope, is only used where it does not measure.
+    fn follow_base(&mut self, base: &BaseTurn) {
+        let midway =
+            UnitQuaternion::from_scaled_axis(base.rate_rad_s * (self.window.length_s / 2.0));
+        let turn = midway * base.r_rest_now.inverse();
+        let by_turn = |rest: Vector3<f64>| turn * rest - rest;
+        let (acc, mag) = (self.window.base_acc.get(), self.window.base_mag.get());
+        self.acc_change =
+            acc.unwrap_or_else(|| by_turn(self.alignment.acc_rest_m_s2 - self.acc_bias));
+        let rest_ut = self.alignment.mag_rest_ut.unwrap_or_default();
+        self.mag_change = mag.unwrap_or_else(|| by_turn(rest_ut - self.mag_bias));
+    }
+
     /// Propagates every hypothesis over the window.
     fn propagate(&mut self) {
         let (c, w) = (self.config, self.window);
@@ -290,6 +306,7 @@ impl BendFilter {
         let field = self.field_level() * (1.0 - keep * keep);
         self.field_offset *= keep;
         let sways = self.sway_level();
+        let base_walk = w.base_acc.get().map_or(0.0, |_| BASE_GYRO_WALK_RAD_S_RTS);
         for (j, f) in self.bank.filters.iter_mut().enumerate() {
             f.propagate_turn(&[(GYRO, -w.turns_s), (SCALE, -w.scaled)]);
             f.widen(0, white);
@@ -305,7 +322,7 @@ impl BendFilter {
                     f.p[i][k] += along * w.turned[i] * w.turned[k];
                 }
             }
-            f.widen(GYRO, walk * walk * t);
+            f.widen(GYRO, (walk * walk + base_walk * base_walk) * t);
             f.widen(ACC, c.acc_walk_m_s2_rts.powi(2) * t);
             f.widen(MAG, c.mag_walk_ut_rts.powi(2) * t);
             f.p[TWIST][TWIST] += c.twist_walk.powi(2) * w.path;
@@ -405,11 +422,6 @@ impl BendFilter {
     }
 }
 
-/// Base during alignment to base now.
-fn turned(base: &BaseTurn) -> Matrix3<f64> {
-    base.r_rest_now.inverse().to_rotation_matrix().into_inner()
-}
-
 /// Propagates the rotation of a base that sways with a mean square rate. While the pistons stand, what the gyroscope measures is the
 /// base; while they move it may be either.
 fn sway(f: &mut KalmanState, w: &Window, rate2: f64) {
@@ -430,9 +442,7 @@ impl TipEstimator for BendFilter {
         self.predict(sample, dt_s, mask, base);
         self.correction = Vector2::zeros();
         if self.window.length_s >= self.period_s() - 1e-9 {
-            let now = turned(base);
-            self.base_now = (self.base_before + now) / 2.0;
-            self.base_before = now;
+            self.follow_base(base);
             let predicted = self.bend().0;
             self.correct();
             self.correction = self.bend().0 - predicted;
@@ -444,11 +454,11 @@ impl TipEstimator for BendFilter {
         _sample: &ImuSample,
         gap_s: f64,
         _mask: MeasurementMask,
-        base: &BaseTurn,
+        _base: &BaseTurn,
     ) {
         self.widen((gap_s * UNOBSERVED_RAD_S).min(UNOBSERVED_MAX_RAD));
         (self.window, self.field_nis) = (Window::default(), 1.0);
-        (self.base_before, self.velocity_m_s) = (turned(base), None);
+        self.velocity_m_s = None;
         // many short steps instead of a long one, because the corrections are large
         self.start_jump_test();
     }

@@ -138,8 +138,8 @@ fn covariance_stays_symmetric_and_positive() {
     simulate(&mut filter, &mut sensor, 600.0, true, |_, _| ());
     let p = &filter.bank.filters[0].p;
     // the base stands unless it sways
-    let scale = SMatrix::<f64, N, 1>::from_fn(|i, _| p[(i, i)].sqrt().max(1e-9));
-    let correlation = SMatrix::<f64, N, N>::from_fn(|i, j| p[(i, j)] / (scale[i] * scale[j]));
+    let scale = SMatrix::<f64, N, 1>::from_fn(|i, _| p[i][i].sqrt().max(1e-9));
+    let correlation = SMatrix::<f64, N, N>::from_fn(|i, j| p[i][j] / (scale[i] * scale[j]));
     assert!(
         (correlation - correlation.transpose()).amax() < 1e-6,
         "after ten minutes"
@@ -284,6 +284,7 @@ fn a_base_whose_turn_is_known_leaves_no_error() {
             let base = BaseTurn {
                 r_rest_now: turned,
                 rate_rad_s: axis * (0.35 * 1.8 * (1.8 * t_s).cos()),
+                ..BaseTurn::none()
             };
             filter.update(&sensor.sample(&bend, true), DT_S, USE, &base);
             if k > 1000 {

@@ -31,6 +31,27 @@ impl Direction {
     }
 }
 
+/// Sum of readings of a vector.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Mean {
+    sum: Vector3<f64>,
+    n: u32,
+}
+
+impl Mean {
+    /// Adds a reading, if there is one.
+    pub fn add(&mut self, reading: Option<Vector3<f64>>) {
+        if let Some(reading) = reading {
+            self.sum += reading;
+            self.n += 1;
+        }
+    }
+    /// Mean reading, if there was one.
+    pub fn get(&self) -> Option<Vector3<f64>> {
+        (self.n > 0).then(|| self.sum / f64::from(self.n))
+    }
+}
+
 /// Everything between two corrections.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Window {
@@ -50,6 +71,9 @@ pub(super) struct Window {
     pub acc: Direction,
     /// Field, µT.
     pub mag: Direction,
+    /// Changes of specific force and field since alignment that the base measures, in its present axes.
+    pub base_acc: Mean,
+    pub base_mag: Mean,
     /// Sum of the rates while the pistons stand, without bias, tip axes, rad/s.
     pub still: Vector3<f64>,
     /// Number of these rates.
