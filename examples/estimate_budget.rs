@@ -31,7 +31,7 @@ struct Figures {
     bend: f64,
     acc_bias: f64,
     iron: f64,
-    hypotheses: [f64; 4],
+    hypotheses: [f64; 5],
 }
 
 /// A source of error and how to remove it.
@@ -132,7 +132,7 @@ fn print(name: &str, units: &[Figures]) {
             .fold((f64::INFINITY, 0.0f64), |(l, h), x| (l.min(x), h.max(x)));
         format!("{:6.2} [{low:.2}, {high:.2}]", mean(&f))
     };
-    let p: Vec<String> = (0..4)
+    let p: Vec<String> = (0..units[0].hypotheses.len())
         .map(|j| format!("{:.2}", mean(&|u: &Figures| u.hypotheses[j])))
         .collect();
     println!(

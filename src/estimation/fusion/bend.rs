@@ -31,8 +31,8 @@
 //! * **Standstill**: while the pistons stand the gyroscope measures its bias and the rate that the tip still has.
 //!
 //! What the sensor suffers from cannot be known beforehand, and each remedy harms where it is not needed: a bias that may
-//! wander takes creep of the tip for drift, and one that may not loses the tip when the part warms up. Four **hypotheses**
-//! have a Kalman filter each, around the same nominal values: the gyroscope is steady; its bias drifts; its rate is
+//! wander takes creep of the tip for drift, and one that may not loses the tip when the part warms up. Five **hypotheses**
+//! have a Kalman filter each, around the same nominal values: the gyroscope is steady; its bias drifts, fast or slowly; its rate is
 //! wrong while the tip turns (samples that are late by a time that wanders, a scale that changes); the base sways. Estimate and covariance
 //! are those of the mixture.
 //!

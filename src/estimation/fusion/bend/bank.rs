@@ -9,15 +9,17 @@ use super::kalman::{BASE, KalmanState, Row, StateVector};
 use nalgebra::Matrix3;
 
 /// Number of hypotheses.
-pub(super) const M: usize = 4;
+pub(super) const M: usize = 5;
 /// The gyroscope is steady and the base stands.
 const STEADY: usize = 0;
-/// The bias of the gyroscope drifts.
+/// The bias of the gyroscope drifts, as fast as configured.
 pub(super) const DRIFTS: usize = 1;
+/// The same at half that rate.
+pub(super) const DRIFTS_SLOWLY: usize = 2;
 /// The rate is wrong while the tip turns.
-pub(super) const WRONG_RATE: usize = 2;
+pub(super) const WRONG_RATE: usize = 3;
 /// The base sways.
-pub(super) const SWAYS: usize = 3;
+pub(super) const SWAYS: usize = 4;
 
 /// Probability of each hypothesis but the first at the start.
 const START: f64 = 0.02;

@@ -25,8 +25,8 @@ const FIELD_LEVEL_TURN_RAD: f64 = 2.0;
 /// Smallest error of the field: as a fraction of it, and µT.
 const FIELD_ERROR_MIN: f64 = 0.002;
 const FIELD_ERROR_MIN_UT: f64 = 0.2;
-/// Share of an independent reading in a window of the field. Its error is a state, so that what is left is nearly white.
-const FIELD_SHARE: f64 = 0.3;
+/// Time for which what the states leave of an error of the field stays the same, s: a pose.
+const FIELD_POSE_S: f64 = 1.5;
 /// A rate at standstill beyond this many standard deviations is a turn of the base.
 const STILL_GATE: f64 = 5.0;
 /// Memory of the mean square rates at standstill, s, and their share in what is expected next.
@@ -145,7 +145,7 @@ impl BendFilter {
         let error = variance / 3.0 * persistent.max(sudden);
         let windows = self.windows(self.config.field_time_s);
         Some(Reading {
-            share: FIELD_SHARE,
+            share: 1.0 / self.windows(FIELD_POSE_S),
             ..Reading::new(rows, innovation.into(), white, error, windows)
         })
     }

@@ -1,6 +1,6 @@
 //! State of the bend filter, its prediction by the gyroscope, and its use as a [`TipEstimator`].
 
-use super::bank::{Bank, DRIFTS, M, SWAYS, WRONG_RATE};
+use super::bank::{Bank, DRIFTS, DRIFTS_SLOWLY, M, SWAYS, WRONG_RATE};
 use super::config::BendFilterConfig;
 use super::kalman::{
     ACC, BASE, FIELD, GYRO, KalmanState, MAG, MOUNT, N, SCALE, StateVector, TWIST, block,
@@ -47,8 +47,8 @@ const UNOBSERVED_MAX_RAD: f64 = 0.3;
 /// Tilt that the tip's sag explains, rad (1.7°), and twist of the tip as a share of c that passes for a tilt.
 const SAG_TILT_RAD: f64 = 0.03;
 const TILT_PER_TWIST: f64 = 0.9;
-/// Angle by which a chip that is glued straight is askew about each axis, rad (0.5°), 1 σ.
-const GLUED_SIGMA_RAD: f64 = 0.008;
+/// Angle by which a chip that is glued straight is askew about each axis, rad (0.3°), 1 σ.
+const GLUED_SIGMA_RAD: f64 = 0.0055;
 
 /// Test for a jump of the tip after a rejected rate; see [`super::reacquisition`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -190,8 +190,8 @@ impl BendFilter {
     pub fn covariance(&self) -> Matrix2<f64> {
         self.derived.covariance
     }
-    /// Probabilities that gyroscope and base are steady, that the bias of the gyroscope drifts, that its rate is wrong, and that the
-    /// base sways.
+    /// Probabilities that gyroscope and base are steady, that the bias of the gyroscope drifts fast, that it drifts slowly, that its
+    /// rate is wrong, and that the base sways.
     pub fn probabilities(&self) -> [f64; M] {
         self.bank.probability
     }
@@ -312,6 +312,7 @@ impl BendFilter {
             f.widen(0, white);
             let (walk, error) = match j {
                 DRIFTS => (c.gyro_drift_rad_s_rts, c.rate_error),
+                DRIFTS_SLOWLY => (c.gyro_drift_rad_s_rts / 2.0, c.rate_error),
                 WRONG_RATE => (c.gyro_walk_rad_s_rts, c.wrong_rate_error),
                 _ => (c.gyro_walk_rad_s_rts, c.rate_error),
             };
