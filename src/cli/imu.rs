@@ -40,6 +40,16 @@ pub fn run(command: &Imu) -> Result<CommandOutcome> {
     output::check(&[("--json", args.json.as_deref())], &inputs)?;
     let rows = score::run(&args.files, args.filter, args.all).into_diagnostic()?;
     eprintln!("{}", score::table(&rows));
+    for row in rows
+        .iter()
+        .filter(|row| row.filter == rows[0].filter && row.saturated > 0.0)
+    {
+        eprintln!(
+            "{}: the gyroscope is at the end of its range in {:.1} % of the samples, so rates are too small there; record with a larger range or move more slowly",
+            row.file,
+            100.0 * row.saturated
+        );
+    }
     output::json(args.json.as_deref(), &rows)?;
     Ok(CommandOutcome::Good)
 }

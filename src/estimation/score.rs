@@ -12,6 +12,7 @@
 //! the score is the root mean square of each over the samples that move and have a reference. No alignment is fitted.
 //! The score of a set of recordings is the mean over the recordings.
 
+use crate::estimation::fusion::mekf::saturation::Saturation;
 use crate::estimation::fusion::{FilterName, OrientationFilter, Periods};
 use crate::log::error::ReadError;
 use crate::log::recording::{self, Recording};
@@ -44,6 +45,9 @@ pub struct Row {
     /// RMS errors.
     #[serde(flatten)]
     pub score: Score,
+    /// Share of the samples in which the gyroscope is at the end of its range.
+    #[serde(default)]
+    pub saturated: f64,
 }
 
 /// Why a recording has no score.
@@ -151,6 +155,10 @@ pub fn run(
         .map(|file| {
             let recording = recording::read(file)?;
             let file = || recording.name.clone();
+            let mut range = Saturation::default();
+            let rates = recording.rows.iter().map(|row| row.sample.gyro_rad_s);
+            let n = rates.filter(|rate| range.update(rate).is_some()).count();
+            let saturated = n as f64 / recording.rows.len().max(1) as f64;
             filters
                 .iter()
                 .map(|&filter| {
@@ -158,6 +166,7 @@ pub fn run(
                         file: file(),
                         filter,
                         score: score(&recording, filter)?,
+                        saturated,
                     })
                 })
                 .collect()
@@ -349,6 +358,7 @@ mod tests {
             file: file.into(),
             filter,
             score: score(total_deg),
+            saturated: 0.0,
         };
         let rows = [
             row("a", FilterName::VqfLong, 1.0),

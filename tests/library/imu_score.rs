@@ -4,7 +4,9 @@
 //! recordings they print "skipped" and pass.
 
 use retroflex::estimation::fusion::FilterName;
+use retroflex::estimation::fusion::mekf::saturation::Saturation;
 use retroflex::estimation::score::{self, Row, Score};
+use retroflex::log::recording::{self, Recording};
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
@@ -116,6 +118,49 @@ fn mekf_keeps_its_accuracy_and_is_never_far_from_vqf() {
             row.score.total_deg < vqf + 0.1,
             "{trial}: {row:?}, VQF {vqf}"
         );
+    }
+}
+
+/// Recordings whose gyroscope is limited to a share of what it measured, drawn within limits in which it loses 0.5 to 15 % of the
+/// samples.
+#[test]
+fn a_saturated_gyroscope_is_recognised_and_costs_mekf_no_more_than_vqf() {
+    let Some(folder) = folder() else {
+        return println!("skipped: no recordings");
+    };
+    for (k, (trial, _)) in VQF_PUBLISHED.iter().enumerate() {
+        let mut recording = recording::read(&folder.join(format!("broad_{trial}.csv.gz"))).unwrap();
+        let saturated = |recording: &Recording| {
+            let mut range = Saturation::default();
+            let rates = recording.rows.iter().map(|row| row.sample.gyro_rad_s);
+            rates.filter(|rate| range.update(rate).is_some()).count()
+        };
+        assert_eq!(saturated(&recording), 0, "{trial} is within its range");
+        let mut sizes: Vec<f64> = recording
+            .rows
+            .iter()
+            .map(|row| row.sample.gyro_rad_s.amax())
+            .collect();
+        sizes.sort_by(f64::total_cmp);
+        for limited in [0.005, 0.02, 0.05 + 0.01 * k as f64] {
+            let limit = sizes[((1.0 - limited) * sizes.len() as f64) as usize].max(1.1);
+            let limited =
+                sizes.iter().filter(|size| **size >= limit).count() as f64 / sizes.len() as f64;
+            for row in &mut recording.rows {
+                row.sample
+                    .gyro_rad_s
+                    .apply(|rate| *rate = rate.clamp(-limit, limit));
+            }
+            let share = saturated(&recording) as f64 / recording.rows.len() as f64;
+            let total = |filter| score::score(&recording, filter).unwrap().total_deg;
+            let (mekf, vqf) = (total(FilterName::Mekf), total(FilterName::Vqf));
+            println!(
+                "{trial}: {:.0} °/s, {:.3} of the samples, {share:.3} recognised: mekf {mekf:.2}°, vqf {vqf:.2}°",
+                limit.to_degrees(),
+                limited
+            );
+            assert!(share > 0.5 * limited && mekf < 1.2 * vqf);
+        }
     }
 }
 

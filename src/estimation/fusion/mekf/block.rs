@@ -16,6 +16,8 @@ pub struct Block {
     pub gained_m_s: Vector2<f64>,
     /// Angle variance of lost gyroscope samples, rad².
     pub missed_turn_rad2: f64,
+    /// Angle measured while the gyroscope was at the end of its range, rad.
+    pub saturated_rad: f64,
     /// Velocity variance of lost accelerometer samples, m²/s².
     pub missed_velocity_m2_s2: f64,
     rotated: Matrix3<f64>,

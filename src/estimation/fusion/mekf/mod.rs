@@ -27,6 +27,7 @@ pub mod block;
 mod config;
 mod correct;
 pub mod covariance;
+pub mod saturation;
 
 pub use config::MekfConfig;
 
@@ -39,9 +40,12 @@ use covariance::{
     ATTITUDE, BIAS, Covariance, DIM, Errors, FIELD, GRAVITY_M_S2, IRON, LATENCY, SCALE, VELOCITY,
 };
 use nalgebra::{SVector, UnitQuaternion, Vector2, Vector3};
+use saturation::Saturation;
 
 /// Rate that a lost gyroscope sample may have missed, rad/s, 1 σ.
 const MISSED_RATE_RAD_S: f64 = 1.0;
+/// Rate beyond the range of a saturated gyroscope, as a share of the range, 1 σ.
+const SATURATED_EXCESS: f64 = 0.3;
 /// Specific force that a lost accelerometer sample may have missed, m/s², 1 σ.
 const MISSED_FORCE_M_S2: f64 = 3.0;
 /// Rate above which the first sample counts as taken in motion, rad/s, and the additional tilt error of its
@@ -79,6 +83,7 @@ pub struct Mekf {
     covariance: Covariance,
     block: Block,
     standstill: StandstillDetector,
+    saturation: Saturation,
     rate: Vector3<f64>,
     last_mag: Option<Vector3<f64>>,
     /// Running mean square of the field's misfit per axis, µT².
@@ -151,6 +156,9 @@ impl Mekf {
         }
         match usable.gyro_rad_s {
             Some(gyro) => {
+                if let Some(limit_rad_s) = self.saturation.update(&gyro) {
+                    self.block.saturated_rad += limit_rad_s * dt_s;
+                }
                 let (w, s) = (gyro - self.estimate.bias_rad_s, &self.estimate.scale);
                 self.rate = w + Vector3::new(
                     s[0] * w.x + s[3] * w.y + s[4] * w.z,
@@ -256,8 +264,11 @@ impl Mekf {
             };
         let turn =
             (squared(wander) + squared(c.gyro_nonlinearity_rt_s) * block.turning_sq()) * dt_s;
-        self.covariance
-            .grow(ATTITUDE, 3, turn + block.missed_turn_rad2);
+        self.covariance.grow(
+            ATTITUDE,
+            3,
+            turn + block.missed_turn_rad2 + squared(SATURATED_EXCESS * block.saturated_rad),
+        );
         self.covariance.grow(
             BIAS,
             3,
