@@ -46,7 +46,7 @@ pub struct Row {
     #[serde(flatten)]
     pub score: Score,
     /// Share of the samples in which the gyroscope is at the end of its range.
-    #[serde(default)]
+    #[serde(skip)]
     pub saturated: f64,
 }
 

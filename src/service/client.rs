@@ -1,23 +1,45 @@
 //! A client of the service, as the command line uses it.
+//!
+//! Whatever listens on the socket, every call ends in time: a connection waits no longer than a reply, a reply has a deadline however
+//! much comes in between, and a line has a largest length.
 
 use crate::service::paths;
 use crate::service::protocol::{Failure, Request, request_line};
 use serde_json::Value;
-use std::io::{BufRead, BufReader, ErrorKind, Write};
+use socket2::{Domain, SockAddr, Socket, Type};
+use std::io::{ErrorKind, Read, Result as IoResult, Write};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Longest wait for a reply.
 const TIMEOUT: Duration = Duration::from_secs(10);
-/// Longest wait for the answer of the socket of `stop`; five times as long for that of the command socket after it.
+/// Longest wait for the answer of the socket of `stop`, and for that of the command socket after it.
 const STOP_TIMEOUT: Duration = Duration::from_millis(200);
+const STOP_COMMAND_TIMEOUT: Duration = Duration::from_millis(600);
+/// Longest line of a service, bytes: several times that of its longest status.
+const LINE_MAX: usize = 1 << 20;
+/// Bytes read at a time.
+const CHUNK: usize = 16 * 1024;
+
+/// Connects to a socket within a time, also to one whose service no longer accepts.
+///
+/// # Errors
+/// The operating system's; [`ErrorKind::WouldBlock`] if the service does not accept.
+pub fn connect_within(path: &Path, time: Duration) -> IoResult<UnixStream> {
+    let socket = Socket::new(Domain::UNIX, Type::STREAM, None)?;
+    socket.set_write_timeout(Some(time))?;
+    socket.connect(&SockAddr::unix(path)?)?;
+    Ok(socket.into())
+}
 
 /// A connection to a service.
 #[derive(Debug)]
 pub struct Client {
-    reader: BufReader<UnixStream>,
-    writer: UnixStream,
+    stream: UnixStream,
+    /// What has arrived of the next lines.
+    input: Vec<u8>,
+    timeout: Duration,
     next_id: u64,
 }
 
@@ -34,26 +56,29 @@ impl Client {
         Self::connect_for(path, TIMEOUT)
     }
 
-    /// As [`connect`](Self::connect), with this longest wait for each reply.
+    /// As [`connect`](Self::connect), with this longest wait for the connection and for each reply.
     ///
     /// # Errors
     /// As for [`connect`](Self::connect).
     pub fn connect_for(path: &Path, timeout: Duration) -> Result<Self, Failure> {
-        let connect = || -> std::io::Result<Self> {
-            let writer = UnixStream::connect(path)?;
-            writer.set_read_timeout(Some(timeout))?;
-            writer.set_write_timeout(Some(timeout))?;
+        let connect = || -> IoResult<Self> {
+            let stream = connect_within(path, timeout)?;
+            stream.set_write_timeout(Some(timeout))?;
             Ok(Self {
-                reader: BufReader::new(writer.try_clone()?),
-                writer,
+                stream,
+                input: Vec::new(),
+                timeout,
                 next_id: 1,
             })
         };
         connect().map_err(|e| {
-            unreachable(format!(
-                "{}: {e}; is `retroflex run` running, and are you in the group of the socket?",
-                path.display()
-            ))
+            let why = match e.kind() {
+                ErrorKind::WouldBlock => no_reply(&e).message,
+                _ => format!(
+                    "{e}; is `retroflex run` running, and are you in the group of the socket?"
+                ),
+            };
+            unreachable(format!("{}: {why}", path.display()))
         })
     }
 
@@ -65,7 +90,9 @@ impl Client {
     pub fn stop(control: &Path) -> Result<Value, Failure> {
         let direct = Self::connect_for(&paths::stop_socket(control), STOP_TIMEOUT)
             .and_then(|mut client| result(&client.read()?));
-        direct.or_else(|_| Self::connect_for(control, 5 * STOP_TIMEOUT)?.request(&Request::Stop {}))
+        direct.or_else(|_| {
+            Self::connect_for(control, STOP_COMMAND_TIMEOUT)?.request(&Request::Stop {})
+        })
     }
 
     /// Sends a request and waits for its reply. Events that arrive in between are skipped.
@@ -73,17 +100,16 @@ impl Client {
     /// # Errors
     /// [`Failure`].
     pub fn request(&mut self, request: &Request) -> Result<Value, Failure> {
-        let id = self.next_id;
+        let (id, deadline) = (self.next_id, Instant::now() + self.timeout);
         self.next_id += 1;
-        self.writer
+        self.stream
             .write_all(request_line(id, request).as_bytes())
             .map_err(|e| no_reply(&e))?;
         loop {
-            let value = self.read()?;
-            if value["id"] != id {
-                continue;
+            let value = self.read_until(deadline)?;
+            if value["id"] == id {
+                return result(&value);
             }
-            return result(&value);
         }
     }
 
@@ -92,11 +118,49 @@ impl Client {
     /// # Errors
     /// [`Failure`] with code 3 if the service is gone or silent.
     pub fn read(&mut self) -> Result<Value, Failure> {
-        let mut line = String::new();
-        match self.reader.read_line(&mut line) {
+        self.read_until(Instant::now() + self.timeout)
+    }
+
+    fn read_until(&mut self, deadline: Instant) -> Result<Value, Failure> {
+        let mut searched = 0;
+        loop {
+            let end = self.input[searched..].iter().position(|b| *b == b'\n');
+            if let Some(end) = end.map(|end| searched + end) {
+                let line: Vec<u8> = self.input.drain(..=end).collect();
+                return serde_json::from_slice(&line).map_err(|e| {
+                    let start = String::from_utf8_lossy(&line[..end.min(200)]);
+                    unreachable(format!("the service sent `{}`: {e}", start.escape_debug()))
+                });
+            }
+            searched = self.input.len();
+            if searched > LINE_MAX {
+                return Err(unreachable(format!(
+                    "it sends a line of more than {} KiB, so it is no service of retroflex",
+                    LINE_MAX / 1024
+                )));
+            }
+            self.receive(deadline)?;
+        }
+    }
+
+    /// Appends what arrives until the deadline to the input.
+    fn receive(&mut self, deadline: Instant) -> Result<(), Failure> {
+        let left = deadline.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return Err(no_reply(&ErrorKind::WouldBlock.into()));
+        }
+        let mut chunk = [0; CHUNK];
+        let read = self
+            .stream
+            .set_read_timeout(Some(left))
+            .and_then(|()| self.stream.read(&mut chunk));
+        match read {
             Ok(0) => Err(unreachable("the service closed the connection".to_owned())),
-            Ok(_) => serde_json::from_str(&line)
-                .map_err(|e| unreachable(format!("the service sent `{}`: {e}", line.trim()))),
+            Ok(n) => {
+                self.input.extend_from_slice(&chunk[..n]);
+                Ok(())
+            }
+            Err(e) if e.kind() == ErrorKind::Interrupted => Ok(()),
             Err(e) => Err(no_reply(&e)),
         }
     }

@@ -2,7 +2,9 @@
 
 #![allow(unsafe_code)]
 
+use crate::service::client::connect_within;
 use crate::service::error::ServiceError;
+use std::io::ErrorKind;
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -11,6 +13,8 @@ use std::time::Duration;
 
 /// Connections that wait to be accepted: no longer than two rounds.
 const BACKLOG: i32 = 64;
+/// Longest wait for another service that listens on the same path.
+const ANSWER_MAX: Duration = Duration::from_millis(200);
 
 /// A socket that accepts without waiting. Its file is removed with it.
 #[derive(Debug)]
@@ -22,24 +26,46 @@ pub struct Listener {
 }
 
 impl Listener {
-    /// Creates the socket with the given permission bits. A stale socket file is replaced; a live one is an error, and
-    /// so is a file of another kind.
+    /// True if a socket is there on which nobody listens any longer, false if nothing is there.
     ///
     /// # Errors
-    /// [`ServiceError::Socket`].
+    /// [`ServiceError::Socket`] if another service listens there or it cannot be told, and for a file of another kind.
+    pub fn is_stale(path: &Path) -> Result<bool, ServiceError> {
+        let refuse = |why: &str| {
+            Err(ServiceError::Socket {
+                path: path.display().to_string(),
+                source: std::io::Error::other(why),
+            })
+        };
+        let Ok(there) = std::fs::symlink_metadata(path) else {
+            return Ok(false);
+        };
+        if !there.file_type().is_socket() {
+            return refuse("a file of another kind is there; name another path");
+        }
+        match connect_within(path, ANSWER_MAX) {
+            Ok(_) => refuse("another service already answers on this socket"),
+            Err(e) if e.kind() == ErrorKind::ConnectionRefused => Ok(true),
+            Err(e) if e.kind() == ErrorKind::NotFound => Ok(false),
+            Err(e) if e.kind() == ErrorKind::WouldBlock => {
+                refuse("another service listens here and does not answer; end it first")
+            }
+            Err(e) => refuse(&format!(
+                "it cannot be told whether another service listens here ({e}); name another path"
+            )),
+        }
+    }
+
+    /// Creates the socket with the given permission bits. A stale socket file is replaced.
+    ///
+    /// # Errors
+    /// As for [`is_stale`](Self::is_stale), and the operating system's.
     pub fn bind(path: &Path, mode: u32) -> Result<Self, ServiceError> {
         let fail = |source| ServiceError::Socket {
             path: path.display().to_string(),
             source,
         };
-        let refuse = |why: &str| fail(std::io::Error::other(why));
-        if let Ok(there) = std::fs::symlink_metadata(path) {
-            if !there.file_type().is_socket() {
-                return Err(refuse("a file of another kind is there; name another path"));
-            }
-            if UnixStream::connect(path).is_ok() {
-                return Err(refuse("another service already answers on this socket"));
-            }
+        if Self::is_stale(path)? {
             std::fs::remove_file(path).map_err(fail)?;
         }
         // nobody but the owner may connect before the permissions are set
@@ -112,6 +138,27 @@ mod tests {
             "{error}"
         );
         assert_eq!(std::fs::read(&path).unwrap(), b"mine");
+    }
+
+    #[test]
+    fn only_a_socket_on_which_nobody_listens_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("socket");
+        assert!(!Listener::is_stale(&path).unwrap());
+        let live = UnixListener::bind(&path).unwrap();
+        let why = Listener::bind(&path, 0o600).unwrap_err().to_string();
+        assert!(why.contains("already answers"), "{why}");
+        // a queue that is full, as that of a service that hangs
+        // SAFETY: the descriptor is a bound socket
+        unsafe { libc::listen(live.as_raw_fd(), 0) };
+        let _waits: Vec<_> = (0..2)
+            .filter_map(|_| connect_within(&path, Duration::from_millis(50)).ok())
+            .collect();
+        let why = Listener::bind(&path, 0o600).unwrap_err().to_string();
+        assert!(why.contains("does not answer"), "{why}");
+        drop(live);
+        assert!(Listener::is_stale(&path).unwrap());
+        Listener::bind(&path, 0o600).unwrap();
     }
 
     #[test]

@@ -97,9 +97,12 @@ impl Claim {
             })?;
         }
         let stop = paths::stop_socket(&control);
+        // none is replaced unless all may be; the test whether a service answers on the last stops the tip of that service
+        for path in [&control, &status, &stop] {
+            Listener::is_stale(path)?;
+        }
         let control = Listener::bind(&control, service.socket_mode)?;
         let status = Listener::bind(&status, service.status_mode)?;
-        // last: the test whether a service answers there stops the tip of that service
         let stop = Listener::bind(&stop, service.socket_mode)?;
         Ok(Self {
             store,

@@ -2,17 +2,20 @@
 
 use crate::cli::output::print;
 use crate::cli::{CommandOutcome, Unreachable};
-use crate::service::client::Client as Connection;
+use crate::service::client::{Client as Connection, connect_within};
 use crate::service::paths;
 use crate::service::protocol::{Failure, Request};
 use miette::{Context, Report, Result, bail, miette};
 use serde_json::Value;
-use std::os::unix::net::UnixStream;
-use std::path::PathBuf;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Longest time after which a service that works says its status.
 const ANSWER_MAX: Duration = Duration::from_secs(2);
+
+/// Longest wait for a service that may listen on a socket.
+const PROBE_MAX: Duration = Duration::from_millis(100);
 
 /// Address of the service.
 #[derive(Debug, Clone, clap::Args)]
@@ -30,12 +33,20 @@ impl At {
             return vec![named];
         }
         let mut live = paths::sockets();
-        live.retain(|path| UnixStream::connect(path).is_ok());
+        live.retain(|path| listens(path));
         if live.is_empty() {
             vec![paths::default_socket()]
         } else {
             live
         }
+    }
+}
+
+/// True if a service listens on this socket, whether it answers or hangs.
+fn listens(path: &Path) -> bool {
+    match connect_within(path, PROBE_MAX) {
+        Ok(_) => true,
+        Err(e) => e.kind() == ErrorKind::WouldBlock,
     }
 }
 
@@ -69,20 +80,47 @@ pub(super) fn connect(at: &At) -> Result<Connection> {
         .map_err(report)
 }
 
-/// Stops the tip, that of every service if none is named.
+/// Stops the tip, that of every service if none is named, all at the same time.
 pub(super) fn stop(at: &At) -> Result<CommandOutcome> {
-    let advice = "the stop is not confirmed: if the tip moves, cut the power of its motors";
-    let stop = |socket: &PathBuf| {
-        answered(Connection::stop(socket))
-            .map(printed)
-            .wrap_err(advice)
-    };
-    let stopped: Vec<_> = at.sockets().iter().map(stop).collect();
-    let outcomes: Vec<CommandOutcome> = stopped.into_iter().collect::<Result<_>>()?;
-    Ok(outcomes
-        .iter()
-        .all(|one| *one == CommandOutcome::Good)
-        .into())
+    let sockets = at.sockets();
+    let answers: Vec<Result<Value, Failure>> = std::thread::scope(|scope| {
+        let each = sockets.iter();
+        let all: Vec<_> = each
+            .map(|socket| scope.spawn(|| Connection::stop(socket)))
+            .collect();
+        let failed = |_| {
+            let message = "the command failed".to_owned();
+            Err(Failure { code: 3, message })
+        };
+        all.into_iter()
+            .map(|one| one.join().unwrap_or_else(failed))
+            .collect()
+    });
+    let (mut outcome, mut unconfirmed) = (CommandOutcome::Good, Vec::new());
+    for (socket, answer) in sockets.iter().zip(answers) {
+        match answer {
+            Ok(value) => {
+                if sockets.len() > 1 {
+                    print(format!("{}: stopped\n", socket.display()));
+                }
+                printed(Some(value));
+            }
+            Err(f) if f.code == 1 => {
+                eprintln!("refused: {}", f.message);
+                outcome = CommandOutcome::NotGoodEnough;
+            }
+            // a message about the connection begins with its socket
+            Err(f) if f.message.starts_with(&*socket.to_string_lossy()) => {
+                unconfirmed.push(f.message);
+            }
+            Err(f) => unconfirmed.push(format!("{}: {}", socket.display(), f.message)),
+        }
+    }
+    if unconfirmed.is_empty() {
+        return Ok(outcome);
+    }
+    Err(Unreachable::report("the service", unconfirmed.join("; ")))
+        .wrap_err("the stop is not confirmed: if the tip moves, cut the power of its motors")
 }
 
 /// Sends a request. A refusal is printed on standard error and yields `None`; every other failure is an error.

@@ -40,6 +40,10 @@ pub struct SteerArgs {
     /// Dead-man button of the joystick, counted from 0. Default: any button.
     #[arg(long, value_parser = clap::value_parser!(u8).range(0..32))]
     button: Option<u8>,
+    /// Time without any event after which a joystick counts as out of range, and the tip holds, s. A larger value allows a longer steady
+    /// deflection.
+    #[arg(long, default_value_t = 3.0, value_parser = within(0.2..=3600.0, "s"))]
+    silence: f64,
     /// Steer by a table `t_s,x,y,held` of stick movements.
     #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["device", "button"])]
     replay: Option<PathBuf>,
@@ -75,9 +79,11 @@ pub fn steer(args: &SteerArgs) -> Result<CommandOutcome> {
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, Arc::clone(&ended)).into_diagnostic()?;
     }
-    let (mut stick, mut held) = (Vector2::zeros(), false);
+    let (mut stick, mut held, mut since_s) = (Vector2::zeros(), false, PERIOD_S);
+    let mut heard = Instant::now();
     loop {
         for event in input.events.try_iter() {
+            heard = Instant::now();
             match event {
                 Event::X(x) => stick.x = x,
                 Event::Y(y) => stick.y = y,
@@ -92,16 +98,26 @@ pub fn steer(args: &SteerArgs) -> Result<CommandOutcome> {
                 }
             }
         }
+        if let Some(silence) = input.silence
+            && held
+            && heard.elapsed() > silence
+        {
+            held = false;
+            eprintln!(
+                "\x07warning: the joystick has said nothing for {} s, so it may be out of range: holding; release the button and press it again",
+                silence.as_secs_f64()
+            );
+        }
         let over = ended.load(Relaxed);
         if !held || over {
             steering.release()?;
-        } else if !steering.step(&stick)? {
+        } else if !steering.step(&stick, since_s)? {
             return Ok(NotGoodEnough);
         }
         if over {
             return Ok(Good);
         }
-        steering.wait();
+        since_s = steering.wait();
     }
 }
 
@@ -116,7 +132,8 @@ fn open(args: &SteerArgs) -> Result<Input> {
             args.button
                 .map_or("any button".to_owned(), |b| format!("button {b}"))
         );
-        return Input::joystick(&device, args.button);
+        let silence = Duration::from_secs_f64(args.silence);
+        return Input::joystick(&device, args.button, silence);
     }
     if std::io::stdin().is_terminal() {
         eprintln!("arrow keys bend, the space bar holds, q ends");
@@ -133,6 +150,8 @@ struct Steering {
     moving: bool,
     released: Option<Instant>,
     began: Instant,
+    /// When the last set-point was due.
+    last: Instant,
     cycles: u32,
     warned: Option<String>,
 }
@@ -154,6 +173,7 @@ impl Steering {
             moving: false,
             released: None,
             began,
+            last: began,
             cycles: 0,
             warned: None,
         }
@@ -167,9 +187,9 @@ impl Steering {
         Ok(halted(&s))
     }
 
-    /// One set-point; false if the service no longer moves.
-    fn step(&mut self, stick: &Vector2<f64>) -> Result<bool> {
-        let next = self.law.next(&self.at, stick, PERIOD_S);
+    /// One set-point; false if the service no longer moves. A pause of this process or of the service is not made up for.
+    fn step(&mut self, stick: &Vector2<f64>, since_s: f64) -> Result<bool> {
+        let next = self.law.next(&self.at, stick, since_s);
         let bend = Bend(next);
         let (bend_deg, dir_deg) = (bend.beta().to_degrees(), bend.delta().to_degrees());
         let request = Request::Stream {
@@ -216,10 +236,12 @@ impl Steering {
         self.warned = warning;
     }
 
-    /// Waits for the next set-point.
-    fn wait(&mut self) {
-        self.cycles += 1;
-        let due = Duration::from_secs_f64(f64::from(self.cycles) * PERIOD_S);
-        std::thread::sleep(due.saturating_sub(self.began.elapsed()));
+    /// Waits for the next set-point; the time since the last, s, of which a longer pause counts as two periods.
+    fn wait(&mut self) -> f64 {
+        self.cycles = self.cycles.wrapping_add(1);
+        let period = Duration::from_secs_f64(PERIOD_S);
+        std::thread::sleep(period.saturating_sub(self.last.elapsed()));
+        let since = std::mem::replace(&mut self.last, Instant::now()).elapsed();
+        since.as_secs_f64().min(2.0 * PERIOD_S)
     }
 }

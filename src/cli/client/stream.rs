@@ -8,7 +8,7 @@ use crate::cli::inputs::within;
 use crate::model::Bend;
 use crate::service::protocol::{Failure, Request};
 use miette::{Result, miette};
-use std::io::BufRead;
+use std::io::{BufRead, Read};
 use std::time::{Duration, Instant};
 
 /// Time by which a set-point with a time is sent ahead of it, s.
@@ -17,6 +17,9 @@ const SENT_AHEAD_S: f64 = 0.3;
 const END_AHEAD_S: f64 = 0.1;
 /// Largest time, s: beyond those of a clock that counts from 1970.
 const TIME_MAX_S: f64 = 1e10;
+
+/// Longest line, bytes.
+const LINE_MAX: u64 = 256;
 
 /// Bend and direction in degrees, and the time in s.
 type SetPoint = (f64, f64, Option<f64>);
@@ -33,9 +36,12 @@ pub fn stream(at: &At) -> Result<CommandOutcome> {
         let left_s = t_s - from_s - ahead_s - start.elapsed().as_secs_f64();
         std::thread::sleep(Duration::try_from_secs_f64(left_s).unwrap_or_default());
     };
-    for (k, line) in std::io::stdin().lock().lines().enumerate() {
-        let place = format!("standard input, line {}", k + 1);
-        let line = line.map_err(|e| miette!("{place}: {e}"))?;
+    let mut input = std::io::stdin().lock();
+    for k in 1_u64.. {
+        let place = format!("standard input, line {k}");
+        let Some(line) = bounded_line(&mut input).map_err(|why| miette!("{place}: {why}"))? else {
+            break;
+        };
         let (bend_deg, dir_deg, t_s) =
             set_point(&line, last).map_err(|why| miette!("{place}: {why}"))?;
         t_s.into_iter()
@@ -72,6 +78,21 @@ pub fn stream(at: &At) -> Result<CommandOutcome> {
         &Request::bend(bend_deg, dir_deg, None),
         Bend::from_deg(bend_deg, dir_deg),
     )
+}
+
+/// The next line, which is no longer than a set-point can be.
+fn bounded_line(input: &mut impl BufRead) -> std::result::Result<Option<String>, String> {
+    let mut line = Vec::new();
+    let read = input.take(LINE_MAX + 1).read_until(b'\n', &mut line);
+    match read.map_err(|e| e.to_string())? {
+        0 => Ok(None),
+        n if n as u64 > LINE_MAX => Err(format!(
+            "a line of more than {LINE_MAX} bytes; expected BEND DIR or BEND DIR T"
+        )),
+        _ => String::from_utf8(line)
+            .map(|line| Some(line.trim_end().to_owned()))
+            .map_err(|_| "not UTF-8 text; expected BEND DIR or BEND DIR T".to_owned()),
+    }
 }
 
 /// The set-point of a line. All lines have a time, which increases, or none has.

@@ -14,9 +14,11 @@ use std::time::{Duration, Instant};
 /// Time for which a key acts, s: longer than a terminal takes to repeat it, so that a held key moves the tip evenly once the repetition
 /// has begun, and a key that is only pressed is a small step.
 const KEY_S: f64 = 0.15;
-/// Types of a joystick event (Linux, `Documentation/input/joydev/joystick-api.rst`); the first event of each control has the bit 0x80 too.
+/// Types of a joystick event (Linux, `Documentation/input/joydev/joystick-api.rst`). The first events, which
+/// describe the state when the device was opened, have a further bit.
 const BUTTON: u8 = 1;
 const AXIS: u8 = 2;
+const INITIAL: u8 = 0x80;
 
 /// A change of the stick.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,6 +39,8 @@ pub enum Event {
 pub struct Input {
     /// The events.
     pub events: Receiver<Event>,
+    /// Time without any event after which the device counts as out of range.
+    pub silence: Option<Duration>,
     terminal: Option<String>,
 }
 
@@ -50,11 +54,12 @@ impl Drop for Input {
 }
 
 impl Input {
-    /// The joystick of a device file; `button` counts from 0, any button if none is named.
+    /// The joystick of a device file; `button` counts from 0, any button if none is named. It is neutral until the operator moves it: what
+    /// is deflected or held when the device is opened does not count.
     ///
     /// # Errors
     /// A report that names the device.
-    pub fn joystick(device: &Path, button: Option<u8>) -> Result<Self> {
+    pub fn joystick(device: &Path, button: Option<u8>, silence: Duration) -> Result<Self> {
         let mut file = File::open(device).map_err(|e| {
             miette!(
                 "{}: {e}; `ls /dev/input/js*` lists the joysticks",
@@ -62,7 +67,7 @@ impl Input {
             )
         })?;
         let name = device.display().to_string();
-        Ok(Self::of(move |send| {
+        let mut input = Self::of(move |send| {
             let (mut event, mut pressed) = ([0; 8], 0u32);
             loop {
                 if let Err(e) = file.read_exact(&mut event) {
@@ -71,7 +76,10 @@ impl Input {
                 }
                 let value = i16::from_ne_bytes([event[4], event[5]]);
                 let deflection = f64::from(value) / f64::from(i16::MAX);
-                let known = match (event[6] & 0x7f, event[7]) {
+                if event[6] & INITIAL != 0 {
+                    continue;
+                }
+                let known = match (event[6], event[7]) {
                     (AXIS, 0) => Event::X(deflection),
                     (AXIS, 1) => Event::Y(-deflection),
                     (BUTTON, n) if button.is_none_or(|b| b == n) && n < 32 => {
@@ -88,7 +96,9 @@ impl Input {
                     return;
                 }
             }
-        }))
+        });
+        input.silence = Some(silence);
+        Ok(input)
     }
 
     /// The arrow keys of the terminal. A held key deflects the stick fully; the space bar releases it, and `q` ends.
@@ -173,6 +183,7 @@ impl Input {
         spawn(move || work(send));
         Self {
             events,
+            silence: None,
             terminal: None,
         }
     }
@@ -215,6 +226,31 @@ fn stty(arguments: &[&str]) -> Result<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Drawn states of a joystick at the opening, and then what the operator does.
+    #[test]
+    fn what_is_deflected_or_held_at_the_beginning_does_not_count() {
+        let event = |kind: u8, number: u8, value: i16| {
+            let mut event = [0; 8];
+            event[4..6].copy_from_slice(&value.to_ne_bytes());
+            (event[6], event[7]) = (kind, number);
+            event
+        };
+        let folder = tempfile::tempdir().unwrap();
+        for (axis, held, value) in [(0, 0, 32767), (1, 3, -20000), (0, 31, 1)] {
+            let device = folder.path().join("js");
+            let initial = [
+                event(AXIS | INITIAL, axis, value),
+                event(BUTTON | INITIAL, held, 1),
+            ];
+            // the button must be released and pressed again
+            let then = [event(BUTTON, held, 0), event(BUTTON, held, 1)];
+            std::fs::write(&device, [initial, then].concat().concat()).unwrap();
+            let input = Input::joystick(&device, None, Duration::from_secs(1)).unwrap();
+            let all: Vec<Event> = input.events.iter().take(2).collect();
+            assert_eq!(all, [Event::Held(false), Event::Held(true)]);
+        }
+    }
 
     #[test]
     fn keys_deflect_release_and_end() {

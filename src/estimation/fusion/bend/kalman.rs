@@ -66,8 +66,9 @@ impl<const R: usize> Predicted<R> {
             for b in a + 1..R {
                 l[b][a] = s[b][a] / d[a];
                 innovation[b] -= l[b][a] * innovation[a];
-                for c in a + 1..=b {
-                    s[b][c] -= l[b][a] * s[c][a];
+                let (factor, rows) = (l[b][a] * d[a], &l[a + 1..=b]);
+                for (s, row) in s[b][a + 1..=b].iter_mut().zip(rows) {
+                    *s -= factor * row[a];
                 }
             }
         }
@@ -165,10 +166,10 @@ impl KalmanState {
     pub fn correct<const R: usize>(&mut self, predicted: &Predicted<R>, noise: &[f64]) {
         let Whitened { l, d, innovation } = predicted.whiten(noise);
         let mut ph = predicted.ph;
-        for a in 0..R {
-            for b in 0..a {
-                let (before, here) = ph.split_at_mut(a);
-                add(&mut here[0], -l[a][b], &before[b]);
+        for (a, l) in l.iter().enumerate() {
+            let (before, here) = ph.split_at_mut(a);
+            for (l, before) in l.iter().zip(before) {
+                add(&mut here[0], -l, before);
             }
         }
         for (j, row) in self.p.iter_mut().enumerate() {
