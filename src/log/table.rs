@@ -16,6 +16,13 @@ const UNIT_TOLERANCE: f64 = 0.02;
 
 /// Longest line of a table, and most bytes of all its lines.
 const BYTES_MAX: [u64; 2] = [64 << 10, 4 << 30];
+/// Largest magnitude of a value: beyond a time in nanoseconds since 1970, and with a square that is finite.
+const VALUE_MAX: f64 = 1e19;
+/// Most values of a table: those of an hour at 500 Hz with 50 columns.
+const VALUES_MAX: usize = 90_000_000;
+/// Longest time between two rows: this, s, or this many times the usual one.
+const STEP_MAX_S: f64 = 86_400.0;
+const STEP_MAX_PERIODS: f64 = 1e4;
 /// Most bytes of a text that is read as a whole.
 const TEXT_MAX: u64 = 1 << 20;
 
@@ -175,6 +182,16 @@ impl Table {
                 expected,
             });
         }
+        if record.iter().all(str::is_empty) {
+            let (row, column) = (self.rows(), self.header[0].clone());
+            self.lines.push(line);
+            return Err(self.refuse(row, &column, "", "a row with values"));
+        }
+        if (self.rows() + 1) * known.iter().filter(|known| **known).count() > VALUES_MAX {
+            let file = self.file.clone();
+            let reason = format!("more than {VALUES_MAX} values; split the table");
+            return Err(ReadError::Broken { file, line, reason });
+        }
         self.lines.push(line);
         for (k, field) in record.iter().enumerate().filter(|(k, _)| known[*k]) {
             match if field.is_empty() {
@@ -186,7 +203,11 @@ impl Table {
                 Ok(value) if value.is_nan() => {
                     self.columns[k].push(value.copysign(if field.is_empty() { 1.0 } else { -1.0 }))
                 }
-                Ok(value) if !f64::is_infinite(value) => self.columns[k].push(value),
+                Ok(value) if value.abs() <= VALUE_MAX => self.columns[k].push(value),
+                Ok(value) if value.is_finite() => {
+                    let (row, column) = (self.rows() - 1, &self.header[k]);
+                    return Err(self.refuse(row, column, field, "a number from -1e19 to 1e19"));
+                }
                 _ => {
                     let (row, column) = (self.rows() - 1, &self.header[k]);
                     return Err(self.refuse(row, column, field, "a finite number"));
@@ -248,7 +269,8 @@ impl Table {
         Ok(Some(out))
     }
 
-    /// Three columns as vectors; `None` if the header names none of them.
+    /// Three columns as vectors; `None` if the header names none of them. A vector of which one component is missing is missing: all its
+    /// components are NaN.
     ///
     /// # Errors
     /// [`ReadError::Missing`] if the header names only some of them.
@@ -256,8 +278,15 @@ impl Table {
         let Some([x, y, z]) = self.group(names)? else {
             return Ok(None);
         };
-        let row = |k: usize| Vector3::new(x[k], y[k], z[k]);
-        Ok(Some((0..self.rows()).map(row).collect()))
+        let row = |k: usize| {
+            Some(Vector3::new(x[k], y[k], z[k])).filter(|v| !v.iter().any(|x| x.is_nan()))
+        };
+        let missing = Vector3::repeat(f64::NAN);
+        Ok(Some(
+            (0..self.rows())
+                .map(|k| row(k).unwrap_or(missing))
+                .collect(),
+        ))
     }
 
     /// Four columns `w`, `x`, `y`, `z` as unit quaternions; an element is `None` where a value is missing.
@@ -273,7 +302,8 @@ impl Table {
         };
         let one = |k: usize| {
             let q = Quaternion::new(w[k], x[k], y[k], z[k]);
-            if q.norm().is_nan() {
+            // a tracker that has lost its markers writes nothing, or zeros
+            if q.norm().is_nan() || q.norm() == 0.0 {
                 return Ok(None);
             }
             if (q.norm() - 1.0).abs() > UNIT_TOLERANCE {
@@ -325,8 +355,23 @@ impl Table {
         rows: impl IntoIterator<Item = usize>,
     ) -> Result<(), ReadError> {
         let t = self.required(name)?;
+        let rows: Vec<usize> = rows.into_iter().collect();
+        let mut steps_s: Vec<f64> = rows.windows(2).map(|w| t[w[1]] - t[w[0]]).collect();
+        let middle = steps_s.len() / 2;
+        let usual_s = match &mut steps_s[..] {
+            [] => 0.0,
+            all => *all.select_nth_unstable_by(middle, f64::total_cmp).1,
+        };
+        let longest_s = STEP_MAX_S.max(STEP_MAX_PERIODS * usual_s);
         let mut before_s = f64::NEG_INFINITY;
         for row in rows {
+            if before_s.is_finite() && t[row] - before_s > longest_s {
+                let expected = format!(
+                    "at most {:e}, which is {longest_s:e} after the row before; split the table where the clock jumps, or correct the value",
+                    before_s + longest_s
+                );
+                return Err(self.refuse(row, name, &t[row].to_string(), &expected));
+            }
             if t[row] <= before_s {
                 let (file, line, now_s) = (self.file.clone(), self.lines[row], t[row]);
                 let column = name.to_owned();
@@ -413,8 +458,24 @@ mod tests {
             ("t,x\n0,0\n,0\n", "line 3, column t: `` is not a number"),
             ("t,x\nNaN,0\n", "line 2, column t: `nan` is not a number"),
             (
-                "t,x\n1e300,0\n0,0\n",
-                "line 3, column t: 0 s does not come after 1e300 s",
+                "t,x\n1e18,0\n0,0\n",
+                "line 3, column t: 0 s does not come after 1e18 s",
+            ),
+            (
+                "t,x\n0,-1e20\n",
+                "line 2, column x: `-1e20` is not a number from",
+            ),
+            (
+                "t,x\n0,1\n,\n2,1\n",
+                "line 3, column t: `` is not a row with",
+            ),
+            (
+                "t,x\n0,0\n1,0\n2,0\n1.7e9,0\n1700000001,0\n",
+                "line 5, column t: `1700000000` is not at most 8.6402e4",
+            ),
+            (
+                "t,x\n0,0\n600,0\n1200,0\n7e6,0\n",
+                "split the table where the clock jumps",
             ),
             (
                 "t,x\n0,0\n0,0\n",
@@ -426,6 +487,25 @@ mod tests {
                 message.starts_with("folder/t.csv") && message.contains(expected),
                 "{message}"
             );
+        }
+    }
+
+    /// Whichever components are missing, a vector is there as a whole or not at all.
+    #[test]
+    fn a_vector_is_complete_or_missing() {
+        let fields = ["1", "", "nan"];
+        for k in 0..27 {
+            let [x, y, z] = [k % 3, k / 3 % 3, k / 9].map(|n| fields[n]);
+            let t = parse(&format!("t,x,y,z\n0,{x},{y},{z}\n")).unwrap();
+            let v = t.vectors(["x", "y", "z"]).unwrap().unwrap()[0];
+            let missing = v.iter().filter(|x| x.is_nan()).count();
+            assert_eq!(missing, if k == 0 { 0 } else { 3 }, "{x} {y} {z}");
+        }
+        let clocks = ["0,1,0,0,0\n1,nan,0,0,0\n", "0,0,0,0,0\n1,1,0,0,0\n"];
+        for (text, present) in clocks.iter().zip([[false, false], [false, true]]) {
+            let t = parse(&format!("t,x,a,b,c\n{text}")).unwrap();
+            let q = t.quaternions(["x", "a", "b", "c"]).unwrap().unwrap();
+            assert_eq!([q[0].is_some() && present[0], q[1].is_some()], present);
         }
     }
 

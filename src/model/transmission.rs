@@ -19,6 +19,10 @@ pub struct Line {
     pub k_lambda_mm: f64,
 }
 
+/// Largest gain, and largest half-width of the play, mm.
+const GAIN_MAX: f64 = 100.0;
+const PLAY_MAX_MM: f64 = 100.0;
+
 impl Line {
     /// Three lines from their gains.
     pub fn each(k_epsilon: [f64; 3], k_lambda_mm: [f64; 3]) -> [Self; 3] {
@@ -26,6 +30,12 @@ impl Line {
             k_epsilon: k_epsilon[i],
             k_lambda_mm: k_lambda_mm[i],
         })
+    }
+
+    /// True if a line can have these gains, wherever they were read: far beyond those of the paper.
+    pub fn is_possible(&self) -> bool {
+        (0.0..=GAIN_MAX).contains(&self.k_epsilon)
+            && (0.0..=PLAY_MAX_MM).contains(&self.k_lambda_mm)
     }
 
     /// Play operator: the output `w` after the piston moves to `piston_mm`.

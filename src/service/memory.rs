@@ -1,6 +1,6 @@
 //! The state that survives a restart. [`crate::service::store`] writes it to the disk.
 
-use crate::control::RestartState;
+use crate::control::{DynamicsPrior, RestartState};
 use crate::model::Line;
 use serde::{Deserialize, Serialize};
 use std::io;
@@ -79,6 +79,17 @@ pub struct RecordedFault {
 }
 
 impl Memory {
+    /// True if a machine can have these values.
+    pub fn is_possible(&self) -> bool {
+        let gains = [&self.accepted, &self.proposed];
+        let gains = gains.into_iter().flatten().all(|gains| {
+            gains.lines().iter().all(Line::is_possible)
+                && DynamicsPrior::is_possible_s(gains.lag_s)
+                && DynamicsPrior::is_possible_s(gains.delay_s)
+        });
+        gains && self.restart.is_none_or(|restart| restart.is_possible())
+    }
+
     /// Adds a fault and drops the oldest beyond `FAULTS_MAX`.
     pub fn record_fault(&mut self, fault: RecordedFault) {
         self.faults.push(fault);

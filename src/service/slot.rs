@@ -9,6 +9,8 @@ use std::path::Path;
 const VERSION: u32 = 1;
 /// First word of a slot.
 const MAGIC: &str = "retroflex-memory";
+/// Largest sequence number: more writes than a disk survives.
+const SEQUENCE_MAX: u64 = 1 << 53;
 /// Size of a slot, bytes.
 pub const SIZE: usize = 32 * 1024;
 
@@ -85,8 +87,13 @@ pub fn parse(text: &[u8]) -> Result<Option<(u64, Memory)>, String> {
     if u32::from_str_radix(crc, 16) != Ok(checksum(head, body)) {
         return Err("does not match its checksum".to_owned());
     }
-    let sequence = sequence.parse().map_err(|_| "has a damaged header")?;
-    let memory = serde_json::from_str(body).map_err(|e| format!("is not understood: {e}"))?;
+    let sequence = sequence.parse().ok().filter(|n| *n < SEQUENCE_MAX);
+    let sequence = sequence.ok_or("has a damaged header")?;
+    let memory: Memory =
+        serde_json::from_str(body).map_err(|e| format!("is not understood: {e}"))?;
+    if !memory.is_possible() {
+        return Err("has a value that no machine has".to_owned());
+    }
     Ok(Some((sequence, memory)))
 }
 
@@ -95,6 +102,7 @@ pub fn parse(text: &[u8]) -> Result<Option<(u64, Memory)>, String> {
 pub mod tests {
     use super::*;
     use crate::control::tick::RestartState;
+    use crate::service::memory::LearnedGains;
 
     pub(in crate::service) fn memory(n: i32) -> Memory {
         let restart = RestartState {
@@ -129,6 +137,53 @@ pub mod tests {
                 Ok(read) => assert!(torn == old || torn == new, "cut {cut}: {read:?}"),
             }
         }
+    }
+
+    /// Every number of a memory in turn, with a checksum that is right.
+    #[test]
+    fn a_number_that_no_machine_has_is_refused() {
+        let mut whole = memory(1);
+        whole.restart.as_mut().unwrap().rest = Some(crate::control::tick::RestartRest {
+            acc_m_s2: [0.1, 0.2, 9.7],
+            mag_ut: Some([20.0, 1.0, -40.0]),
+            gyro_bias_rad_s: [0.01, 0.0, -0.01],
+        });
+        whole.accepted = Some(LearnedGains {
+            k_epsilon: [2.2; 3],
+            k_lambda_mm: [0.9; 3],
+            lag_s: 0.1,
+            delay_s: 0.02,
+            tip: "A".to_owned(),
+            unix_s: 1.7e9,
+            source: "test".to_owned(),
+        });
+        whole.proposed = whole.accepted.clone();
+        let good = serde_json::to_value(&whole).unwrap();
+        let read = |body: &serde_json::Value| parse(seal(3, &body.to_string()).as_bytes());
+        assert!(read(&good).unwrap().is_some());
+        let (mut paths, mut open) = (Vec::new(), vec![String::new()]);
+        while let Some(path) = open.pop() {
+            match good.pointer(&path).unwrap() {
+                serde_json::Value::Object(map) => {
+                    open.extend(map.keys().map(|key| format!("{path}/{key}")));
+                }
+                serde_json::Value::Array(all) => {
+                    open.extend((0..all.len()).map(|k| format!("{path}/{k}")));
+                }
+                serde_json::Value::Number(_) if !path.ends_with("unix_s") => paths.push(path),
+                _ => (),
+            }
+        }
+        assert!(paths.len() > 30, "{paths:?}");
+        for path in paths {
+            for value in [1e300, -1e300, 1e13, -1e13] {
+                let mut bad = good.clone();
+                *bad.pointer_mut(&path).unwrap() = value.into();
+                assert!(read(&bad).is_err(), "{path} = {value}");
+            }
+        }
+        let late = seal(u64::MAX, &good.to_string());
+        assert!(parse(late.as_bytes()).is_err());
     }
 
     #[test]

@@ -224,6 +224,9 @@ fn greeting(line: &str) -> Result<MachineInfo, MachineError> {
     })
 }
 
+/// Largest reading of any sensor, m/s², rad/s or µT.
+const READING_MAX: f64 = 1e9;
+
 fn reply(line: &str, t: f64) -> Result<Reply, MachineError> {
     let a: Answer = serde_json::from_str(line).map_err(|e| {
         malformed(line, format!("not an answer ({e}); expected {{\"t\":…,\"imu\":{{…}} or null,\"ref\":{{\"quat\":[w,x,y,z]}}}}"))
@@ -241,6 +244,17 @@ fn reply(line: &str, t: f64) -> Result<Reply, MachineError> {
                 .ok_or_else(|| malformed(line, "ref.quat is not a unit quaternion [w,x,y,z]"))?,
         ),
     };
+    for imu in a.imu.iter().chain(&a.base) {
+        let values = imu
+            .acc
+            .iter()
+            .chain(&imu.gyr)
+            .chain(imu.mag.iter().flatten());
+        if let Some(value) = values.into_iter().find(|x| x.abs() > READING_MAX) {
+            let why = format!("a reading is {value:e}; expected at most {READING_MAX:e} in size");
+            return Err(malformed(line, why));
+        }
+    }
     let sample = |i: Imu| ImuSample {
         t: Seconds(t),
         gyro_rad_s: Vector3::from(i.gyr),
@@ -306,6 +320,14 @@ mod tests {
             (good.replace("0.005", "0.010"), "answers for t = 0.01"),
             (good.replace("[1,0,0,0]", "[2,0,0,0]"), "unit quaternion"),
             (good.replace("[0,0,9.8]", "[0,0]"), "not an answer"),
+            (
+                good.replace("[0,0,9.8]", "[0,1e155,9.8]"),
+                "a reading is 1e155",
+            ),
+            (
+                based.replace("[0,0.1,0]", "[0,0.1,-1e10]"),
+                "a reading is -1e10",
+            ),
         ] {
             let why = reply(&bad, 0.005).unwrap_err().to_string();
             assert!(why.contains(text), "{why}");

@@ -6,6 +6,7 @@ use crate::control::hunting::HuntingDetector;
 use crate::control::pi::{Dynamics, DynamicsPrior};
 use crate::model::{Bend, Line};
 use crate::primitives::Steps;
+use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
 /// State to be remembered for a restart.
@@ -36,6 +37,30 @@ pub struct RestartState {
     pub rest: Option<RestartRest>,
 }
 
+impl RestartState {
+    /// True if a machine can have these values.
+    pub fn is_possible(&self) -> bool {
+        let times_s = [self.lag_s, self.delay_s, self.dynamics_uncertainty_s];
+        let bend_rad = Vector2::from(self.bend_rad).norm();
+        Line::each(self.k_epsilon, self.k_lambda_mm)
+            .iter()
+            .all(Line::is_possible)
+            && times_s.into_iter().all(DynamicsPrior::is_possible_s)
+            && bend_rad <= std::f64::consts::PI
+            && self.play_output_mm.iter().all(|w| w.abs() <= PISTON_MAX_MM)
+            && (1.0..=CAUTION_MAX).contains(&self.caution)
+            && self.steps.0.iter().all(|n| n.unsigned_abs() <= STEPS_MAX)
+            && self.rest.is_none_or(|rest| rest.is_possible())
+    }
+}
+
+/// Largest travel of a piston, mm, and largest slowdown, in any memory.
+const PISTON_MAX_MM: f64 = 1000.0;
+const CAUTION_MAX: f64 = 1000.0;
+/// Largest count, and largest reading at rest in its unit, in any memory.
+const STEPS_MAX: u32 = 1_000_000_000;
+const READING_MAX: f64 = 1e6;
+
 /// Uncertainty of lag and dead time in a memory that does not state it, s.
 fn unknown_s() -> f64 {
     0.3
@@ -56,6 +81,14 @@ pub struct RestartRest {
     pub mag_ut: Option<[f64; 3]>,
     /// Gyroscope bias, rad/s.
     pub gyro_bias_rad_s: [f64; 3],
+}
+
+impl RestartRest {
+    fn is_possible(&self) -> bool {
+        let all = self.acc_m_s2.iter().chain(&self.gyro_bias_rad_s);
+        all.chain(self.mag_ut.iter().flatten())
+            .all(|reading| reading.abs() <= READING_MAX)
+    }
 }
 
 impl LoopState {

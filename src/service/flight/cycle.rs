@@ -240,7 +240,7 @@ pub fn decode(message: &[u8]) -> postcard::Result<(u64, Vec<Cycle>)> {
     let [gyro, acc, mag, loads] = values.map(Numbers::values);
     let mut columns = [t, sample_t, gyro, acc, mag, loads].map(Vec::into_iter);
     let mut digests = digests.into_iter();
-    let mut whole = true;
+    let mut whole = first.checked_add(cycles.len() as u64).is_some();
     for cycle in &mut cycles {
         visit_numbers(cycle, &mut |n, x| {
             columns[n]

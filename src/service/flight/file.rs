@@ -214,7 +214,8 @@ impl FlightFile {
         unix_ns: u64,
         data: Vec<u8>,
     ) -> McapResult<()> {
-        let id = self.channels.len() as u16 + 1;
+        let id = u16::try_from(self.channels.len() + 1)
+            .map_err(|_| std::io::Error::other("more topics than a file can hold"))?;
         let channel = self.channels.entry(topic.to_owned()).or_insert_with(|| {
             let [name, encoding, text, message_encoding] = channel();
             let data = text.into_bytes().into();

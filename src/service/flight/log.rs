@@ -113,8 +113,13 @@ pub fn run_and_part(path: &Path) -> Option<(u64, u32)> {
         .strip_suffix(".mcap")?
         .strip_prefix("flight-")?
         .split_once('-')?;
-    Some((run.parse().ok()?, part.parse().ok()?))
+    // another file may have any number in its name
+    let run = run.parse().ok().filter(|run| *run < RUN_MAX)?;
+    Some((run, part.parse().ok()?))
 }
+
+/// Largest number of a run.
+const RUN_MAX: u64 = 1_000_000_000;
 
 /// Path of a part of a run.
 pub fn part_path(folder: &Path, run: u64, part: u32) -> PathBuf {

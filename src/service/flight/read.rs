@@ -78,7 +78,12 @@ impl Entry {
                 .map(|(n, cycles)| Self::Cycles(n, cycles))
                 .map_err(|e| named(e.to_string()))?,
             _ if topic == TOPICS[1] => {
-                Self::Event(serde_json::from_value(json()?).map_err(|e| named(e.to_string()))?)
+                let event: Event =
+                    serde_json::from_value(json()?).map_err(|e| named(e.to_string()))?;
+                if !event.is_possible() {
+                    return Err(named("an event has a value that no machine has".to_owned()));
+                }
+                Self::Event(Box::new(event))
             }
             _ => Self::Shown(json()?),
         })

@@ -10,6 +10,10 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// Longest period, s, and length, mm, of a machine.
+const PERIOD_MAX_S: f64 = 10.0;
+const LENGTH_MAX_MM: f64 = 1000.0;
+
 /// Names of the texts of a [`Header`].
 pub const TEXTS: [&str; 4] = [
     "board.toml",
@@ -81,6 +85,26 @@ pub enum Event {
 }
 
 impl Event {
+    /// True if a machine can have these values.
+    pub fn is_possible(&self) -> bool {
+        let lines = match self {
+            Self::Start(header) => &header.lines,
+            Self::Reload { lines, .. } => lines,
+            Self::Path(..) => return true,
+        };
+        let started = match self {
+            Self::Start(header) => {
+                let within = |x: f64, max: f64| x > 0.0 && x <= max;
+                within(header.machine.period_s, PERIOD_MAX_S)
+                    && within(header.machine.step_mm, LENGTH_MAX_MM)
+                    && within(header.machine.rest_length_mm, LENGTH_MAX_MM)
+                    && header.restart.is_none_or(|restart| restart.is_possible())
+            }
+            _ => true,
+        };
+        started && lines.iter().all(Line::is_possible)
+    }
+
     /// The event before this cycle.
     pub fn at(&self, cycle: u64) -> Self {
         match self {
