@@ -69,7 +69,7 @@ impl Lines {
 impl Write for Lines {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
         WAITING.fetch_add(1, Relaxed);
-        if self.0.try_send(line.to_vec()).is_err() {
+        if self.0.try_send(one_line(line)).is_err() {
             WAITING.fetch_sub(1, Relaxed);
         }
         Ok(line.len())
@@ -78,6 +78,18 @@ impl Write for Lines {
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
     }
+}
+
+/// An event as one line: what a client or a file says in it must not look like an event of its own. Colours are the subscriber's, which
+/// escapes those in a message itself.
+fn one_line(event: &[u8]) -> Vec<u8> {
+    let text = String::from_utf8_lossy(event);
+    let text = text.strip_suffix('\n').unwrap_or(&text);
+    let shown = |c: char| match c.is_control() && c != '\x1b' {
+        true => c.escape_default().to_string(),
+        false => c.to_string(),
+    };
+    (text.chars().map(shown).collect::<String>() + "\n").into_bytes()
 }
 
 /// Waits at its end until the lines are written, but not for a reader that does not read.
@@ -89,5 +101,18 @@ impl Drop for Logging {
         while WAITING.load(Relaxed) > 0 && since.elapsed() < END_MAX {
             std::thread::sleep(Duration::from_millis(1));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_event_is_one_line() {
+        let forged = "2026 INFO bad key `a\nERROR: the tip moves\r\x07`\n";
+        let line = String::from_utf8(one_line(forged.as_bytes())).unwrap();
+        assert_eq!(line.matches('\n').count(), 1);
+        assert!(line.contains(r"`a\nERROR: the tip moves\r\u{7}`"), "{line}");
     }
 }

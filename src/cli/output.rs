@@ -9,6 +9,7 @@ use miette::{IntoDiagnostic, Result, bail, miette};
 use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
+use std::borrow::Cow;
 use std::io::{Read, Write};
 use std::ops::Range;
 use std::os::unix::fs::MetadataExt;
@@ -87,12 +88,28 @@ pub fn table<R: Into<Row>>(
 /// ends the program with code 2.
 pub fn print(text: impl AsRef<[u8]>) {
     let mut out = std::io::stdout();
-    match out.write_all(text.as_ref()).and_then(|()| out.flush()) {
+    let text = printable(text.as_ref());
+    match out.write_all(&text).and_then(|()| out.flush()) {
         Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
             unprintable(&format!("standard output: {e}"))
         }
         _ => {}
     }
+}
+
+/// The text with its control characters escaped, but for the ends of its lines and tabs: names from a log, a memory or a client must not
+/// command the terminal.
+pub fn printable(text: &[u8]) -> Cow<'_, [u8]> {
+    let safe = |c: char| !c.is_control() || matches!(c, '\n' | '\t');
+    let lossy = String::from_utf8_lossy(text);
+    if lossy.chars().all(safe) {
+        return Cow::Borrowed(text);
+    }
+    let shown = |c: char| match safe(c) {
+        true => c.to_string(),
+        false => c.escape_default().to_string(),
+    };
+    Cow::Owned(lossy.chars().map(shown).collect::<String>().into_bytes())
 }
 
 /// Ends the program with code 2, with this message if it can be printed.

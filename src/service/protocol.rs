@@ -220,13 +220,11 @@ impl Failure {
 
 /// Parses one line into its `id` and the request.
 pub fn parse(line: &str) -> (Value, Result<Request, Failure>) {
-    let mut object = match serde_json::from_str::<Value>(line) {
-        Ok(Value::Object(object)) => object,
-        Ok(_) => {
-            return (
-                Value::Null,
-                Err(Failure::bad("a request is one JSON object per line")),
-            );
+    let mut object = match serde_json::from_str::<Object>(line) {
+        Ok(Object(object)) => object,
+        Err(e) if e.is_data() => {
+            let why = format!("a request is one JSON object per line: {e}");
+            return (Value::Null, Err(Failure::bad(why)));
         }
         Err(e) => return (Value::Null, Err(Failure::bad(format!("not JSON: {e}")))),
     };
@@ -247,6 +245,37 @@ pub fn parse(line: &str) -> (Value, Result<Request, Failure>) {
     let request = serde_json::from_value(Value::Object(object))
         .map_err(|e| Failure::bad(format!("not understood: {e}")));
     (id, request)
+}
+
+/// A JSON object in which no key is given twice: two readers of such a line could understand two requests.
+struct Object(serde_json::Map<String, Value>);
+
+impl<'de> Deserialize<'de> for Object {
+    fn deserialize<D: serde::Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        from.deserialize_map(ObjectVisitor)
+    }
+}
+
+struct ObjectVisitor;
+
+impl<'de> serde::de::Visitor<'de> for ObjectVisitor {
+    type Value = Object;
+
+    fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("an object")
+    }
+
+    fn visit_map<A: serde::de::MapAccess<'de>>(self, mut map: A) -> Result<Object, A::Error> {
+        let mut object = serde_json::Map::new();
+        while let Some((key, value)) = map.next_entry::<String, Value>()? {
+            if object.contains_key(&key) {
+                let why = format!("the key {key:?} is given twice");
+                return Err(serde::de::Error::custom(why));
+            }
+            object.insert(key, value);
+        }
+        Ok(Object(object))
+    }
 }
 
 /// Formats a request as a line.
@@ -299,6 +328,10 @@ mod tests {
             ("[1]", "one JSON object"),
             (r#"{"cmd":"arm"}"#, "version none"),
             (r#"{"v":2,"cmd":"arm"}"#, "version 2"),
+            (
+                r#"{"v":1,"cmd":"stop","cmd":"arm"}"#,
+                "\"cmd\" is given twice",
+            ),
             (r#"{"v":1,"cmd":"fly"}"#, "fly"),
             (r#"{"v":1,"cmd":"bend"}"#, "bend_deg"),
             (r#"{"v":1,"cmd":"bend","bend_deg":1,"speed":3}"#, "speed"),
