@@ -14,9 +14,11 @@ use std::time::{Duration, Instant};
 
 /// Longest wait for a reply.
 const TIMEOUT: Duration = Duration::from_secs(10);
-/// Longest wait for the answer of the socket of `stop`, and for that of the command socket after it.
+/// Longest wait of a stop for the answer of each socket; the time in which it is tried again, and the pause before that. Together they end
+/// within a second.
 const STOP_TIMEOUT: Duration = Duration::from_millis(200);
-const STOP_COMMAND_TIMEOUT: Duration = Duration::from_millis(600);
+const STOP_TRIES: Duration = Duration::from_millis(500);
+const STOP_PAUSE: Duration = Duration::from_millis(10);
 /// Longest line of a service, bytes: several times that of its longest status.
 const LINE_MAX: usize = 1 << 20;
 /// Bytes read at a time.
@@ -88,11 +90,18 @@ impl Client {
     /// # Errors
     /// [`Failure`].
     pub fn stop(control: &Path) -> Result<Value, Failure> {
-        let direct = Self::connect_for(&paths::stop_socket(control), STOP_TIMEOUT)
-            .and_then(|mut client| result(&client.read()?));
-        direct.or_else(|_| {
-            Self::connect_for(control, STOP_COMMAND_TIMEOUT)?.request(&Request::Stop {})
-        })
+        let (direct, began) = (paths::stop_socket(control), Instant::now());
+        loop {
+            let answer = Self::connect_for(&direct, STOP_TIMEOUT)
+                .and_then(|mut client| result(&client.read()?))
+                .or_else(|_| Self::connect_for(control, STOP_TIMEOUT)?.request(&Request::Stop {}));
+            // who crowds the sockets out does so for a moment only
+            let unanswered = matches!(&answer, Err(failure) if failure.code == 3);
+            if !unanswered || !control.exists() || began.elapsed() > STOP_TRIES {
+                return answer;
+            }
+            std::thread::sleep(STOP_PAUSE);
+        }
     }
 
     /// Sends a request and waits for its reply. Events that arrive in between are skipped.

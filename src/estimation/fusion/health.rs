@@ -22,6 +22,7 @@ mod checks;
 mod config;
 mod monitor;
 mod reading;
+mod repetition;
 #[cfg(test)]
 mod tests;
 mod verdict;

@@ -3,6 +3,7 @@
 use super::cause::{CauseSet, HealthCause};
 use super::config::HealthConfig;
 use super::reading::{FieldReference, ImuReading, Quality, ReadFault, dip};
+use super::repetition::Repetition;
 use crate::primitives::ImuSample;
 use nalgebra::{Rotation3, Vector3};
 
@@ -53,12 +54,12 @@ pub(super) struct Checks {
     /// Last sample that was no spike.
     last_plausible: Option<ImuSample>,
     last_was_sample: bool,
-    /// Identical samples in a row.
-    repeated: u32,
+    repetition: Repetition,
     /// Samples in a row that agree with each other after a jump.
     agreeing: u32,
     bus_failures: u32,
-    /// Time of the last magnetometer value, s.
+    /// Last magnetometer value, and the time of the last one that was new, s.
+    last_mag_ut: Option<Vector3<f64>>,
     last_mag_s: Option<f64>,
     /// Specific force of the vertical in sensor axes, propagated by the gyroscope, m/s².
     up: Option<Vector3<f64>>,
@@ -158,7 +159,9 @@ impl Checks {
             return found; // no other check is meaningful, and the values must not be stored
         }
         self.check_clock(config, now, sample, &mut found);
-        self.check_repetition(config, sample, quality, &mut found);
+        let repeats = self.repetition.add(sample, config.frozen_after);
+        let expected = quality.expect_noise && config.frozen_after > 0;
+        found.test(HealthCause::Frozen, expected && repeats);
         found.test(
             HealthCause::Saturated,
             quality.gyro_load >= config.saturated_at,
@@ -203,28 +206,6 @@ impl Checks {
         );
     }
 
-    fn check_repetition(
-        &mut self,
-        config: &HealthConfig,
-        sample: &ImuSample,
-        quality: Quality,
-        found: &mut Findings,
-    ) {
-        let same = self
-            .last
-            .is_some_and(|s| s.gyro_rad_s == sample.gyro_rad_s && s.acc_m_s2 == sample.acc_m_s2);
-        self.repeated = if same {
-            self.repeated.saturating_add(1)
-        } else {
-            0
-        };
-        let enabled = quality.expect_noise && config.frozen_after > 0;
-        found.test(
-            HealthCause::Frozen,
-            enabled && self.repeated >= config.frozen_after,
-        );
-    }
-
     /// A jump is a spike unless [`HealthConfig::spike_confirm`] samples in a row agree on the new value. What was rejected is
     /// confirmed if the rate goes on from there: a tip that snaps slows down before that many samples.
     fn check_spike(&mut self, config: &HealthConfig, sample: &ImuSample, found: &mut Findings) {
@@ -259,7 +240,10 @@ impl Checks {
         found: &mut Findings,
     ) {
         let since = *self.last_mag_s.get_or_insert(now);
-        if quality.mag_overflow || sample.mag_ut.is_some() {
+        // a field that repeats itself bit for bit was not measured again
+        let repeats = quality.expect_noise && sample.mag_ut == self.last_mag_ut;
+        self.last_mag_ut = sample.mag_ut.or(self.last_mag_ut);
+        if quality.mag_overflow || sample.mag_ut.is_some() && !repeats {
             found.test(HealthCause::MagOverflow, quality.mag_overflow);
             found.test(HealthCause::MagSilent, false);
             self.last_mag_s = Some(now);

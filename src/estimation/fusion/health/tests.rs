@@ -218,6 +218,56 @@ fn a_frozen_sensor_is_found_only_if_noise_is_expected() {
     }
 }
 
+/// A drawn axis repeats its value from a drawn moment on, in parts whose resolution is fine or coarse.
+#[test]
+fn one_frozen_axis_is_found_and_quiet_parts_are_not() {
+    let coarse = |v: &Vector3<f64>, step: f64| v.map(|x| (x / step).round() * step);
+    for axis in 0..6 {
+        let mut b = Rig::new();
+        // a resolution of 1.5 standard deviations repeats a value every other time
+        let step = if axis % 2 == 0 { 1e-4 } else { 1.5 };
+        let (mut held, mut found_after) = (None, None);
+        for n in 0..30_000 {
+            let v = b.with(|s, q| {
+                s.gyro_rad_s = coarse(&s.gyro_rad_s, 0.004 * step);
+                s.acc_m_s2 = coarse(&s.acc_m_s2, 0.03 * step);
+                // as of a simulated plant
+                (s.gyro_rad_s[2], q.expect_noise) =
+                    (if axis == 2 { s.gyro_rad_s[2] } else { 0.0 }, true);
+                if n >= 20_000 + 77 * axis {
+                    let value = match axis {
+                        0..3 => &mut s.gyro_rad_s[axis],
+                        _ => &mut s.acc_m_s2[axis - 3],
+                    };
+                    *value = *held.get_or_insert(*value);
+                }
+            });
+            if v.faults.contains(HealthCause::Frozen) {
+                assert!(v.hold && !v.gyro);
+                found_after.get_or_insert(n - (20_000 + 77 * axis));
+            }
+        }
+        let most = 2 * b.config.frozen_after as usize + 20;
+        assert!(
+            found_after.is_some_and(|n| n <= most),
+            "axis {axis}: {found_after:?}"
+        );
+    }
+}
+
+#[test]
+fn a_frozen_magnetometer_is_silent() {
+    let mut b = Rig::new();
+    b.settle();
+    let held = Vector3::new(20.1, -0.3, -45.2);
+    let mut found = false;
+    for _ in 0..2000 {
+        let v = b.with(|s, _| s.mag_ut = s.mag_ut.map(|_| held));
+        found |= v.faults.contains(HealthCause::MagSilent);
+    }
+    assert!(found);
+}
+
 #[test]
 fn nan_reaches_neither_the_filter_nor_the_monitor() {
     let mut b = Rig::new();

@@ -165,11 +165,8 @@ fn repeated_field_disturbances_lengthen_the_recovery() {
             acc_m_s2: Vector3::new(0.0, 0.0, 9.81),
             mag_ut: Some(field * times),
         };
-        monitor.assess(
-            &config,
-            Seconds(t),
-            &ImuReading::Sample(sample, Quality::default()),
-        )
+        // this source is free of noise
+        monitor.assess(&config, Seconds(t), &ImuReading::from_world(Some(sample)))
     };
     let mut waits = Vec::new();
     for _ in 0..5 {
