@@ -16,6 +16,7 @@ mod fleet;
 mod flight_log;
 mod gap_cli;
 mod guided;
+mod hostile_server;
 mod imu_calibrate;
 mod monitor;
 mod page;
