@@ -52,7 +52,7 @@ pub fn hardware_error(path: &Path, error: HardwareError) -> miette::Report {
     Unreachable::report(what, error)
 }
 
-/// Runs `work` with manual control of the machine, in real time unless the machine is simulated. SIGINT and SIGTERM end the
+/// Runs `work` with manual control of the machine, in real time unless the machine is simulated. A signal that ends a process ends the
 /// motion. The drivers are released when the machine is dropped, whatever the outcome.
 ///
 /// # Errors
@@ -62,7 +62,7 @@ pub fn with_manual_control<T>(
     work: impl FnOnce(&mut ManualMotion<'_>) -> Result<T>,
 ) -> Result<T> {
     let stop = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+    for signal in rt::ending_signals() {
         signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
     }
     let simulated = machine.is_simulated();

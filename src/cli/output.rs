@@ -3,11 +3,11 @@
 //! A result option takes a file name, or `-` for standard output.
 
 use crate::config::Calibration;
+use crate::hardware::rt;
 use comfy_table::{CellAlignment, ContentArrangement, Row, Table, presets};
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, Result, bail, miette};
 use serde::Serialize;
-use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use std::borrow::Cow;
 use std::io::{Read, Write};
@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 /// Width of a table, columns; longer cells are wrapped.
 const TABLE_COLUMNS: u16 = 100;
 
-/// A temporary folder, which is removed at the end and on SIGINT or SIGTERM, which end the program.
+/// A temporary folder, which is removed at the end and on a signal that ends the program.
 pub struct Scratch(pub PathBuf);
 
 impl Scratch {
@@ -29,7 +29,7 @@ impl Scratch {
     pub fn new(name: &str) -> Result<Self> {
         let path = std::env::temp_dir().join(format!("retroflex-{name}-{}", std::process::id()));
         std::fs::create_dir(&path).map_err(|e| miette!("{}: {e}", path.display()))?;
-        let mut signals = Signals::new([SIGINT, SIGTERM]).into_diagnostic()?;
+        let mut signals = Signals::new(rt::ending_signals()).into_diagnostic()?;
         let folder = path.clone();
         std::thread::spawn(move || {
             if let Some(signal) = signals.forever().next() {

@@ -5,6 +5,7 @@ use crate::cli::{CommandOutcome, inputs, manual_motion, output};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::HardwareError;
 use crate::hardware::pins::{self, OpenError, PinError};
+use crate::hardware::rt;
 use crate::motion::Levels;
 use miette::{IntoDiagnostic, Result, miette};
 use std::path::PathBuf;
@@ -15,7 +16,7 @@ pub struct Args {
     /// Board file.
     #[arg(long)]
     board: PathBuf,
-    /// Keep the lines until SIGINT or SIGTERM. The kernel may release the lines of a GPIO character device when the program
+    /// Keep the lines until a signal ends the program. The kernel may release the lines of a GPIO character device when the program
     /// ends, and a breakout then pulls EN to "energised".
     #[arg(long)]
     hold: bool,
@@ -45,8 +46,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     pins.check_enable().map_err(off)?;
     output::print("drivers released: the tip goes soft, and zero must be found again\n");
     if args.hold {
-        let signals = [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM];
-        let mut signals = signal_hook::iterator::Signals::new(signals).into_diagnostic()?;
+        let mut signals =
+            signal_hook::iterator::Signals::new(rt::ending_signals()).into_diagnostic()?;
         // outside of systemd there is nobody to notify
         let _ = sd_notify::notify(&[sd_notify::NotifyState::Ready]);
         let _ = signals.forever().next();

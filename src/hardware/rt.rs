@@ -11,6 +11,29 @@ use std::fmt;
 use std::fs::File;
 use std::io::{self, Write};
 
+/// Signals whose default action ends a process and that are sent to end it or by a terminal that closes.
+const ENDING: [i32; 6] = [
+    libc::SIGTERM,
+    libc::SIGINT,
+    libc::SIGHUP,
+    libc::SIGQUIT,
+    libc::SIGUSR1,
+    libc::SIGUSR2,
+];
+
+/// The signals that end this process: each must take the way through the safe state. One that the caller had this process ignore, as
+/// `nohup` does, stays ignored.
+pub fn ending_signals() -> impl Iterator<Item = i32> {
+    ENDING.into_iter().filter(|&signal| {
+        // SAFETY: a zeroed sigaction is valid, and the call writes to it and changes nothing
+        let (asked, old) = unsafe {
+            let mut old: libc::sigaction = std::mem::zeroed();
+            (libc::sigaction(signal, std::ptr::null(), &mut old), old)
+        };
+        asked == 0 && old.sa_sigaction != libc::SIG_IGN
+    })
+}
+
 /// Reading of CLOCK_MONOTONIC, ns.
 pub fn monotonic_ns() -> u64 {
     let mut now = libc::timespec {

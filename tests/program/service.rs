@@ -139,6 +139,30 @@ fn a_session_from_start_to_end() {
     expect(&socket, &["status"], 3, "");
 }
 
+/// In mid-motion, one service a signal.
+#[test]
+fn every_signal_that_ends_a_process_returns_the_tip_to_rest() {
+    std::thread::scope(|scope| {
+        for signal in [libc::SIGHUP, libc::SIGQUIT, libc::SIGUSR1] {
+            scope.spawn(move || {
+                let folder = tempfile::tempdir().unwrap();
+                let daemon = Daemon::start(program(), folder.path()).unwrap();
+                daemon.take_off().unwrap();
+                std::thread::sleep(std::time::Duration::from_millis(300));
+                let (success, _) = daemon.end_by(signal).unwrap();
+                assert!(success, "signal {signal}");
+                let (_, recall) = Store::open(&folder.path().join("state")).unwrap();
+                let memory = recall.memory.unwrap();
+                let steps = memory.restart.unwrap().steps.0;
+                assert!(
+                    !memory.armed && steps == [0; 3],
+                    "signal {signal}: {steps:?}"
+                );
+            });
+        }
+    });
+}
+
 #[test]
 fn commands_that_wait_end_and_say_why() {
     let folder = tempfile::tempdir().unwrap();

@@ -8,6 +8,7 @@ use super::play::halted;
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::Unreachable;
 use crate::cli::inputs::within;
+use crate::hardware::rt;
 use crate::model::Bend;
 use crate::service::client::Client as Connection;
 use crate::service::protocol::Request;
@@ -15,7 +16,6 @@ use input::{Event, Input};
 use law::{Law, Mode};
 use miette::{IntoDiagnostic, Result};
 use nalgebra::Vector2;
-use signal_hook::consts::{SIGINT, SIGTERM};
 use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -76,7 +76,7 @@ pub fn steer(args: &SteerArgs) -> Result<CommandOutcome> {
         return Ok(NotGoodEnough);
     }
     let ended = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
+    for signal in rt::ending_signals() {
         signal_hook::flag::register(signal, Arc::clone(&ended)).into_diagnostic()?;
     }
     let (mut stick, mut held, mut since_s) = (Vector2::zeros(), false, PERIOD_S);

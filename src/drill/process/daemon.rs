@@ -190,8 +190,16 @@ impl Daemon {
     ///
     /// # Errors
     /// The operating system's.
-    pub fn end(mut self) -> io::Result<(bool, f64)> {
-        self.signal(libc::SIGTERM);
+    pub fn end(self) -> io::Result<(bool, f64)> {
+        self.end_by(libc::SIGTERM)
+    }
+
+    /// As [`end`](Self::end), with another signal.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn end_by(mut self, signal: i32) -> io::Result<(bool, f64)> {
+        self.signal(signal);
         let started = Instant::now();
         while started.elapsed() < Duration::from_secs(40) {
             if let Some(status) = self.child.try_wait()? {

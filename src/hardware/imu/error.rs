@@ -92,8 +92,26 @@ impl ImuError {
             Self::Bus { .. } => {
                 "cycle the power of the IMU, then look for a short or a missing pull-up on SDA and SCL"
             }
+            Self::WrongId { have: 0x00, .. } => {
+                "nothing but zeros comes back: check the supply of the chip, and SDA for a short to ground"
+            }
+            Self::WrongId { have: 0xFF, .. } => {
+                "nobody drives the data line: check the plug and the address"
+            }
+            Self::WrongId {
+                part: Part::Ak09916,
+                ..
+            } => {
+                "the magnetometer inside the chip is dead, or the chip is a copy without one: fit another"
+            }
+            Self::WrongId {
+                have: 0x68 | 0x70 | 0x71 | 0x73 | 0x75,
+                ..
+            } => {
+                "this is an MPU-6000, 6500, 9250 or 9255, which shops sell as an ICM-20948 and which is not supported: fit one of the parts in docs/hardware.md"
+            }
             Self::WrongId { .. } => {
-                "set `imu.chip.part` and `imu.chip.address` to the part that is fitted"
+                "another part is fitted: set `imu.chip.part` and `imu.chip.address` to it if it is one of those in docs/hardware.md, else fit one of them"
             }
             Self::ResetToDefaults { .. } => {
                 "its supply dipped: initialise it again and check the 3.3 V supply under motor load"

@@ -11,10 +11,15 @@
 
 use crate::hardware::pins::config::Pull;
 use crate::hardware::pins::map::LineMap;
-use crate::hardware::pins::uapi::{Kernel, LINES_MAX, LineState, Request, RequestKind, Uapi};
+use crate::hardware::pins::uapi::{
+    ChipInfo, Kernel, LINES_MAX, LineState, Request, RequestKind, Uapi,
+};
 use crate::hardware::pins::{PinError, Pins};
 use crate::motion::{Inputs, Levels};
 use std::io;
+
+/// Chips that a computer may have.
+const CHIPS_MAX: u32 = 32;
 
 /// The lines of one chip.
 #[derive(Debug)]
@@ -28,12 +33,12 @@ pub struct CdevPins<K: Kernel = Uapi> {
 }
 
 impl CdevPins<Uapi> {
-    /// Requests the lines of a map from the chip at `path`.
+    /// Requests the lines of a map from the chip at `path`, whose label begins with `label`.
     ///
     /// # Errors
-    /// [`PinError`]: no chip, no permission, no such line, or a line in use.
-    pub fn open(path: &str, map: LineMap) -> Result<Self, PinError> {
-        Self::open_with(Uapi, path, map)
+    /// [`PinError`]: no chip, another chip, no permission, no such line, or a line in use.
+    pub fn open(path: &str, label: &str, map: LineMap) -> Result<Self, PinError> {
+        Self::open_with(Uapi, path, label, map)
     }
 }
 
@@ -42,8 +47,23 @@ impl<K: Kernel> CdevPins<K> {
     ///
     /// # Errors
     /// As [`CdevPins::open`].
-    pub fn open_with(kernel: K, path: &str, map: LineMap) -> Result<Self, PinError> {
-        let (chip, lines) = kernel.open(path).map_err(|e| open_error(e, path))?;
+    pub fn open_with(kernel: K, path: &str, label: &str, map: LineMap) -> Result<Self, PinError> {
+        let (chip, ChipInfo { lines, label: have }) =
+            kernel.open(path).map_err(|e| open_error(e, path))?;
+        if !have.starts_with(label) {
+            let is_wanted = |path: &String| {
+                let opened = kernel.open(path);
+                opened.is_ok_and(|(_, info)| info.label.starts_with(label))
+            };
+            return Err(PinError::OtherChip {
+                path: path.into(),
+                have,
+                want: label.into(),
+                at: (0..CHIPS_MAX)
+                    .map(|n| format!("/dev/gpiochip{n}"))
+                    .find(is_wanted),
+            });
+        }
         let requested = map
             .outputs()
             .iter()
@@ -214,6 +234,7 @@ mod tests {
                 ..Fake::default()
             },
             "chip",
+            "",
             map(),
         )
         .unwrap();
@@ -238,8 +259,15 @@ mod tests {
     impl Kernel for Fake {
         type Chip = ();
         type Lines = ();
-        fn open(&self, _: &str) -> io::Result<((), u32)> {
-            Ok(((), 54))
+        fn open(&self, path: &str) -> io::Result<((), ChipInfo)> {
+            // an older kernel of a Pi 5: the header is chip 4
+            let label = if path == "/dev/gpiochip4" {
+                "pinctrl-rp1"
+            } else {
+                "gpio-brcmstb@107d508500"
+            };
+            let (lines, label) = (54, label.to_owned());
+            Ok(((), ChipInfo { lines, label }))
         }
         fn request(&self, (): &(), request: &Request) -> io::Result<()> {
             self.log.lock().unwrap().push(format!("{request:?}"));
@@ -287,7 +315,7 @@ mod tests {
     fn one_ioctl_changes_all_lines_that_differ() {
         let kernel = Fake::default();
         let log = kernel.log.clone();
-        let mut pins = CdevPins::open_with(kernel, "chip", map()).unwrap();
+        let mut pins = CdevPins::open_with(kernel, "chip", "", map()).unwrap();
         let mut l = Levels {
             enable: true,
             dir: [true, false, true],
@@ -319,7 +347,7 @@ mod tests {
             consumer: Some((27, "spi0 CS1")),
             ..Fake::default()
         };
-        let message = CdevPins::open_with(busy, "chip", map())
+        let message = CdevPins::open_with(busy, "chip", "", map())
             .unwrap_err()
             .to_string();
         assert!(
@@ -331,7 +359,7 @@ mod tests {
             ..Fake::default()
         };
         assert!(matches!(
-            CdevPins::open_with(old, "chip", map()),
+            CdevPins::open_with(old, "chip", "", map()),
             Err(PinError::NotAChip(..))
         ));
     }
@@ -341,7 +369,7 @@ mod tests {
         let mut config = PinsConfig::default();
         config.channels[1].step = 54;
         let map = LineMap::new(&config, 16).unwrap();
-        let message = CdevPins::open_with(Fake::default(), "/dev/gpiochip0", map)
+        let message = CdevPins::open_with(Fake::default(), "/dev/gpiochip0", "", map)
             .unwrap_err()
             .to_string();
         assert!(
@@ -350,12 +378,35 @@ mod tests {
         );
     }
 
+    #[test]
+    fn a_chip_with_another_label_is_refused_before_a_line_is_requested() {
+        let open = |path: &str, label: &str| {
+            let kernel = Fake::default();
+            let log = Arc::clone(&kernel.log);
+            let opened = CdevPins::open_with(kernel, path, label, map());
+            (opened.map_err(|e| e.to_string()), log)
+        };
+        for (path, label, mend) in [
+            ("/dev/gpiochip0", "pinctrl-rp1", "\"/dev/gpiochip4\""),
+            ("/dev/gpiochip7", "pinctrl-rp1", "\"/dev/gpiochip4\""),
+            ("/dev/gpiochip4", "pinctrl-bcm", "no chip of this computer"),
+        ] {
+            let (opened, log) = open(path, label);
+            let why = opened.unwrap_err();
+            assert!(why.contains(label) && why.contains(mend), "{why}");
+            assert!(log.lock().unwrap().is_empty());
+        }
+        for label in ["pinctrl-rp1", "pinctrl", ""] {
+            open("/dev/gpiochip4", label).0.unwrap();
+        }
+    }
+
     /// Runs against the kernel of the machine that runs the tests.
     #[test]
     fn missing_files_and_files_that_are_not_chips_have_errors_of_their_own() {
-        let none = CdevPins::open("/dev/gpiochip-none", map()).unwrap_err();
+        let none = CdevPins::open("/dev/gpiochip-none", "", map()).unwrap_err();
         assert!(matches!(none, PinError::NoChip(..)), "{none}");
-        let null = CdevPins::open("/dev/null", map()).unwrap_err();
+        let null = CdevPins::open("/dev/null", "", map()).unwrap_err();
         assert!(matches!(null, PinError::NotAChip(..)), "{null}");
     }
 }

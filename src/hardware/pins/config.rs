@@ -68,6 +68,10 @@ parameters! {
         /// Device file of the chip, for `cdev`; `gpioinfo` lists the chips. On a Raspberry Pi 5 with an older kernel the header
         /// is on `/dev/gpiochip4`.
         chip: String = "/dev/gpiochip0".to_owned();
+        /// Beginning of the label of that chip, for `cdev`, as `gpioinfo` prints it: `pinctrl-rp1` on a Raspberry Pi 5, `pinctrl-bcm` on
+        /// the others. A chip with another label is refused, since the numbers of the device files depend on the kernel. Empty accepts
+        /// any chip.
+        chip_label: String = String::new();
         /// STEP rests high and pulses low. The A4988 steps on the rising edge and needs `false`.
         step_active_low: bool = false;
         /// EN is low when energised, as on the A4988.

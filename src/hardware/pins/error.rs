@@ -13,6 +13,24 @@ pub enum PinError {
         "{0} is not a GPIO chip with line interface version 2 (Linux 5.10 or newer): set pins.chip to a /dev/gpiochip*"
     )]
     NotAChip(String),
+    /// The file is that of another chip than the board's.
+    #[error(
+        "{path} is the GPIO chip \"{have}\", the board's is \"{want}\": {}",
+        .at.as_ref().map_or_else(
+            || "no chip of this computer has that label; set pins.chip and pins.chip_label as `gpioinfo` prints them".to_owned(),
+            |at| format!("set pins.chip = \"{at}\"")
+        )
+    )]
+    OtherChip {
+        /// Path that was opened.
+        path: String,
+        /// Its label.
+        have: String,
+        /// Label of the board's chip.
+        want: String,
+        /// Where that is, if anywhere.
+        at: Option<String>,
+    },
     /// The chip has fewer lines.
     #[error("{chip} has no line {pin}, only 0 to {}: correct the pin numbers in the board file", .lines.saturating_sub(1))]
     NoLine {

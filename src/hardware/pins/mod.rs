@@ -40,7 +40,11 @@ pub fn open(config: &PinsConfig, microsteps: u32) -> Result<Box<dyn Pins>, OpenE
     let map = map::LineMap::new(config, microsteps)?;
     match config.backend {
         Backend::Mock => Ok(Box::new(MockPins(map))),
-        Backend::Cdev => Ok(Box::new(cdev::CdevPins::open(&config.chip, map)?)),
+        Backend::Cdev => Ok(Box::new(cdev::CdevPins::open(
+            &config.chip,
+            &config.chip_label,
+            map,
+        )?)),
         #[cfg(feature = "hw")]
         Backend::Rppal => Ok(Box::new(rppal::open(map)?)),
         #[cfg(not(feature = "hw"))]

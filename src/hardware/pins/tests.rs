@@ -5,7 +5,7 @@ use crate::hardware::pins::cdev::CdevPins;
 use crate::hardware::pins::config::{InputPin, PinsConfig, Pull};
 use crate::hardware::pins::hal::HalPins;
 use crate::hardware::pins::map::LineMap;
-use crate::hardware::pins::uapi::{Kernel, LineState, Request, RequestKind};
+use crate::hardware::pins::uapi::{ChipInfo, Kernel, LineState, Request, RequestKind};
 use crate::hardware::pins::{PinError, Pins};
 use crate::motion::{Inputs, Levels};
 use embedded_hal::digital;
@@ -60,8 +60,9 @@ struct WireKernel(Shared);
 impl Kernel for WireKernel {
     type Chip = ();
     type Lines = Vec<u32>;
-    fn open(&self, _: &str) -> io::Result<((), u32)> {
-        Ok(((), 54))
+    fn open(&self, _: &str) -> io::Result<((), ChipInfo)> {
+        let (lines, label) = (54, String::new());
+        Ok(((), ChipInfo { lines, label }))
     }
     fn request(&self, (): &(), request: &Request) -> io::Result<Vec<u32>> {
         if let RequestKind::Outputs(bits) = request.kind {
@@ -153,7 +154,7 @@ fn both(prepare: impl Fn(&mut Wires)) -> [(&'static str, Box<dyn Pins>, Shared);
         wires
     };
     let kernel = wires();
-    let cdev = CdevPins::open_with(WireKernel(kernel.clone()), "chip", map.clone()).unwrap();
+    let cdev = CdevPins::open_with(WireKernel(kernel.clone()), "chip", "", map.clone()).unwrap();
 
     let pins = wires();
     let bits = |is: fn(&Wires, u32) -> bool| {

@@ -42,6 +42,15 @@ pub struct LineState {
     pub output: bool,
 }
 
+/// What a chip says of itself.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ChipInfo {
+    /// Number of lines.
+    pub lines: u32,
+    /// Name of the hardware: unlike the number of the device file, it does not depend on the kernel.
+    pub label: String,
+}
+
 /// The kernel interface; a trait, so that tests can do without a chip.
 pub trait Kernel: Send {
     /// An open chip.
@@ -49,11 +58,11 @@ pub trait Kernel: Send {
     /// A granted request.
     type Lines: Send;
 
-    /// Opens a chip and returns its number of lines.
+    /// Opens a chip.
     ///
     /// # Errors
     /// The error of the system call.
-    fn open(&self, path: &str) -> io::Result<(Self::Chip, u32)>;
+    fn open(&self, path: &str) -> io::Result<(Self::Chip, ChipInfo)>;
 
     /// Requests lines.
     ///
@@ -88,10 +97,12 @@ impl Kernel for Uapi {
     type Chip = File;
     type Lines = File;
 
-    fn open(&self, path: &str) -> io::Result<(File, u32)> {
+    fn open(&self, path: &str) -> io::Result<(File, ChipInfo)> {
         let chip = OpenOptions::new().read(true).write(true).open(path)?;
-        let lines = get_chip_info(&chip).map_err(cause)?.num_lines;
-        Ok((chip, lines))
+        let info = get_chip_info(&chip).map_err(cause)?;
+        let label = info.label.as_os_str().to_string_lossy().into_owned();
+        let lines = info.num_lines;
+        Ok((chip, ChipInfo { lines, label }))
     }
 
     fn request(&self, chip: &File, request: &Request) -> io::Result<File> {

@@ -35,7 +35,7 @@ impl Hub {
     /// [`ServiceError`].
     pub fn run(mut self, record: Option<PathBuf>) -> Result<[Port; 2], ServiceError> {
         let signalled = Arc::new(AtomicBool::new(false));
-        for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
+        for signal in rt::ending_signals() {
             signal_hook::flag::register(signal, Arc::clone(&signalled))
                 .map_err(ServiceError::system("a signal handler"))?;
         }
@@ -165,7 +165,7 @@ impl Hub {
         }
     }
 
-    /// SIGTERM or SIGINT: returns to rest; after a stop the tip stays where it is.
+    /// A signal that ends a process: returns to rest; after a stop the tip stays where it is.
     fn start_ending(&mut self) {
         self.ending = Some(Instant::now());
         self.io.notifier.notify("STOPPING=1\nSTATUS=relaxing");
