@@ -304,12 +304,11 @@ impl Fusion {
     pub fn alignment(&self) -> Option<&Alignment> {
         self.tracker().map(|t| &t.alignment)
     }
-    /// Rate of the last used sample minus the gyroscope bias, sensor axes, rad/s; `None` if the last reading was not
-    /// used. The bias is that of the last [`Fusion::remember`], since the present one may already have absorbed
-    /// part of a turn of the base.
+    /// Rate of the last used sample minus the gyroscope bias, sensor axes, rad/s; `None` if the last reading was not used. The bias is the
+    /// present one: an older one makes a gyroscope that warms up a tip that twists.
     pub fn rate_rad_s(&self) -> Option<Vector3<f64>> {
         let (tracker, verdict) = (self.tracker()?, self.verdict?);
-        let bias = tracker.saved.as_ref().map_or(
+        let bias = tracker.bend_filter().map_or(
             tracker.alignment.gyro_bias_rad_s,
             BendFilter::gyro_bias_rad_s,
         );
