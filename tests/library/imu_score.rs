@@ -3,6 +3,7 @@
 //! The recordings are not part of the package. The tests search `RETROFLEX_IMU_DATA` and `../shared/data/imu`; without
 //! recordings they print "skipped" and pass.
 
+use nalgebra::Vector2;
 use retroflex::estimation::fusion::FilterName;
 use retroflex::estimation::fusion::mekf::saturation::Saturation;
 use retroflex::estimation::score::{self, Row, Score};
@@ -128,6 +129,7 @@ fn a_saturated_gyroscope_is_recognised_and_costs_mekf_no_more_than_vqf() {
     let Some(folder) = folder() else {
         return println!("skipped: no recordings");
     };
+    let mut means = [Vector2::zeros(); 3];
     for (k, (trial, _)) in VQF_PUBLISHED.iter().enumerate() {
         let mut recording = recording::read(&folder.join(format!("broad_{trial}.csv.gz"))).unwrap();
         let saturated = |recording: &Recording| {
@@ -142,7 +144,10 @@ fn a_saturated_gyroscope_is_recognised_and_costs_mekf_no_more_than_vqf() {
             .map(|row| row.sample.gyro_rad_s.amax())
             .collect();
         sizes.sort_by(f64::total_cmp);
-        for limited in [0.005, 0.02, 0.05 + 0.01 * k as f64] {
+        for (level, limited) in [0.005, 0.02, 0.05 + 0.01 * k as f64]
+            .into_iter()
+            .enumerate()
+        {
             let limit = sizes[((1.0 - limited) * sizes.len() as f64) as usize].max(1.1);
             let limited =
                 sizes.iter().filter(|size| **size >= limit).count() as f64 / sizes.len() as f64;
@@ -160,7 +165,14 @@ fn a_saturated_gyroscope_is_recognised_and_costs_mekf_no_more_than_vqf() {
                 limited
             );
             assert!(share > 0.5 * limited && mekf < 1.2 * vqf);
+            means[level] += Vector2::new(mekf, vqf) / VQF_PUBLISHED.len() as f64;
         }
+    }
+    for (level, mean) in means.iter().enumerate() {
+        println!(
+            "level {level}: mekf {:.1}°, vqf {:.1}° in the mean",
+            mean.x, mean.y
+        );
     }
 }
 
