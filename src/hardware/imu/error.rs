@@ -108,7 +108,7 @@ impl ImuError {
                 have: 0x68 | 0x70 | 0x71 | 0x73 | 0x75,
                 ..
             } => {
-                "this is an MPU-6000, 6500, 9250 or 9255, which shops sell as an ICM-20948 and which is not supported: fit one of the parts in docs/hardware.md"
+                "this is an MPU-6000, 6500, 9250 or 9255, which shops sell as an ICM-20948 and which is not supported: fit one of the parts in docs/hardware.md and set `imu.chip.part` to it"
             }
             Self::WrongId { .. } => {
                 "another part is fitted: set `imu.chip.part` and `imu.chip.address` to it if it is one of those in docs/hardware.md, else fit one of them"
