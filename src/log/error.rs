@@ -18,6 +18,7 @@ pub fn why_unreadable(path: &Path, error: &std::io::Error) -> String {
         ErrorKind::FileTooLarge => {
             "the file is larger than 1 MiB, so it is another file than is expected here".to_owned()
         }
+        ErrorKind::InvalidData if error.get_ref().is_some() => error.to_string(),
         ErrorKind::InvalidData => "this is not a text file (not valid UTF-8)".to_owned(),
         _ => format!("the file cannot be read: {error}"),
     }
@@ -62,6 +63,14 @@ pub enum ReadError {
         line: u64,
         /// Reason given by the decoder.
         reason: String,
+    },
+    /// The file is a table in another notation.
+    #[error("{file}, line 1: {problem}")]
+    Notation {
+        /// File.
+        file: String,
+        /// What it is, with the mend.
+        problem: &'static str,
     },
     /// The file has too few rows.
     #[error("{file}: has {rows} rows below its header line; at least {least} needed")]

@@ -36,8 +36,41 @@ pub fn text(path: &Path) -> io::Result<String> {
         .take(TEXT_MAX + 1)
         .read_to_end(&mut bytes)? as u64
     {
-        0..=TEXT_MAX => String::from_utf8(bytes).map_err(|_| io::ErrorKind::InvalidData.into()),
+        0..=TEXT_MAX => match encoding(&bytes) {
+            Some(problem) => Err(io::Error::new(io::ErrorKind::InvalidData, problem)),
+            None => String::from_utf8(bytes).map_err(|_| io::ErrorKind::InvalidData.into()),
+        },
         _ => Err(io::ErrorKind::FileTooLarge.into()),
+    }
+}
+
+/// What is wrong with the encoding of a text that begins with these bytes.
+fn encoding(start: &[u8]) -> Option<&'static str> {
+    let wide = |pair: &[u8]| pair.contains(&0) && pair != [0, 0];
+    let pairs = start[..start.len().min(64)].chunks_exact(2);
+    if start.starts_with(&[0xff, 0xfe])
+        || start.starts_with(&[0xfe, 0xff])
+        || (pairs.len() > 2 && pairs.into_iter().all(wide))
+    {
+        return Some("this is UTF-16 text, as some Windows programs write it; save it as UTF-8");
+    }
+    match std::str::from_utf8(start) {
+        Err(e) if e.error_len().is_some() => Some(
+            "this is not UTF-8 text: perhaps Latin-1 (Windows-1252), or no text at all; save it as UTF-8",
+        ),
+        _ => None,
+    }
+}
+
+/// What is wrong with a header line, if its columns are not separated by commas.
+fn separation(header: &csv::StringRecord) -> Option<&'static str> {
+    let has = |c: char| header.iter().any(|name| name.contains(c));
+    match header.len() {
+        1 if has(';') => Some(
+            "the columns are separated by semicolons; separate them by commas, and write numbers with a decimal point",
+        ),
+        1 if has('\t') => Some("the columns are separated by tabs; separate them by commas"),
+        _ => None,
     }
 }
 
@@ -121,20 +154,32 @@ impl Table {
     /// # Errors
     /// [`ReadError`], as for [`Table::open`].
     pub fn parse(file: &str, text: impl Read, schema: &Schema<'_>) -> Result<Self, ReadError> {
+        let mut text = BufReader::new(Bounded {
+            text,
+            line: 0,
+            all: 0,
+        });
+        let notation = |problem| {
+            let file = file.to_owned();
+            ReadError::Notation { file, problem }
+        };
+        // what cannot be read at all is said by the reader
+        if let Some(problem) = text.fill_buf().ok().and_then(encoding) {
+            return Err(notation(problem));
+        }
         let mut options = csv::ReaderBuilder::new();
         let mut reader = options
             .flexible(true)
             .trim(csv::Trim::All)
-            .from_reader(Bounded {
-                text,
-                line: 0,
-                all: 0,
-            });
+            .from_reader(text);
         let broken = |line, e: &csv::Error| {
             let (file, reason) = (file.to_owned(), e.to_string());
             ReadError::Broken { file, line, reason }
         };
         let header = reader.headers().map_err(|e| broken(1, &e))?;
+        if let Some(problem) = separation(header) {
+            return Err(notation(problem));
+        }
         let header: Vec<String> = header.iter().map(str::to_owned).collect();
         let (columns, lines) = (vec![vec![]; header.len()], vec![]);
         let mut table = Self {
@@ -488,6 +533,58 @@ mod tests {
                 "{message}"
             );
         }
+    }
+
+    /// One table in the notations of other programs.
+    #[test]
+    fn another_encoding_or_separator_is_named_with_the_mend() {
+        let table = "t,x\n0,1\n1,2\n";
+        let wide = |big: bool, mark: bool| -> Vec<u8> {
+            let units = mark
+                .then_some(0xfeff)
+                .into_iter()
+                .chain(table.encode_utf16());
+            let bytes = |unit: u16| {
+                if big {
+                    unit.to_be_bytes()
+                } else {
+                    unit.to_le_bytes()
+                }
+            };
+            units.flat_map(bytes).collect()
+        };
+        let (semicolons, tabs) = (
+            table.replace(',', ";").replace('1', "1,5"),
+            table.replace(',', "\t"),
+        );
+        let latin = b"t,x,gr\xf6\xdfe\n0,1,2\n".to_vec();
+        for (bytes, part) in [
+            (wide(false, true), "UTF-16"),
+            (wide(true, true), "UTF-16"),
+            (wide(false, false), "UTF-16"),
+            (wide(true, false), "UTF-16"),
+            (semicolons.into_bytes(), "semicolons"),
+            (tabs.into_bytes(), "tabs"),
+            (latin, "Latin-1"),
+        ] {
+            let why = Table::parse("x.csv", &bytes[..], &SCHEMA)
+                .unwrap_err()
+                .to_string();
+            assert!(
+                why.starts_with("x.csv, line 1: ") && why.contains(part),
+                "{why}"
+            );
+            let mut file = tempfile::NamedTempFile::new().unwrap();
+            file.write_all(&bytes).unwrap();
+            let told = text(file.path()).map_err(|e| why_unreadable(file.path(), &e));
+            let is_encoding = ["UTF-16", "Latin-1"].contains(&part);
+            assert_eq!(told.is_err_and(|why| why.contains(part)), is_encoding);
+        }
+        let marked = [b"\xef\xbb\xbf".as_slice(), table.as_bytes()].concat();
+        assert_eq!(
+            Table::parse("x.csv", &marked[..], &SCHEMA).unwrap().rows(),
+            2
+        );
     }
 
     /// Whichever components are missing, a vector is there as a whole or not at all.
