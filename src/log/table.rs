@@ -46,12 +46,17 @@ pub fn text(path: &Path) -> io::Result<String> {
 
 /// What is wrong with the encoding of a text that begins with these bytes.
 fn encoding(start: &[u8]) -> Option<&'static str> {
-    let wide = |pair: &[u8]| pair.contains(&0) && pair != [0, 0];
-    let pairs = start[..start.len().min(64)].chunks_exact(2);
-    if start.starts_with(&[0xff, 0xfe])
-        || start.starts_with(&[0xfe, 0xff])
-        || (pairs.len() > 2 && pairs.into_iter().all(wide))
-    {
+    let is_text =
+        |byte: u8| byte == b'\t' || byte == b'\n' || byte == b'\r' || (b' '..0x7f).contains(&byte);
+    // without a mark: every other byte of a text is zero
+    let wide = |zero: usize| {
+        let pairs = start[..start.len().min(64)].chunks_exact(2);
+        pairs.len() > 2
+            && pairs
+                .into_iter()
+                .all(|pair| pair[zero] == 0 && is_text(pair[1 - zero]))
+    };
+    if start.starts_with(&[0xff, 0xfe]) || start.starts_with(&[0xfe, 0xff]) || wide(0) || wide(1) {
         return Some("this is UTF-16 text, as some Windows programs write it; save it as UTF-8");
     }
     match std::str::from_utf8(start) {
@@ -163,9 +168,18 @@ impl Table {
             let file = file.to_owned();
             ReadError::Notation { file, problem }
         };
-        // what cannot be read at all is said by the reader
-        if let Some(problem) = text.fill_buf().ok().and_then(encoding) {
-            return Err(notation(problem));
+        match text.fill_buf().map(encoding) {
+            Ok(Some(problem)) => return Err(notation(problem)),
+            Ok(None) => (),
+            // a decoder says it once
+            Err(e) => {
+                let (file, reason) = (file.to_owned(), e.to_string());
+                return Err(ReadError::Broken {
+                    file,
+                    line: 1,
+                    reason,
+                });
+            }
         }
         let mut options = csv::ReaderBuilder::new();
         let mut reader = options
