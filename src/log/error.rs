@@ -64,11 +64,13 @@ pub enum ReadError {
         /// Reason given by the decoder.
         reason: String,
     },
-    /// The file is a table in another notation.
-    #[error("{file}, line 1: {problem}")]
+    /// The file is a table in another notation, or too large.
+    #[error("{file}, line {line}: {problem}")]
     Notation {
         /// File.
         file: String,
+        /// Line, counted from 1.
+        line: u64,
         /// What it is, with the mend.
         problem: &'static str,
     },

@@ -166,7 +166,11 @@ impl Table {
         });
         let notation = |problem| {
             let file = file.to_owned();
-            ReadError::Notation { file, problem }
+            ReadError::Notation {
+                file,
+                line: 1,
+                problem,
+            }
         };
         match text.fill_buf().map(encoding) {
             Ok(Some(problem)) => return Err(notation(problem)),
@@ -247,9 +251,11 @@ impl Table {
             return Err(self.refuse(row, &column, "", "a row with values"));
         }
         if (self.rows() + 1) * known.iter().filter(|known| **known).count() > VALUES_MAX {
-            let file = self.file.clone();
-            let reason = format!("more than {VALUES_MAX} values; split the table");
-            return Err(ReadError::Broken { file, line, reason });
+            return Err(ReadError::Notation {
+                file: self.file.clone(),
+                line,
+                problem: "the table has more than 90 million values; split it",
+            });
         }
         self.lines.push(line);
         for (k, field) in record.iter().enumerate().filter(|(k, _)| known[*k]) {

@@ -234,6 +234,28 @@ fn a_base_imu_compensates_a_turn_of_the_base() {
     }
 }
 
+/// The slowest turn that is flagged: below the memory of the watch a turn passes for bending of the tip or is only suspected.
+#[test]
+fn the_boundary_of_slow_turns_without_a_base_imu() {
+    for over_s in [0.2, 0.5, 0.9, 1.0, 1.5, 2.0, 3.0, 5.0] {
+        let mut flagged = 0;
+        for (i, axis) in AXES.into_iter().enumerate() {
+            for seed in 0..3 {
+                let plant = TipPlant::new(60 + 10 * seed + i as u64, 50.0, DT_S);
+                let mut session = Session::new(plant, EstimatorName::Bend);
+                session.align();
+                for (bend, dir) in [(30.0, 0.0), (40.0, 60.0)] {
+                    session.command(bend, dir);
+                    session.run(2.0, |f, _| assert!(!f.base_moved));
+                }
+                flagged += u32::from(turned(&mut session, Vector3::from(axis), over_s).is_some());
+            }
+        }
+        println!("10° in {over_s} s: {flagged} of 12 flagged");
+        assert!(flagged == 12 || over_s > 0.9);
+    }
+}
+
 #[test]
 fn without_a_base_imu_a_turn_is_flagged_and_realigned_on_request() {
     for (i, axis) in AXES.into_iter().enumerate() {

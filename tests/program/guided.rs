@@ -11,11 +11,12 @@ use retroflex::config::supervisor::assemble;
 use retroflex::control::path::Path;
 use retroflex::control::pi::Dynamics;
 use retroflex::control::tick::Command;
-use retroflex::drill::process::Daemon;
+use retroflex::drill::process::{Daemon, daemon::ask};
 use retroflex::model::bend::Bend;
 use retroflex::model::transmission::Line;
 use retroflex::primitives::frames::{Rotation, Tip, World};
 use retroflex::primitives::units::{Mm, Seconds};
+use retroflex::service::protocol::Request;
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::plant::config::PlantConfig;
 use retroflex::simulation::plant::{InjectedFault, Output};
@@ -496,6 +497,63 @@ fn the_service_plays_a_path_and_streams_set_points_with_times() {
     expect(&["replay", flight.to_str().unwrap()], "", 0, " 0 differ");
 }
 
+/// Steers at 10 °/s, with pauses of the sender of drawn lengths: the set-point moves no faster after them.
+fn a_pause_of_the_sender_is_not_made_up_for(daemon: &Daemon, table: &str) {
+    let sender = process::Command::new(env!("CARGO_BIN_EXE_retroflex"))
+        .args(["steer", "--speed", "10", "--expo", "0", "--replay", table])
+        .arg("--socket")
+        .arg(&daemon.sockets()[0])
+        .spawn()
+        .unwrap();
+    let signal = |signal: &str| {
+        let mut kill = process::Command::new("kill");
+        let sent = kill.args([signal, &sender.id().to_string()]).status();
+        assert!(sent.unwrap().success());
+    };
+    let mut client = daemon.client().unwrap();
+    let mut setpoint = || {
+        let status = ask(&mut client, &Request::Status {}).unwrap();
+        let of = |key: &str| status["setpoint"][key].as_f64().unwrap();
+        (
+            status["t"].as_f64().unwrap(),
+            at(of("bend_deg"), of("dir_deg")).bend.0,
+        )
+    };
+    std::thread::sleep(std::time::Duration::from_millis(500));
+    for pause_ms in [150, 300, 450] {
+        signal("-STOP");
+        std::thread::sleep(std::time::Duration::from_millis(pause_ms));
+        signal("-CONT");
+        let mut before = setpoint();
+        for _ in 0..4 {
+            std::thread::sleep(std::time::Duration::from_millis(100));
+            let now = setpoint();
+            let rate = (now.1 - before.1).norm().to_degrees() / (now.0 - before.0);
+            assert!(rate < 20.0, "{rate:.1} °/s after {pause_ms} ms");
+            before = now;
+        }
+    }
+    assert!(sender.wait_with_output().unwrap().status.success());
+}
+
+/// The state at the start, the stick away from the operator, which a joystick counts as negative, and the button; then nothing until the
+/// device is gone.
+fn joystick_goes_away(device: &File, away_s: f64) {
+    let event = |value: i16, kind: u8, number: u8| {
+        let [low, high] = value.to_ne_bytes();
+        [0, 0, 0, 0, low, high, kind, number]
+    };
+    let mut joystick = std::fs::OpenOptions::new()
+        .write(true)
+        .open(device)
+        .unwrap();
+    let state = [event(0, 0x81, 0), event(0, 0x82, 0), event(0, 0x82, 1)];
+    let moved = [event(i16::MAX, 2, 1), event(1, 1, 0)];
+    let events = [state.concat(), moved.concat()].concat();
+    joystick.write_all(&events).unwrap();
+    std::thread::sleep(std::time::Duration::from_secs_f64(away_s));
+}
+
 #[test]
 fn a_stick_steers_the_tip_while_its_button_is_held() {
     let folder = tempfile::tempdir().unwrap();
@@ -562,7 +620,9 @@ fn a_stick_steers_the_tip_while_its_button_is_held() {
     );
     expect(&["steer", "--device", "/dev/none"], 2, "/dev/none");
 
-    // a joystick that is unplugged while its button is held; --speed 20 for 1 s
+    a_pause_of_the_sender_is_not_made_up_for(&daemon, &table("long.csv", "0,0,-1,1\n3,0,-1,0\n"));
+
+    // a joystick that goes away while its button is held
     let device = folder.path().join("js0");
     assert!(
         process::Command::new("mkfifo")
@@ -571,48 +631,39 @@ fn a_stick_steers_the_tip_while_its_button_is_held() {
             .unwrap()
             .success()
     );
-    let writer = device.clone();
-    let unplugged = std::thread::spawn(move || {
-        let event = |value: i16, kind: u8, number: u8| {
-            [
-                [0; 4],
-                [value.to_ne_bytes()[0], value.to_ne_bytes()[1], kind, number],
-            ]
-            .concat()
-        };
-        let mut joystick = std::fs::OpenOptions::new()
-            .write(true)
-            .open(writer)
-            .unwrap();
-        // the state at the start, then the stick away from the operator, which a joystick counts as negative
-        joystick
-            .write_all(&[event(0, 0x81, 0), event(0, 0x82, 0), event(0, 0x82, 1)].concat())
-            .unwrap();
-        joystick
-            .write_all(&[event(i16::MAX, 2, 1), event(1, 1, 0)].concat())
-            .unwrap();
-        std::thread::sleep(std::time::Duration::from_millis(1000));
-    });
-    expect(
-        &[
-            "steer",
-            "--device",
-            device.to_str().unwrap(),
-            "--speed",
-            "20",
-            "--expo",
-            "0",
-        ],
-        3,
-        "holding",
+    let plug = |away_s: f64| {
+        let device = device.clone();
+        std::thread::spawn(move || joystick_goes_away(&device, away_s))
+    };
+    let steer = |more: &[&str], part: &str| {
+        let given = ["steer", "--device", device.to_str().unwrap(), "--expo", "0"];
+        expect(&[&given, more].concat(), 3, part);
+    };
+    let hold = || {
+        let status = daemon.until(3.0, "the hold", |s| s["mode"] == "holding");
+        let status = status.unwrap();
+        let degrees = |key: &str| status["target"][key].as_f64().unwrap();
+        at(degrees("bend_deg"), degrees("dir_deg")).bend.0
+    };
+    // out of range with its button held, and switched off later
+    let (gone, before) = (plug(2.5), hold());
+    steer(
+        &["--speed", "10", "--silence", "0.5"],
+        "said nothing for 0.5 s",
     );
-    unplugged.join().unwrap();
-    let status = daemon
-        .until(3.0, "the hold", |s| s["mode"] == "holding")
-        .unwrap();
-    let bend_deg = status["target"]["bend_deg"].as_f64().unwrap();
+    gone.join().unwrap();
+    let moved_deg = (hold() - before).norm().to_degrees();
     assert!(
-        (6.0..16.0).contains(&bend_deg),
-        "20 °/s for a second from 30°: {bend_deg}"
+        (3.0..9.0).contains(&moved_deg),
+        "10 °/s for half a second: {moved_deg}"
+    );
+    // unplugged
+    let (gone, before) = (plug(1.0), hold());
+    steer(&["--speed", "20"], "holding");
+    gone.join().unwrap();
+    let moved_deg = (hold() - before).norm().to_degrees();
+    assert!(
+        (14.0..24.0).contains(&moved_deg),
+        "20 °/s for a second: {moved_deg}"
     );
 }

@@ -98,6 +98,8 @@ impl Event {
                 within(header.machine.period_s, PERIOD_MAX_S)
                     && within(header.machine.step_mm, LENGTH_MAX_MM)
                     && within(header.machine.rest_length_mm, LENGTH_MAX_MM)
+                    && DynamicsPrior::is_possible_s(header.dynamics.expected.lag_s)
+                    && DynamicsPrior::is_possible_s(header.dynamics.expected.delay_s)
                     && header.restart.is_none_or(|restart| restart.is_possible())
             }
             _ => true,

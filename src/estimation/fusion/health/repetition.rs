@@ -62,3 +62,38 @@ impl Repetition {
         self.0.iter().all(|axis| axis.run >= most) || self.0.iter().any(stuck)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::primitives::Seconds;
+    use nalgebra::Vector3;
+    use rand::SeedableRng;
+    use rand::rngs::StdRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    /// False alarms over the resolution of a part, in standard deviations of its noise: half an hour at 500 Hz each, at rest.
+    #[test]
+    fn a_part_of_any_resolution_raises_no_alarm() {
+        for resolution in [0.01, 0.5, 1.0, 1.4, 1.6, 1.8, 2.0, 2.5, 3.0, 3.5] {
+            let mut rng = StdRng::seed_from_u64(7);
+            let mut repetition = Repetition::default();
+            let mut alarms = 0;
+            for _ in 0..900_000 {
+                let mut value = || -> f64 {
+                    let noise: f64 = StandardNormal.sample(&mut rng);
+                    (noise / resolution).round()
+                };
+                let sample = ImuSample {
+                    t: Seconds(0.0),
+                    gyro_rad_s: Vector3::from_fn(|_, _| value()),
+                    acc_m_s2: Vector3::from_fn(|_, _| value()),
+                    mag_ut: None,
+                };
+                alarms += u32::from(repetition.add(&sample, 25));
+            }
+            println!("{resolution} σ: {alarms} alarms");
+            assert_eq!(alarms, 0, "{resolution} σ");
+        }
+    }
+}
