@@ -1,8 +1,9 @@
 //! Gains files: how the loop behaves.
 
-use crate::control::learning::online::RefineConfig;
+use crate::control::observer::{ObserverConfig, PeriodicConfig};
 use crate::control::obstruction::ObstructionConfig;
-use crate::control::{CalmConfig, FeedbackConfig, Pace, StandstillConfig};
+use crate::control::refine::RefineConfig;
+use crate::control::{CalmConfig, FeedbackConfig, Pace};
 use crate::estimation::fusion::health::{HealthCause, Policy};
 use crate::estimation::fusion::tip::FuseConfig;
 use crate::model::Side;
@@ -20,8 +21,10 @@ parameters! {
         backlash: BacklashSection;
         /// Slow corrections of a set-point that rests.
         calm: CalmConfig;
-        /// The standstill latch.
-        standstill: StandstillConfig;
+        /// The observer: what is believed about the tip.
+        observer: ObserverConfig;
+        /// A periodic disturbance.
+        periodic: PeriodicConfig;
         /// Obstruction detection.
         obstruction: ObstructionConfig;
         /// Online refinement of the extension gains.
@@ -93,7 +96,8 @@ impl Gains {
     pub fn feedback(&self) -> FeedbackConfig {
         FeedbackConfig {
             calm: self.calm,
-            standstill: self.standstill,
+            observer: self.observer,
+            periodic: self.periodic,
             obstruction: self.obstruction,
             ..self.outer
         }
@@ -106,13 +110,6 @@ impl Check for Gains {
         "`retroflex board show --gains` prints every key with its meaning, unit and range";
 
     fn check(&self, to: &mut Checker) {
-        to.at("standstill.open_deg")
-            .range(
-                self.standstill.open_deg,
-                self.standstill.close_deg..=20.0,
-                "deg",
-            )
-            .hint("it must not be below standstill.close_deg");
         let watch = &self.fuse.watch;
         to.at("fuse.watch.onset_deg")
             .range(watch.onset_deg, 0.01..=watch.bend_deg.max(0.01), "deg")

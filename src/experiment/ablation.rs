@@ -20,26 +20,34 @@ const SLOW_LAG_S: f64 = 0.25;
 type Mechanism = (&'static str, fn(&mut LoopConfig));
 
 /// The loop as configured, then each mechanism.
-pub const MECHANISMS: [Mechanism; 10] = [
+pub const MECHANISMS: [Mechanism; 15] = [
     ("nothing", |_| ()),
-    ("online k_eps", |c| c.refine.enabled = false),
-    ("learned static error", |c| {
-        feedback(c, |f| f.learn_error = false)
+    ("online k_eps, k_lambda", |c| c.refine.enabled = false),
+    ("learned curves", |c| {
+        feedback(c, |f| f.observer.curve_sigma = 0.0)
+    }),
+    ("learned plies", |c| feedback(c, |f| f.observer.ply_sigma = 0.0)),
+    ("learned creep", |c| {
+        feedback(c, |f| f.observer.creep_sigma = 0.0)
+    }),
+    ("learned leaks", |c| {
+        feedback(c, |f| f.observer.leak_sigma_1_s = 0.0)
     }),
     ("dynamics bank", |c| {
         feedback(c, |f| f.learn_dynamics = false)
     }),
-    ("backlash share", |c| {
-        feedback(c, |f| f.learn_backlash = false)
+    ("periodic disturbance", |c| {
+        feedback(c, |f| f.periodic.enabled = false)
     }),
-    // the refinement takes its poses from the latch
-    ("standstill latch, online k_eps", |c| {
-        feedback(c, |f| f.standstill.close_deg = 0.0)
+    ("rule for moving", |c| feedback(c, |f| f.caution = 0.0)),
+    ("free common length", |c| {
+        feedback(c, |f| f.free_length_mm = 0.0)
     }),
     ("slow corrections", |c| {
         feedback(c, |f| f.calm.after_s = f64::INFINITY)
     }),
     ("set-point lead", |c| feedback(c, |f| f.lead = 0.0)),
+    ("base watch", |c| c.fuse.watch.enabled = false),
     ("bend filter (vqf)", |c| {
         c.fuse.filter = EstimatorName::Generic(FilterName::Vqf)
     }),

@@ -43,10 +43,6 @@ pub struct Held {
     pub lag_s: f64,
     /// Dead time in use at the end, s.
     pub delay_s: f64,
-    /// The loop detected hunting.
-    pub hunting: bool,
-    /// Integral time λ at the end, s.
-    pub integral_s: f64,
     /// Feedback in the command at the end, degrees.
     pub feedback_deg: f64,
 }
@@ -172,7 +168,7 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
         length: Mm(rig.config.geometry.rest_length_mm),
     });
     let (mut score, mut settled_since, mut last) = (Score::default(), 0, None);
-    let (mut blocked, mut base_moved, mut stopped, mut hunting) = (false, false, false, false);
+    let (mut blocked, mut base_moved, mut stopped) = (false, false, false);
     for k in 0..ticks {
         let (frame, reply) = rig.advance(command.take())?;
         let truth = reply.truth.ok_or(RigError::NoReference)?;
@@ -180,7 +176,6 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
         blocked |= frame.blocked;
         base_moved |= frame.base_moved || frame.base_doubted;
         stopped |= frame.senses.held;
-        hunting |= frame.hunting;
         last = Some(frame);
         if error_deg.abs() > SETTLED_DEG {
             settled_since = k + 1;
@@ -204,8 +199,6 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
         blocked,
         base_moved,
         stopped,
-        hunting,
-        integral_s: last.map_or(0.0, |f| f.integral_s),
         lag_s: last.map_or(0.0, |f| f.dynamics.lag_s),
         delay_s: last.map_or(0.0, |f| f.dynamics.delay_s),
         feedback_deg: last.map_or(0.0, |f| f.feedback.norm().to_degrees()),

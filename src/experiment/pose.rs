@@ -3,10 +3,10 @@
 //! A pose is measured once the set-point has rested; its bend is the mean over the scored time. The counted steps give the
 //! side of each piston (Eq. 21): the row of a channel counts only if its piston has moved further than the widest
 //! backlash since its last reversal. The motion between the poses yields lag and dead time
-//! ([`crate::control::learning::dynamics`]).
+//! ([`crate::control::observer::bank`]).
 
 use crate::control::learning::batch::Measurement;
-use crate::control::learning::dynamics::DynamicsBank;
+use crate::control::observer::bank::DynamicsBank;
 use crate::control::learning::sides::Sides;
 use crate::control::{Command, DynamicsPrior, Frame, TickPhase};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};

@@ -110,7 +110,7 @@ impl<'w> Rig<'w> {
     /// Continues with other transmission gains; the pistons stay where they are.
     pub fn relearn(&mut self, lines: [crate::model::transmission::Line; 3]) {
         self.config.lines = lines;
-        self.state.set_lines(lines);
+        self.state.set_lines(&self.config, lines);
     }
 
     /// Time of the next tick.

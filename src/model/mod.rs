@@ -13,4 +13,4 @@ pub use bend::Bend;
 pub use chain::{Chain, NOMINAL, lines, nominal_theta, places};
 pub use described::{DescribedMachine, RestReadings, orientation};
 pub use drive::Drive;
-pub use transmission::{Line, Side, SideState, Wanted, realised};
+pub use transmission::{Line, Side, SideState, Wanted};

@@ -91,10 +91,6 @@ pub struct Wanted {
     pub q_mm: f64,
     /// Time since the last, s; used by the smooth form only.
     pub dt_s: f64,
-    /// Share of the gap that a reversal crosses at once, 0..=1. A reversal of the set-point crosses all of it; a
-    /// reversal of the feedback may cross less, so that an overestimated gap causes a short standstill instead of a
-    /// limit cycle.
-    pub reach: f64,
 }
 
 impl Side {
@@ -102,7 +98,7 @@ impl Side {
     pub fn invert(&self, line: &Line, state: SideState, wanted: &Wanted) -> (f64, SideState) {
         let want = line.play_output_mm(wanted.q_mm);
         let next = match *self {
-            Self::Band { band_mm } => band(state, want, band_mm, wanted.reach),
+            Self::Band { band_mm } => band(state, want, band_mm),
             Self::Smooth { rate_mm_s } => {
                 let rate = (want - state.w_mm) / wanted.dt_s;
                 SideState {
@@ -116,34 +112,20 @@ impl Side {
     }
 }
 
-/// Play output reached when the piston is at `piston_mm` on its way to `state`. It moves from `realised_mm` towards
-/// `state.w_mm` and never back, so that crossing the gap is not counted as motion.
-pub fn realised(line: &Line, state: &SideState, realised_mm: f64, piston_mm: f64) -> f64 {
-    let reached = piston_mm - line.k_lambda_mm * state.side;
-    if state.way >= 0.0 {
-        realised_mm.max(reached.min(state.w_mm))
-    } else {
-        realised_mm.min(reached.max(state.w_mm))
-    }
-}
-
 /// Follows motion in the direction of the last; ignores a reversal up to the band; otherwise reverses.
-fn band(state: SideState, want: f64, band_mm: f64, reach: f64) -> SideState {
+fn band(state: SideState, want: f64, band_mm: f64) -> SideState {
     let ahead = want - state.w_mm;
     if ahead * state.way > 0.0 {
-        // a set-point that moves on crosses the remaining gap
-        let side = if reach >= 1.0 { state.way } else { state.side };
         SideState {
             w_mm: want,
-            side,
+            side: state.way,
             ..state
         }
     } else if ahead.abs() > band_mm {
         let way = ahead.signum();
-        let side = (state.side + 2.0 * reach * way).clamp(-1.0, 1.0);
         SideState {
             w_mm: want,
-            side: if reach >= 1.0 { way } else { side },
+            side: way,
             way,
         }
     } else {
@@ -160,56 +142,7 @@ mod tests {
         Wanted {
             q_mm,
             dt_s: 1e-3,
-            reach: 1.0,
         }
-    }
-
-    #[test]
-    fn a_feedback_reversal_crosses_only_its_share_of_the_gap() {
-        let l = Line {
-            k_epsilon: 2.0,
-            k_lambda_mm: 1.0,
-        };
-        let side = Side::Band { band_mm: 0.03 };
-        let (_, up) = side.invert(&l, SideState::default(), &wanted(1.0));
-        let (u, down) = side.invert(
-            &l,
-            up,
-            &Wanted {
-                reach: 0.25,
-                ..wanted(0.9)
-            },
-        );
-        assert!((u - (2.7 + 0.5)).abs() < 1e-12 && down.way == -1.0);
-        let (u, _) = side.invert(&l, down, &wanted(0.8));
-        assert!(
-            (u - (2.4 - 1.0)).abs() < 1e-12,
-            "the set-point crosses the rest"
-        );
-    }
-
-    #[test]
-    fn crossing_the_gap_is_not_motion() {
-        let l = Line {
-            k_epsilon: 2.0,
-            k_lambda_mm: 1.0,
-        };
-        let down = SideState {
-            w_mm: 2.0,
-            side: -1.0,
-            way: -1.0,
-        };
-        assert_eq!(
-            realised(&l, &down, 3.0, 4.0),
-            3.0,
-            "the piston has not turned yet"
-        );
-        assert_eq!(
-            realised(&l, &down, 3.0, 1.5),
-            2.5,
-            "half of the distance is covered"
-        );
-        assert_eq!(realised(&l, &down, 2.5, 1.0), 2.0);
     }
 
     fn line() -> impl Strategy<Value = Line> {

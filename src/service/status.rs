@@ -57,12 +57,9 @@ pub fn blocked(f: &Frame) -> bool {
 pub fn shortfall(f: &Frame) -> Option<&'static str> {
     let obstructed = "the tip does not follow the pistons: an obstruction holds it, or the target is out of its reach; remove the \
                       obstruction, or choose another target";
-    let hunting = "the tip swung about its target because of the loop, which is slower now and stands at the nearest position \
-                   that it reaches; look for a line that sticks, or calibrate again";
     f.saturation
         .words()
         .or_else(|| f.blocked.then_some(obstructed))
-        .or_else(|| f.hunting.then_some(hunting))
 }
 
 /// What is known about a base that turned.
@@ -138,8 +135,13 @@ pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
         "unverified": output.unverified,
         "k_epsilon": f.k_epsilon.map(round),
         "k_lambda_mm": f.k_lambda_mm.map(round),
-        "hunting": f.hunting,
-        "integral_s": round(f.integral_s),
+        "k_epsilon_sigma": f.belief.line_sigmas.map(|s| round(s[0])),
+        "k_lambda_sigma_mm": f.belief.line_sigmas.map(|s| round(s[1])),
+        "belief": pose(&Bend(f.belief.settled)),
+        "belief_sigma_deg": round(f.belief.sigma_rad.to_degrees()),
+        "residual_deg": round(f.belief.residual.norm().to_degrees()),
+        "response_error_s": round(f.belief.response_error_s),
+        "periodic_hz": f.belief.periodic_hz.map(round),
         "lag_s": round(f.dynamics.lag_s),
         "delay_s": round(f.dynamics.delay_s),
     })

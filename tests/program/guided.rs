@@ -9,7 +9,7 @@ use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::config::supervisor::assemble;
 use retroflex::control::path::Path;
-use retroflex::control::pi::Dynamics;
+use retroflex::control::dynamics::Dynamics;
 use retroflex::control::tick::Command;
 use retroflex::drill::process::{Daemon, daemon::ask};
 use retroflex::model::bend::Bend;

@@ -1,19 +1,18 @@
 //! ★ One tick of the control loop: `tick(&LoopConfig, &mut LoopState, &Input) -> Frame`.
 //!
 //! ```text
-//! ImuSample ─ fusion ─▶ estimated bend ─┐
-//! target ─ profile ─▶ set-point         ▼
-//! steps ─ play, 1/(1+k_ε) ─▶ bend from pistons ─ lag, dead time ─▶ predicted bend ─▶ error ─ PI ─▶ feedback
-//! set-point + feedback ─▶ bend command ─ arc ─▶ bellow lengths ─ transmission⁻¹ ─▶ piston targets ─ limits ─▶ steps
+//! sense     ImuSample ─ fusion ─▶ estimated bend
+//! observe   steps ─ plays, laws, dead time, lag ─▶ predicted bend ─ Kalman filter with the estimate ─▶ belief: laws, g, σ
+//! decide    target ─ profile ─▶ set-point ─ PI on the belief, rule for when to move ─▶ bend of the channels
+//! act       ─ inverse of the belief, free common length ─▶ piston targets ─ limits ─▶ steps
 //! ```
 //!
 //! The tick neither allocates, locks nor reads a clock. Hardware, simulation and replay run the same function and get
 //! the same bits.
 
-mod feedback;
-mod observation;
+mod decide;
+mod observe;
 mod path;
-mod pistons;
 mod restart;
 mod sense;
 mod setpoint;
@@ -22,28 +21,23 @@ mod types;
 
 pub use restart::{RestartRest, RestartState};
 pub use state::LoopState;
-pub use types::{Command, FeedbackConfig, Frame, Input, LoopConfig, Reference, Senses, TickPhase};
+pub use types::{Belief, Command, FeedbackConfig, Frame, Input, LoopConfig, Reference, Senses, TickPhase};
 
 use crate::control::limits::Cut;
 use crate::estimation::fusion::health::HealthAction;
 use crate::estimation::fusion::tip::TipEstimate;
 use crate::model::{Bend, Shape};
 use crate::primitives::Mm;
-use observation::Observation;
-use pistons::PistonOutput;
+use decide::PistonOutput;
+use nalgebra::Vector2;
 
 /// One tick of the loop.
 pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame {
     sense::estimate(config, state, input);
-    let from_pistons = pistons::follow_steps(config, state, &input.steps, input.dt_s);
+    let from_pistons = observe::follow_steps(config, state, &input.steps, input.dt_s);
     let Some(estimate) = state.fusion.estimate() else {
-        return frame(
-            config,
-            state,
-            input,
-            &Observation::without_estimate(from_pistons),
-            PistonOutput::resting(state),
-        );
+        let output = PistonOutput::resting(state);
+        return frame(config, state, input, None, from_pistons, output);
     };
     let bend = estimate.bend;
     state.setpoint.target_rests_s += input.dt_s;
@@ -54,66 +48,68 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
         };
         state.setpoint.target_rests_s = 0.0;
     }
-    let holding = feedback::hold(config, state, &input.steps);
+    let holding = decide::hold(config, state, &input.steps);
     let setpoint_cut = if holding {
         Cut::None
     } else {
-        feedback::advance_setpoint(config, state, input)
+        decide::advance_setpoint(config, state, input)
     };
     let moving = !state.setpoint.has_arrived();
-    let predicted_before = state.feedback.model.predicted();
-    let predicted = state
-        .feedback
-        .model
-        .step(from_pistons.0, &state.dynamics.best, input.dt_s);
-    sense::watch_base(config, state, input, predicted, bend);
-    let observation = Observation {
-        estimate: Some(estimate),
-        from_pistons,
-        predicted,
-        predicted_rate: (predicted - predicted_before).norm() / input.dt_s.max(f64::MIN_POSITIVE),
-        unexplained: predicted - bend.0,
-        settled: bend.0 + from_pistons.0 - predicted,
-    };
-    let departs = (moving || holding) && !state.feedback.moving;
-    feedback::feed_back(config, state, &observation, moving || holding, input.dt_s);
-    if config.feedback.is_some() && !holding && !state.base.moved {
-        feedback::learn(config, state, &observation, bend, departs, input.dt_s);
+    depart(state, moving);
+    sense::watch_base(config, state, input, bend);
+    if !holding && !state.base.moved {
+        observe::learn(config, state, &bend.0, moving, input.dt_s);
     }
-    let mut output = pistons::command(config, state, bend, moving, input.dt_s);
-    feedback::monitor_saturation(
-        config,
-        state,
-        bend,
-        moving || holding,
-        output.cut,
-        input.dt_s,
-    );
+    state.last_estimate = bend.0;
+    let mut output = decide::command(config, state, bend, moving, input.dt_s);
+    watch(config, state, bend, moving || holding, output.cut, input.dt_s);
     if output.cut == Cut::None {
         output.cut = setpoint_cut;
     }
-    frame(config, state, input, &observation, output)
+    frame(config, state, input, Some(estimate), from_pistons, output)
+}
+
+/// When the set-point begins to move: what was learned against an obstruction says nothing about the next target.
+fn depart(state: &mut LoopState, moving: bool) {
+    if moving && !state.moving {
+        if state.obstruction.blocked {
+            state.observer.recall(&state.known);
+        } else {
+            state.known = state.observer.knowledge();
+        }
+        state.observer.depart();
+        state.rule.depart();
+    }
+    state.moving = moving;
+}
+
+/// Whether the tip is obstructed, and whether the controller has reached its limits away from the target.
+fn watch(config: &LoopConfig, state: &mut LoopState, estimate: Bend, moving: bool, cut: Cut, dt_s: f64) {
+    let Some(f) = &config.feedback else { return };
+    state.rule.step(moving, dt_s);
+    let error = state.setpoint.target.bend.0 - estimate.0;
+    let settled = estimate.0 + state.observer.settled_by_laws() - state.observer.predicted();
+    let feedback = state.feedback;
+    state.obstruction.step(&f.obstruction, moving, &feedback, &settled, &error);
+    let off = error.norm() > f.obstruction.error_deg.to_radians();
+    state.saturation.step(moving, off, state.feedback_full, cut, dt_s);
 }
 
 fn frame(
     config: &LoopConfig,
     state: &LoopState,
     input: &Input,
-    observation: &Observation,
+    estimate: Option<TipEstimate>,
+    from_pistons: Bend,
     output: PistonOutput,
 ) -> Frame {
-    let &Observation {
-        estimate,
-        from_pistons,
-        predicted,
-        unexplained,
-        ..
-    } = observation;
     let phase = match estimate {
         None => TickPhase::Aligning,
         Some(_) if state.setpoint.has_arrived() => TickPhase::Holding,
         Some(_) => TickPhase::Tracking,
     };
+    let dynamics = state.observer.dynamics;
+    let predicted = state.observer.predicted();
     Frame {
         t: input.t,
         phase,
@@ -125,24 +121,35 @@ fn frame(
         estimate,
         bend_from_pistons: from_pistons,
         predicted,
-        unexplained,
-        feedback: state.feedback.feedback,
+        unexplained: estimate.map_or_else(Vector2::zeros, |e| predicted - e.bend.0),
+        feedback: state.feedback,
         command: output.command,
         bellow_mm: output.bellow_mm,
         piston_target_mm: output.piston_target_mm,
         steps: config.drive.steps(&output.piston_target_mm),
-        k_epsilon: state.transmission.lines.map(|l| l.k_epsilon),
-        k_lambda_mm: state.transmission.lines.map(|l| l.k_lambda_mm),
-        dynamics: state.dynamics.best,
+        k_epsilon: state.lines.map(|l| l.k_epsilon),
+        k_lambda_mm: state.lines.map(|l| l.k_lambda_mm),
+        dynamics,
         cut: output.cut,
-        at_rest: state.feedback.standstill.closed,
-        blocked: state.feedback.obstruction.blocked,
-        hunting: state.feedback.hunting.hunting,
-        integral_s: state.feedback.integral_s,
-        saturation: state.feedback.saturation.now(),
+        at_rest: phase == TickPhase::Holding && state.rule.rests_s > dynamics.delay_s + 3.0 * dynamics.lag_s,
+        blocked: state.obstruction.blocked,
+        belief: belief(state),
+        saturation: state.saturation.now(),
         senses: senses(state, estimate),
         base_moved: state.base.moved,
         base_doubted: state.fusion.suspects_base_motion(&config.fuse),
+    }
+}
+
+fn belief(state: &LoopState) -> Belief {
+    let observer = &state.observer;
+    Belief {
+        settled: observer.settled_by_laws() + observer.residual(),
+        sigma_rad: observer.settled_variance(&observer.now).max(0.0).sqrt(),
+        residual: observer.residual(),
+        line_sigmas: state.line_sigmas(),
+        response_error_s: state.dynamics.error_max_s(),
+        periodic_hz: state.periodic.hertz(),
     }
 }
 

@@ -5,7 +5,7 @@ use super::state::LoopState;
 use super::types::{LoopConfig, Reference};
 use crate::control::follow::{Follower, Pace};
 use crate::control::limits::{ActuatorLimits, Cut};
-use crate::model::{Bend, Geometry, Line, Shape, SideState};
+use crate::model::{Bend, Geometry, Shape, SideState};
 use crate::motion::{MotionLimits, MotionState, Stop};
 use crate::primitives::Mm;
 use nalgebra::{Vector1, Vector2, Vector3};
@@ -107,15 +107,15 @@ pub(super) fn bellow_motion(
     ])
 }
 
-/// A bellow on its way: length change in mm, speed and acceleration of the reference in mm/s and mm/s².
+/// A play output on its way: position in mm, speed and acceleration of the reference in mm/s and mm/s².
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Passing {
-    pub(super) q_mm: f64,
+    pub(super) w_mm: f64,
     pub(super) speed: f64,
     pub(super) acceleration: f64,
 }
 
-/// Piston target for a bellow that passes `q_mm` while the reference has this velocity and acceleration.
+/// Piston target for a play output that passes `w_mm` while the reference has this velocity and acceleration.
 ///
 /// The side of the backlash follows the reference alone: a reversal by feedback that crosses an overestimated backlash moves
 /// the tip too far, and the feedback would reverse again. The crossing is centred on the turning point, and the slower the
@@ -124,14 +124,17 @@ pub(super) struct Passing {
 /// Because a piston is sent to its target to stop there, the target is where a piston that passes the wanted position with
 /// the wanted speed would come to rest.
 pub(super) fn invert(
-    line: &Line,
+    half_width_mm: f64,
     before: SideState,
     passing: &Passing,
     limits: &MotionLimits,
     dt_s: f64,
 ) -> (f64, SideState) {
-    let [w_mm, speed, acceleration] =
-        [passing.q_mm, passing.speed, passing.acceleration].map(|x| line.play_output_mm(x));
+    let &Passing {
+        w_mm,
+        speed,
+        acceleration,
+    } = passing;
     let crossing_s = (2.0 * (2.0 * CROSSING_COST_MM / acceleration.abs().max(1e-9)).sqrt())
         .clamp(CROSSING_S.0, CROSSING_S.1);
     let heading = speed + acceleration * crossing_s / 2.0;
@@ -147,7 +150,7 @@ pub(super) fn invert(
         way,
     };
     let velocity_mm_s = speed.clamp(-limits.speed_max_mm_s, limits.speed_max_mm_s);
-    let position_mm = w_mm + line.k_lambda_mm * next.side;
+    let position_mm = w_mm + half_width_mm * next.side;
     (
         Stop::from(
             MotionState {
@@ -170,10 +173,6 @@ mod tests {
     #[test]
     fn a_piston_crosses_its_backlash_before_the_play_output_turns_and_does_not_chatter() {
         let limits = MotionLimits::of_checked(&MotionConfig::default());
-        let line = Line {
-            k_epsilon: 2.0,
-            k_lambda_mm: 1.0,
-        };
         let (dt_s, rate) = (0.001, 2.0 * std::f64::consts::PI * 0.2);
         let (mut side, mut turned) = (SideState::default(), Vec::new());
         for k in 0..10_000 {
@@ -182,11 +181,11 @@ mod tests {
             // 10 µm of noise on the bellow, as feedback makes it
             let q_mm = 2.0 * sin + 0.01 * f64::from(k * 7919 % 13 - 6) / 6.0;
             let passing = Passing {
-                q_mm,
-                speed: 2.0 * rate * cos,
-                acceleration: -2.0 * rate * rate * sin,
+                w_mm: 3.0 * q_mm,
+                speed: 6.0 * rate * cos,
+                acceleration: -6.0 * rate * rate * sin,
             };
-            let (_, next) = invert(&line, side, &passing, &limits, dt_s);
+            let (_, next) = invert(1.0, side, &passing, &limits, dt_s);
             if next.way != side.way {
                 turned.push(t);
             }
@@ -202,17 +201,13 @@ mod tests {
     #[test]
     fn a_piston_that_passes_is_sent_to_where_it_would_stop() {
         let limits = MotionLimits::of_checked(&MotionConfig::default());
-        let line = Line {
-            k_epsilon: 2.0,
-            k_lambda_mm: 1.0,
-        };
         let passing = Passing {
-            q_mm: 1.0,
-            speed: 5.0,
+            w_mm: 3.0,
+            speed: 15.0,
             acceleration: 0.0,
         };
         let (target, _) = invert(
-            &line,
+            1.0,
             SideState {
                 w_mm: 3.0,
                 side: 1.0,

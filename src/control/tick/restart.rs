@@ -2,8 +2,7 @@
 
 use super::state::LoopState;
 use super::types::LoopConfig;
-use crate::control::hunting::HuntingDetector;
-use crate::control::pi::{Dynamics, DynamicsPrior};
+use crate::control::dynamics::{Dynamics, DynamicsPrior};
 use crate::model::{Bend, Line};
 use crate::primitives::Steps;
 use nalgebra::Vector2;
@@ -30,9 +29,9 @@ pub struct RestartState {
     /// Standard deviation of both, s.
     #[serde(default = "unknown_s")]
     pub dynamics_uncertainty_s: f64,
-    /// Factor by which hunting has slowed the loop down, at least 1.
-    #[serde(default = "brisk")]
-    pub caution: f64,
+    /// Of an earlier version; without a meaning now.
+    #[serde(default, skip_serializing)]
+    pub caution: Option<f64>,
     /// Rest pose, once it is known.
     pub rest: Option<RestartRest>,
 }
@@ -48,15 +47,13 @@ impl RestartState {
             && times_s.into_iter().all(DynamicsPrior::is_possible_s)
             && bend_rad <= std::f64::consts::PI
             && self.play_output_mm.iter().all(|w| w.abs() <= PISTON_MAX_MM)
-            && (1.0..=CAUTION_MAX).contains(&self.caution)
             && self.steps.0.iter().all(|n| n.unsigned_abs() <= STEPS_MAX)
             && self.rest.is_none_or(|rest| rest.is_possible())
     }
 }
 
-/// Largest travel of a piston, mm, and largest slowdown, in any memory.
+/// Largest travel of a piston, mm, in any memory.
 const PISTON_MAX_MM: f64 = 1000.0;
-const CAUTION_MAX: f64 = 1000.0;
 /// Largest count, and largest reading at rest in its unit, in any memory.
 const STEPS_MAX: u32 = 1_000_000_000;
 const READING_MAX: f64 = 1e6;
@@ -64,11 +61,6 @@ const READING_MAX: f64 = 1e6;
 /// Uncertainty of lag and dead time in a memory that does not state it, s.
 fn unknown_s() -> f64 {
     0.3
-}
-
-/// Factor in a memory that does not state it.
-fn brisk() -> f64 {
-    1.0
 }
 
 /// Rest pose of the alignment, in the base frame.
@@ -103,31 +95,31 @@ impl LoopState {
         RestartState {
             steps: *steps,
             bend_rad: self.fusion.estimate().map_or([0.0; 2], |f| f.bend.0.into()),
-            play_output_mm: self.transmission.play_output_mm.into(),
-            k_epsilon: self.transmission.lines.map(|l| l.k_epsilon),
-            k_lambda_mm: self.transmission.lines.map(|l| l.k_lambda_mm),
+            play_output_mm: self.observer.now.play.map(|play| play.w_mm),
+            k_epsilon: self.lines.map(|l| l.k_epsilon),
+            k_lambda_mm: self.lines.map(|l| l.k_lambda_mm),
             lag_s: dynamics.expected.lag_s,
             delay_s: dynamics.expected.delay_s,
             dynamics_uncertainty_s: dynamics.uncertainty_s,
-            caution: self.feedback.hunting.caution,
+            caution: None,
             rest,
         }
     }
 
     /// Restores the position of the pistons and the learned values, before an alignment.
     pub fn take_up(&mut self, config: &LoopConfig, remembered: &RestartState) {
-        self.transmission.lines = Line::each(remembered.k_epsilon, remembered.k_lambda_mm);
         let expected = Dynamics {
             lag_s: remembered.lag_s,
             delay_s: remembered.delay_s,
         };
-        self.learning.before = DynamicsPrior {
+        self.before = DynamicsPrior {
             expected,
             uncertainty_s: remembered.dynamics_uncertainty_s,
         };
-        self.dynamics = self.learning.before.range();
-        self.feedback.hunting = HuntingDetector::new(remembered.caution);
-        self.transmission.play_output_mm = remembered.play_output_mm.into();
+        self.dynamics = self.before.range();
+        self.set_lines(config, Line::each(remembered.k_epsilon, remembered.k_lambda_mm));
+        let piston_mm = config.drive.piston_mm(&remembered.steps);
+        self.observer.rest(&remembered.play_output_mm.into(), &piston_mm);
         self.stand(config, &remembered.steps, Bend(remembered.bend_rad.into()));
     }
 }

@@ -2,7 +2,6 @@
 
 use super::state::{BaseState, LoopState, QuietPose};
 use super::types::{Input, LoopConfig};
-use crate::control::pi::PiState;
 use crate::estimation::fusion::base_watch::{Watch, WatchInput};
 use crate::estimation::fusion::health::ImuReading;
 use crate::estimation::fusion::tip::FusionInput;
@@ -46,7 +45,7 @@ pub(super) fn estimate(config: &LoopConfig, state: &mut LoopState, input: &Input
     let still = motors.still_s >= STILL_AFTER_S;
     if let (Some(machine), Some(described), Some(rest)) = (
         config.feedforward.as_deref(),
-        state.transmission.described.as_mut(),
+        state.described.as_mut(),
         state
             .fusion
             .alignment()
@@ -71,12 +70,9 @@ pub(super) fn watch_base(
     config: &LoopConfig,
     state: &mut LoopState,
     input: &Input,
-    predicted: Vector2<f64>,
     estimate: Bend,
 ) {
-    // from the play operators, not from the inverse: correcting for a base that has turned crosses the backlash and need
-    // not end where it began
-    let played = state.transmission.played_shape(&config.geometry).bend.0;
+    let played = state.observer.given();
     if input.realign {
         let quiet = &state.base.quiet;
         let bend = Bend(quiet.estimate + played - quiet.played);
@@ -106,7 +102,7 @@ pub(super) fn watch_base(
     let observed = WatchInput {
         rate_rad_s,
         estimate: estimate.0,
-        model: predicted,
+        model: state.observer.predicted(),
         setpoint: state.setpoint.bend.at,
         remaining: state.setpoint.target.bend.0 - estimate.0,
         still_s: state.motors.still_s,
@@ -123,10 +119,9 @@ pub(super) fn watch_base(
     }
     state.base.moved = flagged;
     if flagged {
-        feed_back_as_before_the_turn(config, state);
+        return_to_before_the_turn(state, played);
     } else if state.base.watch.quiet() {
         state.base.quiet = QuietPose {
-            feedback: state.feedback.feedback,
             estimate: estimate.0,
             played,
         };
@@ -134,17 +129,10 @@ pub(super) fn watch_base(
     }
 }
 
-/// Takes back what the feedback has learned since the base began to turn.
-fn feed_back_as_before_the_turn(config: &LoopConfig, state: &mut LoopState) {
-    // what has been taught since it began to twist is of the base, and the integral that from before it turned
-    let earlier = usize::from(state.feedback.sways_s > state.setpoint.target_rests_s);
-    let shift = state.feedback.taught[earlier]
-        .or(state.feedback.taught[0])
-        .map_or_else(Vector2::zeros, |taught| state.return_to(config, &taught));
-    let learned = state.feedback.error.at(&state.setpoint.bend.at);
-    let integral = state.base.quiet.feedback * state.base.watch.share_of_tip() - learned + shift;
-    state.feedback.pi = PiState {
-        integral,
-        feedback: integral,
-    };
+/// Takes back what was learned since the base began to turn. The tip is where it was before, moved by what the pistons have done since.
+fn return_to_before_the_turn(state: &mut LoopState, played: Vector2<f64>) {
+    state.observer.recall(&state.known);
+    let quiet = &state.base.quiet;
+    let bend = quiet.estimate + played - quiet.played;
+    state.observer.believe(&bend);
 }

@@ -2,21 +2,16 @@
 
 use super::setpoint::SetPoint;
 use super::types::LoopConfig;
-use crate::control::backlash_adaptation::BacklashAdaptation;
-use crate::control::calm::CalmCorrection;
+use crate::control::dynamics::{DynamicsPrior, DynamicsRange};
 use crate::control::feedforward::FeedforwardState;
-use crate::control::hunting::HuntingDetector;
-use crate::control::learning::dynamics::DynamicsBank;
-use crate::control::learning::online::RefineState;
-use crate::control::learning::sides::Sides;
-use crate::control::learning::static_error::StaticError;
+use crate::control::observer::bank::DynamicsBank;
+use crate::control::observer::{Knowledge, Observer, Periodic};
 use crate::control::obstruction::ObstructionDetector;
-use crate::control::pi::{DynamicsPrior, DynamicsRange, PiState, ReferenceModel};
+use crate::control::rule::Rule;
 use crate::control::saturation::SaturationMonitor;
-use crate::control::standstill::StandstillLatch;
 use crate::estimation::fusion::base_watch::Watch;
 use crate::estimation::fusion::tip::Fusion;
-use crate::model::{Bend, Geometry, Line, Shape, SideState};
+use crate::model::{Bend, Line, Shape, SideState};
 use crate::primitives::{Mm, Steps};
 use nalgebra::{Vector2, Vector3};
 
@@ -30,11 +25,33 @@ pub struct LoopState {
     pub fusion: Fusion,
     pub(super) motors: MotorActivity,
     pub(super) setpoint: SetPoint,
-    pub(super) transmission: Transmission,
-    /// Lag and dead time in use, and the plausible range.
+    /// Gains as published: those of the calibration, refined.
+    pub(super) lines: [Line; 3],
+    /// Largest |v| that each channel has shown, rad.
+    pub(super) shown: [f64; 3],
+    /// Sides of the backlash as an open loop or a path has commanded them.
+    pub(super) sides: [SideState; 3],
+    pub(super) observer: Observer,
+    /// What was known when the set-point left the last pose that nothing obstructed.
+    pub(super) known: Knowledge,
+    /// Lag and dead time that are plausible, their bank, and what was known before any motion that it has seen.
     pub(super) dynamics: DynamicsRange,
-    pub(super) feedback: Feedback,
-    pub(super) learning: Learning,
+    pub(super) bank: DynamicsBank,
+    pub(super) before: DynamicsPrior,
+    pub(super) periodic: Periodic,
+    /// Sum of what the tip moved otherwise than predicted, and the last estimate, rad.
+    pub(super) unexplained: Vector2<f64>,
+    pub(super) last_estimate: Vector2<f64>,
+    pub(super) rule: Rule,
+    /// The set-point moves.
+    pub(super) moving: bool,
+    /// Part of the command beyond the set-point, rad, and whether it is at its bound.
+    pub(super) feedback: Vector2<f64>,
+    pub(super) feedback_full: bool,
+    pub(super) obstruction: ObstructionDetector,
+    pub(super) saturation: SaturationMonitor,
+    /// State of the effects, with a feedforward through a described machine.
+    pub(super) described: Option<FeedforwardState>,
     pub(super) base: BaseState,
     pub(super) hold: Hold,
     /// Piston targets of the last tick, mm.
@@ -51,110 +68,6 @@ pub(super) struct MotorActivity {
     pub(super) still_s: f64,
 }
 
-/// The transmission lines.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Transmission {
-    pub(super) lines: [Line; 3],
-    /// Sides of the backlash as the inverse has commanded them.
-    pub(super) sides: [SideState; 3],
-    /// Outputs of the play operators at the counted steps, mm.
-    pub(super) play_output_mm: Vector3<f64>,
-    /// Play outputs as the inverse intended them, mm.
-    pub(super) intended_mm: Vector3<f64>,
-    /// Sides of the backlash at the counted steps.
-    pub(super) pushes: Sides,
-    /// State of the effects, with a feedforward through a described machine.
-    pub(super) described: Option<FeedforwardState>,
-}
-
-impl Transmission {
-    /// Shape at the play outputs: bend in rad, length in mm.
-    pub(super) fn played_shape(&self, geometry: &Geometry) -> Shape {
-        shape_of(geometry, &self.lines, &self.play_output_mm)
-    }
-
-    /// Shape at the play outputs that the inverse intended.
-    pub(super) fn intended_shape(&self, geometry: &Geometry) -> Shape {
-        shape_of(geometry, &self.lines, &self.intended_mm)
-    }
-
-    /// Exchanges the gains while the pistons stay. Returns the change of the intended bend, rad.
-    pub(super) fn exchange(&mut self, geometry: &Geometry, next: &[Line; 3]) -> Vector2<f64> {
-        let before = self.intended_shape(geometry).bend.0;
-        self.lines = *next;
-        self.intended_shape(geometry).bend.0 - before
-    }
-
-    /// Takes over that each k_λ is larger by ν r (1 + k_ε), within the bounds of the refinement. The pistons stay. Returns the change
-    /// of the intended bend, rad.
-    pub(super) fn widen(&mut self, config: &LoopConfig, nu: &Vector3<f64>) -> Vector2<f64> {
-        let before = self.intended_shape(&config.geometry).bend.0;
-        for (i, line) in self.lines.iter_mut().enumerate() {
-            let now_mm = line.k_lambda_mm;
-            let [_, [least, most]] = config.refine.bounds(&config.lines[i]);
-            let wider_mm = now_mm + line.play_output_mm(nu[i] * config.geometry.r_mm);
-            line.k_lambda_mm = wider_mm.clamp(least.min(now_mm), most.max(now_mm));
-            let change_mm = (line.k_lambda_mm - now_mm) * self.sides[i].side;
-            self.intended_mm[i] -= change_mm;
-            self.sides[i].w_mm -= change_mm;
-        }
-        self.intended_shape(&config.geometry).bend.0 - before
-    }
-}
-
-/// Shape at the play outputs `w_mm` with the gains `lines`.
-pub(super) fn shape_of(geometry: &Geometry, lines: &[Line; 3], w_mm: &Vector3<f64>) -> Shape {
-    geometry.shape(&Vector3::from_fn(|i, _| lines[i].bellow_mm(w_mm[i])))
-}
-
-/// The outer loop.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Feedback {
-    pub(super) model: ReferenceModel,
-    pub(super) pi: PiState,
-    /// What the poses have taught about the error of the model.
-    pub(super) error: StaticError,
-    /// Learned error at the set-point plus that of the controller, contained in the command, rad.
-    pub(super) feedback: Vector2<f64>,
-    /// Integral time in use, s.
-    pub(super) integral_s: f64,
-    /// The integrator is at its bound.
-    pub(super) integral_full: bool,
-    pub(super) calm: CalmCorrection,
-    pub(super) standstill: StandstillLatch,
-    /// Time since the latch closed, s.
-    pub(super) standstill_s: f64,
-    pub(super) obstruction: ObstructionDetector,
-    pub(super) hunting: HuntingDetector,
-    /// What was known when the set-point left the last poses that nothing obstructed, the latest first.
-    pub(super) taught: [Option<Taught>; 16],
-    /// The base sways, and the time for which it has, s.
-    pub(super) sways: bool,
-    pub(super) sways_s: f64,
-    /// The set-point moves.
-    pub(super) moving: bool,
-    pub(super) saturation: SaturationMonitor,
-    pub(super) backlash: BacklashAdaptation,
-}
-
-/// What the poses before a departure have taught.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Taught {
-    pub(super) pi: PiState,
-    pub(super) error: StaticError,
-    pub(super) refine: RefineState,
-    pub(super) lines: [Line; 3],
-}
-
-/// The online learners.
-#[derive(Debug, Clone)]
-pub(super) struct Learning {
-    pub(super) refine: RefineState,
-    pub(super) bank: DynamicsBank,
-    /// Lag and dead time before any motion that the bank has seen.
-    pub(super) before: DynamicsPrior,
-}
-
 /// Supervision of the base.
 #[derive(Debug, Clone, Default)]
 pub(super) struct BaseState {
@@ -167,7 +80,6 @@ pub(super) struct BaseState {
 /// The last pose in which nothing moved, rad.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct QuietPose {
-    pub(super) feedback: Vector2<f64>,
     pub(super) estimate: Vector2<f64>,
     /// Bend from the play outputs.
     pub(super) played: Vector2<f64>,
@@ -197,6 +109,8 @@ impl Hold {
 impl LoopState {
     /// Straight and at rest with the pistons at zero, not aligned.
     pub fn new(config: &LoopConfig) -> Self {
+        let dynamics = config.dynamics.range();
+        let observer = observer(config, config.lines, &dynamics);
         Self {
             fusion: Fusion::default(),
             motors: MotorActivity {
@@ -208,18 +122,24 @@ impl LoopState {
                 bend: Bend::STRAIGHT,
                 length: Mm(config.geometry.rest_length_mm),
             }),
-            transmission: Transmission {
-                lines: config.lines,
-                described: config.feedforward.as_deref().map(FeedforwardState::new),
-                ..Transmission::default()
-            },
-            dynamics: config.dynamics.range(),
-            feedback: Feedback::default(),
-            learning: Learning {
-                refine: RefineState::new(&config.refine, &config.line_priors()),
-                bank: DynamicsBank::default(),
-                before: config.dynamics,
-            },
+            lines: config.lines,
+            shown: [0.0; 3],
+            sides: Default::default(),
+            known: observer.knowledge(),
+            observer,
+            dynamics,
+            bank: DynamicsBank::default(),
+            before: config.dynamics,
+            periodic: Periodic::new(&config.feedback.unwrap_or_default().periodic),
+            unexplained: Vector2::zeros(),
+            last_estimate: Vector2::zeros(),
+            rule: Rule::default(),
+            moving: false,
+            feedback: Vector2::zeros(),
+            feedback_full: false,
+            obstruction: ObstructionDetector::default(),
+            saturation: SaturationMonitor::default(),
+            described: config.feedforward.as_deref().map(FeedforwardState::new),
             base: BaseState::default(),
             hold: Hold::RELEASED,
             targets_mm: Vector3::zeros(),
@@ -228,117 +148,85 @@ impl LoopState {
 
     /// Time from the command of a tick until the tip answers it, without the lag, which the feedforward leads, s.
     pub fn answers_after_s(&self, config: &LoopConfig, dt_s: f64) -> f64 {
-        self.dynamics.best.delay_s + config.motion.lead_s.max(dt_s)
+        self.observer.dynamics.delay_s + config.motion.lead_s.max(dt_s)
     }
 
     /// Transmission gains in use.
     pub fn lines(&self) -> &[Line; 3] {
-        &self.transmission.lines
+        &self.lines
     }
 
     /// Standard deviations of the refined k_ε and k_λ in mm, per channel.
     pub fn line_sigmas(&self) -> [[f64; 2]; 3] {
-        self.learning.refine.sigma()
+        std::array::from_fn(|i| {
+            let k_epsilon = (1.0 + self.lines[i].k_epsilon) * self.observer.gain_sigma(i);
+            [k_epsilon, self.observer.half_width_sigma_mm(i)]
+        })
     }
 
     /// Replaces the transmission gains after a calibration. A described machine keeps its own, which belong to its effects.
-    pub fn set_lines(&mut self, lines: [Line; 3]) {
-        if self.transmission.described.is_none() {
-            self.transmission.lines = lines;
-            self.feedback.error = StaticError::default();
-            self.feedback.taught = Default::default();
+    pub fn set_lines(&mut self, config: &LoopConfig, lines: [Line; 3]) {
+        if self.described.is_none() {
+            self.lines = lines;
+            self.observer = observer(config, lines, &self.dynamics);
+            self.known = self.observer.knowledge();
         }
     }
 
-    /// The pistons rest at these counts and the tip shall stay at `at`. The difference to the bend from the pistons
-    /// becomes the integral part, so that nothing moves.
+    /// The pistons rest at these counts and the tip shall stay at `at`. What the laws say otherwise becomes the residual, so that
+    /// nothing moves.
     pub fn stand(&mut self, config: &LoopConfig, steps: &Steps, at: Bend) {
         let piston_mm = config.drive.piston_mm(steps);
-        let lines = &mut self.transmission;
-        lines.pushes = Sides::resting(piston_mm);
-        for i in 0..3 {
-            let line = &lines.lines[i];
-            let w_mm = line.play(lines.play_output_mm[i], piston_mm[i]);
-            let side = if line.k_lambda_mm > 0.0 {
-                ((piston_mm[i] - w_mm) / line.k_lambda_mm).clamp(-1.0, 1.0)
-            } else {
-                0.0
-            };
-            lines.play_output_mm[i] = w_mm;
-            lines.intended_mm[i] = w_mm;
-            lines.sides[i] = SideState {
-                w_mm,
-                side,
-                way: if side == 0.0 { 0.0 } else { side.signum() },
-            };
-        }
-        let mut given = lines.intended_shape(&config.geometry);
+        let mut length_mm = config.geometry.rest_length_mm;
+        let mut given = None;
+        let play_output_mm = self.observer.play_outputs(&piston_mm);
+        let bellow_mm = Vector3::from_fn(|i, _| self.lines[i].bellow_mm(play_output_mm[i]));
+        length_mm += bellow_mm.sum() / 3.0;
         if let Some(machine) = config.feedforward.as_deref() {
             let mut described = FeedforwardState::new(machine);
-            given = described.advance(machine, &lines.intended_mm, SETTLED_S);
-            lines.described = Some(described);
+            let shape = described.advance(machine, &play_output_mm, SETTLED_S);
+            (given, length_mm) = (Some(shape.bend.0), shape.length.0);
+            self.described = Some(described);
         }
-        let length = given.length.0.clamp(
-            0.5 * config.geometry.rest_length_mm,
-            2.0 * config.geometry.rest_length_mm,
-        );
+        let rest_length_mm = config.geometry.rest_length_mm;
         self.setpoint = SetPoint::resting(Shape {
             bend: at,
-            length: Mm(length),
+            length: Mm(length_mm.clamp(0.5 * rest_length_mm, 2.0 * rest_length_mm)),
         });
-        let feedback = given.bend.0 - at.0;
-        let (error, integral) = (
-            self.feedback.error,
-            feedback - self.feedback.error.at(&at.0),
-        );
-        let pi = PiState {
-            integral,
-            feedback: integral,
-        };
-        let taught = Taught {
-            pi,
-            error,
-            refine: self.learning.refine,
-            lines: self.transmission.lines,
-        };
-        let mut backlash = self.feedback.backlash;
-        backlash.forget();
-        self.feedback = Feedback {
-            model: ReferenceModel::resting(given.bend.0),
-            pi,
-            error,
-            taught: std::array::from_fn(|i| (i == 0).then_some(taught)),
-            feedback,
-            backlash,
-            hunting: HuntingDetector::new(self.feedback.hunting.caution),
-            ..Feedback::default()
-        };
+        let f = config.feedback.unwrap_or_default();
+        self.observer.stand(&f.observer, &piston_mm, given, &at.0);
+        self.known = self.observer.knowledge();
+        self.sides = std::array::from_fn(|i| {
+            let play = &self.observer.now.play[i];
+            SideState {
+                w_mm: play.w_mm,
+                side: -play.slope,
+                way: -play.slope,
+            }
+        });
+        self.rule = Rule::resting(piston_mm);
+        self.rule.length = (self.setpoint.length.at.x - rest_length_mm) / config.geometry.r_mm;
+        (self.unexplained, self.last_estimate) = (Vector2::zeros(), at.0);
+        (self.feedback, self.feedback_full, self.moving) = (Vector2::zeros(), false, false);
+        self.obstruction = ObstructionDetector::default();
+        self.saturation = SaturationMonitor::default();
         self.hold = Hold::RELEASED;
         self.targets_mm = piston_mm;
         self.motors.last_steps = *steps;
     }
 
-    /// Returns to what earlier poses have taught, while the pistons stay. Returns the change of the intended bend, rad.
-    pub(super) fn return_to(&mut self, config: &LoopConfig, taught: &Taught) -> Vector2<f64> {
-        (self.feedback.error, self.learning.refine) = (taught.error, taught.refine);
-        let shift = self.transmission.exchange(&config.geometry, &taught.lines);
-        self.shift_model(shift);
-        shift
-    }
-
-    /// The gains have changed, so that the model now predicts a bend that differs by `shift`, rad.
-    pub(super) fn shift_model(&mut self, shift: Vector2<f64>) {
-        self.feedback.model.shift(shift);
-        self.base.watch.shift(&shift);
-    }
-
-    /// Removes the feedback and what was learned from the command, for an open loop.
+    /// Removes what was learned from the command, for an open loop.
     pub fn forget_feedback(&mut self) {
-        self.feedback.pi = PiState::default();
-        self.feedback.error = StaticError::default();
-        self.feedback.taught = Default::default();
-        self.feedback.feedback = Vector2::zeros();
-        self.feedback.integral_full = false;
-        self.feedback.saturation = SaturationMonitor::default();
+        self.observer.forget();
+        self.known = self.observer.knowledge();
+        (self.feedback, self.feedback_full) = (Vector2::zeros(), false);
+        self.saturation = SaturationMonitor::default();
     }
+}
+
+/// The observer of these lines. A described machine keeps its gains, which were identified together with its effects.
+fn observer(config: &LoopConfig, lines: [Line; 3], dynamics: &DynamicsRange) -> Observer {
+    let f = config.feedback.unwrap_or_default();
+    let fixed = !config.refine.enabled || config.feedforward.is_some();
+    Observer::new(&f.observer, &config.geometry, lines, fixed, f.ki_1_s, dynamics)
 }

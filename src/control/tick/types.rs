@@ -2,13 +2,13 @@
 
 use crate::control::calm::CalmConfig;
 use crate::control::follow::Pace;
+use crate::control::dynamics::{Dynamics, DynamicsPrior};
 use crate::control::learning::batch::Prior;
-use crate::control::learning::online::RefineConfig;
 use crate::control::limits::{ActuatorLimits, Cut};
+use crate::control::observer::{ObserverConfig, PeriodicConfig};
 use crate::control::obstruction::ObstructionConfig;
-use crate::control::pi::{Dynamics, DynamicsPrior};
+use crate::control::refine::RefineConfig;
 use crate::control::saturation::Saturation;
-use crate::control::standstill::StandstillConfig;
 use crate::estimation::fusion::health::{CauseSet, HealthAction, ImuReading};
 use crate::estimation::fusion::tip::{FuseConfig, TipEstimate};
 use crate::estimation::imu_calibration::Correction;
@@ -84,31 +84,35 @@ impl LoopConfig {
 }
 
 parameters! {
-    /// The outer loop: from the bend error to the bend command.
+    /// The outer loop: a PI controller on the observer's belief about the bend.
     pub struct FeedbackConfig: Copy {
-        /// Closed-loop time constant: the error that the feedforward leaves falls to a third within this time. A larger
-        /// value is calmer and slower. A dead time raises it automatically.
-        tau_c_s: f64 = 0.1, "s", 0.01..=10.0, "0.1 is brisk, 0.5 is calm";
-        /// Upper limit of the proportional gain, rad of command per rad of error. A larger value drives a slow line harder
-        /// and passes more of the estimate's noise to the pistons.
-        kp_max: f64 = 2.0, "", 0.0..=10.0, "2 suits an estimate with 0.05° of noise";
-        /// Limit of the integral part, in degrees of bend. A larger value over-drives a lossy line further.
+        /// Proportional gain: fraction of the expected error that one move corrects. A larger value needs fewer moves, and passes more of
+        /// an error of the model to the tip.
+        kp: f64 = 1.0, "", 0.05..=1.5, "1 trusts the observer's model, which learns";
+        /// Integral rate: how fast g, what the model does not explain, follows the estimate at rest. A larger value corrects a disturbance
+        /// sooner and passes more of the estimate's noise to the pistons.
+        ki_1_s: f64 = 23.0, "1/s", 0.1..=1000.0, "23 follows within 45 ms, the noise of a quiet IMU averaged over five samples";
+        /// Limit of the correction, in degrees of bend. A larger value over-drives a lossy line further.
         integral_max_deg: f64 = 60.0, "deg", 0.0..=180.0, "60 compensates for a line that has lost half of its gain";
+        /// A tip at rest is moved when the error exceeds this many standard deviations of what is believed and risked. A larger value moves
+        /// less often and leaves a larger error.
+        caution: f64 = 1.0, "sigma", 0.0..=10.0, "1: a move must be likelier to help than to harm";
+        /// Error that is never corrected. A larger value moves less often.
+        step_deg: f64 = 0.086, "deg", 0.0..=10.0, "0.086 is some microsteps";
+        /// Common length that may be spent so that no line crosses its backlash. A larger value avoids more reversals and lengthens the tip.
+        free_length_mm: f64 = 0.25, "mm", 0.0..=5.0, "0.25 is half a millimetre of piston";
         /// Fraction of the lag by which the feedforward leads. 0 does not lead; more than 1 overshoots.
         lead: f64 = 1.0, "", 0.0..=1.5, "1 leads by the whole lag";
         /// Learns lag and dead time during operation.
         learn_dynamics: bool = true;
-        /// Learns the static error of the model as a function of the bend; without it, every new target starts with the
-        /// feedback of the last.
-        learn_error: bool = true;
-        /// Learns how much of the backlash a reversal by feedback crosses; without it, all of it.
-        learn_backlash: bool = true;
     }
     set in code {
+        /// The observer.
+        observer: ObserverConfig = ObserverConfig::default();
+        /// A periodic disturbance.
+        periodic: PeriodicConfig = PeriodicConfig::default();
         /// Slow corrections.
         calm: CalmConfig = CalmConfig::default();
-        /// The standstill latch.
-        standstill: StandstillConfig = StandstillConfig::default();
         /// The obstruction detector.
         obstruction: ObstructionConfig = ObstructionConfig::default();
     }
@@ -168,6 +172,23 @@ pub struct Senses {
     pub disagrees: bool,
 }
 
+/// What the observer believes about the tip.
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize)]
+pub struct Belief {
+    /// Bend once the tip has settled at the counted pistons, rad.
+    pub settled: Vector2<f64>,
+    /// Standard deviation of it, rad.
+    pub sigma_rad: f64,
+    /// Part of it that no law explains: the integral part of the loop, rad.
+    pub residual: Vector2<f64>,
+    /// Standard deviations of k_ε and of k_λ in mm, per channel.
+    pub line_sigmas: [[f64; 2]; 3],
+    /// Largest plausible error of lag plus dead time, s.
+    pub response_error_s: f64,
+    /// Frequency of a periodic disturbance that is cancelled, Hz.
+    pub periodic_hz: Option<f64>,
+}
+
 /// Phase of the loop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub enum TickPhase {
@@ -195,13 +216,13 @@ pub struct Frame {
     pub estimate: Option<TipEstimate>,
     /// Bend that the counted steps cause according to the transmission model, rad.
     pub bend_from_pistons: Bend,
-    /// Bend that the reference model (lag and dead time) predicts from the counted steps, rad.
+    /// Bend that the observer predicts for now from the counted steps, without what no law explains, rad.
     pub predicted: Vector2<f64>,
-    /// Predicted minus estimated bend: the input of the PI controller, rad.
+    /// Predicted minus estimated bend, rad.
     pub unexplained: Vector2<f64>,
     /// Feedback part of the bend command, rad.
     pub feedback: Vector2<f64>,
-    /// Bend command: set-point, lead and feedback, rad.
+    /// Bend that the channels are to make: set-point, lead and feedback, rad.
     pub command: Bend,
     /// Commanded bellow length changes q, mm.
     pub bellow_mm: Vector3<f64>,
@@ -217,14 +238,12 @@ pub struct Frame {
     pub dynamics: Dynamics,
     /// Limit that cut the request.
     pub cut: Cut,
-    /// The standstill latch is closed.
+    /// The set-point rests and the loop has not moved the tip for as long as an answer takes.
     pub at_rest: bool,
     /// The tip does not follow the feedback.
     pub blocked: bool,
-    /// The loop has driven the tip to and fro at the present target, and has become slower.
-    pub hunting: bool,
-    /// Integral time λ of the controller, s.
-    pub integral_s: f64,
+    /// What the observer believes.
+    pub belief: Belief,
     /// The controller has reached a limit and the tip is still off target.
     pub saturation: Saturation,
     /// State of the sensors.

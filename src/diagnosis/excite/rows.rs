@@ -130,7 +130,6 @@ impl Machine {
                     &Wanted {
                         q_mm: q[i],
                         dt_s: 1.0,
-                        reach: 1.0,
                     },
                 );
                 states[i] = next;

@@ -12,18 +12,18 @@ const SHOWN: [(&str, &str, &str); 5] = [
     (
         "/angles",
         "retroflex.Angles",
-        "target setpoint estimate sigma_deg length_mm",
+        "target setpoint estimate sigma_deg belief belief_sigma_deg residual_deg length_mm",
     ),
     ("/pistons", "retroflex.Pistons", "piston_mm pressure_kpa"),
     (
         "/gains",
         "retroflex.Gains",
-        "k_epsilon k_lambda_mm lag_s delay_s integral_s",
+        "k_epsilon k_epsilon_sigma k_lambda_mm k_lambda_sigma_mm lag_s delay_s response_error_s periodic_hz",
     ),
     ("/mode", "retroflex.Mode", MODE),
     ("/faults", "retroflex.Faults", FAULTS),
 ];
-const MODE: &str = "mode energised at_rest blocked shortfall hunting";
+const MODE: &str = "mode energised at_rest blocked shortfall";
 const FAULTS: &str = "latched fault suspicion sensor alarm emergency_stop base unverified";
 
 /// Highest rate of a channel.

@@ -117,7 +117,7 @@ macro_rules! fields {
 fields! {
     output:
     phase, target, setpoint, estimate, bend_from_pistons, predicted, unexplained, feedback, command, bellow_mm,
-    piston_target_mm, steps, k_epsilon, k_lambda_mm, dynamics, cut, at_rest, blocked, hunting, integral_s, saturation, senses,
+    piston_target_mm, steps, k_epsilon, k_lambda_mm, dynamics, cut, at_rest, blocked, belief, saturation, senses,
     base_moved, base_doubted | steps, mode, energise, latched, stopped
 }
 

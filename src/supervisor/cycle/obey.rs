@@ -272,7 +272,7 @@ impl Supervisor {
             return Err(Refusal::Mode(mode));
         }
         self.config.tick.lines = lines;
-        self.state.set_lines(lines);
+        self.state.set_lines(&self.config.tick, lines);
         let at = self.state.fusion.estimate().map(|e| e.bend);
         if let (Mode::Holding | Mode::Disarmed, Some(at)) = (mode, at) {
             self.take_over(at);

@@ -304,7 +304,7 @@ impl Supervisor {
     pub(super) fn start_over(&mut self) {
         let lines = *self.state.lines();
         self.state = LoopState::new(&self.config.tick);
-        self.state.set_lines(lines);
+        self.state.set_lines(&self.config.tick, lines);
         self.position = Position::Known;
         self.sent = Steps::default();
         self.pending.recount = Some(self.sent);

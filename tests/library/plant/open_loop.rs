@@ -110,7 +110,6 @@ impl Bench {
                     &Wanted {
                         q_mm: q[i],
                         dt_s: DT_S,
-                        reach: 1.0,
                     },
                 );
                 self.sides[i] = next;

@@ -63,7 +63,7 @@ impl View {
     /// The mode, and what else holds.
     pub fn mode(&self) -> String {
         let mode = self.now["mode"].as_str().unwrap_or("no data");
-        let mut words = vec![mode, "energised", "stopped", "blocked", "hunting"];
+        let mut words = vec![mode, "energised", "stopped", "blocked"];
         words.retain(|word| *word == mode || self.now[*word] == true);
         words.join(", ")
     }

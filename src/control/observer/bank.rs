@@ -7,11 +7,10 @@
 //! likelihoods: a path of the tip of 0.05 rad counts as one independent observation whose variance is the
 //! unexplained share of the best candidate.
 //!
-//! The result is not only the best candidate but also the range of candidates that remain plausible, because the gains of
-//! the loop follow from the slowest of them ([`crate::control::pi::PiGains`]). The range is wide at first and narrows as
-//! the tip moves.
+//! The result is not only the best candidate but also the range of candidates that remain plausible: what the observer learns
+//! during motion, and how long it waits for an answer, follow from it. The range is wide at first and narrows as the tip moves.
 
-use crate::control::pi::{Dynamics, DynamicsPrior, DynamicsRange};
+use crate::control::dynamics::{Dynamics, DynamicsPrior, DynamicsRange};
 use nalgebra::Vector2;
 
 /// Lags of the candidates, s.
@@ -39,7 +38,7 @@ const ROWS_MAX: f64 = 60.0;
 const SHARE_FLOOR: f64 = 0.005;
 /// Unexplained share of the best candidate above which the motion says nothing about lag and dead time, because an
 /// obstacle or a fault shapes it.
-const UNEXPLAINED_MAX: f64 = 0.1;
+const UNEXPLAINED_MAX: f64 = 0.35;
 /// Candidates within this distance of the best in −2 ln L are plausible (three standard deviations).
 const PLAUSIBLE: f64 = 9.0;
 /// The candidate in use is replaced when another is better by this much in −2 ln L.
@@ -155,31 +154,17 @@ impl DynamicsBank {
         } else {
             now.best
         };
-        let [lag_min_s, response_min_s] = [f64::INFINITY; 2];
         let mut range = DynamicsRange {
             best,
-            integral_min_s: 0.0,
-            lag_min_s,
-            response_min_s,
+            response_min_s: f64::INFINITY,
             response_max_s: 0.0,
         };
         for c in all().filter(|c| score(*c) < least + PLAUSIBLE) {
             // a candidate stands for everything up to half of the way to its neighbours
             let ([lag_min_s, lag_max_s], [delay_min_s, delay_max_s]) =
                 (cell(&LAGS_S, c.0), cell(&DELAYS_S, c.1));
-            range.lag_min_s = range.lag_min_s.min(lag_min_s);
             range.response_min_s = range.response_min_s.min(lag_min_s + delay_min_s);
             range.response_max_s = range.response_max_s.max(lag_max_s + delay_max_s);
-            for (lag_s, delay_s) in [
-                (lag_min_s, delay_min_s),
-                (lag_min_s, delay_max_s),
-                (lag_max_s, delay_min_s),
-                (lag_max_s, delay_max_s),
-            ] {
-                range.integral_min_s = range
-                    .integral_min_s
-                    .max(best.integral_min_s(&Dynamics { lag_s, delay_s }));
-            }
         }
         range
     }
@@ -279,11 +264,29 @@ fn nearest(to: &Dynamics) -> (usize, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::pi::ReferenceModel;
+
+    /// Dead time, then a first-order lag.
+    #[derive(Default)]
+    struct Plant {
+        line: std::collections::VecDeque<Vector2<f64>>,
+        lagged: Vector2<f64>,
+    }
+
+    impl Plant {
+        fn step(&mut self, at: Vector2<f64>, truth: &Dynamics, dt_s: f64) -> Vector2<f64> {
+            self.line.push_back(at);
+            while self.line.len() > (truth.delay_s / dt_s).round() as usize + 1 {
+                self.line.pop_front();
+            }
+            let delayed = self.line[0];
+            self.lagged = delayed + (self.lagged - delayed) * (-dt_s / truth.lag_s.max(1e-4)).exp();
+            self.lagged
+        }
+    }
 
     /// What an unknown line is known to be after steps in many directions, through a line with gain error and creep.
     fn range_for(truth: Dynamics, seconds: f64, dt_s: f64) -> DynamicsRange {
-        let (mut bank, mut plant) = (DynamicsBank::default(), ReferenceModel::default());
+        let (mut bank, mut plant) = (DynamicsBank::default(), Plant::default());
         let (mut at, mut crept) = (Vector2::zeros(), Vector2::zeros());
         for k in 0..(seconds / dt_s) as usize {
             let phase = (k as f64 * dt_s / 1.5).floor();

@@ -1,0 +1,507 @@
+//! One Kalman filter: what the pistons should have caused, delayed and lagged, beside the estimated bend.
+//!
+//! `b̂(t) = H [nominal + columns · θ] + g + noise`. H is dead time and lag; θ are the parameters of [`super::laws`]; g is what no law
+//! explains here, an Ornstein-Uhlenbeck process in the length of the path, that is a Gaussian process along it (Rasmussen & Williams
+//! 2006, §B.2). At rest g alone follows the error, so it is the integral part of the loop. The last two states are the errors of lag
+//! and dead time.
+
+use super::laws::{self, Channels, Columns, LAWS, Theta};
+use crate::control::dynamics::{Dynamics, DynamicsRange};
+use crate::model::{Geometry, Line};
+use crate::parameters;
+use nalgebra::{SMatrix, SVector, Vector2, Vector3};
+
+parameters! {
+    /// What the observer expects of a tip before any motion, and how fast it may change.
+    pub struct ObserverConfig: Copy {
+        /// Standard deviation of a line's gain. A larger value learns the gain from fewer poses, and a disturbance as well.
+        gain_sigma: f64 = 0.2, "", 0.0..=2.0, "0.2 covers the spread between units";
+        /// Standard deviation of the curves of a channel, per rad and per rad². A larger value bends the map for less evidence.
+        curve_sigma: f64 = 0.1, "", 0.0..=2.0, "0.1 is a tenth of the gain at one rad";
+        /// Standard deviation of the half-width of the backlash. A larger value trusts the calibrated backlash less, and moves less often.
+        play_sigma_mm: f64 = 0.25, "mm", 0.0..=2.0, "0.25 is the spread between lines";
+        /// Standard deviation of the stiffness of each rubber ply. A larger value explains more by hysteresis.
+        ply_sigma: f64 = 0.08, "", 0.0..=1.0, "0.08 is a hysteresis of some degrees";
+        /// Standard deviation of each creeping share. A larger value explains more of a slow change by creep.
+        creep_sigma: f64 = 0.05, "", 0.0..=1.0, "0.05 is rubber";
+        /// Standard deviation of a line's leak. A larger value explains more of a slow change by a leak.
+        leak_sigma_1_s: f64 = 0.003, "1/s", 0.0..=1.0, "0.003 loses a sixth in a minute";
+        /// Standard deviation of a rotation of the bend plane. A larger value explains more by a turned tip.
+        rotation_sigma_deg: f64 = 3.0, "deg", 0.0..=45.0, "3 is a tip mounted by hand";
+        /// Standard deviation of a constant offset. A larger value explains more by a shifted zero.
+        offset_sigma_deg: f64 = 1.7, "deg", 0.0..=45.0, "1.7 is a drift of the zero";
+        /// Time in which gains and curves become unknown again. A larger value remembers longer and follows a change later.
+        memory_s: f64 = 120.0, "s", 1.0..=1e6, "120 is some eighty poses";
+        /// The same for plays, plies, creep and leaks.
+        constants_memory_s: f64 = 600.0, "s", 1.0..=1e6, "600: they change with wear";
+        /// The same for the offset.
+        offset_memory_s: f64 = 20.0, "s", 0.1..=1e6, "20: it drifts";
+        /// Standard deviation of the unexplained bend g. A larger value follows the estimate more and the laws less.
+        residual_deg: f64 = 0.7, "deg", 0.01..=30.0, "0.7 is what a learned map leaves";
+        /// Path of the tip over which g changes. A larger value carries the correction of one pose further to the next.
+        residual_path_deg: f64 = 15.0, "deg", 0.1..=360.0, "15 is the distance of two poses";
+        /// Noise of the estimated bend per 10 ms, the least that is assumed. A larger value reacts later.
+        noise_deg: f64 = 0.086, "deg", 0.001..=10.0, "0.086 is a quiet IMU";
+        /// Error of the timing of the prediction: a constant. A larger value learns less during motion.
+        timing_s: f64 = 0.01, "s", 0.0..=1.0, "0.01 is a few samples";
+        /// The same as a share of lag plus dead time.
+        timing_share: f64 = 0.05, "", 0.0..=1.0, "0.05: a line is no first-order lag";
+        /// Time by which a residual that still changes may be off. A larger value waits longer for a pose to settle.
+        unsettled_s: f64 = 0.05, "s", 0.0..=10.0, "0.05 waits for what is slower than the lag";
+    }
+}
+
+/// First state of g, and of the errors of lag and dead time.
+const RESIDUAL: usize = LAWS;
+const LAG: usize = LAWS + 2;
+const DELAY: usize = LAWS + 3;
+const STATES: usize = LAWS + 4;
+type State = SVector<f64, STATES>;
+type Covariance = SMatrix<f64, STATES, STATES>;
+
+/// Ticks of history: 1.2 s at a period of 1 ms.
+const HISTORY: usize = 1200;
+/// Interval between two measurements, s.
+const PERIOD_S: f64 = 0.01;
+/// Speed above which a change of the prediction is no motion but a change of the dead time, rad/s.
+const SPEED_MAX: f64 = 2.5;
+/// Time constants with which the rate of the residual and its noise are smoothed, s.
+const RESIDUAL_RATE_S: f64 = 0.03;
+const NOISE_S: f64 = 2.0;
+/// Rate of the residual that a settled pose may have, rad/s.
+const SETTLED_RAD_S: f64 = 0.03;
+/// How long an error of timing has the same sign, s: with and without states for lag and dead time.
+const SAME_SIGN_S: [f64; 2] = [0.1, 3.0];
+/// Largest corrections of lag and dead time as shares of both, and in s; how sure the bank must be before they are corrected.
+const CORRECTION_SHARE: [f64; 2] = [0.4, 0.15];
+const CORRECTION_S: f64 = 0.012;
+const SURE_SHARE: f64 = 0.5;
+const SURE_S: f64 = 0.03;
+/// Standard deviation of lag and of dead time about those of the bank: a share and a constant, s.
+const TIMES_SIGMA: [(f64, f64); 2] = [(0.15, 0.003), (0.06, 0.002)];
+/// Half-widths that a line can have, mm.
+const HALF_WIDTH_MM: [f64; 2] = [0.05, 1.6];
+/// Spread of a half-width, mm, at least, and at most as a share of it.
+const SPREAD_MIN_MM: f64 = 0.02;
+const SPREAD_MAX: f64 = 0.8;
+/// Weight of a pose in the size of g, with the least, rad, and the largest square, rad².
+const SIZE_GAIN: f64 = 0.15;
+const SIZE_MIN: f64 = 0.003;
+const SIZE_MAX_2: f64 = 0.003;
+
+/// What the filter knows, apart from the state of the channels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Knowledge {
+    x: State,
+    p: Covariance,
+    residual_size: f64,
+}
+
+/// The observer.
+#[derive(Debug, Clone)]
+pub struct Observer {
+    geometry: Geometry,
+    /// Gains before the learned columns, with the half-widths in use.
+    pub lines: [Line; 3],
+    sigma: Theta,
+    /// Variance rate of g at rest, rad²/s.
+    drift_2: f64,
+    known: Knowledge,
+    /// The channels at the counted steps, and at those of the dead time ago.
+    pub now: Channels,
+    then: Channels,
+    history: [(Vector3<f64>, Vector2<f64>); HISTORY],
+    head: usize,
+    /// Bend of the model without learned columns: now, rad.
+    given: Vector2<f64>,
+    /// The same and the columns, delayed and lagged.
+    lagged: Vector2<f64>,
+    columns: Columns,
+    /// Rate of the predicted bend, rad/s, and the largest within the response time.
+    pub rate: Vector2<f64>,
+    recent_rate: f64,
+    lag_derivative: Vector2<f64>,
+    /// Lag and dead time by the bank, and with their corrections.
+    bank: Dynamics,
+    pub dynamics: Dynamics,
+    response_max_s: f64,
+    timing_error_s: f64,
+    last_residual: Vector2<f64>,
+    residual_rate: f64,
+    noise_2: f64,
+    /// Variance of the last measurement, rad².
+    pub variance: f64,
+    due_s: f64,
+    path: f64,
+}
+
+impl Observer {
+    /// At rest with the pistons at zero. `fixed` gains are not learned; g follows an error at rest with the rate `ki_1_s`: the steady
+    /// gain of a random walk of `drift_2` in noise of density `r` is √(drift_2/r).
+    pub fn new(
+        config: &ObserverConfig,
+        geometry: &Geometry,
+        lines: [Line; 3],
+        fixed: bool,
+        ki_1_s: f64,
+        dynamics: &DynamicsRange,
+    ) -> Self {
+        let sigma = sigmas(config, fixed);
+        Self {
+            geometry: *geometry,
+            lines,
+            sigma,
+            drift_2: (ki_1_s * config.noise_deg.to_radians()).powi(2) * PERIOD_S,
+            known: Knowledge::new(&sigma, config.residual_deg.to_radians()),
+            now: Channels::default(),
+            then: Channels::default(),
+            history: [(Vector3::zeros(), Vector2::zeros()); HISTORY],
+            head: 0,
+            given: Vector2::zeros(),
+            lagged: Vector2::zeros(),
+            columns: Columns::zeros(),
+            rate: Vector2::zeros(),
+            recent_rate: 0.0,
+            lag_derivative: Vector2::zeros(),
+            bank: dynamics.best,
+            dynamics: dynamics.best,
+            response_max_s: dynamics.response_max_s,
+            timing_error_s: dynamics.error_max_s(),
+            last_residual: Vector2::zeros(),
+            residual_rate: 0.0,
+            noise_2: 0.0,
+            variance: 0.0,
+            due_s: 0.0,
+            path: 0.0,
+        }
+    }
+
+    /// Parameters of the laws.
+    pub fn theta(&self) -> Theta {
+        self.known.x.fixed_rows::<LAWS>(0).into_owned()
+    }
+
+    /// The bend g that no law explains here, rad.
+    pub fn residual(&self) -> Vector2<f64> {
+        Vector2::new(self.known.x[RESIDUAL], self.known.x[RESIDUAL + 1])
+    }
+
+    /// What the filter knows, to return to.
+    pub fn knowledge(&self) -> Knowledge {
+        self.known
+    }
+
+    /// Returns to what was known. The half-widths keep their values.
+    pub fn recall(&mut self, known: &Knowledge) {
+        self.known = *known;
+    }
+
+    /// Forgets what was learned.
+    pub fn forget(&mut self) {
+        self.known = Knowledge::new(&self.sigma, self.known.residual_size);
+    }
+
+    /// The tip, once settled, bends by `bend`, rad: g takes what the laws say otherwise.
+    pub fn believe(&mut self, bend: &Vector2<f64>) {
+        let residual = bend - self.settled_by_laws();
+        self.known.reset_residual(&residual, self.known.residual_size);
+    }
+
+    /// Outputs of the plays once the pistons are at `piston_mm`, mm.
+    pub fn play_outputs(&self, piston_mm: &Vector3<f64>) -> Vector3<f64> {
+        Vector3::from_fn(|i, _| self.lines[i].play(self.now.play[i].w_mm, piston_mm[i]))
+    }
+
+    /// Geometry of the bending section.
+    pub fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
+    /// Displacement of piston `i` per v, mm/rad.
+    pub fn mm_per_rad(&self, i: usize) -> f64 {
+        laws::mm_per_rad(&self.lines[i], &self.geometry)
+    }
+
+    /// One tick with the counted pistons. `given` is the bend of a described machine, in place of the nominal one, rad.
+    pub fn follow(&mut self, piston_mm: &Vector3<f64>, given: Option<Vector2<f64>>, dt_s: f64) {
+        self.now.advance(&self.lines, &self.geometry, piston_mm, dt_s);
+        self.given = given.unwrap_or_else(|| self.now.nominal());
+        self.head = (self.head + 1) % HISTORY;
+        self.history[self.head] = (*piston_mm, self.given);
+        let ticks = self.dynamics.delay_s / dt_s.max(f64::MIN_POSITIVE);
+        let whole = (ticks.floor() as usize).min(HISTORY - 2);
+        let part = (ticks - whole as f64).clamp(0.0, 1.0);
+        let ago = |n: usize| self.history[(self.head + HISTORY - n) % HISTORY];
+        let ((later_mm, later), (earlier_mm, earlier)) = (ago(whole), ago(whole + 1));
+        self.then.advance(&self.lines, &self.geometry, &later_mm.lerp(&earlier_mm, part), dt_s);
+        let from = given.map_or_else(|| self.then.nominal(), |_| later.lerp(&earlier, part));
+        let before = self.predicted();
+        let keep = (-dt_s / self.dynamics.lag_s.max(1e-3)).exp();
+        let columns = self.then.columns(&self.lines, &self.geometry);
+        self.lagged = from + (self.lagged - from) * keep;
+        self.columns = columns + (self.columns - columns) * keep;
+        let moved = (self.predicted() - before).cap_magnitude(SPEED_MAX * dt_s);
+        self.rate = moved / dt_s.max(f64::MIN_POSITIVE);
+        let keep = (-dt_s / self.dynamics.lag_s.max(5e-3)).exp();
+        self.lag_derivative = -self.rate + (self.lag_derivative + self.rate) * keep;
+        self.path += moved.norm();
+        let slowest = (-dt_s / self.response_max_s.max(0.02)).exp();
+        self.recent_rate = self.rate.norm().max(self.recent_rate * slowest);
+        self.due_s += dt_s;
+    }
+
+    /// The pistons rest and the tip stays at `at`, rad, whatever the laws say: g takes the difference.
+    pub fn stand(&mut self, config: &ObserverConfig, piston_mm: &Vector3<f64>, given: Option<Vector2<f64>>, at: &Vector2<f64>) {
+        self.now.advance(&self.lines, &self.geometry, piston_mm, 0.0);
+        self.then = self.now;
+        self.given = given.unwrap_or_else(|| self.now.nominal());
+        self.history.fill((*piston_mm, self.given));
+        (self.lagged, self.columns) = (self.given, self.now.columns(&self.lines, &self.geometry));
+        (self.rate, self.lag_derivative, self.recent_rate) = (Vector2::zeros(), Vector2::zeros(), 0.0);
+        let residual = at - self.settled_by_laws();
+        self.known.reset_residual(&residual, config.residual_deg.to_radians());
+        (self.last_residual, self.residual_rate) = (Vector2::zeros(), 0.0);
+    }
+
+    /// The channels have the play outputs `w_mm` with the pistons at `piston_mm`, and have rested there.
+    pub fn rest(&mut self, w_mm: &Vector3<f64>, piston_mm: &Vector3<f64>) {
+        for i in 0..3 {
+            let w_mm = self.lines[i].play(w_mm[i], piston_mm[i]);
+            self.now.rest(i, w_mm, piston_mm[i] - w_mm, self.lines[i].k_lambda_mm, self.mm_per_rad(i));
+        }
+    }
+
+    /// Bend by the laws as the tip shows it now, without g, rad.
+    pub fn predicted(&self) -> Vector2<f64> {
+        self.lagged + self.columns * self.theta()
+    }
+
+    /// Bend of the model without learned columns, delayed and lagged, rad.
+    pub fn nominal(&self) -> Vector2<f64> {
+        self.lagged
+    }
+
+    /// Bend of the model without learned columns at the counted steps, rad.
+    pub fn given(&self) -> Vector2<f64> {
+        self.given
+    }
+
+    /// Bend by the laws once the tip has settled at the counted steps, without g, rad.
+    pub fn settled_by_laws(&self) -> Vector2<f64> {
+        self.given + self.now.columns(&self.lines, &self.geometry) * self.theta()
+    }
+
+    /// Bend once the pistons have reached `piston_mm`, with g, rad; and the channels there.
+    pub fn at(&self, piston_mm: &Vector3<f64>) -> (Vector2<f64>, Channels) {
+        let mut there = self.now;
+        there.advance(&self.lines, &self.geometry, piston_mm, 0.0);
+        let given = self.given + there.nominal() - self.now.nominal();
+        let bend = given + there.columns(&self.lines, &self.geometry) * self.theta() + self.residual();
+        (bend, there)
+    }
+
+    /// A measurement of the bend, less a periodic disturbance, rad.
+    pub fn measure(&mut self, config: &ObserverConfig, bend: &Vector2<f64>) {
+        if self.due_s < PERIOD_S - 1e-9 {
+            return;
+        }
+        let dt_s = std::mem::take(&mut self.due_s);
+        let path = std::mem::take(&mut self.path);
+        self.known.predict(config, &self.sigma, self.drift_2, path, dt_s);
+        let residual = bend - self.predicted();
+        let change = residual - std::mem::replace(&mut self.last_residual, residual);
+        let rate = change.norm() / dt_s;
+        self.residual_rate += (rate - self.residual_rate) * (dt_s / RESIDUAL_RATE_S).min(1.0);
+        let noise_2 = change.norm_squared() / 4.0;
+        if self.recent_rate < SETTLED_RAD_S {
+            self.noise_2 += (noise_2 - self.noise_2) * (dt_s / NOISE_S).min(1.0);
+        }
+        let response_s = self.dynamics.response_s();
+        let corrects = self.timing_error_s / 3.0 < SURE_SHARE * response_s + SURE_S;
+        let mut timing_s = config.timing_s + config.timing_share * response_s;
+        if !corrects {
+            timing_s = timing_s.max(self.timing_error_s / 3.0);
+        }
+        let unsettled = config.unsettled_s * (self.residual_rate - SETTLED_RAD_S).max(0.0);
+        let timing_2 = (timing_s * self.recent_rate).powi(2) + unsettled.powi(2);
+        let same_sign = (SAME_SIGN_S[usize::from(!corrects)] / dt_s).max(1.0);
+        self.variance = config.noise_deg.to_radians().powi(2).max(self.noise_2) + timing_2 * same_sign;
+        let mut rows = [State::zeros(); 2];
+        for (axis, row) in rows.iter_mut().enumerate() {
+            row.fixed_rows_mut::<LAWS>(0).copy_from(&self.columns.row(axis).transpose());
+            row[RESIDUAL + axis] = 1.0;
+            if corrects {
+                (row[LAG], row[DELAY]) = (self.lag_derivative[axis], -self.rate[axis]);
+            }
+        }
+        for axis in 0..2 {
+            let expected = (self.predicted() + self.residual())[axis];
+            self.known.correct(&rows[axis], bend[axis] - expected, self.variance);
+        }
+        self.take_times();
+        self.take_plays();
+    }
+
+    /// Takes the estimated errors of lag and dead time into both.
+    fn take_times(&mut self) {
+        let bank = [self.bank.lag_s, self.bank.delay_s];
+        let mut now = [self.dynamics.lag_s, self.dynamics.delay_s];
+        for k in 0..2 {
+            let most = CORRECTION_SHARE[k] * bank[k] + CORRECTION_S;
+            now[k] = (now[k] + std::mem::take(&mut self.known.x[LAG + k])).clamp(bank[k] - most, bank[k] + most);
+        }
+        self.dynamics = Dynamics { lag_s: now[0].max(0.002), delay_s: now[1].max(0.0) };
+    }
+
+    /// Takes the estimated errors of the half-widths into the channels.
+    fn take_plays(&mut self) {
+        for i in 0..3 {
+            let change = std::mem::take(&mut self.known.x[laws::PLAY + i]);
+            let now_mm = self.lines[i].k_lambda_mm;
+            let next_mm = if change == 0.0 { now_mm } else { (now_mm + change).clamp(HALF_WIDTH_MM[0], HALF_WIDTH_MM[1]) };
+            let spread_mm = self.half_width_sigma_mm(i).max(SPREAD_MIN_MM).min(SPREAD_MAX * next_mm);
+            let (change_mm, mm_per_rad) = (next_mm - now_mm, self.mm_per_rad(i));
+            self.lines[i].k_lambda_mm = next_mm;
+            self.now.widen(i, change_mm, spread_mm, mm_per_rad);
+            self.then.widen(i, change_mm, spread_mm, mm_per_rad);
+            self.lagged += self.columns.column(laws::PLAY + i) * change_mm;
+        }
+    }
+
+    /// Takes over what the bank knows about lag and dead time.
+    pub fn take_dynamics(&mut self, range: &DynamicsRange, moving: bool) {
+        (self.response_max_s, self.timing_error_s) = (range.response_max_s, range.error_max_s());
+        if moving || range.best == self.bank {
+            return;
+        }
+        (self.bank, self.dynamics) = (range.best, range.best);
+        for (k, time_s) in [range.best.lag_s, range.best.delay_s].into_iter().enumerate() {
+            let (share, least_s) = TIMES_SIGMA[k];
+            let sigma_s = (share * time_s + least_s).max(self.timing_error_s / 3.0);
+            self.known.reset(LAG + k, sigma_s * sigma_s);
+        }
+    }
+
+    /// A new pose begins: the next motion has its own speed, and what the last pose was off by tells how rough the map is.
+    pub fn depart(&mut self) {
+        for (k, time_s) in [self.bank.lag_s, self.bank.delay_s].into_iter().enumerate() {
+            let (share, least_s) = TIMES_SIGMA[k];
+            let most = (share * time_s + least_s).max(self.timing_error_s / 3.0).powi(2);
+            self.known.p[(LAG + k, LAG + k)] += 0.5 * most;
+            self.known.cap(LAG + k, most);
+        }
+        let size_2 = (self.residual().norm_squared() / 2.0).min(SIZE_MAX_2);
+        let known = &mut self.known;
+        known.residual_size = (known.residual_size.powi(2) * (1.0 - SIZE_GAIN) + SIZE_GAIN * size_2).sqrt().max(SIZE_MIN);
+    }
+
+    /// Variance of the settled bend with the channels at `there`, rad², summed over both axes.
+    pub fn settled_variance(&self, there: &Channels) -> f64 {
+        let columns = there.columns(&self.lines, &self.geometry);
+        (0..2)
+            .map(|axis| {
+                let mut row = State::zeros();
+                row.fixed_rows_mut::<LAWS>(0).copy_from(&columns.row(axis).transpose());
+                row[RESIDUAL + axis] = 1.0;
+                row.dot(&(self.known.p * row))
+            })
+            .sum()
+    }
+
+    /// Standard deviation of the half-width of channel `i`, mm.
+    pub fn half_width_sigma_mm(&self, i: usize) -> f64 {
+        self.sigma_of(laws::PLAY + i)
+    }
+
+    /// Standard deviation of the gain of channel `i`.
+    pub fn gain_sigma(&self, i: usize) -> f64 {
+        self.sigma_of(laws::GAIN + i)
+    }
+
+    fn sigma_of(&self, k: usize) -> f64 {
+        self.known.p[(k, k)].max(0.0).sqrt()
+    }
+}
+
+/// Standard deviations of the parameters before any motion.
+fn sigmas(config: &ObserverConfig, fixed: bool) -> Theta {
+    let mut sigma = Theta::zeros();
+    if !fixed {
+        sigma.rows_mut(laws::GAIN, 3).fill(config.gain_sigma);
+        sigma.rows_mut(laws::PLAY, 3).fill(config.play_sigma_mm);
+    }
+    sigma.rows_mut(laws::EVEN, 6).fill(config.curve_sigma);
+    sigma.rows_mut(laws::PLY, laws::PLIES).fill(config.ply_sigma);
+    sigma.rows_mut(laws::CREEP, laws::CREEPS).fill(config.creep_sigma);
+    sigma.rows_mut(laws::LEAK, 3).fill(config.leak_sigma_1_s);
+    sigma[laws::ROTATION] = config.rotation_sigma_deg.to_radians();
+    sigma.rows_mut(laws::OFFSET, 2).fill(config.offset_sigma_deg.to_radians());
+    sigma
+}
+
+impl Knowledge {
+    fn new(sigma: &Theta, residual: f64) -> Self {
+        let mut p = Covariance::zeros();
+        for k in 0..LAWS {
+            p[(k, k)] = sigma[k] * sigma[k];
+        }
+        for k in RESIDUAL..LAG {
+            p[(k, k)] = residual * residual;
+        }
+        (p[(LAG, LAG)], p[(DELAY, DELAY)]) = (1e-4, 2.5e-5);
+        Self { x: State::zeros(), p, residual_size: residual }
+    }
+
+    fn predict(&mut self, config: &ObserverConfig, sigma: &Theta, drift_2: f64, path: f64, dt_s: f64) {
+        for k in 0..LAWS {
+            let memory_s = if k >= laws::OFFSET {
+                config.offset_memory_s
+            } else if (laws::PLAY..laws::ROTATION).contains(&k) {
+                config.constants_memory_s
+            } else {
+                config.memory_s
+            };
+            let most = sigma[k] * sigma[k];
+            self.p[(k, k)] += most * dt_s / memory_s;
+            self.cap(k, most);
+        }
+        let keep = (-path / config.residual_path_deg.to_radians()).exp();
+        for k in RESIDUAL..LAG {
+            self.x[k] *= keep;
+            self.p.row_mut(k).scale_mut(keep);
+            self.p.column_mut(k).scale_mut(keep);
+            self.p[(k, k)] += (1.0 - keep * keep) * self.residual_size.powi(2) + drift_2 * dt_s;
+        }
+    }
+
+    fn correct(&mut self, row: &State, innovation: f64, variance: f64) {
+        let about = self.p * row;
+        let gain = about / (row.dot(&about) + variance);
+        self.x += gain * innovation;
+        self.p -= gain * about.transpose();
+        self.p = (self.p + self.p.transpose()) * 0.5;
+    }
+
+    /// A variance of at most `most`, with the correlations that go with it.
+    fn cap(&mut self, k: usize, most: f64) {
+        let variance = self.p[(k, k)];
+        if variance > most {
+            let share = if most > 0.0 { (most / variance).sqrt() } else { 0.0 };
+            self.p.row_mut(k).scale_mut(share);
+            self.p.column_mut(k).scale_mut(share);
+        }
+    }
+
+    fn reset(&mut self, k: usize, variance: f64) {
+        self.p.row_mut(k).fill(0.0);
+        self.p.column_mut(k).fill(0.0);
+        self.p[(k, k)] = variance;
+    }
+
+    fn reset_residual(&mut self, residual: &Vector2<f64>, sigma: f64) {
+        for axis in 0..2 {
+            self.reset(RESIDUAL + axis, sigma * sigma);
+            self.x[RESIDUAL + axis] = residual[axis];
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! A periodic disturbance, such as respiration, in what the laws do not explain.
+//!
+//! A bank of small Kalman filters, one a frequency: each has an offset (a random walk along the path) and an oscillator with two
+//! harmonics per axis; the first has the offset alone. The frequency whose innovations are likeliest is believed once it beats the
+//! offset alone (multiple-model estimation, Magill 1965).
+
+use crate::parameters;
+use nalgebra::{SMatrix, SVector, Vector2};
+use std::f64::consts::TAU;
+
+parameters! {
+    /// A periodic disturbance that the loop cancels.
+    pub struct PeriodicConfig: Copy {
+        /// Cancels a periodic disturbance once it is likelier than none.
+        enabled: bool = true;
+        /// Lead of the likelihood, in nats over `memory_s`, with which a period is believed. A larger value takes longer to believe, and
+        /// misses weaker disturbances.
+        believed: f64 = 2.5, "nat", 0.1..=100.0, "2.5 is twelve to one";
+        /// Memory of the likelihoods. A larger value is surer and later.
+        memory_s: f64 = 20.0, "s", 1.0..=600.0, "20 is four breaths";
+        /// Amplitude of the fundamental before it is known. A larger value finds larger disturbances sooner.
+        amplitude_deg: f64 = 3.0, "deg", 0.1..=30.0, "3 is what respiration makes at the tip";
+    }
+}
+
+/// Number of harmonics, and the amplitude of each relative to the first.
+const HARMONICS: usize = 3;
+const RELATIVE: [f64; HARMONICS] = [1.0, 0.4, 0.3];
+/// States per axis: offset, then cosine and sine of each harmonic.
+const STATES: usize = 1 + 2 * HARMONICS;
+/// Number of frequencies, the lowest and the highest, Hz: 10 to 29 breaths a minute.
+const FREQUENCIES: usize = 16;
+const LOW_HZ: f64 = 0.16;
+const HIGH_HZ: f64 = 0.48;
+/// Random walk of the fundamental, rad/√s; less for the harmonics.
+const WALK: f64 = 0.006;
+/// Random walk of the offset per rad of path, and per √s, rad.
+const PATH_WALK: f64 = 0.05;
+const DRIFT: f64 = 0.0035;
+/// Standard deviation of the offset at first, rad.
+const OFFSET_RAD: f64 = 0.02;
+/// Amplitude from which a disturbance is worth cancelling, rad (0.35°).
+const WORTH_RAD: f64 = 0.006;
+/// Lead with which another frequency replaces the one believed, nat.
+const BETTER: f64 = 1.0;
+/// An innovation counts no more than this many squared standard deviations; samples within a breath are not independent.
+const OUTLIER_2: f64 = 25.0;
+const INDEPENDENT: f64 = 0.1;
+/// Interval between two updates, s, and the time before a first belief, s.
+const PERIOD_S: f64 = 0.02;
+const FIRST_S: f64 = 2.0;
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Oscillator {
+    rate_rad_s: f64,
+    states: [SVector<f64, STATES>; 2],
+    covariance: SMatrix<f64, STATES, STATES>,
+    cost: f64,
+}
+
+impl Oscillator {
+    fn new(hertz: f64, amplitude_rad: f64) -> Self {
+        let mut covariance = SMatrix::zeros();
+        covariance[(0, 0)] = OFFSET_RAD * OFFSET_RAD;
+        if hertz > 0.0 {
+            for k in 1..STATES {
+                covariance[(k, k)] = (amplitude_rad * RELATIVE[(k - 1) / 2]).powi(2) / 2.0;
+            }
+        }
+        Self { rate_rad_s: TAU * hertz, states: [SVector::zeros(); 2], covariance, cost: 0.0 }
+    }
+
+    fn predict(&mut self, config: &PeriodicConfig, moved: f64, dt_s: f64) {
+        self.covariance[(0, 0)] += PATH_WALK * PATH_WALK * moved + DRIFT * DRIFT * dt_s;
+        if self.rate_rad_s == 0.0 {
+            return;
+        }
+        let mut turn = SMatrix::<f64, STATES, STATES>::identity();
+        for k in 0..HARMONICS {
+            let (sin, cos) = (self.rate_rad_s * (k + 1) as f64 * dt_s).sin_cos();
+            let i = 1 + 2 * k;
+            (turn[(i, i)], turn[(i, i + 1)], turn[(i + 1, i)], turn[(i + 1, i + 1)]) = (cos, sin, -sin, cos);
+        }
+        self.states = self.states.map(|x| turn * x);
+        self.covariance = turn * self.covariance * turn.transpose();
+        let amplitude = config.amplitude_deg.to_radians();
+        for k in 1..STATES {
+            let harmonic = (k - 1) / 2;
+            let walk = (WALK / (harmonic + 1) as f64).powi(2) * dt_s;
+            self.covariance[(k, k)] = (self.covariance[(k, k)] + walk).min((amplitude * RELATIVE[harmonic]).powi(2));
+        }
+    }
+
+    /// Takes the residual; returns the cost of its innovation, nat.
+    fn correct(&mut self, residual: &Vector2<f64>, variance: f64) -> f64 {
+        let mut row = SVector::<f64, STATES>::zeros();
+        row[0] = 1.0;
+        if self.rate_rad_s > 0.0 {
+            (0..HARMONICS).for_each(|k| row[1 + 2 * k] = 1.0);
+        }
+        let about = self.covariance * row;
+        let expected = row.dot(&about) + variance;
+        let gain = about / expected;
+        let mut cost = 0.0;
+        for axis in 0..2 {
+            let innovation = residual[axis] - row.dot(&self.states[axis]);
+            self.states[axis] += gain * innovation;
+            cost += 0.5 * ((innovation * innovation / expected).min(OUTLIER_2) + expected.ln());
+        }
+        self.covariance -= gain * about.transpose();
+        self.covariance = (self.covariance + self.covariance.transpose()) * 0.5;
+        cost
+    }
+
+    fn amplitude(&self) -> f64 {
+        let square = |x: &SVector<f64, STATES>| x.rows(1, STATES - 1).norm_squared();
+        (square(&self.states[0]) + square(&self.states[1])).sqrt()
+    }
+}
+
+/// The bank.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Periodic {
+    bank: [Oscillator; 1 + FREQUENCIES],
+    believed: Option<usize>,
+    age_s: f64,
+    due_s: f64,
+    path: f64,
+}
+
+impl Periodic {
+    /// Nothing known.
+    pub fn new(config: &PeriodicConfig) -> Self {
+        let hertz = |k: usize| {
+            if k == 0 {
+                return 0.0;
+            }
+            LOW_HZ * (HIGH_HZ / LOW_HZ).powf((k - 1) as f64 / (FREQUENCIES - 1) as f64)
+        };
+        Self {
+            bank: std::array::from_fn(|k| Oscillator::new(hertz(k), config.amplitude_deg.to_radians())),
+            believed: None,
+            age_s: 0.0,
+            due_s: 0.0,
+            path: 0.0,
+        }
+    }
+
+    /// One tick with what the laws do not explain, rad, the variance of its noise, and the path of the laws since the last tick.
+    pub fn step(&mut self, config: &PeriodicConfig, residual: &Vector2<f64>, variance: f64, moved: f64, dt_s: f64) {
+        if !config.enabled {
+            return;
+        }
+        (self.age_s, self.due_s, self.path) = (self.age_s + dt_s, self.due_s + dt_s, self.path + moved);
+        if self.due_s < PERIOD_S - 1e-9 {
+            return;
+        }
+        let (dt_s, path) = (std::mem::take(&mut self.due_s), std::mem::take(&mut self.path));
+        let keep = (-dt_s / config.memory_s).exp();
+        for one in &mut self.bank {
+            one.predict(config, path, dt_s);
+            one.cost = one.cost * keep + INDEPENDENT * one.correct(residual, variance);
+        }
+        let mut best = 1;
+        for k in 2..self.bank.len() {
+            if self.bank[k].cost < self.bank[best].cost {
+                best = k;
+            }
+        }
+        let lead = self.bank[0].cost - self.bank[best].cost;
+        let bar = if self.believed.is_some() { 0.0 } else { config.believed };
+        let worth = self.bank[best].amplitude() > WORTH_RAD && self.age_s > FIRST_S;
+        self.believed = (lead > bar && worth).then(|| {
+            let now = self.believed.filter(|&k| self.bank[k].cost < self.bank[best].cost + BETTER);
+            now.unwrap_or(best)
+        });
+    }
+
+    /// Frequency that is believed, Hz.
+    pub fn hertz(&self) -> Option<f64> {
+        self.believed.map(|k| self.bank[k].rate_rad_s / TAU)
+    }
+
+    /// The disturbance in `ahead_s`, rad, and its rate, rad/s; zero where none is believed.
+    pub fn at(&self, ahead_s: f64) -> (Vector2<f64>, Vector2<f64>) {
+        let (mut bend, mut rate) = (Vector2::zeros(), Vector2::zeros());
+        let Some(one) = self.believed.map(|k| &self.bank[k]) else {
+            return (bend, rate);
+        };
+        for axis in 0..2 {
+            for k in 0..HARMONICS {
+                let omega = one.rate_rad_s * (k + 1) as f64;
+                let (sin, cos) = (omega * ahead_s).sin_cos();
+                let (a, b) = (one.states[axis][1 + 2 * k], one.states[axis][2 + 2 * k]);
+                bend[axis] += cos * a + sin * b;
+                rate[axis] += omega * (cos * b - sin * a);
+            }
+        }
+        (bend, rate)
+    }
+}

@@ -1,0 +1,132 @@
+//! The outer orientation PI loop, written once, and the rule for when to move.
+//!
+//! The observer believes that the tip, once it has settled at the counted pistons, bends by `b = laws + g`. The proportional part
+//! moves the laws by `kp (target − b)`; the integral part is g itself, which follows what the laws leave at rest with the rate `ki`
+//! ([`super::observer`]). A tip at rest is moved when the error that it would remove exceeds what the move risks,
+//!
+//! `|Δ|² > caution² (variance of the belief + reversal + step² + slip²)`,
+//!
+//! because every move crosses gaps and friction of which little is known, and a tip that stands still errs by a known amount.
+
+use crate::control::CalmConfig;
+use crate::control::dynamics::Dynamics;
+use crate::control::observer::Observer;
+use crate::control::observer::laws::{OFFSET, ROTATION};
+use nalgebra::{Vector2, Vector3};
+
+/// Weight of one answer in the mean square of the slip, the share that a new target keeps, and the largest slip, rad.
+const SLIP_GAIN: f64 = 0.15;
+const SLIP_KEEP: f64 = 0.75;
+const SLIP_MAX: f64 = 0.05;
+/// Time beyond dead time and three lags after which a move is answered, s.
+const ANSWERED_S: f64 = 0.2;
+/// Least time for which a new pose is corrected at full speed, s.
+const QUICK_MIN_S: f64 = 0.35;
+/// Speed per error above the large one, 1/s.
+const LARGE_GAIN_1_S: f64 = 10.0;
+/// Factor on the piston speed of a late correction, and standard deviations of a gap that are surely empty.
+const LATE_FACTOR: f64 = 1.5;
+
+/// State of the rule.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Rule {
+    /// Pistons that were decided, mm, and where they may go within their limits.
+    pub aim_mm: Vector3<f64>,
+    pub goal_mm: Vector3<f64>,
+    /// Common length commanded last, rad of output.
+    pub length: f64,
+    held_s: f64,
+    /// Target of the last move, and the time since.
+    acted: Option<(Vector2<f64>, f64)>,
+    /// Mean square of what the tip missed after earlier moves, rad².
+    slip_2: f64,
+    /// Time since the last move, s.
+    pub rests_s: f64,
+}
+
+impl Rule {
+    /// Pistons that rest at `piston_mm`.
+    pub fn resting(piston_mm: Vector3<f64>) -> Self {
+        Self { aim_mm: piston_mm, goal_mm: piston_mm, ..Self::default() }
+    }
+
+    /// A new target.
+    pub fn depart(&mut self) {
+        self.acted = None;
+        self.slip_2 *= SLIP_KEEP;
+    }
+
+    /// One tick with a set-point that moves or rests.
+    pub fn step(&mut self, moving: bool, dt_s: f64) {
+        self.held_s = if moving { 0.0 } else { self.held_s + dt_s };
+        self.rests_s = if moving { 0.0 } else { self.rests_s + dt_s };
+    }
+
+    /// Takes the answer to the last move. A disturbed tip teaches nothing.
+    pub fn answer(&mut self, dynamics: &Dynamics, estimate: &Vector2<f64>, disturbed: bool, dt_s: f64) {
+        let Some((aim, since_s)) = &mut self.acted else { return };
+        *since_s += dt_s;
+        if *since_s > dynamics.delay_s + 3.0 * dynamics.lag_s + ANSWERED_S && !disturbed {
+            let miss_2 = (estimate - *aim).norm().min(SLIP_MAX).powi(2);
+            self.slip_2 += SLIP_GAIN * (miss_2 - self.slip_2);
+            self.acted = None;
+        }
+    }
+
+    /// Whether to move by `change`, rad, with a belief of this variance and a move of this risk, rad².
+    pub fn moves(&self, change: &Vector2<f64>, variance: f64, risk: f64, step: f64, caution: f64) -> bool {
+        change.norm_squared() > caution * caution * (variance + risk + step * step + self.slip_2)
+    }
+
+    /// Notes a move towards `target`.
+    pub fn act(&mut self, target: &Vector2<f64>) {
+        self.rests_s = 0.0;
+        self.acted.get_or_insert((*target, 0.0));
+    }
+
+    /// The pistons `goal_mm`, approached from `from_mm` no faster than late corrections permit: after a while at rest a piston that
+    /// pushes the tip moves slowly, one in the part of its gap that is surely empty does not.
+    pub fn slowly(
+        &self,
+        config: &CalmConfig,
+        observer: &Observer,
+        from_mm: &Vector3<f64>,
+        error_rad: f64,
+        dt_s: f64,
+    ) -> Vector3<f64> {
+        let Dynamics { lag_s, delay_s } = observer.dynamics;
+        if self.held_s <= (config.after_s - (delay_s + 2.0 * lag_s)).max(QUICK_MIN_S) {
+            return self.goal_mm;
+        }
+        let beyond = (error_rad - config.large_deg.to_radians()).max(0.0);
+        let speed = config.speed_deg_s.to_radians() + LARGE_GAIN_1_S * beyond;
+        Vector3::from_fn(|i, _| {
+            let (from, goal) = (from_mm[i], self.goal_mm[i]);
+            let to_go = goal - from;
+            if to_go.abs() < 1e-9 {
+                return goal;
+            }
+            let play = &observer.now.play[i];
+            let engaged = -play.slope * to_go > 0.0 && !observer.now.is_uncertain(i);
+            let sigma_mm = observer.half_width_sigma_mm(i);
+            let engages = play.w_mm + to_go.signum() * (observer.lines[i].k_lambda_mm - LATE_FACTOR * sigma_mm);
+            if !engaged && (engages - from) * to_go > 0.0 {
+                return if (goal - engages) * to_go > 0.0 { engages } else { goal };
+            }
+            let most = speed * LATE_FACTOR * observer.mm_per_rad(i) * dt_s;
+            from + to_go.clamp(-most, most)
+        })
+    }
+}
+
+/// Bend of the channels with which the tip is at `at`, rad, while g has the share `share` and a disturbance bends by `disturbed`.
+pub fn needed(observer: &Observer, at: &Vector2<f64>, share: f64, disturbed: &Vector2<f64>) -> Vector2<f64> {
+    let theta = observer.theta();
+    let offset = Vector2::new(theta[OFFSET], theta[OFFSET + 1]);
+    unrotated(at - observer.residual() * share - disturbed - offset, theta[ROTATION])
+}
+
+/// The bend whose rotation by the small angle `angle` is `bend`.
+pub fn unrotated(bend: Vector2<f64>, angle: f64) -> Vector2<f64> {
+    (bend - Vector2::new(-bend.y, bend.x) * angle) / (1.0 + angle * angle)
+}

@@ -1,0 +1,318 @@
+//! The deciding half of the tick: set-point, belief and rule, down to the pistons.
+
+use super::path::{self, Passing};
+use super::state::{Hold, LoopState};
+use super::types::{FeedbackConfig, Input, LoopConfig};
+use crate::control::follow::Follower;
+use crate::control::inverse::{self, Choice};
+use crate::control::limits::Cut;
+use crate::control::observer::laws::{ROTATION, bend_of};
+use crate::control::rule;
+use crate::model::{Bend, Shape, Wanted};
+use crate::primitives::{Mm, Steps};
+use nalgebra::{Vector1, Vector2, Vector3};
+
+/// Share of the pace by which the lead may raise the speed of the command: pistons that follow the pace have that much to
+/// spare.
+const LEAD_SHARE: f64 = 0.35;
+/// Longest time between two targets of a stream, s; a target that has lasted for longer is at rest.
+const STREAM_PERIOD_S: f64 = 0.1;
+/// Lag from which a line is slow: twice the time for which a reversal stops the tip, s.
+const SLOW_S: f64 = 0.16;
+/// Time by which the pistons answer a command, s.
+const PISTONS_S: f64 = 0.025;
+/// Time constant with which the offset after a hold decays, s.
+const EASE_S: f64 = 0.15;
+
+/// Result of the command path.
+pub(super) struct PistonOutput {
+    pub(super) command: Bend,
+    pub(super) bellow_mm: Vector3<f64>,
+    pub(super) piston_target_mm: Vector3<f64>,
+    pub(super) cut: Cut,
+}
+
+impl PistonOutput {
+    /// The pistons stay at their targets.
+    pub(super) fn resting(state: &LoopState) -> Self {
+        Self {
+            command: Bend::STRAIGHT,
+            bellow_mm: Vector3::zeros(),
+            piston_target_mm: state.targets_mm,
+            cut: Cut::None,
+        }
+    }
+}
+
+/// Decides whether the pistons must stand: during a re-alignment, and in closed loop without a usable sensor. At the
+/// beginning of a hold each piston stops within its braking distance; afterwards the targets start from where it stands.
+pub(super) fn hold(config: &LoopConfig, state: &mut LoopState, steps: &Steps) -> bool {
+    let blind = state.fusion.hold() && config.feedback.is_some();
+    let must_hold = blind || state.fusion.realigning();
+    state.hold = match state.hold {
+        Hold::Holding { stop_mm } if !must_hold => Hold::Leaving { stop_mm },
+        Hold::Released { .. } | Hold::Leaving { .. } if must_hold => {
+            state.setpoint.bend = Follower::resting(state.setpoint.bend.at);
+            state.setpoint.length = Follower::resting(state.setpoint.length.at);
+            // a target beyond the braking distance is given up; one within it is where the piston stops anyway
+            let (at_mm, reach_mm) = (config.drive.piston_mm(steps), config.motion.braking_mm());
+            let stop_mm =
+                at_mm + (state.targets_mm - at_mm).map(|to_go| to_go.clamp(-reach_mm, reach_mm));
+            Hold::Holding { stop_mm }
+        }
+        unchanged => unchanged,
+    };
+    must_hold
+}
+
+/// Moves the set-point towards the target. Both stay within the range of the bellows.
+pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Cut {
+    let dt_s = input.dt_s;
+    let mut pace = config.bend_pace;
+    if config.feedback.is_some() {
+        // the feedforward leads a slow line by τ r̈; a gentler start keeps that within the pace of the pistons
+        pace.acceleration = pace
+            .acceleration
+            .min(LEAD_SHARE * pace.speed / lead_s(config, state).max(1e-3));
+    }
+    if let Some(reference) = &input.reference {
+        return path::advance(config, state, reference, &pace, dt_s);
+    }
+    let setpoint = &mut state.setpoint;
+    setpoint.acceleration = None;
+    let (q, cut) = config.limits.bellows(
+        &config.geometry.lengths(&setpoint.target),
+        config.geometry.rest_length_mm,
+    );
+    if cut != Cut::None {
+        setpoint.target = config.geometry.shape(&q);
+    }
+    let pace = setpoint.brake(&pace);
+    setpoint.bend.step(&setpoint.target.bend.0, &pace, dt_s);
+    setpoint.length.step(
+        &Vector1::new(setpoint.target.length.0),
+        &config.length_pace,
+        dt_s,
+    );
+    cut
+}
+
+/// Time by which the feedforward leads the set-point, s.
+fn lead_s(config: &LoopConfig, state: &LoopState) -> f64 {
+    config
+        .feedback
+        .map_or(0.0, |f| f.lead * state.observer.dynamics.lag_s)
+}
+
+/// What the feedforward adds to the set-point, rad. Beyond a target at rest it would have to come back, and a reversal
+/// crosses the backlash: there it ends at the target, unless the line is so slow that the tip gains more by the lead than
+/// it loses by the reversal.
+fn ahead(state: &LoopState, lead_s: f64) -> Vector2<f64> {
+    let setpoint = &state.setpoint;
+    let ahead = setpoint.bend.velocity * lead_s;
+    let to_go = (setpoint.target.bend.0 - setpoint.bend.at).norm();
+    if setpoint.target_rests_s > STREAM_PERIOD_S && ahead.norm() > to_go && lead_s < SLOW_S {
+        ahead.cap_magnitude(to_go)
+    } else {
+        ahead
+    }
+}
+
+/// Commands the pistons.
+pub(super) fn command(
+    config: &LoopConfig,
+    state: &mut LoopState,
+    estimate: Bend,
+    moving: bool,
+    dt_s: f64,
+) -> PistonOutput {
+    let length = Mm(state.setpoint.length.at.x);
+    let command = match &config.feedback {
+        None => open_loop(config, state, dt_s),
+        Some(f) if moving => track(config, f, state, &estimate.0, dt_s),
+        Some(f) => correct(config, f, state, &estimate.0, dt_s),
+    };
+    let estimated_mm = config.geometry.lengths(&Shape { bend: estimate, length });
+    let wanted_mm = match state.hold {
+        Hold::Holding { stop_mm } => stop_mm,
+        _ => state.rule.aim_mm,
+    };
+    let (allowed_mm, cut) = config.limits.pistons(&wanted_mm, &estimated_mm);
+    state.rule.goal_mm = allowed_mm;
+    state.targets_mm = match &config.feedback {
+        _ if state.hold.is_holding() => allowed_mm,
+        Some(f) if !moving && !state.obstruction.blocked && state.periodic.hertz().is_none() => {
+            let error_rad = (state.setpoint.target.bend.0 - estimate.0).norm();
+            let slow_mm = state.rule.slowly(&f.calm, &state.observer, &state.targets_mm, error_rad, dt_s);
+            ease(&mut state.hold, slow_mm, dt_s)
+        }
+        _ => ease(&mut state.hold, allowed_mm, dt_s),
+    };
+    PistonOutput {
+        command: Bend(command),
+        bellow_mm: config.geometry.lengths(&Shape { bend: Bend(command), length }),
+        piston_target_mm: state.targets_mm,
+        cut,
+    }
+}
+
+/// Targets with the offset that remains of a hold, so that they leave it without a jump.
+fn ease(hold: &mut Hold, target_mm: Vector3<f64>, dt_s: f64) -> Vector3<f64> {
+    let mut offset_mm = match *hold {
+        Hold::Holding { stop_mm } | Hold::Leaving { stop_mm } => stop_mm - target_mm,
+        Hold::Released { offset_mm } => offset_mm,
+    };
+    offset_mm *= (-dt_s / EASE_S).exp();
+    *hold = Hold::Released { offset_mm };
+    target_mm + offset_mm
+}
+
+/// The paper's open loop: Eq. 16 for the set-point, through a described machine if there is one.
+fn open_loop(config: &LoopConfig, state: &mut LoopState, dt_s: f64) -> Vector2<f64> {
+    let bend = state.setpoint.bend.at;
+    let length = Mm(state.setpoint.length.at.x);
+    let wanted_mm = config.geometry.lengths(&Shape { bend: Bend(bend), length });
+    let mut bellow_mm = wanted_mm.add_scalar(config.limits.relief(&wanted_mm, &state.lines));
+    let mut described = config.feedforward.as_deref().zip(state.described.as_mut());
+    if let Some((machine, state)) = &mut described {
+        bellow_mm = state.invert(machine, &bellow_mm);
+    }
+    let piston_mm = Vector3::from_fn(|i, _| {
+        let wanted = Wanted { q_mm: bellow_mm[i], dt_s };
+        let (piston_mm, next) = config.side.invert(&state.lines[i], state.sides[i], &wanted);
+        state.sides[i] = next;
+        piston_mm
+    });
+    state.rule.aim_mm = described.map_or(piston_mm, |(machine, state)| state.counted(machine, &piston_mm));
+    bend
+}
+
+/// The set-point moves: the pistons make the bend by which the tip is there once the lag has passed.
+fn track(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, estimate: &Vector2<f64>, dt_s: f64) -> Vector2<f64> {
+    let lead_s = lead_s(config, state);
+    let at = state.setpoint.bend.at + ahead(state, lead_s);
+    let observer = &state.observer;
+    // g belongs to where the tip is; at the end of the motion less of it is left
+    let to_go = (at - observer.settled_by_laws() - observer.residual()).norm();
+    let share = (-to_go / f.observer.residual_path_deg.to_radians()).exp();
+    let (periodic, rate) = state.periodic.at(observer.dynamics.delay_s + PISTONS_S);
+    let bend = rule::needed(observer, &at, share, &(periodic + rate * observer.dynamics.lag_s));
+    let bend = bounded(config, f, state, bend, estimate);
+    match path::bellow_motion(config, &state.setpoint, lead_s) {
+        Some(motion) => follow(config, f, state, &bend, &motion, estimate, dt_s),
+        None => go(config, f, state, &bend, None, estimate),
+    }
+    bend
+}
+
+/// The set-point rests: moves if the rule says so.
+fn correct(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, estimate: &Vector2<f64>, dt_s: f64) -> Vector2<f64> {
+    let observer = &state.observer;
+    let (periodic, rate) = state.periodic.at(observer.dynamics.delay_s + PISTONS_S);
+    let disturbed = periodic + rate * observer.dynamics.lag_s;
+    let (believed, there) = observer.at(&state.rule.goal_mm);
+    let theta = observer.theta();
+    let given = bend_of(&there.outputs(&theta));
+    let error = state.setpoint.target.bend.0 - believed - disturbed;
+    let bend = given + rule::unrotated(error * f.kp, theta[ROTATION]);
+    let bend = bounded(config, f, state, bend, estimate);
+    let change = bend - given;
+    let variance = state.observer.settled_variance(&state.observer.now);
+    let risk = inverse::risk(&state.observer, &change, f.free_length_mm);
+    state.rule.answer(&state.observer.dynamics, estimate, state.periodic.hertz().is_some(), dt_s);
+    if !state.hold.is_holding() && state.rule.moves(&change, variance, risk, f.step_deg.to_radians(), f.caution) {
+        let target = state.setpoint.target.bend.0;
+        let length = state.rule.length;
+        go(config, f, state, &bend, Some(length), estimate);
+        state.rule.act(&target);
+        return bend;
+    }
+    given
+}
+
+/// The bend with a correction within its bound, and no further from the estimate than an obstruction permits.
+fn bounded(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, bend: Vector2<f64>, estimate: &Vector2<f64>) -> Vector2<f64> {
+    let at = state.setpoint.bend.at;
+    let most = f.integral_max_deg.to_radians();
+    state.feedback = (bend - at).cap_magnitude(most);
+    state.feedback_full = (bend - at).norm() >= most;
+    let bend = at + state.feedback;
+    if !state.obstruction.blocked {
+        return bend;
+    }
+    let stiffest = state.lines.iter().map(|l| 1.0 + l.k_epsilon).fold(1.0, f64::max);
+    let kpa_per_rad = config.limits.pressure_kpa_per_mm * stiffest * config.geometry.r_mm;
+    estimate + (bend - estimate).cap_magnitude(f.obstruction.press_kpa / kpa_per_rad)
+}
+
+/// Chooses sides and common length for a bend of the channels, and aims the pistons there.
+fn go(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, bend: &Vector2<f64>, keep: Option<f64>, estimate: &Vector2<f64>) {
+    let (choice, aim_mm) = choose(config, f, state, bend, keep, estimate);
+    state.rule.length = choice.length;
+    state.rule.aim_mm = match config.feedforward.as_deref().zip(state.described.as_mut()) {
+        None => aim_mm,
+        Some((machine, described)) => {
+            // the machine's laws make the outputs less what was learned beside them
+            let (observer, theta) = (&state.observer, state.observer.theta());
+            let wanted_mm = Vector3::from_fn(|i, _| {
+                let v = observer.now.v[i];
+                (choice.outputs[i] - (observer.now.output(i, v, &theta) - v)) * config.geometry.r_mm
+            });
+            let bellow_mm = described.invert(machine, &wanted_mm);
+            let piston_mm = Vector3::from_fn(|i, _| {
+                let line = &observer.lines[i];
+                let w_mm = line.play_output_mm(bellow_mm[i]);
+                let side = if choice.sides[i] == 0.0 { -observer.now.play[i].slope } else { choice.sides[i] };
+                w_mm + side * line.k_lambda_mm
+            });
+            described.counted(machine, &piston_mm)
+        }
+    };
+}
+
+fn choose(config: &LoopConfig, f: &FeedbackConfig, state: &LoopState, bend: &Vector2<f64>, keep: Option<f64>, estimate: &Vector2<f64>) -> (Choice, Vector3<f64>) {
+    let theta = state.observer.theta();
+    let (_, there) = state.observer.at(&state.rule.goal_mm);
+    let from = inverse::From {
+        observer: &state.observer,
+        limits: &config.limits,
+        there: &there,
+        theta: &theta,
+        estimate,
+        keep,
+        length: (state.setpoint.length.at.x - config.geometry.rest_length_mm) / config.geometry.r_mm,
+        free_mm: f.free_length_mm,
+    };
+    let choice = inverse::choose(&from, bend);
+    let aim_mm = inverse::pistons(&from, &choice, &state.rule.aim_mm);
+    (choice, aim_mm)
+}
+
+/// A moving reference: the pistons pass where the set-point is, and cross their backlash where the reference turns.
+fn follow(
+    config: &LoopConfig,
+    f: &FeedbackConfig,
+    state: &mut LoopState,
+    bend: &Vector2<f64>,
+    motion: &[Vector3<f64>; 2],
+    estimate: &Vector2<f64>,
+    dt_s: f64,
+) {
+    let (choice, _) = choose(config, &FeedbackConfig { free_length_mm: 0.0, ..*f }, state, bend, None, estimate);
+    state.rule.length = choice.length;
+    let observer = &state.observer;
+    let theta = observer.theta();
+    let piston_mm = Vector3::from_fn(|i, _| {
+        let factor = observer.mm_per_rad(i) / config.geometry.r_mm;
+        let passing = Passing {
+            w_mm: observer.now.solve(i, choice.outputs[i], &theta) * observer.mm_per_rad(i),
+            speed: motion[0][i] * factor,
+            acceleration: motion[1][i] * factor,
+        };
+        let half_width_mm = observer.lines[i].k_lambda_mm;
+        let (piston_mm, next) = path::invert(half_width_mm, state.sides[i], &passing, &config.motion.limits, dt_s);
+        state.sides[i] = next;
+        piston_mm
+    });
+    state.rule.aim_mm = piston_mm;
+}

@@ -1,0 +1,57 @@
+//! The observing half of the tick: what the pistons should have caused, beside the estimate.
+
+use super::state::LoopState;
+use super::types::LoopConfig;
+use crate::control::observer::laws::{GAIN, ODD};
+use crate::model::{Bend, Line};
+use crate::primitives::Steps;
+use nalgebra::Vector2;
+
+/// Mean of 3x⁴ over the mean of x² on [−1, 1]: the gain of a cubic over a symmetric range.
+const CUBIC: f64 = 0.6;
+
+/// Follows the counted steps; returns the bend that they cause according to the model without what was learned.
+pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &Steps, dt_s: f64) -> Bend {
+    let mut piston_mm = config.drive.piston_mm(steps);
+    let mut given = None;
+    if let Some((machine, described)) = config.feedforward.as_deref().zip(state.described.as_mut()) {
+        piston_mm = described.pistons(machine, &piston_mm);
+        let play_output_mm = state.observer.play_outputs(&piston_mm);
+        given = Some(described.advance(machine, &play_output_mm, dt_s).bend.0);
+    }
+    state.observer.follow(&piston_mm, given, dt_s);
+    Bend(state.observer.given())
+}
+
+/// Learns from the estimated bend: lag and dead time, a periodic disturbance, and the laws.
+pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, estimate: &Vector2<f64>, moving: bool, dt_s: f64) {
+    let Some(f) = &config.feedback else { return };
+    let observer = &mut state.observer;
+    let disturbance = state.periodic.at(0.0).0;
+    if f.learn_dynamics && state.bank.step(observer.given(), estimate - disturbance, dt_s) {
+        state.dynamics = state.bank.assess(&state.before, &state.dynamics);
+        observer.take_dynamics(&state.dynamics, moving);
+    }
+    state.unexplained += estimate - state.last_estimate - observer.rate * dt_s;
+    let noise = observer.variance.max(f.observer.noise_deg.to_radians().powi(2));
+    let moved = observer.rate.norm() * dt_s;
+    state.periodic.step(&f.periodic, &state.unexplained, 2.0 * noise, moved, dt_s);
+    observer.measure(&f.observer, &(estimate - state.periodic.at(0.0).0));
+    publish(config, state);
+}
+
+/// Publishes the gains: k_ε of the straight line through the learned curve of each channel over the range it has shown, within the
+/// bounds of the refinement, and k_λ.
+fn publish(config: &LoopConfig, state: &mut LoopState) {
+    if !config.refine.enabled || config.feedforward.is_some() {
+        return;
+    }
+    let (observer, theta) = (&state.observer, state.observer.theta());
+    for i in 0..3 {
+        state.shown[i] = f64::max(state.shown[i], observer.now.v[i].abs());
+        let slope = 1.0 + theta[GAIN + i] + CUBIC * theta[ODD + i] * state.shown[i].powi(2);
+        let [[least, most], _] = config.refine.bounds(&config.lines[i]);
+        let k_epsilon = (1.0 + observer.lines[i].k_epsilon) / slope.max(0.1) - 1.0;
+        state.lines[i] = Line { k_epsilon: k_epsilon.clamp(least, most), k_lambda_mm: observer.lines[i].k_lambda_mm };
+    }
+}
