@@ -47,3 +47,4 @@ pub mod report;
 pub mod service;
 pub mod simulation;
 pub mod supervisor;
+pub mod tune;

@@ -47,7 +47,7 @@ pub fn risk(observer: &Observer, bend: &Vector2<f64>, free_mm: f64) -> f64 {
             (0..3)
                 .filter(|&i| (outputs[i] + length) * signs[i] > 1e-4)
                 .filter(|&i| reverses(&observer.now, i, signs[i]))
-                .map(|i| reversal(observer, i, 0.0))
+                .map(|i| crate::tune::get("rev", 1.0) * reversal(observer, i, 0.0))
                 .sum(),
         )
     };
@@ -112,9 +112,9 @@ pub fn choose(from: &From<'_>, bend: &Vector2<f64>) -> Choice {
         let choice = settle(&wanted, &now, length, signs);
         let reversals: f64 = (0..3)
             .filter(|&i| choice.sides[i] != 0.0 && reverses(from.there, i, signs[i]))
-            .map(|i| reversal(observer, i, GAP_SIGMA_MIN_MM))
+            .map(|i| reversal(observer, i, crate::tune::get("gapmin", GAP_SIGMA_MIN_MM)))
             .sum();
-        let cost = reversals + LENGTH_COST * (length - centre).powi(2);
+        let cost = reversals + crate::tune::get("lencost", LENGTH_COST) * (length - centre).powi(2);
         if best.is_none_or(|(least, _)| cost < least) {
             best = Some((cost, choice));
         }

@@ -4,9 +4,10 @@
 //! moves the laws by `kp (target − b)`; the integral part is g itself, which follows what the laws leave at rest with the rate `ki`
 //! ([`super::observer`]). A tip at rest is moved when the error that it would remove exceeds what the move risks,
 //!
-//! `|Δ|² > caution² (variance of the belief + reversal + step² + slip²)`,
+//! `|Δ|² > caution² (reversal + step² + slip²)`,
 //!
-//! because every move crosses gaps and friction of which little is known, and a tip that stands still errs by a known amount.
+//! because a move crosses gaps whose width is known to a standard deviation, and friction. The variance of the belief is on neither
+//! side: it is the same before and after a move.
 
 use crate::control::CalmConfig;
 use crate::control::dynamics::Dynamics;
@@ -53,7 +54,7 @@ impl Rule {
     /// A new target.
     pub fn depart(&mut self) {
         self.acted = None;
-        self.slip_2 *= SLIP_KEEP;
+        self.slip_2 *= crate::tune::get("slipkeep", SLIP_KEEP);
     }
 
     /// One tick with a set-point that moves or rests.
@@ -68,14 +69,14 @@ impl Rule {
         *since_s += dt_s;
         if *since_s > dynamics.delay_s + 3.0 * dynamics.lag_s + ANSWERED_S && !disturbed {
             let miss_2 = (estimate - *aim).norm().min(SLIP_MAX).powi(2);
-            self.slip_2 += SLIP_GAIN * (miss_2 - self.slip_2);
+            self.slip_2 += crate::tune::get("slip", SLIP_GAIN) * (miss_2 - self.slip_2);
             self.acted = None;
         }
     }
 
-    /// Whether to move by `change`, rad, with a belief of this variance and a move of this risk, rad².
-    pub fn moves(&self, change: &Vector2<f64>, variance: f64, risk: f64, step: f64, caution: f64) -> bool {
-        change.norm_squared() > caution * caution * (variance + risk + step * step + self.slip_2)
+    /// Whether to move by `change`, rad, with a move of this risk, rad².
+    pub fn moves(&self, change: &Vector2<f64>, risk: f64, step: f64, caution: f64) -> bool {
+        change.norm_squared() > caution * caution * (risk + step * step + self.slip_2)
     }
 
     /// Notes a move towards `target`.

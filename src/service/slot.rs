@@ -114,7 +114,7 @@ pub mod tests {
             lag_s: 0.03,
             delay_s: 0.01,
             dynamics_uncertainty_s: 0.02,
-            caution: 1.0,
+            caution: Default::default(),
             rest: None,
         };
         Memory {

@@ -145,7 +145,7 @@ fn fuzz(name: &str, seeds: &[Vec<u8>]) {
 #[test]
 fn toml_files_do_not_panic() {
     let small_board = "[limits]\ntravel_mm = 25.0\n[safety.on]\nlate = \"relax\"\n[service]\npriority = 5\n[plant.line]\nk_epsilon = [1.0, 2.0, 3.0]\n";
-    let small_gains = "[loop]\ntau_c_s = 0.2\n[fuse.align]\nwindow_s = 1.0\n";
+    let small_gains = "[loop]\nki_1_s = 10.0\n[fuse.align]\nwindow_s = 1.0\n";
     let paper = std::fs::read_to_string(repo("calib/paper.toml")).unwrap();
     let whole = std::fs::read_to_string(repo("boards/sim.toml")).unwrap();
     fuzz(
@@ -192,7 +192,7 @@ fn full_memory() -> memory::Memory {
         lag_s: 0.03,
         delay_s: 0.01,
         dynamics_uncertainty_s: 0.02,
-        caution: 1.0,
+        caution: Default::default(),
         rest: None,
     };
     let mut whole = memory::Memory {

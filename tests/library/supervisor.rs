@@ -368,9 +368,9 @@ fn a_reload_does_not_move_the_tip() {
     f.bend(50.0, 120.0);
     let before = f.run(2.5).steps;
     let mut next = f.runner.supervisor.config().clone();
-    next.tick.feedback.as_mut().unwrap().tau_c_s = 0.25;
+    next.tick.feedback.as_mut().unwrap().ki_1_s = 5.0;
     f.runner.supervisor.reload(&mut next);
-    assert!((f.runner.supervisor.config().tick.feedback.unwrap().tau_c_s - 0.25).abs() < 1e-12);
+    assert!((f.runner.supervisor.config().tick.feedback.unwrap().ki_1_s - 5.0).abs() < 1e-12);
     for _ in 0..500 {
         let t = f.turn(None);
         assert!(

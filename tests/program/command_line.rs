@@ -88,18 +88,18 @@ fn errors_in_files_name_line_key_and_range() {
         ("--calib", "", &["transmission"]),
         (
             "--gains",
-            "[loop]\ntau_s = 0.1\n",
-            &["line 2", "tau_s", "tau_c_s"],
+            "[loop]\nki_s = 0.1\n",
+            &["line 2", "ki_s", "ki_1_s"],
         ),
         (
             "--gains",
-            "[loop]\ntau_c_s = \"100 ms\"\n",
+            "[loop]\nki_1_s = \"100 ms\"\n",
             &["line 2", "the text \"100 ms\"", "expected a number"],
         ),
         (
             "--gains",
-            "[loop]\ntau_c_s = 100\n",
-            &["line 2", "loop.tau_c_s", "100 s", "0.01 to 10 s"],
+            "[loop]\nki_1_s = 10000\n",
+            &["line 2", "loop.ki_1_s", "10000 1/s", "0.1 to 1000 1/s"],
         ),
         (
             "--board",
@@ -383,7 +383,7 @@ fn a_result_that_is_not_good_enough_is_written_too() {
     let gains = file(
         &folder,
         "weak.toml",
-        "[loop]\nintegral_max_deg = 0.5\nkp_max = 0.01\n[refine]\nenabled = false\n",
+        "[loop]\nintegral_max_deg = 0.5\nkp = 0.05\n[refine]\nenabled = false\n",
     );
     let calib = file(
         &folder,

@@ -334,7 +334,7 @@ fn replays(log: &Path) {
 
     // other gains change something, and the answer says that it is speculation
     let gains = log.with_file_name("gains.toml");
-    std::fs::write(&gains, "[loop]\ntau_c_s = 1.0\n").unwrap();
+    std::fs::write(&gains, "[loop]\nki_1_s = 2.0\n").unwrap();
     let (code, text) = offline(&[Path::new("replay"), &flight, Path::new("--gains"), &gains]);
     assert!(
         code == 0 && text.contains("speculation") && text.contains("feedback"),

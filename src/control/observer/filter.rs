@@ -104,8 +104,8 @@ pub struct Observer {
     /// Gains before the learned columns, with the half-widths in use.
     pub lines: [Line; 3],
     sigma: Theta,
-    /// Variance rate of g at rest, rad²/s.
-    drift_2: f64,
+    /// Gains and half-widths are not learned.
+    fixed: bool,
     known: Knowledge,
     /// The channels at the counted steps, and at those of the dead time ago.
     pub now: Channels,
@@ -136,14 +136,12 @@ pub struct Observer {
 }
 
 impl Observer {
-    /// At rest with the pistons at zero. `fixed` gains are not learned; g follows an error at rest with the rate `ki_1_s`: the steady
-    /// gain of a random walk of `drift_2` in noise of density `r` is √(drift_2/r).
+    /// At rest with the pistons at zero. `fixed` gains are not learned.
     pub fn new(
         config: &ObserverConfig,
         geometry: &Geometry,
         lines: [Line; 3],
         fixed: bool,
-        ki_1_s: f64,
         dynamics: &DynamicsRange,
     ) -> Self {
         let sigma = sigmas(config, fixed);
@@ -151,7 +149,7 @@ impl Observer {
             geometry: *geometry,
             lines,
             sigma,
-            drift_2: (ki_1_s * config.noise_deg.to_radians()).powi(2) * PERIOD_S,
+            fixed,
             known: Knowledge::new(&sigma, config.residual_deg.to_radians()),
             now: Channels::default(),
             then: Channels::default(),
@@ -300,31 +298,34 @@ impl Observer {
         (bend, there)
     }
 
-    /// A measurement of the bend, less a periodic disturbance, rad.
-    pub fn measure(&mut self, config: &ObserverConfig, bend: &Vector2<f64>) {
+    /// A measurement of the bend, less a periodic disturbance, rad. At rest g follows it with the rate `ki_1_s`: the steady rate of a
+    /// filter for a random walk of variance rate d² in noise of density r is √(d²/r).
+    pub fn measure(&mut self, config: &ObserverConfig, ki_1_s: f64, bend: &Vector2<f64>) {
         if self.due_s < PERIOD_S - 1e-9 {
             return;
         }
         let dt_s = std::mem::take(&mut self.due_s);
         let path = std::mem::take(&mut self.path);
-        self.known.predict(config, &self.sigma, self.drift_2, path, dt_s);
+        self.sigma = sigmas(config, self.fixed);
+        let drift_2 = (ki_1_s * config.noise_deg.to_radians()).powi(2) * PERIOD_S;
+        self.known.predict(config, &self.sigma, drift_2, path, dt_s);
         let residual = bend - self.predicted();
         let change = residual - std::mem::replace(&mut self.last_residual, residual);
         let rate = change.norm() / dt_s;
-        self.residual_rate += (rate - self.residual_rate) * (dt_s / RESIDUAL_RATE_S).min(1.0);
+        self.residual_rate += (rate - self.residual_rate) * (dt_s / crate::tune::get("rrate", RESIDUAL_RATE_S)).min(1.0);
         let noise_2 = change.norm_squared() / 4.0;
         if self.recent_rate < SETTLED_RAD_S {
             self.noise_2 += (noise_2 - self.noise_2) * (dt_s / NOISE_S).min(1.0);
         }
         let response_s = self.dynamics.response_s();
-        let corrects = self.timing_error_s / 3.0 < SURE_SHARE * response_s + SURE_S;
+        let corrects = self.timing_error_s / 3.0 < crate::tune::get("sure", SURE_SHARE) * response_s + SURE_S;
         let mut timing_s = config.timing_s + config.timing_share * response_s;
         if !corrects {
             timing_s = timing_s.max(self.timing_error_s / 3.0);
         }
-        let unsettled = config.unsettled_s * (self.residual_rate - SETTLED_RAD_S).max(0.0);
+        let unsettled = config.unsettled_s * (self.residual_rate - crate::tune::get("settled", SETTLED_RAD_S)).max(0.0);
         let timing_2 = (timing_s * self.recent_rate).powi(2) + unsettled.powi(2);
-        let same_sign = (SAME_SIGN_S[usize::from(!corrects)] / dt_s).max(1.0);
+        let same_sign = (if corrects { crate::tune::get("same0", SAME_SIGN_S[0]) } else { crate::tune::get("same1", SAME_SIGN_S[1]) } / dt_s).max(1.0);
         self.variance = config.noise_deg.to_radians().powi(2).max(self.noise_2) + timing_2 * same_sign;
         let mut rows = [State::zeros(); 2];
         for (axis, row) in rows.iter_mut().enumerate() {
@@ -390,9 +391,9 @@ impl Observer {
             self.known.p[(LAG + k, LAG + k)] += 0.5 * most;
             self.known.cap(LAG + k, most);
         }
-        let size_2 = (self.residual().norm_squared() / 2.0).min(SIZE_MAX_2);
+        let size_2 = (self.residual().norm_squared() / 2.0).min(crate::tune::get("sizemax", SIZE_MAX_2));
         let known = &mut self.known;
-        known.residual_size = (known.residual_size.powi(2) * (1.0 - SIZE_GAIN) + SIZE_GAIN * size_2).sqrt().max(SIZE_MIN);
+        known.residual_size = (known.residual_size.powi(2) * (1.0 - crate::tune::get("sizegain", SIZE_GAIN)) + crate::tune::get("sizegain", SIZE_GAIN) * size_2).sqrt().max(SIZE_MIN);
     }
 
     /// Variance of the settled bend with the channels at `there`, rad², summed over both axes.

@@ -217,10 +217,9 @@ fn correct(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, estim
     let bend = given + rule::unrotated(error * f.kp, theta[ROTATION]);
     let bend = bounded(config, f, state, bend, estimate);
     let change = bend - given;
-    let variance = state.observer.settled_variance(&state.observer.now);
     let risk = inverse::risk(&state.observer, &change, f.free_length_mm);
     state.rule.answer(&state.observer.dynamics, estimate, state.periodic.hertz().is_some(), dt_s);
-    if !state.hold.is_holding() && state.rule.moves(&change, variance, risk, f.step_deg.to_radians(), f.caution) {
+    if !state.hold.is_holding() && state.rule.moves(&change, risk, f.step_deg.to_radians(), f.caution) {
         let target = state.setpoint.target.bend.0;
         let length = state.rule.length;
         go(config, f, state, &bend, Some(length), estimate);

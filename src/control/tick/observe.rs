@@ -36,7 +36,7 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, estimate: &Vecto
     let noise = observer.variance.max(f.observer.noise_deg.to_radians().powi(2));
     let moved = observer.rate.norm() * dt_s;
     state.periodic.step(&f.periodic, &state.unexplained, 2.0 * noise, moved, dt_s);
-    observer.measure(&f.observer, &(estimate - state.periodic.at(0.0).0));
+    observer.measure(&f.observer, f.ki_1_s, &(estimate - state.periodic.at(0.0).0));
     publish(config, state);
 }
 

@@ -6,6 +6,7 @@ use crate::control::dynamics::{Dynamics, DynamicsPrior};
 use crate::model::{Bend, Line};
 use crate::primitives::Steps;
 use nalgebra::Vector2;
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
 /// State to be remembered for a restart.
@@ -31,7 +32,7 @@ pub struct RestartState {
     pub dynamics_uncertainty_s: f64,
     /// Of an earlier version; without a meaning now.
     #[serde(default, skip_serializing)]
-    pub caution: Option<f64>,
+    pub caution: IgnoredAny,
     /// Rest pose, once it is known.
     pub rest: Option<RestartRest>,
 }
@@ -101,7 +102,7 @@ impl LoopState {
             lag_s: dynamics.expected.lag_s,
             delay_s: dynamics.expected.delay_s,
             dynamics_uncertainty_s: dynamics.uncertainty_s,
-            caution: None,
+            caution: IgnoredAny,
             rest,
         }
     }

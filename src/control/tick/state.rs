@@ -228,5 +228,5 @@ impl LoopState {
 fn observer(config: &LoopConfig, lines: [Line; 3], dynamics: &DynamicsRange) -> Observer {
     let f = config.feedback.unwrap_or_default();
     let fixed = !config.refine.enabled || config.feedforward.is_some();
-    Observer::new(&f.observer, &config.geometry, lines, fixed, f.ki_1_s, dynamics)
+    Observer::new(&f.observer, &config.geometry, lines, fixed, dynamics)
 }

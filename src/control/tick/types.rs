@@ -94,9 +94,9 @@ parameters! {
         ki_1_s: f64 = 23.0, "1/s", 0.1..=1000.0, "23 follows within 45 ms, the noise of a quiet IMU averaged over five samples";
         /// Limit of the correction, in degrees of bend. A larger value over-drives a lossy line further.
         integral_max_deg: f64 = 60.0, "deg", 0.0..=180.0, "60 compensates for a line that has lost half of its gain";
-        /// A tip at rest is moved when the error exceeds this many standard deviations of what is believed and risked. A larger value moves
-        /// less often and leaves a larger error.
-        caution: f64 = 1.0, "sigma", 0.0..=10.0, "1: a move must be likelier to help than to harm";
+        /// A tip at rest is moved when the error exceeds this many standard deviations of what the move risks. A larger value moves less
+        /// often and leaves a larger error.
+        caution: f64 = 0.5, "sigma", 0.0..=10.0, "below 1, because the next move corrects what a wrong one leaves";
         /// Error that is never corrected. A larger value moves less often.
         step_deg: f64 = 0.086, "deg", 0.0..=10.0, "0.086 is some microsteps";
         /// Common length that may be spent so that no line crosses its backlash. A larger value avoids more reversals and lengthens the tip.
