@@ -1,9 +1,10 @@
-//! Detects a tip that does not follow the feedback: an obstacle, a blocked line, or a motor that is off.
+//! Detects a tip that does not follow its pistons: an obstacle, a blocked line, the end of its reach, or a motor that is off.
 //!
-//! While the set-point rests, the feedback grows until the tip responds. If the feedback has grown considerably and the
-//! tip has followed by less than a given fraction, more pressure does not help: the integral part may only shrink, and the
-//! loop reports an obstruction. A new target restarts the detection. So does a tip that moves against the feedback, because a weak
-//! line or an approaching obstacle causes that; whether feedback helps then shows from the new position.
+//! While the set-point rests, the loop moves the pistons on until the tip is on target. If they have pushed considerably towards the
+//! target and the tip has followed by less than a given fraction, more pressure does not help: the loop presses no harder, learns
+//! nothing but what it needs to stand there, and reports an obstruction. A new target restarts the detection. So does a tip that
+//! moves against the push, because a weak line or an approaching obstacle causes that; whether pushing helps then shows from the new
+//! position.
 
 use crate::parameters;
 use nalgebra::Vector2;
@@ -11,10 +12,10 @@ use nalgebra::Vector2;
 parameters! {
     /// Obstruction detection: a tip that does not follow its pistons.
     pub struct ObstructionConfig: Copy {
-        /// Feedback that is added at a constant set-point before a tip that does not follow counts as obstructed. A larger
+        /// Bend by which the pistons push at a constant set-point before a tip that does not follow counts as obstructed. A larger
         /// value pushes harder against an obstacle.
         push_deg: f64 = 10.0, "deg", 0.5..=90.0, "10 is more than a reversal of the backlash needs";
-        /// Smallest fraction of that feedback that a free tip follows. A larger value takes a soft line for an obstacle.
+        /// Smallest fraction of that push that a free tip follows. A larger value takes a soft line for an obstacle.
         follow_min: f64 = 0.2, "", 0.0..=0.9, "with one line pinched a tip still follows a third";
         /// Error below which no obstruction is reported. A larger value hides obstacles that cost little.
         error_deg: f64 = 1.0, "deg", 0.05..=45.0, "1 is the error that matters";
@@ -27,48 +28,59 @@ parameters! {
 /// The detector.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ObstructionDetector {
-    /// Feedback and estimate at the start of the observation, rad.
+    /// Bend from the pistons and estimate at the start of the observation, rad.
     start: Option<(Vector2<f64>, Vector2<f64>)>,
-    /// The tip does not follow; the integral part may only shrink.
+    /// Time for which the tip has not followed, s.
+    pushed_s: f64,
+    /// Error with which the tip was found not to follow, rad.
+    found: f64,
+    /// The tip does not follow.
     pub blocked: bool,
 }
 
 impl ObstructionDetector {
-    /// One tick with the feedback, the estimated bend and the error, rad.
+    /// One tick with the bend that the pistons make by the nominal model, the estimated bend and the error, rad. An answer takes up to
+    /// `answer_s`.
     pub fn step(
         &mut self,
         config: &ObstructionConfig,
         moving: bool,
-        feedback: &Vector2<f64>,
+        given: &Vector2<f64>,
         estimate: &Vector2<f64>,
         error: &Vector2<f64>,
+        answer_s: f64,
+        dt_s: f64,
     ) {
         if moving {
             *self = Self::default();
             return;
         }
-        let (feedback0, estimate0) = *self.start.get_or_insert((*feedback, *estimate));
-        if feedback.norm_squared() < feedback0.norm_squared() {
-            // the feedback withdraws: that pushes nothing
-            self.start = Some((*feedback, *estimate));
-            return;
-        }
-        let push = feedback - feedback0;
+        let (given0, estimate0) = *self.start.get_or_insert((*given, *estimate));
+        let (push, followed) = (given - given0, estimate - estimate0);
         let size = push.norm();
-        if (estimate - estimate0).dot(&push) < -size * BACK_RAD {
-            self.start = Some((*feedback, *estimate));
-        } else if size > config.push_deg.to_radians()
-            && error.norm() > config.error_deg.to_radians()
-        {
-            let followed = (estimate - estimate0).dot(&push) / (size * size);
-            self.blocked |= followed < config.follow_min;
-        } else if error.norm() < config.error_deg.to_radians() {
-            self.blocked = false;
+        let withdraws = push.dot(error) < 0.0;
+        let pushes = size > config.push_deg.to_radians()
+            && followed.dot(&push) < config.follow_min * size * size;
+        self.pushed_s = if pushes { self.pushed_s + dt_s } else { 0.0 };
+        if self.blocked {
+            // on target, or the tip has moved away: then more push helps
+            let free = config.error_deg.to_radians();
+            self.blocked = error.norm() > free && error.norm() < self.found + RECEDED_RAD;
+        } else if withdraws || followed.dot(&push) < -size * BACK_RAD {
+            self.start = Some((*given, *estimate));
+        } else if self.pushed_s > answer_s && error.norm() > config.error_deg.to_radians() {
+            (self.blocked, self.found) = (true, error.norm());
+        }
+        if !self.blocked {
+            self.found = 0.0;
         }
     }
 }
 
-/// Motion against the feedback that exceeds the noise, rad (0.2°).
+/// Motion away from the target after which an obstructed tip counts as free, rad (5°): an obstruction that is pressed less gives way a
+/// little.
+const RECEDED_RAD: f64 = 0.087;
+/// Motion against the push that exceeds the noise, rad (0.2°).
 const BACK_RAD: f64 = 0.0035;
 
 #[cfg(test)]
@@ -92,7 +104,9 @@ mod tests {
                 false,
                 &f,
                 &estimate,
-                &(Vector2::new(0.4, 0.0) - estimate),
+                &(Vector2::new(1.2, 0.0) - estimate),
+                0.05,
+                0.005,
             );
         }
         s.blocked
@@ -106,7 +120,7 @@ mod tests {
 
     #[test]
     fn a_tip_that_sinks_is_not_obstructed_until_it_stops_following() {
-        // sinks by 20° while the feedback grows as much, then follows with the given compliance
+        // sinks by 20° while the push grows as much, then follows with the given compliance
         let after = |compliance: f64| {
             let mut s = ObstructionDetector::default();
             for i in 0..200 {
@@ -118,7 +132,9 @@ mod tests {
                     false,
                     &f,
                     &estimate,
-                    &(Vector2::new(0.4, 0.0) - estimate),
+                    &(Vector2::new(1.2, 0.0) - estimate),
+                    0.05,
+                    0.005,
                 );
             }
             s.blocked
@@ -139,6 +155,8 @@ mod tests {
             &Vector2::zeros(),
             &Vector2::zeros(),
             &Vector2::zeros(),
+            0.05,
+            0.005,
         );
         assert!(!s.blocked);
     }

@@ -16,7 +16,7 @@ use crate::control::observer::laws::{OFFSET, ROTATION};
 use nalgebra::{Vector2, Vector3};
 
 /// Weight of one answer in the mean square of the slip, the share that a new target keeps, and the largest slip, rad.
-const SLIP_GAIN: f64 = 0.15;
+const SLIP_GAIN: f64 = 0.05;
 const SLIP_KEEP: f64 = 0.75;
 const SLIP_MAX: f64 = 0.05;
 /// Time beyond dead time and three lags after which a move is answered, s.

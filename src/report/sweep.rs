@@ -42,7 +42,7 @@ fn cell(out: &mut Svg, x: f64, y: f64, row: &SweepRow) {
     let failure = match row.ok {
         true => String::new(),
         false if row.closed_deg > row.open_deg.max(GOOD_DEG) => ": worse".to_owned(),
-        false => format!(": moves {:.1}°", row.hunting_deg),
+        false => format!(": moves {:.1}°", row.hunting_deg.max(row.cold_deg)),
     };
     let value = format!("{}{failure}", row.value);
     out.text((middle, y + 15.0), Middle, Ink::FAINT, &value);
@@ -64,6 +64,7 @@ mod tests {
             closed_deg,
             p95_deg: 0.3,
             hunting_deg,
+            cold_deg: 0.0,
             ok,
         };
         let rows = [

@@ -82,9 +82,10 @@ fn run_sweep(request: &Request<'_>, study: &Study) -> Result<CommandOutcome> {
         "closed",
         "95 %",
         "hunting",
+        "cold",
         "",
     ];
-    let table = output::table(&header, 1..6, rows.iter().map(sweep_row));
+    let table = output::table(&header, 1..7, rows.iter().map(sweep_row));
     let (units, directions, took_s) = (
         study.units,
         sweep::DIRECTIONS,
@@ -101,8 +102,8 @@ fn run_sweep(request: &Request<'_>, study: &Study) -> Result<CommandOutcome> {
 fn sweep_row(r: &SweepRow) -> Vec<String> {
     let deg = |x: f64| format!("{x:.2}°");
     let verdict = if r.ok { "" } else { "FAILS" };
-    let numbers = [r.open_deg, r.closed_deg, r.p95_deg, r.hunting_deg].map(deg);
-    let [open, closed, p95, hunting] = numbers;
+    let numbers = [r.open_deg, r.closed_deg, r.p95_deg, r.hunting_deg, r.cold_deg].map(deg);
+    let [open, closed, p95, hunting, cold] = numbers;
     vec![
         r.condition.to_owned(),
         r.value.to_string(),
@@ -110,6 +111,7 @@ fn sweep_row(r: &SweepRow) -> Vec<String> {
         closed,
         p95,
         hunting,
+        cold,
         verdict.to_owned(),
     ]
 }

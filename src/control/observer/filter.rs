@@ -30,11 +30,11 @@ parameters! {
         rotation_sigma_deg: f64 = 3.0, "deg", 0.0..=45.0, "3 is a tip mounted by hand";
         /// Standard deviation of a constant offset. A larger value explains more by a shifted zero.
         offset_sigma_deg: f64 = 1.7, "deg", 0.0..=45.0, "1.7 is a drift of the zero";
-        /// Time in which gains and curves become unknown again. A larger value remembers longer and follows a change later.
-        memory_s: f64 = 120.0, "s", 1.0..=1e6, "120 is some eighty poses";
+        /// Time of motion in which gains and curves become unknown again. A larger value remembers longer and follows a change later.
+        memory_s: f64 = 60.0, "s", 1.0..=1e6, "60 is some eighty poses";
         /// The same for plays, plies, creep and leaks.
-        constants_memory_s: f64 = 600.0, "s", 1.0..=1e6, "600: they change with wear";
-        /// The same for the offset.
+        constants_memory_s: f64 = 300.0, "s", 1.0..=1e6, "300: they change with wear";
+        /// The same for the offset, at rest as well.
         offset_memory_s: f64 = 20.0, "s", 0.1..=1e6, "20: it drifts";
         /// Standard deviation of the unexplained bend g. A larger value follows the estimate more and the laws less.
         residual_deg: f64 = 0.7, "deg", 0.01..=30.0, "0.7 is what a learned map leaves";
@@ -47,7 +47,7 @@ parameters! {
         /// The same as a share of lag plus dead time.
         timing_share: f64 = 0.05, "", 0.0..=1.0, "0.05: a line is no first-order lag";
         /// Time by which a residual that still changes may be off. A larger value waits longer for a pose to settle.
-        unsettled_s: f64 = 0.05, "s", 0.0..=10.0, "0.05 waits for what is slower than the lag";
+        unsettled_s: f64 = 0.02, "s", 0.0..=10.0, "0.02 waits for what is slower than the lag";
     }
 }
 
@@ -84,6 +84,8 @@ const HALF_WIDTH_MM: [f64; 2] = [0.05, 1.6];
 /// Spread of a half-width, mm, at least, and at most as a share of it.
 const SPREAD_MIN_MM: f64 = 0.02;
 const SPREAD_MAX: f64 = 0.8;
+/// Bend that no tip has, rad: a filter that believes it has diverged and begins anew.
+const BELIEVED_MAX: f64 = 2.0 * std::f64::consts::PI;
 /// Weight of a pose in the size of g, with the least, rad, and the largest square, rad².
 const SIZE_GAIN: f64 = 0.15;
 const SIZE_MIN: f64 = 0.003;
@@ -243,7 +245,7 @@ impl Observer {
         let keep = (-dt_s / self.dynamics.lag_s.max(5e-3)).exp();
         self.lag_derivative = -self.rate + (self.lag_derivative + self.rate) * keep;
         self.path += moved.norm();
-        let slowest = (-dt_s / self.response_max_s.max(0.02)).exp();
+        let slowest = (-dt_s / (self.dynamics.response_s() + self.timing_error_s / crate::tune::get("slow", 1.5)).max(0.02)).exp();
         self.recent_rate = self.rate.norm().max(self.recent_rate * slowest);
         self.due_s += dt_s;
     }
@@ -299,8 +301,8 @@ impl Observer {
     }
 
     /// A measurement of the bend, less a periodic disturbance, rad. At rest g follows it with the rate `ki_1_s`: the steady rate of a
-    /// filter for a random walk of variance rate d² in noise of density r is √(d²/r).
-    pub fn measure(&mut self, config: &ObserverConfig, ki_1_s: f64, bend: &Vector2<f64>) {
+    /// filter for a random walk of variance rate d² in noise of density r is √(d²/r). Without `laws` g alone learns.
+    pub fn measure(&mut self, config: &ObserverConfig, ki_1_s: f64, laws: bool, bend: &Vector2<f64>) {
         if self.due_s < PERIOD_S - 1e-9 {
             return;
         }
@@ -326,7 +328,10 @@ impl Observer {
         let unsettled = config.unsettled_s * (self.residual_rate - crate::tune::get("settled", SETTLED_RAD_S)).max(0.0);
         let timing_2 = (timing_s * self.recent_rate).powi(2) + unsettled.powi(2);
         let same_sign = (if corrects { crate::tune::get("same0", SAME_SIGN_S[0]) } else { crate::tune::get("same1", SAME_SIGN_S[1]) } / dt_s).max(1.0);
-        self.variance = config.noise_deg.to_radians().powi(2).max(self.noise_2) + timing_2 * same_sign;
+        self.variance = config.noise_deg.to_radians().powi(2).max(self.noise_2);
+        if laws {
+            self.variance += timing_2 * same_sign;
+        }
         let mut rows = [State::zeros(); 2];
         for (axis, row) in rows.iter_mut().enumerate() {
             row.fixed_rows_mut::<LAWS>(0).copy_from(&self.columns.row(axis).transpose());
@@ -335,12 +340,25 @@ impl Observer {
                 (row[LAG], row[DELAY]) = (self.lag_derivative[axis], -self.rate[axis]);
             }
         }
+        let innovation = bend - self.predicted() - self.residual();
+        let spread: f64 = rows.iter().map(|row| row.dot(&(self.known.p * row))).sum::<f64>() / 2.0 + self.variance;
+        let gate = crate::tune::get("gate", 0.0);
+        if !laws || (gate > 0.0 && innovation.norm_squared() > gate * gate * spread) {
+            for (axis, row) in rows.iter_mut().enumerate() {
+                row.fill(0.0);
+                row[RESIDUAL + axis] = 1.0;
+            }
+        }
         for axis in 0..2 {
             let expected = (self.predicted() + self.residual())[axis];
             self.known.correct(&rows[axis], bend[axis] - expected, self.variance);
         }
         self.take_times();
         self.take_plays();
+        if !((self.settled_by_laws() + self.residual()).norm() < BELIEVED_MAX) {
+            self.forget();
+            self.believe(bend);
+        }
     }
 
     /// Takes the estimated errors of lag and dead time into both.
@@ -463,7 +481,10 @@ impl Knowledge {
                 config.memory_s
             };
             let most = sigma[k] * sigma[k];
-            self.p[(k, k)] += most * dt_s / memory_s;
+            // what does not move says nothing about the map and changes it by nothing
+            if path > 0.0 || k >= laws::OFFSET {
+                self.p[(k, k)] += most * dt_s / memory_s;
+            }
             self.cap(k, most);
         }
         let keep = (-path / config.residual_path_deg.to_radians()).exp();

@@ -34,7 +34,7 @@ pub type Theta = SVector<f64, LAWS>;
 pub type Columns = SMatrix<f64, 2, LAWS>;
 
 /// Least and greatest slope dQ/dv of a channel that the inverse relies on.
-const SLOPE: [f64; 2] = [0.6, 1.7];
+const SLOPE: [f64; 2] = [0.3, 1.7];
 /// Distance of a piston from its play output, as a share of the half-width, from which it is engaged.
 const ENGAGED: f64 = 0.98;
 /// Largest |v| of the inverse, rad, and the number of bisections that solve it to 1e-10 rad.
@@ -152,8 +152,8 @@ impl Channels {
                 columns[(1, k)] += spoke.y * value;
             };
             add(GAIN + i, v);
-            add(EVEN + i, v * v);
-            add(ODD + i, v * v * v);
+            add(EVEN + i, even(v));
+            add(ODD + i, odd(v));
             add(PLAY + i, self.slope(i) / mm_per_rad(&lines[i], geometry));
             (0..PLIES).for_each(|j| add(PLY + j, -self.ply[i][j]));
             (0..CREEPS).for_each(|j| add(CREEP + j, self.creep[i][j]));
@@ -168,7 +168,7 @@ impl Channels {
     /// Q of channel `i` at `v`, from the present state of plies and creep on. Extrapolated no steeper or flatter than a tip can be.
     pub fn output(&self, i: usize, v: f64, theta: &Theta) -> f64 {
         let creep: f64 = (0..CREEPS).map(|j| theta[CREEP + j] * self.creep[i][j]).sum();
-        let smooth = |v: f64| v * (1.0 + theta[GAIN + i] + v * (theta[EVEN + i] + v * theta[ODD + i]));
+        let smooth = |v: f64| v * (1.0 + theta[GAIN + i]) + theta[EVEN + i] * even(v) + theta[ODD + i] * odd(v);
         let change = v - self.v[i];
         let plies = |change: f64| -> f64 {
             (0..PLIES)
@@ -202,6 +202,23 @@ impl Channels {
     pub fn outputs(&self, theta: &Theta) -> [f64; 3] {
         std::array::from_fn(|i| self.output(i, self.v[i], theta))
     }
+}
+
+/// Largest |v| of the curves, rad (75°): beyond it they go on straight, because no pose has shown them there.
+const CURVED_RAD: f64 = 1.3;
+
+/// v², straight beyond [`CURVED_RAD`].
+fn even(v: f64) -> f64 {
+    let beyond = (v.abs() - CURVED_RAD).max(0.0);
+    let within = v.abs() - beyond;
+    within * within + 2.0 * within * beyond
+}
+
+/// v³, straight beyond [`CURVED_RAD`].
+fn odd(v: f64) -> f64 {
+    let beyond = (v.abs() - CURVED_RAD).max(0.0);
+    let within = v.abs() - beyond;
+    v.signum() * within * within * (within + 3.0 * beyond)
 }
 
 /// Bend of the outputs of the three channels, rad.

@@ -130,6 +130,8 @@ pub(super) fn command(
     let command = match &config.feedback {
         None => open_loop(config, state, dt_s),
         Some(f) if moving => track(config, f, state, &estimate.0, dt_s),
+        // what the base has done is not corrected
+        Some(_) if state.base.moved => state.setpoint.bend.at + state.feedback,
         Some(f) => correct(config, f, state, &estimate.0, dt_s),
     };
     let estimated_mm = config.geometry.lengths(&Shape { bend: estimate, length });

@@ -69,13 +69,11 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
     frame(config, state, input, Some(estimate), from_pistons, output)
 }
 
-/// When the set-point begins to move: what was learned against an obstruction says nothing about the next target.
+/// When the set-point begins to move.
 fn depart(state: &mut LoopState, moving: bool) {
     if moving && !state.moving {
-        if state.obstruction.blocked {
-            state.observer.recall(&state.known);
-        } else {
-            state.known = state.observer.knowledge();
+        if !state.obstruction.blocked {
+            state.remember();
         }
         state.observer.depart();
         state.rule.depart();
@@ -83,14 +81,22 @@ fn depart(state: &mut LoopState, moving: bool) {
     state.moving = moving;
 }
 
+/// Time beyond lag, dead time and their error within which a free tip answers, s.
+const ANSWERED_S: f64 = 0.1;
+
 /// Whether the tip is obstructed, and whether the controller has reached its limits away from the target.
 fn watch(config: &LoopConfig, state: &mut LoopState, estimate: Bend, moving: bool, cut: Cut, dt_s: f64) {
     let Some(f) = &config.feedback else { return };
     state.rule.step(moving, dt_s);
     let error = state.setpoint.target.bend.0 - estimate.0;
-    let settled = estimate.0 + state.observer.settled_by_laws() - state.observer.predicted();
-    let feedback = state.feedback;
-    state.obstruction.step(&f.obstruction, moving, &feedback, &settled, &error);
+    let was_blocked = state.obstruction.blocked;
+    let answer_s = state.observer.dynamics.response_s() + state.dynamics.error_max_s() + ANSWERED_S;
+    let given = state.observer.given();
+    state.obstruction.step(&f.obstruction, moving, &given, &estimate.0, &error, answer_s, dt_s);
+    if state.obstruction.blocked && !was_blocked {
+        // what was learned against the obstruction says nothing about the tip
+        state.return_to_known(&estimate.0);
+    }
     let off = error.norm() > f.obstruction.error_deg.to_radians();
     state.saturation.step(moving, off, state.feedback_full, cut, dt_s);
 }

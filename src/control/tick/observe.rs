@@ -28,7 +28,8 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, estimate: &Vecto
     let Some(f) = &config.feedback else { return };
     let observer = &mut state.observer;
     let disturbance = state.periodic.at(0.0).0;
-    if f.learn_dynamics && state.bank.step(observer.given(), estimate - disturbance, dt_s) {
+    let laws = !state.obstruction.blocked;
+    if f.learn_dynamics && laws && state.bank.step(observer.given(), estimate - disturbance, dt_s) {
         state.dynamics = state.bank.assess(&state.before, &state.dynamics);
         observer.take_dynamics(&state.dynamics, moving);
     }
@@ -36,7 +37,7 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, estimate: &Vecto
     let noise = observer.variance.max(f.observer.noise_deg.to_radians().powi(2));
     let moved = observer.rate.norm() * dt_s;
     state.periodic.step(&f.periodic, &state.unexplained, 2.0 * noise, moved, dt_s);
-    observer.measure(&f.observer, f.ki_1_s, &(estimate - state.periodic.at(0.0).0));
+    observer.measure(&f.observer, f.ki_1_s, laws, &(estimate - state.periodic.at(0.0).0));
     publish(config, state);
 }
 

@@ -102,7 +102,7 @@ pub(super) fn watch_base(
     let observed = WatchInput {
         rate_rad_s,
         estimate: estimate.0,
-        model: state.observer.predicted(),
+        model: state.observer.nominal(),
         setpoint: state.setpoint.bend.at,
         remaining: state.setpoint.target.bend.0 - estimate.0,
         still_s: state.motors.still_s,
@@ -131,8 +131,7 @@ pub(super) fn watch_base(
 
 /// Takes back what was learned since the base began to turn. The tip is where it was before, moved by what the pistons have done since.
 fn return_to_before_the_turn(state: &mut LoopState, played: Vector2<f64>) {
-    state.observer.recall(&state.known);
     let quiet = &state.base.quiet;
     let bend = quiet.estimate + played - quiet.played;
-    state.observer.believe(&bend);
+    state.return_to_known(&bend);
 }

@@ -32,12 +32,12 @@ pub struct LoopState {
     /// Sides of the backlash as an open loop or a path has commanded them.
     pub(super) sides: [SideState; 3],
     pub(super) observer: Observer,
-    /// What was known when the set-point left the last pose that nothing obstructed.
-    pub(super) known: Knowledge,
     /// Lag and dead time that are plausible, their bank, and what was known before any motion that it has seen.
     pub(super) dynamics: DynamicsRange,
     pub(super) bank: DynamicsBank,
     pub(super) before: DynamicsPrior,
+    /// What was known when the set-point left the last pose that nothing obstructed.
+    pub(super) known: Known,
     pub(super) periodic: Periodic,
     /// Sum of what the tip moved otherwise than predicted, and the last estimate, rad.
     pub(super) unexplained: Vector2<f64>,
@@ -56,6 +56,14 @@ pub struct LoopState {
     pub(super) hold: Hold,
     /// Piston targets of the last tick, mm.
     pub(super) targets_mm: Vector3<f64>,
+}
+
+/// What an obstruction must not teach.
+#[derive(Debug, Clone)]
+pub(super) struct Known {
+    laws: Knowledge,
+    dynamics: DynamicsRange,
+    bank: DynamicsBank,
 }
 
 /// Activity of the motors.
@@ -125,7 +133,7 @@ impl LoopState {
             lines: config.lines,
             shown: [0.0; 3],
             sides: Default::default(),
-            known: observer.knowledge(),
+            known: Known { laws: observer.knowledge(), dynamics, bank: DynamicsBank::default() },
             observer,
             dynamics,
             bank: DynamicsBank::default(),
@@ -169,8 +177,25 @@ impl LoopState {
         if self.described.is_none() {
             self.lines = lines;
             self.observer = observer(config, lines, &self.dynamics);
-            self.known = self.observer.knowledge();
+            self.remember();
         }
+    }
+
+    /// Remembers what is known, to return to.
+    pub(super) fn remember(&mut self) {
+        self.known = Known {
+            laws: self.observer.knowledge(),
+            dynamics: self.dynamics,
+            bank: self.bank.clone(),
+        };
+    }
+
+    /// Returns to what was remembered; the tip, once settled, bends by `bend`, rad.
+    pub(super) fn return_to_known(&mut self, bend: &Vector2<f64>) {
+        self.observer.recall(&self.known.laws);
+        self.observer.believe(bend);
+        (self.dynamics, self.bank) = (self.known.dynamics, self.known.bank.clone());
+        self.observer.take_dynamics(&self.dynamics, false);
     }
 
     /// The pistons rest at these counts and the tip shall stay at `at`. What the laws say otherwise becomes the residual, so that
@@ -195,7 +220,7 @@ impl LoopState {
         });
         let f = config.feedback.unwrap_or_default();
         self.observer.stand(&f.observer, &piston_mm, given, &at.0);
-        self.known = self.observer.knowledge();
+        self.remember();
         self.sides = std::array::from_fn(|i| {
             let play = &self.observer.now.play[i];
             SideState {
@@ -218,7 +243,7 @@ impl LoopState {
     /// Removes what was learned from the command, for an open loop.
     pub fn forget_feedback(&mut self) {
         self.observer.forget();
-        self.known = self.observer.knowledge();
+        self.remember();
         (self.feedback, self.feedback_full) = (Vector2::zeros(), false);
         self.saturation = SaturationMonitor::default();
     }

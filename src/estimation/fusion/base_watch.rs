@@ -7,7 +7,7 @@
 //!   proportion to the motion of the set-point. The limit allows for it: first the configured share, later no more
 //!   than the twist that the estimator has found for this tip.
 //! * **Bend**: `∫ (φ̇_xy − model)`, starting when the loop has settled on a constant set-point, since the model is not
-//!   accurate enough during a motion. It counts only if the rotation began while the pistons stood still: an
+//!   accurate enough during a motion. It counts only if the tip turned and the pistons had not driven it that way: an
 //!   obstructed tip deviates by *not* turning while it is pushed, and an overestimated backlash by turning further
 //!   than it is pushed.
 //!
@@ -39,8 +39,7 @@ parameters! {
         twist_share: f64 = 0.45, "", 0.0..=2.0, "0.45 covers torsion and a tilted mount";
         /// Unexplained bend that flags base motion. A larger value misses larger turns.
         bend_deg: f64 = 5.5, "deg", 0.1..=90.0, "5.5 is above what creep makes";
-        /// Unexplained bend at which the pistons are required to stand. A larger value tests it when the loop has already
-        /// reacted to the turn.
+        /// Unexplained bend at which it is asked whether the pistons caused it. A larger value asks later.
         onset_deg: f64 = 0.4, "deg", 0.01..=90.0, "below bend_deg";
         /// Error below which the loop counts as settled. A larger value starts to watch sooner after a motion, with a less
         /// exact model.
@@ -92,8 +91,9 @@ pub struct Watch {
     last: Option<(Vector2<f64>, Vector2<f64>)>,
     path_fast: f64,
     path_slow: f64,
-    /// Path of the predicted bend with the fast memory, rad.
-    driven: f64,
+    /// Bend that the pistons caused, and that the gyroscope measured, with the fast memory, rad.
+    driven: Vector2<f64>,
+    turned: Vector2<f64>,
     /// Unexplained twist, rad.
     twist: f64,
     /// Time for which it has exceeded its limit, s.
@@ -117,9 +117,9 @@ enum Onset {
     /// There is no unexplained bend.
     #[default]
     None,
-    /// While the pistons stood still.
+    /// Not by the pistons.
     Unprovoked,
-    /// While the pistons moved, or not known.
+    /// By the pistons, or not known.
     Driven,
 }
 
@@ -127,7 +127,7 @@ enum Onset {
 /// determines when the set-point counts as constant, the slow one scales the allowed twist.
 const PATH_FAST_S: f64 = 0.25;
 const PATH_SLOW_S: f64 = 0.6;
-/// Share of the onset below which the motion that the pistons cause counts as none.
+/// Share of the onset from which a motion counts.
 const DRIVEN_SHARE: f64 = 0.5;
 /// Time for which the twist must exceed its limit, s.
 const CONFIRM_S: f64 = 0.03;
@@ -150,16 +150,16 @@ impl Watch {
             .replace((input.model, input.setpoint))
             .unwrap_or((input.model, input.setpoint));
         let path = (input.setpoint - setpoint).norm();
-        let driven = (input.model - model).norm();
         let decay = |tau_s: f64| (-input.dt_s / (tau_s + 2.0 * input.response_s)).exp();
         self.path_fast = self.path_fast * decay(PATH_FAST_S) + path;
         self.path_slow = self.path_slow * decay(PATH_SLOW_S) + path;
-        self.driven = self.driven * decay(PATH_FAST_S) + driven;
         let phi_rate = rotation_vector_rate(&input.estimate, &input.rate_rad_s);
         let fade = 1.0 - share(input.dt_s, config.memory_s);
         self.twist = self.twist * fade + phi_rate.z * input.dt_s;
         // b = (φ_y, φ_x)
         let turned = Vector2::new(phi_rate.y, phi_rate.x) * input.dt_s;
+        self.driven = self.driven * decay(PATH_FAST_S) + input.model - model;
+        self.turned = self.turned * decay(PATH_FAST_S) + turned;
         self.follow_bend(config, input, turned, input.model - model, fade);
         self.sway
             .step(&input.estimate, phi_rate.z * input.dt_s, input.dt_s);
@@ -205,9 +205,11 @@ impl Watch {
             if size < 0.5 * onset {
                 self.onset = Onset::None;
             } else if size > onset && self.onset == Onset::None {
-                let stood =
-                    input.still_s > 2.0 * input.response_s || self.driven < DRIVEN_SHARE * onset;
-                self.onset = if stood {
+                // the tip turned, and the pistons have not driven it that way; that the loop already corrects is no reason
+                let way = self.bend / size;
+                let most = DRIVEN_SHARE * onset;
+                let turns = self.turned.dot(&way) > most && self.driven.dot(&way) < most;
+                self.onset = if input.still_s > 2.0 * input.response_s || turns {
                     Onset::Unprovoked
                 } else {
                     Onset::Driven
