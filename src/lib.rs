@@ -47,4 +47,3 @@ pub mod report;
 pub mod service;
 pub mod simulation;
 pub mod supervisor;
-pub mod tune;

@@ -5,7 +5,10 @@
 //! the common length is chosen, within a small range, such that no line has to.
 
 use crate::control::ActuatorLimits;
-use crate::control::observer::{Observer, laws::{Channels, Theta}};
+use crate::control::observer::{
+    Observer,
+    laws::{Channels, Theta},
+};
 use crate::model::Geometry;
 use nalgebra::{Vector2, Vector3};
 
@@ -47,15 +50,24 @@ pub fn risk(observer: &Observer, bend: &Vector2<f64>, free_mm: f64) -> f64 {
             (0..3)
                 .filter(|&i| (outputs[i] + length) * signs[i] > 1e-4)
                 .filter(|&i| reverses(&observer.now, i, signs[i]))
-                .map(|i| crate::tune::get("rev", 1.0) * reversal(observer, i, 0.0))
+                .map(|i| reversal(observer, i, 0.0))
                 .sum(),
         )
     };
-    patterns().filter_map(of).min_by(f64::total_cmp).unwrap_or(0.0)
+    patterns()
+        .filter_map(of)
+        .min_by(f64::total_cmp)
+        .unwrap_or(0.0)
 }
 
 /// The common length within `range` nearest to `wanted` with which every channel moves towards its sign from `least`.
-fn common_length(signs: [f64; 3], least: [f64; 3], range: [f64; 2], slack: f64, wanted: f64) -> Option<f64> {
+fn common_length(
+    signs: [f64; 3],
+    least: [f64; 3],
+    range: [f64; 2],
+    slack: f64,
+    wanted: f64,
+) -> Option<f64> {
     let [mut low, mut high] = range;
     for i in 0..3 {
         if signs[i] > 0.0 {
@@ -70,7 +82,9 @@ fn common_length(signs: [f64; 3], least: [f64; 3], range: [f64; 2], slack: f64, 
 /// Outputs of the channels, and the side on which each piston then pushes; 0 for a channel that stays.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Choice {
+    /// Outputs, rad.
     pub outputs: [f64; 3],
+    /// Sides.
     pub sides: [f64; 3],
     /// Common length, rad of output.
     pub length: f64,
@@ -79,10 +93,13 @@ pub struct Choice {
 /// What the choice starts from.
 #[derive(Debug, Clone, Copy)]
 pub struct From<'a> {
+    /// The belief.
     pub observer: &'a Observer,
+    /// Limits of the actuators.
     pub limits: &'a ActuatorLimits,
     /// Channels where the pistons are going.
     pub there: &'a Channels,
+    /// Parameters of the laws.
     pub theta: &'a Theta,
     /// Estimated bend, rad.
     pub estimate: &'a Vector2<f64>,
@@ -100,27 +117,43 @@ pub fn choose(from: &From<'_>, bend: &Vector2<f64>) -> Choice {
     let wanted = outputs(bend);
     let now = std::array::from_fn::<_, 3, _>(|i| from.there.output(i, from.there.v[i], theta));
     let [low, high] = room(from, &wanted);
-    let centre = if low > high { (low + high) / 2.0 } else { from.length.clamp(low, high) };
+    let centre = if low > high {
+        (low + high) / 2.0
+    } else {
+        from.length.clamp(low, high)
+    };
     let spare = from.free_mm / observer.geometry().r_mm;
-    let range = [(centre - spare).max(low.min(centre)), (centre + spare).min(high.max(centre))];
+    let range = [
+        (centre - spare).max(low.min(centre)),
+        (centre + spare).min(high.max(centre)),
+    ];
     let needed = std::array::from_fn(|i| now[i] - wanted[i]);
     let mut best: Option<(f64, Choice)> = None;
     for signs in patterns() {
-        let Some(length) = common_length(signs, needed, range, STILL_RAD, from.keep.unwrap_or(centre)) else {
+        let Some(length) =
+            common_length(signs, needed, range, STILL_RAD, from.keep.unwrap_or(centre))
+        else {
             continue;
         };
         let choice = settle(&wanted, &now, length, signs);
         let reversals: f64 = (0..3)
             .filter(|&i| choice.sides[i] != 0.0 && reverses(from.there, i, signs[i]))
-            .map(|i| reversal(observer, i, crate::tune::get("gapmin", GAP_SIGMA_MIN_MM)))
+            .map(|i| reversal(observer, i, GAP_SIGMA_MIN_MM))
             .sum();
-        let cost = reversals + crate::tune::get("lencost", LENGTH_COST) * (length - centre).powi(2);
+        let cost = reversals + LENGTH_COST * (length - centre).powi(2);
         if best.is_none_or(|(least, _)| cost < least) {
             best = Some((cost, choice));
         }
     }
     best.map_or_else(
-        || settle(&wanted, &now, centre, std::array::from_fn(|i| (wanted[i] + centre - now[i]).signum())),
+        || {
+            settle(
+                &wanted,
+                &now,
+                centre,
+                std::array::from_fn(|i| (wanted[i] + centre - now[i]).signum()),
+            )
+        },
         |(_, choice)| choice,
     )
 }
@@ -129,7 +162,13 @@ fn settle(wanted: &[f64; 3], now: &[f64; 3], length: f64, signs: [f64; 3]) -> Ch
     let outputs = wanted.map(|q| q + length);
     Choice {
         outputs,
-        sides: std::array::from_fn(|i| if (outputs[i] - now[i]).abs() <= STILL_RAD { 0.0 } else { signs[i] }),
+        sides: std::array::from_fn(|i| {
+            if (outputs[i] - now[i]).abs() <= STILL_RAD {
+                0.0
+            } else {
+                signs[i]
+            }
+        }),
         length,
     }
 }

@@ -25,6 +25,17 @@ parameters! {
     }
 }
 
+/// What pushes the tip, and what it does, rad.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Push {
+    /// Bend that the pistons make by the nominal model.
+    pub given: Vector2<f64>,
+    /// Estimated bend.
+    pub estimate: Vector2<f64>,
+    /// Target minus estimate.
+    pub error: Vector2<f64>,
+}
+
 /// The detector.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ObstructionDetector {
@@ -39,15 +50,12 @@ pub struct ObstructionDetector {
 }
 
 impl ObstructionDetector {
-    /// One tick with the bend that the pistons make by the nominal model, the estimated bend and the error, rad. An answer takes up to
-    /// `answer_s`.
+    /// One tick. An answer takes up to `answer_s`.
     pub fn step(
         &mut self,
         config: &ObstructionConfig,
         moving: bool,
-        given: &Vector2<f64>,
-        estimate: &Vector2<f64>,
-        error: &Vector2<f64>,
+        push: &Push,
         answer_s: f64,
         dt_s: f64,
     ) {
@@ -55,6 +63,11 @@ impl ObstructionDetector {
             *self = Self::default();
             return;
         }
+        let Push {
+            given,
+            estimate,
+            error,
+        } = push;
         let (given0, estimate0) = *self.start.get_or_insert((*given, *estimate));
         let (push, followed) = (given - given0, estimate - estimate0);
         let size = push.norm();
@@ -102,9 +115,11 @@ mod tests {
             s.step(
                 &CONFIG,
                 false,
-                &f,
-                &estimate,
-                &(Vector2::new(1.2, 0.0) - estimate),
+                &Push {
+                    given: f,
+                    estimate,
+                    error: Vector2::new(1.2, 0.0) - estimate,
+                },
                 0.05,
                 0.005,
             );
@@ -130,9 +145,11 @@ mod tests {
                 s.step(
                     &CONFIG,
                     false,
-                    &f,
-                    &estimate,
-                    &(Vector2::new(1.2, 0.0) - estimate),
+                    &Push {
+                        given: f,
+                        estimate,
+                        error: Vector2::new(1.2, 0.0) - estimate,
+                    },
                     0.05,
                     0.005,
                 );
@@ -149,15 +166,7 @@ mod tests {
             blocked: true,
             ..ObstructionDetector::default()
         };
-        s.step(
-            &CONFIG,
-            true,
-            &Vector2::zeros(),
-            &Vector2::zeros(),
-            &Vector2::zeros(),
-            0.05,
-            0.005,
-        );
+        s.step(&CONFIG, true, &Push::default(), 0.05, 0.005);
         assert!(!s.blocked);
     }
 }

@@ -31,8 +31,9 @@ const LATE_FACTOR: f64 = 1.5;
 /// State of the rule.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Rule {
-    /// Pistons that were decided, mm, and where they may go within their limits.
+    /// Pistons that were decided, mm.
     pub aim_mm: Vector3<f64>,
+    /// The same within their limits, mm.
     pub goal_mm: Vector3<f64>,
     /// Common length commanded last, rad of output.
     pub length: f64,
@@ -48,13 +49,17 @@ pub struct Rule {
 impl Rule {
     /// Pistons that rest at `piston_mm`.
     pub fn resting(piston_mm: Vector3<f64>) -> Self {
-        Self { aim_mm: piston_mm, goal_mm: piston_mm, ..Self::default() }
+        Self {
+            aim_mm: piston_mm,
+            goal_mm: piston_mm,
+            ..Self::default()
+        }
     }
 
     /// A new target.
     pub fn depart(&mut self) {
         self.acted = None;
-        self.slip_2 *= crate::tune::get("slipkeep", SLIP_KEEP);
+        self.slip_2 *= SLIP_KEEP;
     }
 
     /// One tick with a set-point that moves or rests.
@@ -64,12 +69,20 @@ impl Rule {
     }
 
     /// Takes the answer to the last move. A disturbed tip teaches nothing.
-    pub fn answer(&mut self, dynamics: &Dynamics, estimate: &Vector2<f64>, disturbed: bool, dt_s: f64) {
-        let Some((aim, since_s)) = &mut self.acted else { return };
+    pub fn answer(
+        &mut self,
+        dynamics: &Dynamics,
+        estimate: &Vector2<f64>,
+        disturbed: bool,
+        dt_s: f64,
+    ) {
+        let Some((aim, since_s)) = &mut self.acted else {
+            return;
+        };
         *since_s += dt_s;
         if *since_s > dynamics.delay_s + 3.0 * dynamics.lag_s + ANSWERED_S && !disturbed {
             let miss_2 = (estimate - *aim).norm().min(SLIP_MAX).powi(2);
-            self.slip_2 += crate::tune::get("slip", SLIP_GAIN) * (miss_2 - self.slip_2);
+            self.slip_2 += SLIP_GAIN * (miss_2 - self.slip_2);
             self.acted = None;
         }
     }
@@ -110,9 +123,14 @@ impl Rule {
             let play = &observer.now.play[i];
             let engaged = -play.slope * to_go > 0.0 && !observer.now.is_uncertain(i);
             let sigma_mm = observer.half_width_sigma_mm(i);
-            let engages = play.w_mm + to_go.signum() * (observer.lines[i].k_lambda_mm - LATE_FACTOR * sigma_mm);
+            let engages = play.w_mm
+                + to_go.signum() * (observer.lines[i].k_lambda_mm - LATE_FACTOR * sigma_mm);
             if !engaged && (engages - from) * to_go > 0.0 {
-                return if (goal - engages) * to_go > 0.0 { engages } else { goal };
+                return if (goal - engages) * to_go > 0.0 {
+                    engages
+                } else {
+                    goal
+                };
             }
             let most = speed * LATE_FACTOR * observer.mm_per_rad(i) * dt_s;
             from + to_go.clamp(-most, most)
@@ -121,10 +139,18 @@ impl Rule {
 }
 
 /// Bend of the channels with which the tip is at `at`, rad, while g has the share `share` and a disturbance bends by `disturbed`.
-pub fn needed(observer: &Observer, at: &Vector2<f64>, share: f64, disturbed: &Vector2<f64>) -> Vector2<f64> {
+pub fn needed(
+    observer: &Observer,
+    at: &Vector2<f64>,
+    share: f64,
+    disturbed: &Vector2<f64>,
+) -> Vector2<f64> {
     let theta = observer.theta();
     let offset = Vector2::new(theta[OFFSET], theta[OFFSET + 1]);
-    unrotated(at - observer.residual() * share - disturbed - offset, theta[ROTATION])
+    unrotated(
+        at - observer.residual() * share - disturbed - offset,
+        theta[ROTATION],
+    )
 }
 
 /// The bend whose rotation by the small angle `angle` is `bend`.

@@ -26,7 +26,9 @@ pub const MECHANISMS: [Mechanism; 15] = [
     ("learned curves", |c| {
         feedback(c, |f| f.observer.curve_sigma = 0.0)
     }),
-    ("learned plies", |c| feedback(c, |f| f.observer.ply_sigma = 0.0)),
+    ("learned plies", |c| {
+        feedback(c, |f| f.observer.ply_sigma = 0.0)
+    }),
     ("learned creep", |c| {
         feedback(c, |f| f.observer.creep_sigma = 0.0)
     }),

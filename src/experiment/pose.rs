@@ -6,8 +6,8 @@
 //! ([`crate::control::observer::bank`]).
 
 use crate::control::learning::batch::Measurement;
-use crate::control::observer::bank::DynamicsBank;
 use crate::control::learning::sides::Sides;
+use crate::control::observer::bank::DynamicsBank;
 use crate::control::{Command, DynamicsPrior, Frame, TickPhase};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::{Bend, Geometry, Shape};

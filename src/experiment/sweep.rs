@@ -250,14 +250,22 @@ fn judge(condition: &'static str, value: f64, units: &[Vec<ArmResult>]) -> Sweep
     let (open_deg, closed_deg) = (rmse(best), rmse(Arm::Closed));
     let p95_deg = percentile(held(Arm::Closed).map(|h| h.bend_error_deg.abs()), 0.95);
     let most = |cold: bool| {
-        let states = |arm: Arm| units.iter().flat_map(move |arms| arms[arm as usize].held.iter().enumerate());
-        let pairs = states(Arm::Closed).zip(states(best)).filter(|((k, _), _)| (*k < COLD_STATES) == cold);
+        let states = |arm: Arm| {
+            units
+                .iter()
+                .flat_map(move |arms| arms[arm as usize].held.iter().enumerate())
+        };
+        let pairs = states(Arm::Closed)
+            .zip(states(best))
+            .filter(|((k, _), _)| (*k < COLD_STATES) == cold);
         pairs
             .map(|((_, c), (_, o))| c.peak_to_peak_deg - o.peak_to_peak_deg)
             .fold(0.0, f64::max)
     };
     let (hunting_deg, cold_deg) = (most(false), most(true));
-    let ok = closed_deg <= open_deg.max(GOOD_DEG) && hunting_deg <= HUNTING_MAX_DEG && cold_deg <= COLD_MAX_DEG;
+    let ok = closed_deg <= open_deg.max(GOOD_DEG)
+        && hunting_deg <= HUNTING_MAX_DEG
+        && cold_deg <= COLD_MAX_DEG;
     SweepRow {
         condition,
         value,
@@ -289,7 +297,13 @@ mod tests {
             .map(|(a, figures)| ArmResult {
                 name: a.name().to_owned(),
                 held: (0..states)
-                    .map(|k| held(if k + 1 == states { figures } else { (figures.0, 0.0) }))
+                    .map(|k| {
+                        held(if k + 1 == states {
+                            figures
+                        } else {
+                            (figures.0, 0.0)
+                        })
+                    })
                     .collect(),
                 ..ArmResult::default()
             })
@@ -316,7 +330,10 @@ mod tests {
         assert!(!row((6.1, 0.2)).ok, "worse than open");
         assert!(!row((0.1, 0.8)).ok, "hunts");
         let cold = after(5, (0.1, 2.6));
-        assert!(cold.ok && cold.hunting_deg == 0.0 && (cold.cold_deg - 2.4).abs() < 1e-12, "{cold:?}");
+        assert!(
+            cold.ok && cold.hunting_deg == 0.0 && (cold.cold_deg - 2.4).abs() < 1e-12,
+            "{cold:?}"
+        );
         assert!(!after(5, (0.1, 2.8)).ok, "jumps at a cold start");
         let small = judge(
             "x",

@@ -139,10 +139,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn wanted(q_mm: f64) -> Wanted {
-        Wanted {
-            q_mm,
-            dt_s: 1e-3,
-        }
+        Wanted { q_mm, dt_s: 1e-3 }
     }
 
     fn line() -> impl Strategy<Value = Line> {

@@ -531,7 +531,14 @@ fn the_sweep_names_its_conditions_and_writes_its_rows() {
     assert_eq!(rows.len(), 2, "{stderr}");
     for row in &rows {
         assert_eq!(row["condition"], "noise_factor");
-        let figures = ["value", "open_deg", "closed_deg", "p95_deg", "hunting_deg", "cold_deg"];
+        let figures = [
+            "value",
+            "open_deg",
+            "closed_deg",
+            "p95_deg",
+            "hunting_deg",
+            "cold_deg",
+        ];
         assert!(
             figures
                 .iter()

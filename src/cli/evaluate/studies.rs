@@ -102,7 +102,14 @@ fn run_sweep(request: &Request<'_>, study: &Study) -> Result<CommandOutcome> {
 fn sweep_row(r: &SweepRow) -> Vec<String> {
     let deg = |x: f64| format!("{x:.2}°");
     let verdict = if r.ok { "" } else { "FAILS" };
-    let numbers = [r.open_deg, r.closed_deg, r.p95_deg, r.hunting_deg, r.cold_deg].map(deg);
+    let numbers = [
+        r.open_deg,
+        r.closed_deg,
+        r.p95_deg,
+        r.hunting_deg,
+        r.cold_deg,
+    ]
+    .map(deg);
     let [open, closed, p95, hunting, cold] = numbers;
     vec![
         r.condition.to_owned(),

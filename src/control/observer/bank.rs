@@ -39,6 +39,8 @@ const SHARE_FLOOR: f64 = 0.005;
 /// Unexplained share of the best candidate above which the motion says nothing about lag and dead time, because an
 /// obstacle or a fault shapes it.
 const UNEXPLAINED_MAX: f64 = 0.35;
+/// The share above which the motion makes no further candidate plausible.
+const EXPLAINED_MAX: f64 = 0.1;
 /// Candidates within this distance of the best in −2 ln L are plausible (three standard deviations).
 const PLAUSIBLE: f64 = 9.0;
 /// The candidate in use is replaced when another is better by this much in −2 ln L.
@@ -165,6 +167,10 @@ impl DynamicsBank {
                 (cell(&LAGS_S, c.0), cell(&DELAYS_S, c.1));
             range.response_min_s = range.response_min_s.min(lag_min_s + delay_min_s);
             range.response_max_s = range.response_max_s.max(lag_max_s + delay_max_s);
+        }
+        // what no candidate explains, such as a wall, makes none of them likelier
+        if share > EXPLAINED_MAX && range.error_max_s() > now.error_max_s() {
+            return *now;
         }
         range
     }

@@ -68,6 +68,8 @@ const SPEED_MAX: f64 = 2.5;
 /// Time constants with which the rate of the residual and its noise are smoothed, s.
 const RESIDUAL_RATE_S: f64 = 0.03;
 const NOISE_S: f64 = 2.0;
+/// Standard deviations by which the largest plausible error of the response time counts for how long a motion is in flight: half of three.
+const TIMING_SIGMAS: f64 = 1.5;
 /// Rate of the residual that a settled pose may have, rad/s.
 const SETTLED_RAD_S: f64 = 0.03;
 /// How long an error of timing has the same sign, s: with and without states for lag and dead time.
@@ -123,10 +125,10 @@ pub struct Observer {
     pub rate: Vector2<f64>,
     recent_rate: f64,
     lag_derivative: Vector2<f64>,
-    /// Lag and dead time by the bank, and with their corrections.
+    /// Lag and dead time by the bank.
     bank: Dynamics,
+    /// The same with their corrections.
     pub dynamics: Dynamics,
-    response_max_s: f64,
     timing_error_s: f64,
     last_residual: Vector2<f64>,
     residual_rate: f64,
@@ -165,7 +167,6 @@ impl Observer {
             lag_derivative: Vector2::zeros(),
             bank: dynamics.best,
             dynamics: dynamics.best,
-            response_max_s: dynamics.response_max_s,
             timing_error_s: dynamics.error_max_s(),
             last_residual: Vector2::zeros(),
             residual_rate: 0.0,
@@ -204,7 +205,8 @@ impl Observer {
     /// The tip, once settled, bends by `bend`, rad: g takes what the laws say otherwise.
     pub fn believe(&mut self, bend: &Vector2<f64>) {
         let residual = bend - self.settled_by_laws();
-        self.known.reset_residual(&residual, self.known.residual_size);
+        self.known
+            .reset_residual(&residual, self.known.residual_size);
     }
 
     /// Outputs of the plays once the pistons are at `piston_mm`, mm.
@@ -224,7 +226,8 @@ impl Observer {
 
     /// One tick with the counted pistons. `given` is the bend of a described machine, in place of the nominal one, rad.
     pub fn follow(&mut self, piston_mm: &Vector3<f64>, given: Option<Vector2<f64>>, dt_s: f64) {
-        self.now.advance(&self.lines, &self.geometry, piston_mm, dt_s);
+        self.now
+            .advance(&self.lines, &self.geometry, piston_mm, dt_s);
         self.given = given.unwrap_or_else(|| self.now.nominal());
         self.head = (self.head + 1) % HISTORY;
         self.history[self.head] = (*piston_mm, self.given);
@@ -233,7 +236,12 @@ impl Observer {
         let part = (ticks - whole as f64).clamp(0.0, 1.0);
         let ago = |n: usize| self.history[(self.head + HISTORY - n) % HISTORY];
         let ((later_mm, later), (earlier_mm, earlier)) = (ago(whole), ago(whole + 1));
-        self.then.advance(&self.lines, &self.geometry, &later_mm.lerp(&earlier_mm, part), dt_s);
+        self.then.advance(
+            &self.lines,
+            &self.geometry,
+            &later_mm.lerp(&earlier_mm, part),
+            dt_s,
+        );
         let from = given.map_or_else(|| self.then.nominal(), |_| later.lerp(&earlier, part));
         let before = self.predicted();
         let keep = (-dt_s / self.dynamics.lag_s.max(1e-3)).exp();
@@ -245,21 +253,32 @@ impl Observer {
         let keep = (-dt_s / self.dynamics.lag_s.max(5e-3)).exp();
         self.lag_derivative = -self.rate + (self.lag_derivative + self.rate) * keep;
         self.path += moved.norm();
-        let slowest = (-dt_s / (self.dynamics.response_s() + self.timing_error_s / crate::tune::get("slow", 1.5)).max(0.02)).exp();
+        let slowest = (-dt_s
+            / (self.dynamics.response_s() + self.timing_error_s / TIMING_SIGMAS).max(0.02))
+        .exp();
         self.recent_rate = self.rate.norm().max(self.recent_rate * slowest);
         self.due_s += dt_s;
     }
 
     /// The pistons rest and the tip stays at `at`, rad, whatever the laws say: g takes the difference.
-    pub fn stand(&mut self, config: &ObserverConfig, piston_mm: &Vector3<f64>, given: Option<Vector2<f64>>, at: &Vector2<f64>) {
-        self.now.advance(&self.lines, &self.geometry, piston_mm, 0.0);
+    pub fn stand(
+        &mut self,
+        config: &ObserverConfig,
+        piston_mm: &Vector3<f64>,
+        given: Option<Vector2<f64>>,
+        at: &Vector2<f64>,
+    ) {
+        self.now
+            .advance(&self.lines, &self.geometry, piston_mm, 0.0);
         self.then = self.now;
         self.given = given.unwrap_or_else(|| self.now.nominal());
         self.history.fill((*piston_mm, self.given));
         (self.lagged, self.columns) = (self.given, self.now.columns(&self.lines, &self.geometry));
-        (self.rate, self.lag_derivative, self.recent_rate) = (Vector2::zeros(), Vector2::zeros(), 0.0);
+        (self.rate, self.lag_derivative, self.recent_rate) =
+            (Vector2::zeros(), Vector2::zeros(), 0.0);
         let residual = at - self.settled_by_laws();
-        self.known.reset_residual(&residual, config.residual_deg.to_radians());
+        self.known
+            .reset_residual(&residual, config.residual_deg.to_radians());
         (self.last_residual, self.residual_rate) = (Vector2::zeros(), 0.0);
     }
 
@@ -267,7 +286,13 @@ impl Observer {
     pub fn rest(&mut self, w_mm: &Vector3<f64>, piston_mm: &Vector3<f64>) {
         for i in 0..3 {
             let w_mm = self.lines[i].play(w_mm[i], piston_mm[i]);
-            self.now.rest(i, w_mm, piston_mm[i] - w_mm, self.lines[i].k_lambda_mm, self.mm_per_rad(i));
+            self.now.rest(
+                i,
+                w_mm,
+                piston_mm[i] - w_mm,
+                self.lines[i].k_lambda_mm,
+                self.mm_per_rad(i),
+            );
         }
     }
 
@@ -296,13 +321,20 @@ impl Observer {
         let mut there = self.now;
         there.advance(&self.lines, &self.geometry, piston_mm, 0.0);
         let given = self.given + there.nominal() - self.now.nominal();
-        let bend = given + there.columns(&self.lines, &self.geometry) * self.theta() + self.residual();
+        let bend =
+            given + there.columns(&self.lines, &self.geometry) * self.theta() + self.residual();
         (bend, there)
     }
 
     /// A measurement of the bend, less a periodic disturbance, rad. At rest g follows it with the rate `ki_1_s`: the steady rate of a
     /// filter for a random walk of variance rate d² in noise of density r is √(d²/r). Without `laws` g alone learns.
-    pub fn measure(&mut self, config: &ObserverConfig, ki_1_s: f64, laws: bool, bend: &Vector2<f64>) {
+    pub fn measure(
+        &mut self,
+        config: &ObserverConfig,
+        ki_1_s: f64,
+        laws: bool,
+        bend: &Vector2<f64>,
+    ) {
         if self.due_s < PERIOD_S - 1e-9 {
             return;
         }
@@ -314,36 +346,34 @@ impl Observer {
         let residual = bend - self.predicted();
         let change = residual - std::mem::replace(&mut self.last_residual, residual);
         let rate = change.norm() / dt_s;
-        self.residual_rate += (rate - self.residual_rate) * (dt_s / crate::tune::get("rrate", RESIDUAL_RATE_S)).min(1.0);
+        self.residual_rate += (rate - self.residual_rate) * (dt_s / RESIDUAL_RATE_S).min(1.0);
         let noise_2 = change.norm_squared() / 4.0;
         if self.recent_rate < SETTLED_RAD_S {
             self.noise_2 += (noise_2 - self.noise_2) * (dt_s / NOISE_S).min(1.0);
         }
         let response_s = self.dynamics.response_s();
-        let corrects = self.timing_error_s / 3.0 < crate::tune::get("sure", SURE_SHARE) * response_s + SURE_S;
+        let corrects = self.timing_error_s / 3.0 < SURE_SHARE * response_s + SURE_S;
         let mut timing_s = config.timing_s + config.timing_share * response_s;
         if !corrects {
             timing_s = timing_s.max(self.timing_error_s / 3.0);
         }
-        let unsettled = config.unsettled_s * (self.residual_rate - crate::tune::get("settled", SETTLED_RAD_S)).max(0.0);
+        let unsettled = config.unsettled_s * (self.residual_rate - SETTLED_RAD_S).max(0.0);
         let timing_2 = (timing_s * self.recent_rate).powi(2) + unsettled.powi(2);
-        let same_sign = (if corrects { crate::tune::get("same0", SAME_SIGN_S[0]) } else { crate::tune::get("same1", SAME_SIGN_S[1]) } / dt_s).max(1.0);
+        let same_sign = (SAME_SIGN_S[usize::from(!corrects)] / dt_s).max(1.0);
         self.variance = config.noise_deg.to_radians().powi(2).max(self.noise_2);
         if laws {
             self.variance += timing_2 * same_sign;
         }
         let mut rows = [State::zeros(); 2];
         for (axis, row) in rows.iter_mut().enumerate() {
-            row.fixed_rows_mut::<LAWS>(0).copy_from(&self.columns.row(axis).transpose());
+            row.fixed_rows_mut::<LAWS>(0)
+                .copy_from(&self.columns.row(axis).transpose());
             row[RESIDUAL + axis] = 1.0;
             if corrects {
                 (row[LAG], row[DELAY]) = (self.lag_derivative[axis], -self.rate[axis]);
             }
         }
-        let innovation = bend - self.predicted() - self.residual();
-        let spread: f64 = rows.iter().map(|row| row.dot(&(self.known.p * row))).sum::<f64>() / 2.0 + self.variance;
-        let gate = crate::tune::get("gate", 0.0);
-        if !laws || (gate > 0.0 && innovation.norm_squared() > gate * gate * spread) {
+        if !laws {
             for (axis, row) in rows.iter_mut().enumerate() {
                 row.fill(0.0);
                 row[RESIDUAL + axis] = 1.0;
@@ -351,11 +381,13 @@ impl Observer {
         }
         for axis in 0..2 {
             let expected = (self.predicted() + self.residual())[axis];
-            self.known.correct(&rows[axis], bend[axis] - expected, self.variance);
+            self.known
+                .correct(&rows[axis], bend[axis] - expected, self.variance);
         }
         self.take_times();
         self.take_plays();
-        if !((self.settled_by_laws() + self.residual()).norm() < BELIEVED_MAX) {
+        let believed = (self.settled_by_laws() + self.residual()).norm();
+        if believed.is_nan() || believed > BELIEVED_MAX {
             self.forget();
             self.believe(bend);
         }
@@ -367,9 +399,13 @@ impl Observer {
         let mut now = [self.dynamics.lag_s, self.dynamics.delay_s];
         for k in 0..2 {
             let most = CORRECTION_SHARE[k] * bank[k] + CORRECTION_S;
-            now[k] = (now[k] + std::mem::take(&mut self.known.x[LAG + k])).clamp(bank[k] - most, bank[k] + most);
+            now[k] = (now[k] + std::mem::take(&mut self.known.x[LAG + k]))
+                .clamp(bank[k] - most, bank[k] + most);
         }
-        self.dynamics = Dynamics { lag_s: now[0].max(0.002), delay_s: now[1].max(0.0) };
+        self.dynamics = Dynamics {
+            lag_s: now[0].max(0.002),
+            delay_s: now[1].max(0.0),
+        };
     }
 
     /// Takes the estimated errors of the half-widths into the channels.
@@ -377,8 +413,15 @@ impl Observer {
         for i in 0..3 {
             let change = std::mem::take(&mut self.known.x[laws::PLAY + i]);
             let now_mm = self.lines[i].k_lambda_mm;
-            let next_mm = if change == 0.0 { now_mm } else { (now_mm + change).clamp(HALF_WIDTH_MM[0], HALF_WIDTH_MM[1]) };
-            let spread_mm = self.half_width_sigma_mm(i).max(SPREAD_MIN_MM).min(SPREAD_MAX * next_mm);
+            let next_mm = if change == 0.0 {
+                now_mm
+            } else {
+                (now_mm + change).clamp(HALF_WIDTH_MM[0], HALF_WIDTH_MM[1])
+            };
+            let spread_mm = self
+                .half_width_sigma_mm(i)
+                .max(SPREAD_MIN_MM)
+                .min(SPREAD_MAX * next_mm);
             let (change_mm, mm_per_rad) = (next_mm - now_mm, self.mm_per_rad(i));
             self.lines[i].k_lambda_mm = next_mm;
             self.now.widen(i, change_mm, spread_mm, mm_per_rad);
@@ -389,12 +432,15 @@ impl Observer {
 
     /// Takes over what the bank knows about lag and dead time.
     pub fn take_dynamics(&mut self, range: &DynamicsRange, moving: bool) {
-        (self.response_max_s, self.timing_error_s) = (range.response_max_s, range.error_max_s());
+        self.timing_error_s = range.error_max_s();
         if moving || range.best == self.bank {
             return;
         }
         (self.bank, self.dynamics) = (range.best, range.best);
-        for (k, time_s) in [range.best.lag_s, range.best.delay_s].into_iter().enumerate() {
+        for (k, time_s) in [range.best.lag_s, range.best.delay_s]
+            .into_iter()
+            .enumerate()
+        {
             let (share, least_s) = TIMES_SIGMA[k];
             let sigma_s = (share * time_s + least_s).max(self.timing_error_s / 3.0);
             self.known.reset(LAG + k, sigma_s * sigma_s);
@@ -405,13 +451,18 @@ impl Observer {
     pub fn depart(&mut self) {
         for (k, time_s) in [self.bank.lag_s, self.bank.delay_s].into_iter().enumerate() {
             let (share, least_s) = TIMES_SIGMA[k];
-            let most = (share * time_s + least_s).max(self.timing_error_s / 3.0).powi(2);
+            let most = (share * time_s + least_s)
+                .max(self.timing_error_s / 3.0)
+                .powi(2);
             self.known.p[(LAG + k, LAG + k)] += 0.5 * most;
             self.known.cap(LAG + k, most);
         }
-        let size_2 = (self.residual().norm_squared() / 2.0).min(crate::tune::get("sizemax", SIZE_MAX_2));
+        let size_2 = (self.residual().norm_squared() / 2.0).min(SIZE_MAX_2);
         let known = &mut self.known;
-        known.residual_size = (known.residual_size.powi(2) * (1.0 - crate::tune::get("sizegain", SIZE_GAIN)) + crate::tune::get("sizegain", SIZE_GAIN) * size_2).sqrt().max(SIZE_MIN);
+        known.residual_size = (known.residual_size.powi(2) * (1.0 - SIZE_GAIN)
+            + SIZE_GAIN * size_2)
+            .sqrt()
+            .max(SIZE_MIN);
     }
 
     /// Variance of the settled bend with the channels at `there`, rad², summed over both axes.
@@ -420,7 +471,8 @@ impl Observer {
         (0..2)
             .map(|axis| {
                 let mut row = State::zeros();
-                row.fixed_rows_mut::<LAWS>(0).copy_from(&columns.row(axis).transpose());
+                row.fixed_rows_mut::<LAWS>(0)
+                    .copy_from(&columns.row(axis).transpose());
                 row[RESIDUAL + axis] = 1.0;
                 row.dot(&(self.known.p * row))
             })
@@ -450,11 +502,17 @@ fn sigmas(config: &ObserverConfig, fixed: bool) -> Theta {
         sigma.rows_mut(laws::PLAY, 3).fill(config.play_sigma_mm);
     }
     sigma.rows_mut(laws::EVEN, 6).fill(config.curve_sigma);
-    sigma.rows_mut(laws::PLY, laws::PLIES).fill(config.ply_sigma);
-    sigma.rows_mut(laws::CREEP, laws::CREEPS).fill(config.creep_sigma);
+    sigma
+        .rows_mut(laws::PLY, laws::PLIES)
+        .fill(config.ply_sigma);
+    sigma
+        .rows_mut(laws::CREEP, laws::CREEPS)
+        .fill(config.creep_sigma);
     sigma.rows_mut(laws::LEAK, 3).fill(config.leak_sigma_1_s);
     sigma[laws::ROTATION] = config.rotation_sigma_deg.to_radians();
-    sigma.rows_mut(laws::OFFSET, 2).fill(config.offset_sigma_deg.to_radians());
+    sigma
+        .rows_mut(laws::OFFSET, 2)
+        .fill(config.offset_sigma_deg.to_radians());
     sigma
 }
 
@@ -468,10 +526,21 @@ impl Knowledge {
             p[(k, k)] = residual * residual;
         }
         (p[(LAG, LAG)], p[(DELAY, DELAY)]) = (1e-4, 2.5e-5);
-        Self { x: State::zeros(), p, residual_size: residual }
+        Self {
+            x: State::zeros(),
+            p,
+            residual_size: residual,
+        }
     }
 
-    fn predict(&mut self, config: &ObserverConfig, sigma: &Theta, drift_2: f64, path: f64, dt_s: f64) {
+    fn predict(
+        &mut self,
+        config: &ObserverConfig,
+        sigma: &Theta,
+        drift_2: f64,
+        path: f64,
+        dt_s: f64,
+    ) {
         for k in 0..LAWS {
             let memory_s = if k >= laws::OFFSET {
                 config.offset_memory_s
@@ -508,7 +577,11 @@ impl Knowledge {
     fn cap(&mut self, k: usize, most: f64) {
         let variance = self.p[(k, k)];
         if variance > most {
-            let share = if most > 0.0 { (most / variance).sqrt() } else { 0.0 };
+            let share = if most > 0.0 {
+                (most / variance).sqrt()
+            } else {
+                0.0
+            };
             self.p.row_mut(k).scale_mut(share);
             self.p.column_mut(k).scale_mut(share);
         }

@@ -15,15 +15,23 @@ const YIELD_RAD: [f64; PLIES] = [0.06, 0.16, 0.40];
 pub const CREEPS: usize = 3;
 const CREEP_S: [f64; CREEPS] = [0.8, 5.0, 30.0];
 
-/// First index of each kind of parameter; three for the three channels unless another number is stated above.
+/// First index of the relative errors of the gains, one a channel.
 pub const GAIN: usize = 0;
+/// Even curves, 1/rad, one a channel.
 pub const EVEN: usize = 3;
+/// Odd curves, 1/rad², one a channel.
 pub const ODD: usize = 6;
+/// Errors of the half-widths, mm, one a channel.
 pub const PLAY: usize = 9;
+/// Shares of the plies.
 pub const PLY: usize = 12;
+/// Shares of the creeping elements.
 pub const CREEP: usize = PLY + PLIES;
+/// Leaks, 1/s, one a channel.
 pub const LEAK: usize = CREEP + CREEPS;
+/// Rotation of the bend plane, rad.
 pub const ROTATION: usize = LEAK + 3;
+/// Offset of the bend, rad, one an axis.
 pub const OFFSET: usize = ROTATION + 1;
 /// Number of parameters.
 pub const LAWS: usize = OFFSET + 2;
@@ -41,10 +49,12 @@ const ENGAGED: f64 = 0.98;
 const REACH_RAD: f64 = 2.4;
 const BISECTIONS: usize = 36;
 
-/// One play operator: its output, mm, and ∂w/∂λ, which is −1 or 1 where it was last engaged and 0 before any motion.
+/// One play operator. Its slope is −1 or 1 where it was last engaged and 0 before any motion.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Play {
+    /// Output, mm.
     pub w_mm: f64,
+    /// ∂w/∂λ.
     pub slope: f64,
 }
 
@@ -81,7 +91,13 @@ pub fn mm_per_rad(line: &Line, geometry: &Geometry) -> f64 {
 
 impl Channels {
     /// One tick with the pistons at `piston_mm`.
-    pub fn advance(&mut self, lines: &[Line; 3], geometry: &Geometry, piston_mm: &Vector3<f64>, dt_s: f64) {
+    pub fn advance(
+        &mut self,
+        lines: &[Line; 3],
+        geometry: &Geometry,
+        piston_mm: &Vector3<f64>,
+        dt_s: f64,
+    ) {
         let creep = CREEP_S.map(|tau_s| -(-dt_s / tau_s).exp_m1());
         for i in 0..3 {
             let half_width_mm = lines[i].k_lambda_mm;
@@ -107,7 +123,10 @@ impl Channels {
         let slope = if engaged { -off_mm.signum() } else { 0.0 };
         self.play[i] = Play { w_mm, slope };
         for (plays, sign) in self.around.iter_mut().zip([-1.0, 1.0]) {
-            plays[i] = Play { w_mm: w_mm + slope * sign * self.spread_mm[i], slope };
+            plays[i] = Play {
+                w_mm: w_mm + slope * sign * self.spread_mm[i],
+                slope,
+            };
         }
         self.v[i] = w_mm / mm_per_rad;
         (self.ply[i], self.creep[i], self.leak[i]) = ([0.0; PLIES], [self.v[i]; CREEPS], 0.0);
@@ -145,7 +164,7 @@ impl Channels {
     /// The columns of all parameters.
     pub fn columns(&self, lines: &[Line; 3], geometry: &Geometry) -> Columns {
         let mut columns = Columns::zeros();
-        for i in 0..3 {
+        for (i, line) in lines.iter().enumerate() {
             let (v, spoke) = (self.v[i], Geometry::spoke(i) * (-2.0 / 3.0));
             let mut add = |k: usize, value: f64| {
                 columns[(0, k)] += spoke.x * value;
@@ -154,7 +173,7 @@ impl Channels {
             add(GAIN + i, v);
             add(EVEN + i, even(v));
             add(ODD + i, odd(v));
-            add(PLAY + i, self.slope(i) / mm_per_rad(&lines[i], geometry));
+            add(PLAY + i, self.slope(i) / mm_per_rad(line, geometry));
             (0..PLIES).for_each(|j| add(PLY + j, -self.ply[i][j]));
             (0..CREEPS).for_each(|j| add(CREEP + j, self.creep[i][j]));
             add(LEAK + i, -self.leak[i]);
@@ -167,12 +186,18 @@ impl Channels {
 
     /// Q of channel `i` at `v`, from the present state of plies and creep on. Extrapolated no steeper or flatter than a tip can be.
     pub fn output(&self, i: usize, v: f64, theta: &Theta) -> f64 {
-        let creep: f64 = (0..CREEPS).map(|j| theta[CREEP + j] * self.creep[i][j]).sum();
-        let smooth = |v: f64| v * (1.0 + theta[GAIN + i]) + theta[EVEN + i] * even(v) + theta[ODD + i] * odd(v);
+        let creep: f64 = (0..CREEPS)
+            .map(|j| theta[CREEP + j] * self.creep[i][j])
+            .sum();
+        let smooth = |v: f64| {
+            v * (1.0 + theta[GAIN + i]) + theta[EVEN + i] * even(v) + theta[ODD + i] * odd(v)
+        };
         let change = v - self.v[i];
         let plies = |change: f64| -> f64 {
             (0..PLIES)
-                .map(|j| theta[PLY + j] * (self.ply[i][j] + change).clamp(-YIELD_RAD[j], YIELD_RAD[j]))
+                .map(|j| {
+                    theta[PLY + j] * (self.ply[i][j] + change).clamp(-YIELD_RAD[j], YIELD_RAD[j])
+                })
                 .sum()
         };
         let (from, to) = (smooth(self.v[i]) - plies(0.0), smooth(v) - plies(change));
@@ -223,5 +248,7 @@ fn odd(v: f64) -> f64 {
 
 /// Bend of the outputs of the three channels, rad.
 pub fn bend_of(outputs: &[f64; 3]) -> Vector2<f64> {
-    (0..3).map(|i| Geometry::spoke(i) * (-2.0 / 3.0 * outputs[i])).sum()
+    (0..3)
+        .map(|i| Geometry::spoke(i) * (-2.0 / 3.0 * outputs[i]))
+        .sum()
 }

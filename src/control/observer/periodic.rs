@@ -67,7 +67,12 @@ impl Oscillator {
                 covariance[(k, k)] = (amplitude_rad * RELATIVE[(k - 1) / 2]).powi(2) / 2.0;
             }
         }
-        Self { rate_rad_s: TAU * hertz, states: [SVector::zeros(); 2], covariance, cost: 0.0 }
+        Self {
+            rate_rad_s: TAU * hertz,
+            states: [SVector::zeros(); 2],
+            covariance,
+            cost: 0.0,
+        }
     }
 
     fn predict(&mut self, config: &PeriodicConfig, moved: f64, dt_s: f64) {
@@ -79,7 +84,12 @@ impl Oscillator {
         for k in 0..HARMONICS {
             let (sin, cos) = (self.rate_rad_s * (k + 1) as f64 * dt_s).sin_cos();
             let i = 1 + 2 * k;
-            (turn[(i, i)], turn[(i, i + 1)], turn[(i + 1, i)], turn[(i + 1, i + 1)]) = (cos, sin, -sin, cos);
+            (
+                turn[(i, i)],
+                turn[(i, i + 1)],
+                turn[(i + 1, i)],
+                turn[(i + 1, i + 1)],
+            ) = (cos, sin, -sin, cos);
         }
         self.states = self.states.map(|x| turn * x);
         self.covariance = turn * self.covariance * turn.transpose();
@@ -87,7 +97,8 @@ impl Oscillator {
         for k in 1..STATES {
             let harmonic = (k - 1) / 2;
             let walk = (WALK / (harmonic + 1) as f64).powi(2) * dt_s;
-            self.covariance[(k, k)] = (self.covariance[(k, k)] + walk).min((amplitude * RELATIVE[harmonic]).powi(2));
+            self.covariance[(k, k)] =
+                (self.covariance[(k, k)] + walk).min((amplitude * RELATIVE[harmonic]).powi(2));
         }
     }
 
@@ -138,7 +149,9 @@ impl Periodic {
             LOW_HZ * (HIGH_HZ / LOW_HZ).powf((k - 1) as f64 / (FREQUENCIES - 1) as f64)
         };
         Self {
-            bank: std::array::from_fn(|k| Oscillator::new(hertz(k), config.amplitude_deg.to_radians())),
+            bank: std::array::from_fn(|k| {
+                Oscillator::new(hertz(k), config.amplitude_deg.to_radians())
+            }),
             believed: None,
             age_s: 0.0,
             due_s: 0.0,
@@ -147,15 +160,26 @@ impl Periodic {
     }
 
     /// One tick with what the laws do not explain, rad, the variance of its noise, and the path of the laws since the last tick.
-    pub fn step(&mut self, config: &PeriodicConfig, residual: &Vector2<f64>, variance: f64, moved: f64, dt_s: f64) {
+    pub fn step(
+        &mut self,
+        config: &PeriodicConfig,
+        residual: &Vector2<f64>,
+        variance: f64,
+        moved: f64,
+        dt_s: f64,
+    ) {
         if !config.enabled {
             return;
         }
-        (self.age_s, self.due_s, self.path) = (self.age_s + dt_s, self.due_s + dt_s, self.path + moved);
+        (self.age_s, self.due_s, self.path) =
+            (self.age_s + dt_s, self.due_s + dt_s, self.path + moved);
         if self.due_s < PERIOD_S - 1e-9 {
             return;
         }
-        let (dt_s, path) = (std::mem::take(&mut self.due_s), std::mem::take(&mut self.path));
+        let (dt_s, path) = (
+            std::mem::take(&mut self.due_s),
+            std::mem::take(&mut self.path),
+        );
         let keep = (-dt_s / config.memory_s).exp();
         for one in &mut self.bank {
             one.predict(config, path, dt_s);
@@ -168,10 +192,16 @@ impl Periodic {
             }
         }
         let lead = self.bank[0].cost - self.bank[best].cost;
-        let bar = if self.believed.is_some() { 0.0 } else { config.believed };
+        let bar = if self.believed.is_some() {
+            0.0
+        } else {
+            config.believed
+        };
         let worth = self.bank[best].amplitude() > WORTH_RAD && self.age_s > FIRST_S;
         self.believed = (lead > bar && worth).then(|| {
-            let now = self.believed.filter(|&k| self.bank[k].cost < self.bank[best].cost + BETTER);
+            let now = self
+                .believed
+                .filter(|&k| self.bank[k].cost < self.bank[best].cost + BETTER);
             now.unwrap_or(best)
         });
     }

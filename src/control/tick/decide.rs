@@ -134,7 +134,10 @@ pub(super) fn command(
         Some(_) if state.base.moved => state.setpoint.bend.at + state.feedback,
         Some(f) => correct(config, f, state, &estimate.0, dt_s),
     };
-    let estimated_mm = config.geometry.lengths(&Shape { bend: estimate, length });
+    let estimated_mm = config.geometry.lengths(&Shape {
+        bend: estimate,
+        length,
+    });
     let wanted_mm = match state.hold {
         Hold::Holding { stop_mm } => stop_mm,
         _ => state.rule.aim_mm,
@@ -145,14 +148,20 @@ pub(super) fn command(
         _ if state.hold.is_holding() => allowed_mm,
         Some(f) if !moving && !state.obstruction.blocked && state.periodic.hertz().is_none() => {
             let error_rad = (state.setpoint.target.bend.0 - estimate.0).norm();
-            let slow_mm = state.rule.slowly(&f.calm, &state.observer, &state.targets_mm, error_rad, dt_s);
+            let slow_mm =
+                state
+                    .rule
+                    .slowly(&f.calm, &state.observer, &state.targets_mm, error_rad, dt_s);
             ease(&mut state.hold, slow_mm, dt_s)
         }
         _ => ease(&mut state.hold, allowed_mm, dt_s),
     };
     PistonOutput {
         command: Bend(command),
-        bellow_mm: config.geometry.lengths(&Shape { bend: Bend(command), length }),
+        bellow_mm: config.geometry.lengths(&Shape {
+            bend: Bend(command),
+            length,
+        }),
         piston_target_mm: state.targets_mm,
         cut,
     }
@@ -173,24 +182,38 @@ fn ease(hold: &mut Hold, target_mm: Vector3<f64>, dt_s: f64) -> Vector3<f64> {
 fn open_loop(config: &LoopConfig, state: &mut LoopState, dt_s: f64) -> Vector2<f64> {
     let bend = state.setpoint.bend.at;
     let length = Mm(state.setpoint.length.at.x);
-    let wanted_mm = config.geometry.lengths(&Shape { bend: Bend(bend), length });
+    let wanted_mm = config.geometry.lengths(&Shape {
+        bend: Bend(bend),
+        length,
+    });
     let mut bellow_mm = wanted_mm.add_scalar(config.limits.relief(&wanted_mm, &state.lines));
     let mut described = config.feedforward.as_deref().zip(state.described.as_mut());
     if let Some((machine, state)) = &mut described {
         bellow_mm = state.invert(machine, &bellow_mm);
     }
     let piston_mm = Vector3::from_fn(|i, _| {
-        let wanted = Wanted { q_mm: bellow_mm[i], dt_s };
+        let wanted = Wanted {
+            q_mm: bellow_mm[i],
+            dt_s,
+        };
         let (piston_mm, next) = config.side.invert(&state.lines[i], state.sides[i], &wanted);
         state.sides[i] = next;
         piston_mm
     });
-    state.rule.aim_mm = described.map_or(piston_mm, |(machine, state)| state.counted(machine, &piston_mm));
+    state.rule.aim_mm = described.map_or(piston_mm, |(machine, state)| {
+        state.counted(machine, &piston_mm)
+    });
     bend
 }
 
 /// The set-point moves: the pistons make the bend by which the tip is there once the lag has passed.
-fn track(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, estimate: &Vector2<f64>, dt_s: f64) -> Vector2<f64> {
+fn track(
+    config: &LoopConfig,
+    f: &FeedbackConfig,
+    state: &mut LoopState,
+    estimate: &Vector2<f64>,
+    dt_s: f64,
+) -> Vector2<f64> {
     let lead_s = lead_s(config, state);
     let at = state.setpoint.bend.at + ahead(state, lead_s);
     let observer = &state.observer;
@@ -198,7 +221,12 @@ fn track(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, estimat
     let to_go = (at - observer.settled_by_laws() - observer.residual()).norm();
     let share = (-to_go / f.observer.residual_path_deg.to_radians()).exp();
     let (periodic, rate) = state.periodic.at(observer.dynamics.delay_s + PISTONS_S);
-    let bend = rule::needed(observer, &at, share, &(periodic + rate * observer.dynamics.lag_s));
+    let bend = rule::needed(
+        observer,
+        &at,
+        share,
+        &(periodic + rate * observer.dynamics.lag_s),
+    );
     let bend = bounded(config, f, state, bend, estimate);
     match path::bellow_motion(config, &state.setpoint, lead_s) {
         Some(motion) => follow(config, f, state, &bend, &motion, estimate, dt_s),
@@ -208,7 +236,13 @@ fn track(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, estimat
 }
 
 /// The set-point rests: moves if the rule says so.
-fn correct(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, estimate: &Vector2<f64>, dt_s: f64) -> Vector2<f64> {
+fn correct(
+    config: &LoopConfig,
+    f: &FeedbackConfig,
+    state: &mut LoopState,
+    estimate: &Vector2<f64>,
+    dt_s: f64,
+) -> Vector2<f64> {
     let observer = &state.observer;
     let (periodic, rate) = state.periodic.at(observer.dynamics.delay_s + PISTONS_S);
     let disturbed = periodic + rate * observer.dynamics.lag_s;
@@ -220,8 +254,17 @@ fn correct(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, estim
     let bend = bounded(config, f, state, bend, estimate);
     let change = bend - given;
     let risk = inverse::risk(&state.observer, &change, f.free_length_mm);
-    state.rule.answer(&state.observer.dynamics, estimate, state.periodic.hertz().is_some(), dt_s);
-    if !state.hold.is_holding() && state.rule.moves(&change, risk, f.step_deg.to_radians(), f.caution) {
+    state.rule.answer(
+        &state.observer.dynamics,
+        estimate,
+        state.periodic.hertz().is_some(),
+        dt_s,
+    );
+    if !state.hold.is_holding()
+        && state
+            .rule
+            .moves(&change, risk, f.step_deg.to_radians(), f.caution)
+    {
         let target = state.setpoint.target.bend.0;
         let length = state.rule.length;
         go(config, f, state, &bend, Some(length), estimate);
@@ -232,7 +275,13 @@ fn correct(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, estim
 }
 
 /// The bend with a correction within its bound, and no further from the estimate than an obstruction permits.
-fn bounded(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, bend: Vector2<f64>, estimate: &Vector2<f64>) -> Vector2<f64> {
+fn bounded(
+    config: &LoopConfig,
+    f: &FeedbackConfig,
+    state: &mut LoopState,
+    bend: Vector2<f64>,
+    estimate: &Vector2<f64>,
+) -> Vector2<f64> {
     let at = state.setpoint.bend.at;
     let most = f.integral_max_deg.to_radians();
     state.feedback = (bend - at).cap_magnitude(most);
@@ -241,13 +290,24 @@ fn bounded(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, bend:
     if !state.obstruction.blocked {
         return bend;
     }
-    let stiffest = state.lines.iter().map(|l| 1.0 + l.k_epsilon).fold(1.0, f64::max);
+    let stiffest = state
+        .lines
+        .iter()
+        .map(|l| 1.0 + l.k_epsilon)
+        .fold(1.0, f64::max);
     let kpa_per_rad = config.limits.pressure_kpa_per_mm * stiffest * config.geometry.r_mm;
     estimate + (bend - estimate).cap_magnitude(f.obstruction.press_kpa / kpa_per_rad)
 }
 
 /// Chooses sides and common length for a bend of the channels, and aims the pistons there.
-fn go(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, bend: &Vector2<f64>, keep: Option<f64>, estimate: &Vector2<f64>) {
+fn go(
+    config: &LoopConfig,
+    f: &FeedbackConfig,
+    state: &mut LoopState,
+    bend: &Vector2<f64>,
+    keep: Option<f64>,
+    estimate: &Vector2<f64>,
+) {
     let (choice, aim_mm) = choose(config, f, state, bend, keep, estimate);
     state.rule.length = choice.length;
     state.rule.aim_mm = match config.feedforward.as_deref().zip(state.described.as_mut()) {
@@ -263,7 +323,11 @@ fn go(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, bend: &Vec
             let piston_mm = Vector3::from_fn(|i, _| {
                 let line = &observer.lines[i];
                 let w_mm = line.play_output_mm(bellow_mm[i]);
-                let side = if choice.sides[i] == 0.0 { -observer.now.play[i].slope } else { choice.sides[i] };
+                let side = if choice.sides[i] == 0.0 {
+                    -observer.now.play[i].slope
+                } else {
+                    choice.sides[i]
+                };
                 w_mm + side * line.k_lambda_mm
             });
             described.counted(machine, &piston_mm)
@@ -271,7 +335,14 @@ fn go(config: &LoopConfig, f: &FeedbackConfig, state: &mut LoopState, bend: &Vec
     };
 }
 
-fn choose(config: &LoopConfig, f: &FeedbackConfig, state: &LoopState, bend: &Vector2<f64>, keep: Option<f64>, estimate: &Vector2<f64>) -> (Choice, Vector3<f64>) {
+fn choose(
+    config: &LoopConfig,
+    f: &FeedbackConfig,
+    state: &LoopState,
+    bend: &Vector2<f64>,
+    keep: Option<f64>,
+    estimate: &Vector2<f64>,
+) -> (Choice, Vector3<f64>) {
     let theta = state.observer.theta();
     let (_, there) = state.observer.at(&state.rule.goal_mm);
     let from = inverse::From {
@@ -281,7 +352,8 @@ fn choose(config: &LoopConfig, f: &FeedbackConfig, state: &LoopState, bend: &Vec
         theta: &theta,
         estimate,
         keep,
-        length: (state.setpoint.length.at.x - config.geometry.rest_length_mm) / config.geometry.r_mm,
+        length: (state.setpoint.length.at.x - config.geometry.rest_length_mm)
+            / config.geometry.r_mm,
         free_mm: f.free_length_mm,
     };
     let choice = inverse::choose(&from, bend);
@@ -299,7 +371,17 @@ fn follow(
     estimate: &Vector2<f64>,
     dt_s: f64,
 ) {
-    let (choice, _) = choose(config, &FeedbackConfig { free_length_mm: 0.0, ..*f }, state, bend, None, estimate);
+    let (choice, _) = choose(
+        config,
+        &FeedbackConfig {
+            free_length_mm: 0.0,
+            ..*f
+        },
+        state,
+        bend,
+        None,
+        estimate,
+    );
     state.rule.length = choice.length;
     let observer = &state.observer;
     let theta = observer.theta();
@@ -311,7 +393,13 @@ fn follow(
             acceleration: motion[1][i] * factor,
         };
         let half_width_mm = observer.lines[i].k_lambda_mm;
-        let (piston_mm, next) = path::invert(half_width_mm, state.sides[i], &passing, &config.motion.limits, dt_s);
+        let (piston_mm, next) = path::invert(
+            half_width_mm,
+            state.sides[i],
+            &passing,
+            &config.motion.limits,
+            dt_s,
+        );
         state.sides[i] = next;
         piston_mm
     });

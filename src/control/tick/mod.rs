@@ -21,9 +21,12 @@ mod types;
 
 pub use restart::{RestartRest, RestartState};
 pub use state::LoopState;
-pub use types::{Belief, Command, FeedbackConfig, Frame, Input, LoopConfig, Reference, Senses, TickPhase};
+pub use types::{
+    Belief, Command, FeedbackConfig, Frame, Input, LoopConfig, Reference, Senses, TickPhase,
+};
 
 use crate::control::limits::Cut;
+use crate::control::obstruction::Push;
 use crate::estimation::fusion::health::HealthAction;
 use crate::estimation::fusion::tip::TipEstimate;
 use crate::model::{Bend, Shape};
@@ -62,7 +65,14 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
     }
     state.last_estimate = bend.0;
     let mut output = decide::command(config, state, bend, moving, input.dt_s);
-    watch(config, state, bend, moving || holding, output.cut, input.dt_s);
+    watch(
+        config,
+        state,
+        bend,
+        moving || holding,
+        output.cut,
+        input.dt_s,
+    );
     if output.cut == Cut::None {
         output.cut = setpoint_cut;
     }
@@ -85,20 +95,35 @@ fn depart(state: &mut LoopState, moving: bool) {
 const ANSWERED_S: f64 = 0.1;
 
 /// Whether the tip is obstructed, and whether the controller has reached its limits away from the target.
-fn watch(config: &LoopConfig, state: &mut LoopState, estimate: Bend, moving: bool, cut: Cut, dt_s: f64) {
+fn watch(
+    config: &LoopConfig,
+    state: &mut LoopState,
+    estimate: Bend,
+    moving: bool,
+    cut: Cut,
+    dt_s: f64,
+) {
     let Some(f) = &config.feedback else { return };
     state.rule.step(moving, dt_s);
     let error = state.setpoint.target.bend.0 - estimate.0;
     let was_blocked = state.obstruction.blocked;
     let answer_s = state.observer.dynamics.response_s() + state.dynamics.error_max_s() + ANSWERED_S;
-    let given = state.observer.given();
-    state.obstruction.step(&f.obstruction, moving, &given, &estimate.0, &error, answer_s, dt_s);
+    let push = Push {
+        given: state.observer.given(),
+        estimate: estimate.0,
+        error,
+    };
+    state
+        .obstruction
+        .step(&f.obstruction, moving, &push, answer_s, dt_s);
     if state.obstruction.blocked && !was_blocked {
         // what was learned against the obstruction says nothing about the tip
         state.return_to_known(&estimate.0);
     }
     let off = error.norm() > f.obstruction.error_deg.to_radians();
-    state.saturation.step(moving, off, state.feedback_full, cut, dt_s);
+    state
+        .saturation
+        .step(moving, off, state.feedback_full, cut, dt_s);
 }
 
 fn frame(
@@ -137,7 +162,8 @@ fn frame(
         k_lambda_mm: state.lines.map(|l| l.k_lambda_mm),
         dynamics,
         cut: output.cut,
-        at_rest: phase == TickPhase::Holding && state.rule.rests_s > dynamics.delay_s + 3.0 * dynamics.lag_s,
+        at_rest: phase == TickPhase::Holding
+            && state.rule.rests_s > dynamics.delay_s + 3.0 * dynamics.lag_s,
         blocked: state.obstruction.blocked,
         belief: belief(state),
         saturation: state.saturation.now(),

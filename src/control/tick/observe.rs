@@ -11,10 +11,16 @@ use nalgebra::Vector2;
 const CUBIC: f64 = 0.6;
 
 /// Follows the counted steps; returns the bend that they cause according to the model without what was learned.
-pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &Steps, dt_s: f64) -> Bend {
+pub(super) fn follow_steps(
+    config: &LoopConfig,
+    state: &mut LoopState,
+    steps: &Steps,
+    dt_s: f64,
+) -> Bend {
     let mut piston_mm = config.drive.piston_mm(steps);
     let mut given = None;
-    if let Some((machine, described)) = config.feedforward.as_deref().zip(state.described.as_mut()) {
+    if let Some((machine, described)) = config.feedforward.as_deref().zip(state.described.as_mut())
+    {
         piston_mm = described.pistons(machine, &piston_mm);
         let play_output_mm = state.observer.play_outputs(&piston_mm);
         given = Some(described.advance(machine, &play_output_mm, dt_s).bend.0);
@@ -24,20 +30,40 @@ pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &S
 }
 
 /// Learns from the estimated bend: lag and dead time, a periodic disturbance, and the laws.
-pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, estimate: &Vector2<f64>, moving: bool, dt_s: f64) {
+pub(super) fn learn(
+    config: &LoopConfig,
+    state: &mut LoopState,
+    estimate: &Vector2<f64>,
+    moving: bool,
+    dt_s: f64,
+) {
     let Some(f) = &config.feedback else { return };
     let observer = &mut state.observer;
     let disturbance = state.periodic.at(0.0).0;
     let laws = !state.obstruction.blocked;
-    if f.learn_dynamics && laws && state.bank.step(observer.given(), estimate - disturbance, dt_s) {
+    if f.learn_dynamics
+        && laws
+        && state
+            .bank
+            .step(observer.given(), estimate - disturbance, dt_s)
+    {
         state.dynamics = state.bank.assess(&state.before, &state.dynamics);
         observer.take_dynamics(&state.dynamics, moving);
     }
     state.unexplained += estimate - state.last_estimate - observer.rate * dt_s;
-    let noise = observer.variance.max(f.observer.noise_deg.to_radians().powi(2));
+    let noise = observer
+        .variance
+        .max(f.observer.noise_deg.to_radians().powi(2));
     let moved = observer.rate.norm() * dt_s;
-    state.periodic.step(&f.periodic, &state.unexplained, 2.0 * noise, moved, dt_s);
-    observer.measure(&f.observer, f.ki_1_s, laws, &(estimate - state.periodic.at(0.0).0));
+    state
+        .periodic
+        .step(&f.periodic, &state.unexplained, 2.0 * noise, moved, dt_s);
+    observer.measure(
+        &f.observer,
+        f.ki_1_s,
+        laws,
+        &(estimate - state.periodic.at(0.0).0),
+    );
     publish(config, state);
 }
 
@@ -53,6 +79,9 @@ fn publish(config: &LoopConfig, state: &mut LoopState) {
         let slope = 1.0 + theta[GAIN + i] + CUBIC * theta[ODD + i] * state.shown[i].powi(2);
         let [[least, most], _] = config.refine.bounds(&config.lines[i]);
         let k_epsilon = (1.0 + observer.lines[i].k_epsilon) / slope.max(0.1) - 1.0;
-        state.lines[i] = Line { k_epsilon: k_epsilon.clamp(least, most), k_lambda_mm: observer.lines[i].k_lambda_mm };
+        state.lines[i] = Line {
+            k_epsilon: k_epsilon.clamp(least, most),
+            k_lambda_mm: observer.lines[i].k_lambda_mm,
+        };
     }
 }

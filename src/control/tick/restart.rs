@@ -118,9 +118,13 @@ impl LoopState {
             uncertainty_s: remembered.dynamics_uncertainty_s,
         };
         self.dynamics = self.before.range();
-        self.set_lines(config, Line::each(remembered.k_epsilon, remembered.k_lambda_mm));
+        self.set_lines(
+            config,
+            Line::each(remembered.k_epsilon, remembered.k_lambda_mm),
+        );
         let piston_mm = config.drive.piston_mm(&remembered.steps);
-        self.observer.rest(&remembered.play_output_mm.into(), &piston_mm);
+        self.observer
+            .rest(&remembered.play_output_mm.into(), &piston_mm);
         self.stand(config, &remembered.steps, Bend(remembered.bend_rad.into()));
     }
 }

@@ -133,7 +133,11 @@ impl LoopState {
             lines: config.lines,
             shown: [0.0; 3],
             sides: Default::default(),
-            known: Known { laws: observer.knowledge(), dynamics, bank: DynamicsBank::default() },
+            known: Known {
+                laws: observer.knowledge(),
+                dynamics,
+                bank: DynamicsBank::default(),
+            },
             observer,
             dynamics,
             bank: DynamicsBank::default(),

@@ -1,8 +1,8 @@
 //! Configuration, input and output of a tick.
 
 use crate::control::calm::CalmConfig;
-use crate::control::follow::Pace;
 use crate::control::dynamics::{Dynamics, DynamicsPrior};
+use crate::control::follow::Pace;
 use crate::control::learning::batch::Prior;
 use crate::control::limits::{ActuatorLimits, Cut};
 use crate::control::observer::{ObserverConfig, PeriodicConfig};

@@ -13,6 +13,10 @@ use nalgebra::Vector3;
 
 /// The mode with its data.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a box would allocate on the control path"
+)]
 pub(super) enum ModeState {
     Boot,
     Aligning,
