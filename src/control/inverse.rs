@@ -201,3 +201,103 @@ pub fn pistons(from: &From<'_>, choice: &Choice, aim_mm: &Vector3<f64>) -> Vecto
         v * from.observer.mm_per_rad(i) + choice.sides[i] * from.observer.lines[i].k_lambda_mm
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::dynamics::{Dynamics, DynamicsPrior};
+    use crate::control::observer::{ObserverConfig, laws::bend_of};
+    use crate::model::Line;
+
+    const LIMITS: ActuatorLimits = ActuatorLimits {
+        travel_mm: 30.0,
+        pressure_kpa_per_mm: 2.0,
+        pressure_max_kpa: 41.0,
+        bellow_min_mm: 14.0,
+        bellow_max_mm: 29.0,
+    };
+
+    /// An observer whose pistons have been led to a bend, pushing outward.
+    fn bent(bend: &Vector2<f64>) -> (Observer, Vector3<f64>) {
+        let lines = [Line {
+            k_epsilon: 2.2,
+            k_lambda_mm: 0.9,
+        }; 3];
+        let dynamics = DynamicsPrior::calibrated(Dynamics {
+            lag_s: 0.03,
+            delay_s: 0.01,
+        });
+        let config = ObserverConfig::default();
+        let mut observer = Observer::new(
+            &config,
+            &Geometry::default(),
+            lines,
+            Some([[0.6, 0.25]; 3]),
+            &dynamics.range(),
+        );
+        let q = outputs(bend);
+        let at = Vector3::from_fn(|i, _| q[i] * observer.mm_per_rad(i) + 0.9 * q[i].signum());
+        (0..100).for_each(|k| observer.follow(&(at * (f64::from(k + 1) / 100.0)), None, 0.01));
+        (observer, at)
+    }
+
+    fn chosen(observer: &Observer, to: &Vector2<f64>, free_mm: f64) -> Choice {
+        let from = From {
+            observer,
+            limits: &LIMITS,
+            there: &observer.now,
+            theta: &observer.theta(),
+            estimate: &observer.given(),
+            keep: None,
+            length: 0.0,
+            free_mm,
+        };
+        choose(&from, to)
+    }
+
+    #[test]
+    fn a_choice_makes_the_bend_and_its_pistons_are_solved() {
+        let (observer, at) = bent(&Vector2::new(0.6, 0.3));
+        for to in [
+            Vector2::new(0.7, 0.35),
+            Vector2::new(0.2, -0.4),
+            Vector2::new(-0.8, 0.1),
+        ] {
+            let choice = chosen(&observer, &to, 0.25);
+            assert!((bend_of(&choice.outputs) - to).norm() < 1e-9);
+            let from = From {
+                observer: &observer,
+                limits: &LIMITS,
+                there: &observer.now,
+                theta: &observer.theta(),
+                estimate: &observer.given(),
+                keep: None,
+                length: 0.0,
+                free_mm: 0.25,
+            };
+            let (bend, _) = observer.at(&pistons(&from, &choice, &at));
+            assert!((bend - to).norm() < 1e-3, "{bend} for {to}");
+        }
+    }
+
+    /// A small step back needs no reversal of the line that pulls if the others give way.
+    #[test]
+    fn the_common_length_avoids_reversals() {
+        let (observer, _) = bent(&Vector2::new(0.6, 0.3));
+        let count = |free_mm: f64| -> usize {
+            (0..24)
+                .map(|k| {
+                    let (sin, cos) = (0.2618 * f64::from(k)).sin_cos();
+                    let to = observer.given() + Vector2::new(cos, sin) * 0.012;
+                    let choice = chosen(&observer, &to, free_mm);
+                    let turned = |i: &usize| {
+                        choice.sides[*i] != 0.0 && reverses(&observer.now, *i, choice.sides[*i])
+                    };
+                    (0..3).filter(turned).count()
+                })
+                .sum()
+        };
+        let (fixed, free) = (count(0.0), count(0.25));
+        assert!(free * 2 <= fixed, "{free} of {fixed} reversals");
+    }
+}

@@ -157,3 +157,36 @@ pub fn needed(
 pub fn unrotated(bend: Vector2<f64>, angle: f64) -> Vector2<f64> {
     (bend - Vector2::new(-bend.y, bend.x) * angle) / (1.0 + angle * angle)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DYNAMICS: Dynamics = Dynamics {
+        lag_s: 0.03,
+        delay_s: 0.01,
+    };
+
+    #[test]
+    fn a_tip_that_slips_is_moved_less_and_a_new_target_forgives() {
+        let (mut rule, target) = (Rule::default(), Vector2::new(0.5, 0.0));
+        let small = Vector2::new(0.004, 0.0);
+        let moves = |rule: &Rule| rule.moves(&small, 0.0, 0.0015, 1.0);
+        assert!(moves(&rule));
+        for _ in 0..40 {
+            rule.act(&target);
+            (0..100).for_each(|_| rule.answer(&DYNAMICS, &Vector2::new(0.52, 0.0), false, 0.01));
+        }
+        assert!(!moves(&rule), "{rule:?}");
+        (0..40).for_each(|_| rule.depart());
+        assert!(moves(&rule), "{rule:?}");
+    }
+
+    #[test]
+    fn a_reversal_must_be_worth_its_risk() {
+        let rule = Rule::default();
+        let change = Vector2::new(0.0, 0.01);
+        assert!(rule.moves(&change, 1e-6, 0.0015, 1.0) && !rule.moves(&change, 2e-4, 0.0015, 1.0));
+        assert!(rule.moves(&change, 2e-4, 0.0015, 0.5), "less cautious");
+    }
+}

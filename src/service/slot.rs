@@ -115,6 +115,7 @@ pub mod tests {
             delay_s: 0.01,
             dynamics_uncertainty_s: 0.02,
             caution: Default::default(),
+            laws: None,
             rest: None,
         };
         Memory {

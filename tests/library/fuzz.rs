@@ -193,6 +193,7 @@ fn full_memory() -> memory::Memory {
         delay_s: 0.01,
         dynamics_uncertainty_s: 0.02,
         caution: Default::default(),
+        laws: None,
         rest: None,
     };
     let mut whole = memory::Memory {

@@ -16,6 +16,9 @@ parameters! {
     pub struct ObserverConfig: Copy {
         /// Standard deviation of a line's gain. A larger value learns the gain from fewer poses, and a disturbance as well.
         gain_sigma: f64 = 0.2, "", 0.0..=2.0, "0.2 covers the spread between units";
+        /// Factor on the standard deviations that the calibration states for k_ε and k_λ, with which the loop starts, at most `gain_sigma` and
+        /// `play_sigma_mm`. A larger value trusts the calibration less.
+        calibration: f64 = 2.0, "", 0.01..=100.0, "2 allows for a tip that has changed since";
         /// Standard deviation of the curves of a channel, per rad and per rad². A larger value bends the map for less evidence.
         curve_sigma: f64 = 0.1, "", 0.0..=2.0, "0.1 is a tenth of the gain at one rad";
         /// Standard deviation of the half-width of the backlash. A larger value trusts the calibrated backlash less, and moves less often.
@@ -140,21 +143,28 @@ pub struct Observer {
 }
 
 impl Observer {
-    /// At rest with the pistons at zero. `fixed` gains are not learned.
+    /// At rest with the pistons at zero. `sigmas` are the standard deviations of k_ε and of k_λ in mm that a calibration states, per channel;
+    /// without them both are fixed.
     pub fn new(
         config: &ObserverConfig,
         geometry: &Geometry,
         lines: [Line; 3],
-        fixed: bool,
+        sigmas: Option<[[f64; 2]; 3]>,
         dynamics: &DynamicsRange,
     ) -> Self {
-        let sigma = sigmas(config, fixed);
+        let sigma = standard_deviations(config, sigmas.is_none());
+        let mut known = Knowledge::new(&sigma, config.residual_deg.to_radians());
+        for (i, [k_epsilon, k_lambda_mm]) in sigmas.into_iter().flatten().enumerate() {
+            let gain = config.calibration * k_epsilon / (1.0 + lines[i].k_epsilon);
+            known.cap(laws::GAIN + i, gain * gain);
+            known.cap(laws::PLAY + i, (config.calibration * k_lambda_mm).powi(2));
+        }
         Self {
             geometry: *geometry,
             lines,
             sigma,
-            fixed,
-            known: Knowledge::new(&sigma, config.residual_deg.to_radians()),
+            fixed: sigmas.is_none(),
+            known,
             now: Channels::default(),
             then: Channels::default(),
             history: [(Vector3::zeros(), Vector2::zeros()); HISTORY],
@@ -195,6 +205,20 @@ impl Observer {
     /// Returns to what was known. The half-widths keep their values.
     pub fn recall(&mut self, known: &Knowledge) {
         self.known = *known;
+    }
+
+    /// Values and standard deviations of the parameters of the laws, to be remembered.
+    pub fn learned(&self) -> [[f64; LAWS]; 2] {
+        let sigmas = std::array::from_fn(|k| self.sigma_of(k));
+        [self.theta().into(), sigmas]
+    }
+
+    /// Takes over what an earlier run has learned. A standard deviation that is larger than before any motion is not believed.
+    pub fn assume(&mut self, [values, sigmas]: &[[f64; LAWS]; 2]) {
+        for k in 0..LAWS {
+            self.known.x[k] = values[k];
+            self.known.reset(k, sigmas[k].min(self.sigma[k]).powi(2));
+        }
     }
 
     /// Forgets what was learned.
@@ -340,7 +364,7 @@ impl Observer {
         }
         let dt_s = std::mem::take(&mut self.due_s);
         let path = std::mem::take(&mut self.path);
-        self.sigma = sigmas(config, self.fixed);
+        self.sigma = standard_deviations(config, self.fixed);
         let drift_2 = (ki_1_s * config.noise_deg.to_radians()).powi(2) * PERIOD_S;
         self.known.predict(config, &self.sigma, drift_2, path, dt_s);
         let residual = bend - self.predicted();
@@ -495,7 +519,7 @@ impl Observer {
 }
 
 /// Standard deviations of the parameters before any motion.
-fn sigmas(config: &ObserverConfig, fixed: bool) -> Theta {
+fn standard_deviations(config: &ObserverConfig, fixed: bool) -> Theta {
     let mut sigma = Theta::zeros();
     if !fixed {
         sigma.rows_mut(laws::GAIN, 3).fill(config.gain_sigma);
@@ -598,5 +622,150 @@ impl Knowledge {
             self.reset(RESIDUAL + axis, sigma * sigma);
             self.x[RESIDUAL + axis] = residual[axis];
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::dynamics::DynamicsPrior;
+
+    const DT_S: f64 = 0.01;
+    const LINES: [Line; 3] = [Line {
+        k_epsilon: 2.2,
+        k_lambda_mm: 0.9,
+    }; 3];
+
+    fn known(lag_s: f64) -> DynamicsRange {
+        let expected = Dynamics {
+            lag_s,
+            delay_s: 0.01,
+        };
+        DynamicsPrior::calibrated(expected).range()
+    }
+
+    /// A tip whose lines have other gains and half-widths, with a lag of 30 ms.
+    struct Tip {
+        lines: [Line; 3],
+        w_mm: Vector3<f64>,
+        bend: Vector2<f64>,
+    }
+
+    impl Tip {
+        fn step(&mut self, piston_mm: &Vector3<f64>) -> Vector2<f64> {
+            self.w_mm = Vector3::from_fn(|i, _| self.lines[i].play(self.w_mm[i], piston_mm[i]));
+            let v = std::array::from_fn(|i| {
+                self.w_mm[i] / laws::mm_per_rad(&self.lines[i], &Geometry::default())
+            });
+            let to = laws::bend_of(&v);
+            self.bend = to + (self.bend - to) * (-DT_S / 0.03f64).exp();
+            self.bend
+        }
+    }
+
+    /// Pistons for a bend by the nominal gains, pushing away from zero.
+    fn pistons(bend: &Vector2<f64>) -> Vector3<f64> {
+        Vector3::from_fn(|i, _| {
+            let v = -Geometry::spoke(i).dot(bend);
+            v * laws::mm_per_rad(&LINES[i], &Geometry::default()) + 0.9 * v.signum()
+        })
+    }
+
+    /// An observer that has seen `poses` held poses of a tip, and its error at a last one that it has not seen, rad.
+    fn taught(poses: usize, truth: [Line; 3]) -> (Observer, f64) {
+        let (config, geometry) = (ObserverConfig::default(), Geometry::default());
+        let mut observer = Observer::new(
+            &config,
+            &geometry,
+            LINES,
+            Some([[0.6, 0.25]; 3]),
+            &known(0.03),
+        );
+        let mut tip = Tip {
+            lines: truth,
+            w_mm: Vector3::zeros(),
+            bend: Vector2::zeros(),
+        };
+        let mut at = Vector3::zeros();
+        let mut error = 0.0;
+        for n in 0..=poses {
+            let angle = 2.4 * n as f64;
+            let target = Vector2::new(angle.cos(), angle.sin()) * (0.3 + 0.25 * (n % 4) as f64);
+            observer.depart();
+            for _ in 0..150 {
+                let to = pistons(&target);
+                at += (to - at).cap_magnitude(20.0 * DT_S);
+                let bend = tip.step(&at);
+                observer.follow(&at, None, DT_S);
+                if n < poses {
+                    observer.measure(&config, 23.0, true, &bend);
+                }
+            }
+            error = (observer.settled_by_laws() - tip.bend).norm();
+        }
+        (observer, error)
+    }
+
+    fn other(gains: [f64; 3], widths_mm: [f64; 3]) -> [Line; 3] {
+        Line::each(gains, widths_mm)
+    }
+
+    #[test]
+    fn poses_teach_gains_and_backlash_for_poses_that_were_not_seen() {
+        let truth = other([1.8, 2.6, 2.3], [0.7, 1.1, 0.85]);
+        let (before, after) = (taught(1, truth).1, taught(30, truth).1);
+        assert!(before > 0.05 && after < 0.006, "{before} then {after} rad");
+        let (observer, _) = taught(30, truth);
+        for (i, line) in truth.iter().enumerate() {
+            let found = observer.lines[i].k_lambda_mm;
+            let sigma = observer.half_width_sigma_mm(i);
+            assert!(
+                (found - line.k_lambda_mm).abs() < (3.0 * sigma).max(0.05),
+                "{found} ± {sigma} mm: {line:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn at_rest_the_residual_follows_and_the_laws_stay() {
+        let (mut observer, _) = taught(30, LINES);
+        let config = ObserverConfig::default();
+        let at = observer.history[observer.head].0;
+        let (laws, bend) = (observer.theta(), observer.settled_by_laws());
+        let pushed = bend + Vector2::new(0.1, -0.05);
+        for k in 0..100 {
+            observer.follow(&at, None, DT_S);
+            observer.measure(&config, 23.0, false, &pushed);
+            if k == 30 {
+                let left = (observer.settled_by_laws() + observer.residual() - pushed).norm();
+                assert!(left < 0.01, "{left} rad after 0.3 s");
+            }
+        }
+        assert_eq!(observer.theta(), laws);
+    }
+
+    #[test]
+    fn fixed_gains_are_not_learned() {
+        let config = ObserverConfig::default();
+        let mut observer = Observer::new(&config, &Geometry::default(), LINES, None, &known(0.03));
+        for k in 0..500 {
+            let at = Vector3::new(0.02, -0.01, -0.01) * f64::from(k);
+            observer.follow(&at, None, DT_S);
+            observer.measure(
+                &config,
+                23.0,
+                true,
+                &Vector2::new(0.002 * f64::from(k), 0.0),
+            );
+        }
+        assert!(observer.theta().rows(laws::GAIN, 3).norm() < 1e-9);
+        assert!(observer.lines == LINES && observer.gain_sigma(0) == 0.0);
+    }
+
+    #[test]
+    fn the_covariance_stays_a_covariance() {
+        let (observer, _) = taught(60, other([1.2, 3.4, 2.0], [0.4, 1.3, 0.9]));
+        let least = observer.known.p.symmetric_eigenvalues().min();
+        assert!(least > -1e-9, "{least}");
     }
 }

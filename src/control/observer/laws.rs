@@ -252,3 +252,81 @@ pub fn bend_of(outputs: &[f64; 3]) -> Vector2<f64> {
         .map(|i| Geometry::spoke(i) * (-2.0 / 3.0 * outputs[i]))
         .sum()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const LINES: [Line; 3] = [Line {
+        k_epsilon: 2.2,
+        k_lambda_mm: 0.9,
+    }; 3];
+
+    /// Channels after the pistons have been led along a path.
+    fn led(path: &[[f64; 3]]) -> Channels {
+        let mut channels = Channels::default();
+        let mut at = Vector3::zeros();
+        for to in path {
+            for _ in 0..20 {
+                at += (Vector3::from(*to) - at) * 0.3;
+                channels.advance(&LINES, &Geometry::default(), &at, 0.05);
+            }
+        }
+        channels
+    }
+
+    fn path() -> impl Strategy<Value = Vec<[f64; 3]>> {
+        prop::collection::vec(prop::array::uniform3(-25.0..25.0f64), 1..6)
+    }
+
+    proptest! {
+        /// What the filter predicts with the columns is what the inverse computes with the laws.
+        #[test]
+        fn the_columns_are_those_of_the_laws(path in path(), values in prop::array::uniform21(-0.1..0.1f64)) {
+            let channels = led(&path);
+            let mut theta = Theta::zeros();
+            theta.rows_mut(0, ROTATION).copy_from_slice(&values);
+            theta.rows_mut(PLAY, 3).fill(0.0);
+            let by_columns = channels.nominal() + channels.columns(&LINES, &Geometry::default()) * theta;
+            prop_assert!((by_columns - bend_of(&channels.outputs(&theta))).norm() < 1e-9);
+        }
+
+        #[test]
+        fn the_inverse_finds_the_play_output(path in path(), values in prop::array::uniform21(-0.05..0.05f64), i in 0..3usize, to in -1.0..1.0f64) {
+            let channels = led(&path);
+            let mut theta = Theta::zeros();
+            theta.rows_mut(0, ROTATION).copy_from_slice(&values);
+            let v = channels.solve(i, to, &theta);
+            prop_assert!(v.abs() > 2.39 || (channels.output(i, v, &theta) - to).abs() < 1e-6);
+        }
+
+        /// ∂w/∂λ, by operators whose half-widths differ.
+        #[test]
+        fn a_wider_play_moves_what_is_engaged(path in path()) {
+            let (mut channels, mut wide) = (Channels::default(), Channels::default());
+            let wider = LINES.map(|l| Line { k_lambda_mm: l.k_lambda_mm + 1e-3, ..l });
+            for at in path.iter().map(|p| Vector3::from(*p)) {
+                channels.advance(&LINES, &Geometry::default(), &at, 0.05);
+                wide.advance(&wider, &Geometry::default(), &at, 0.05);
+            }
+            let mut widened = channels;
+            (0..3).for_each(|i| widened.widen(i, 1e-3, 0.0, mm_per_rad(&LINES[i], &Geometry::default())));
+            for i in 0..3 {
+                prop_assert!((widened.play[i].w_mm - wide.play[i].w_mm).abs() < 2.1e-3);
+            }
+        }
+    }
+
+    #[test]
+    fn curves_go_on_straight_beyond_what_poses_show() {
+        let step = 1e-4;
+        for (law, slope) in [(even as fn(f64) -> f64, 2.6), (odd, 3.0 * 1.69)] {
+            for v in [1.3 - step, 1.3 + step, 2.0, 2.3] {
+                let rise = (law(v + step) - law(v - step)) / (2.0 * step);
+                assert!((rise - slope).abs() < 1e-3, "{v}: {rise}");
+            }
+        }
+        assert!(even(-0.5) == 0.25 && odd(-0.5) == -0.125);
+    }
+}

@@ -229,3 +229,57 @@ impl Periodic {
         (bend, rate)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::rngs::StdRng;
+    use rand::{RngExt as _, SeedableRng as _};
+
+    const DT_S: f64 = 0.02;
+    const NOISE_RAD: f64 = 0.002;
+
+    /// A minute with a disturbance of this amplitude and frequency on an offset that wanders.
+    fn minute(seed: u64, amplitude: f64, hertz: f64) -> (Periodic, f64) {
+        let (config, mut dice) = (PeriodicConfig::default(), StdRng::seed_from_u64(seed));
+        let mut periodic = Periodic::new(&config);
+        let mut offset = Vector2::zeros();
+        let mut worst: f64 = 0.0;
+        let of = |t: f64| Vector2::new(amplitude, 0.5 * amplitude) * (TAU * hertz * t).sin();
+        for k in 0..3000 {
+            let t = f64::from(k) * DT_S;
+            let mut draw =
+                |size: f64| Vector2::from_fn(|_, _| size * (dice.random::<f64>() - 0.5) * 3.46);
+            offset += draw(2e-4);
+            let residual = offset + of(t) + draw(NOISE_RAD);
+            periodic.step(&config, &residual, NOISE_RAD * NOISE_RAD, 0.0, DT_S);
+            if t > 40.0 {
+                worst = worst.max((periodic.at(0.1).0 - of(t + 0.1)).norm());
+            }
+        }
+        (periodic, worst)
+    }
+
+    #[test]
+    fn a_breath_is_found_and_foreseen() {
+        for (seed, hertz) in [(1, 0.2), (2, 0.27), (3, 0.33), (4, 0.45)] {
+            let amplitude = 0.03 + 0.01 * seed as f64;
+            let (periodic, worst) = minute(seed, amplitude, hertz);
+            let found = periodic.hertz().unwrap();
+            assert!((found / hertz - 1.0).abs() < 0.08, "{hertz} Hz: {found} Hz");
+            assert!(
+                worst < 0.25 * amplitude,
+                "{hertz} Hz: {worst} of {amplitude} rad"
+            );
+        }
+    }
+
+    #[test]
+    fn a_wandering_offset_is_no_breath() {
+        let alarms = (10..40)
+            .filter(|&seed| minute(seed, 0.0, 0.3).0.hertz().is_some())
+            .count();
+        println!("{alarms} of 30 minutes");
+        assert_eq!(alarms, 0);
+    }
+}

@@ -3,6 +3,7 @@
 use super::state::LoopState;
 use super::types::LoopConfig;
 use crate::control::dynamics::{Dynamics, DynamicsPrior};
+use crate::control::observer::laws::LAWS;
 use crate::model::{Bend, Line};
 use crate::primitives::Steps;
 use nalgebra::Vector2;
@@ -33,8 +34,32 @@ pub struct RestartState {
     /// Of an earlier version; without a meaning now.
     #[serde(default, skip_serializing)]
     pub caution: IgnoredAny,
+    /// What the observer has learned; none in the memory of an earlier version.
+    #[serde(default)]
+    pub laws: Option<RestartLaws>,
     /// Rest pose, once it is known.
     pub rest: Option<RestartRest>,
+}
+
+/// Parameters of the laws along the pistons, in the order of [`crate::control::observer::laws`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RestartLaws {
+    /// Extension gains to which the gain parameters are relative.
+    pub k_epsilon: [f64; 3],
+    /// Values, then standard deviations.
+    pub parameters: [[f64; LAWS]; 2],
+}
+
+impl RestartLaws {
+    fn is_possible(&self) -> bool {
+        let [values, sigmas] = &self.parameters;
+        Line::each(self.k_epsilon, [0.0; 3])
+            .iter()
+            .all(Line::is_possible)
+            && values.iter().all(|x| x.abs() <= PARAMETER_MAX)
+            && sigmas.iter().all(|x| (0.0..=PARAMETER_MAX).contains(x))
+    }
 }
 
 impl RestartState {
@@ -49,10 +74,13 @@ impl RestartState {
             && bend_rad <= std::f64::consts::PI
             && self.play_output_mm.iter().all(|w| w.abs() <= PISTON_MAX_MM)
             && self.steps.0.iter().all(|n| n.unsigned_abs() <= STEPS_MAX)
+            && self.laws.is_none_or(|laws| laws.is_possible())
             && self.rest.is_none_or(|rest| rest.is_possible())
     }
 }
 
+/// Largest parameter of a law, in its unit, in any memory.
+const PARAMETER_MAX: f64 = 10.0;
 /// Largest travel of a piston, mm, in any memory.
 const PISTON_MAX_MM: f64 = 1000.0;
 /// Largest count, and largest reading at rest in its unit, in any memory.
@@ -103,6 +131,10 @@ impl LoopState {
             delay_s: dynamics.expected.delay_s,
             dynamics_uncertainty_s: dynamics.uncertainty_s,
             caution: IgnoredAny,
+            laws: Some(RestartLaws {
+                k_epsilon: self.observer.lines.map(|l| l.k_epsilon),
+                parameters: self.observer.learned(),
+            }),
             rest,
         }
     }
@@ -118,13 +150,56 @@ impl LoopState {
             uncertainty_s: remembered.dynamics_uncertainty_s,
         };
         self.dynamics = self.before.range();
-        self.set_lines(
-            config,
-            Line::each(remembered.k_epsilon, remembered.k_lambda_mm),
-        );
+        let published = Line::each(remembered.k_epsilon, remembered.k_lambda_mm);
+        let gains = remembered
+            .laws
+            .map_or(remembered.k_epsilon, |laws| laws.k_epsilon);
+        self.set_lines(config, Line::each(gains, remembered.k_lambda_mm));
+        if let Some(laws) = &remembered.laws {
+            self.observer.assume(&laws.parameters);
+        }
+        if self.described.is_none() {
+            self.lines = published;
+        }
         let piston_mm = config.drive.piston_mm(&remembered.steps);
         self.observer
             .rest(&remembered.play_output_mm.into(), &piston_mm);
         self.stand(config, &remembered.steps, Bend(remembered.bend_rad.into()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Board, Calibration, Gains, assemble, source};
+
+    #[test]
+    fn a_restart_goes_on_with_what_was_learned() {
+        let board: Board =
+            source::parse("sim.toml", include_str!("../../../boards/sim.toml")).unwrap();
+        let calib: Calibration =
+            source::parse("paper.toml", include_str!("../../../calib/paper.toml")).unwrap();
+        let config = assemble(&board, &calib, &Gains::default());
+        let mut before = LoopState::new(&config);
+        let mut learned = before.observer.learned();
+        for (k, value) in learned[0].iter_mut().enumerate() {
+            *value = 1e-3 * (k + 1) as f64;
+        }
+        learned[1] = learned[1].map(|sigma| 0.3 * sigma);
+        before.observer.assume(&learned);
+        let kept = before.keep(&Steps([120, -40, 10]));
+        assert!(kept.is_possible());
+        let mut after = LoopState::new(&config);
+        after.take_up(&config, &kept);
+        let again = after.observer.learned();
+        assert_eq!(again[0], learned[0]);
+        assert!(
+            again[1]
+                .iter()
+                .zip(learned[1])
+                .all(|(a, b)| (a - b).abs() < 1e-12)
+        );
+        // the play is part of the operators, not of the parameters
+        assert_eq!(after.keep(&kept.steps).k_lambda_mm, kept.k_lambda_mm);
     }
 }

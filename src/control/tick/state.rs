@@ -256,6 +256,7 @@ impl LoopState {
 /// The observer of these lines. A described machine keeps its gains, which were identified together with its effects.
 fn observer(config: &LoopConfig, lines: [Line; 3], dynamics: &DynamicsRange) -> Observer {
     let f = config.feedback.unwrap_or_default();
-    let fixed = !config.refine.enabled || config.feedforward.is_some();
-    Observer::new(&f.observer, &config.geometry, lines, fixed, dynamics)
+    let learns = config.refine.enabled && config.feedforward.is_none();
+    let sigmas = learns.then_some(config.line_sigmas);
+    Observer::new(&f.observer, &config.geometry, lines, sigmas, dynamics)
 }

@@ -3,7 +3,6 @@
 use crate::control::calm::CalmConfig;
 use crate::control::dynamics::{Dynamics, DynamicsPrior};
 use crate::control::follow::Pace;
-use crate::control::learning::batch::Prior;
 use crate::control::limits::{ActuatorLimits, Cut};
 use crate::control::observer::{ObserverConfig, PeriodicConfig};
 use crate::control::obstruction::ObstructionConfig;
@@ -29,7 +28,7 @@ pub struct LoopConfig {
     pub drive: Drive,
     /// Calibrated transmission gains: the initial feedforward and the prior of the refinement.
     pub lines: [Line; 3],
-    /// Standard deviations of k_ε and of k_λ in mm, per channel: how far the refinement may take them.
+    /// Standard deviations of k_ε and of k_λ in mm, per channel.
     pub line_sigmas: [[f64; 2]; 3],
     /// Lag and dead time before any motion.
     pub dynamics: DynamicsPrior,
@@ -68,18 +67,6 @@ impl LoopConfig {
             feedforward: Some(machine),
             ..self
         }
-    }
-
-    /// The calibrated gains with their standard deviations.
-    pub fn line_priors(&self) -> [Prior; 3] {
-        std::array::from_fn(|i| {
-            let [k_epsilon_sigma, k_lambda_sigma_mm] = self.line_sigmas[i];
-            Prior {
-                line: self.lines[i],
-                k_epsilon_sigma,
-                k_lambda_sigma_mm,
-            }
-        })
     }
 }
 
