@@ -56,6 +56,11 @@ impl Rule {
         }
     }
 
+    /// Time for which the set-point has rested, s.
+    pub fn held_s(&self) -> f64 {
+        self.held_s
+    }
+
     /// A new target.
     pub fn depart(&mut self) {
         self.acted = None;

@@ -5,62 +5,12 @@
 //! 2006, §B.2). At rest g alone follows the error, so it is the integral part of the loop. The last two states are the errors of lag
 //! and dead time.
 
+use super::config::{ObserverConfig, standard_deviations};
+use super::knowledge::{DELAY, Knowledge, LAG, RESIDUAL, State};
 use super::laws::{self, Channels, Columns, LAWS, Theta};
 use crate::control::dynamics::{Dynamics, DynamicsRange};
 use crate::model::{Geometry, Line};
-use crate::parameters;
-use nalgebra::{SMatrix, SVector, Vector2, Vector3};
-
-parameters! {
-    /// What the observer expects of a tip before any motion, and how fast it may change.
-    pub struct ObserverConfig: Copy {
-        /// Standard deviation of a line's gain. A larger value learns the gain from fewer poses, and a disturbance as well.
-        gain_sigma: f64 = 0.2, "", 0.0..=2.0, "0.2 covers the spread between units";
-        /// Factor on the standard deviations that the calibration states for k_ε and k_λ, with which the loop starts, at most `gain_sigma` and
-        /// `play_sigma_mm`. A larger value trusts the calibration less.
-        calibration: f64 = 2.0, "", 0.01..=100.0, "2 allows for a tip that has changed since";
-        /// Standard deviation of the curves of a channel, per rad and per rad². A larger value bends the map for less evidence.
-        curve_sigma: f64 = 0.1, "", 0.0..=2.0, "0.1 is a tenth of the gain at one rad";
-        /// Standard deviation of the half-width of the backlash. A larger value trusts the calibrated backlash less, and moves less often.
-        play_sigma_mm: f64 = 0.25, "mm", 0.0..=2.0, "0.25 is the spread between lines";
-        /// Standard deviation of the stiffness of each rubber ply. A larger value explains more by hysteresis.
-        ply_sigma: f64 = 0.08, "", 0.0..=1.0, "0.08 is a hysteresis of some degrees";
-        /// Standard deviation of each creeping share. A larger value explains more of a slow change by creep.
-        creep_sigma: f64 = 0.05, "", 0.0..=1.0, "0.05 is rubber";
-        /// Standard deviation of a line's leak. A larger value explains more of a slow change by a leak.
-        leak_sigma_1_s: f64 = 0.003, "1/s", 0.0..=1.0, "0.003 loses a sixth in a minute";
-        /// Standard deviation of a rotation of the bend plane. A larger value explains more by a turned tip.
-        rotation_sigma_deg: f64 = 3.0, "deg", 0.0..=45.0, "3 is a tip mounted by hand";
-        /// Standard deviation of a constant offset. A larger value explains more by a shifted zero.
-        offset_sigma_deg: f64 = 1.7, "deg", 0.0..=45.0, "1.7 is a drift of the zero";
-        /// Time of motion in which gains and curves become unknown again. A larger value remembers longer and follows a change later.
-        memory_s: f64 = 60.0, "s", 1.0..=1e6, "60 is some eighty poses";
-        /// The same for plays, plies, creep and leaks.
-        constants_memory_s: f64 = 300.0, "s", 1.0..=1e6, "300: they change with wear";
-        /// The same for the offset, at rest as well.
-        offset_memory_s: f64 = 20.0, "s", 0.1..=1e6, "20: it drifts";
-        /// Standard deviation of the unexplained bend g. A larger value follows the estimate more and the laws less.
-        residual_deg: f64 = 0.7, "deg", 0.01..=30.0, "0.7 is what a learned map leaves";
-        /// Path of the tip over which g changes. A larger value carries the correction of one pose further to the next.
-        residual_path_deg: f64 = 15.0, "deg", 0.1..=360.0, "15 is the distance of two poses";
-        /// Noise of the estimated bend per 10 ms, the least that is assumed. A larger value reacts later.
-        noise_deg: f64 = 0.086, "deg", 0.001..=10.0, "0.086 is a quiet IMU";
-        /// Error of the timing of the prediction: a constant. A larger value learns less during motion.
-        timing_s: f64 = 0.01, "s", 0.0..=1.0, "0.01 is a few samples";
-        /// The same as a share of lag plus dead time.
-        timing_share: f64 = 0.05, "", 0.0..=1.0, "0.05: a line is no first-order lag";
-        /// Time by which a residual that still changes may be off. A larger value waits longer for a pose to settle.
-        unsettled_s: f64 = 0.02, "s", 0.0..=10.0, "0.02 waits for what is slower than the lag";
-    }
-}
-
-/// First state of g, and of the errors of lag and dead time.
-const RESIDUAL: usize = LAWS;
-const LAG: usize = LAWS + 2;
-const DELAY: usize = LAWS + 3;
-const STATES: usize = LAWS + 4;
-type State = SVector<f64, STATES>;
-type Covariance = SMatrix<f64, STATES, STATES>;
+use nalgebra::{Vector2, Vector3};
 
 /// Ticks of history: 1.2 s at a period of 1 ms.
 const HISTORY: usize = 1200;
@@ -95,14 +45,6 @@ const BELIEVED_MAX: f64 = 2.0 * std::f64::consts::PI;
 const SIZE_GAIN: f64 = 0.15;
 const SIZE_MIN: f64 = 0.003;
 const SIZE_MAX_2: f64 = 0.003;
-
-/// What the filter knows, apart from the state of the channels.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Knowledge {
-    x: State,
-    p: Covariance,
-    residual_size: f64,
-}
 
 /// The observer.
 #[derive(Debug, Clone)]
@@ -322,12 +264,17 @@ impl Observer {
 
     /// Bend by the laws as the tip shows it now, without g, rad.
     pub fn predicted(&self) -> Vector2<f64> {
-        self.lagged + self.columns * self.theta()
+        self.predicted_by(&self.theta())
     }
 
-    /// Bend of the model without learned columns, delayed and lagged, rad.
-    pub fn nominal(&self) -> Vector2<f64> {
-        self.lagged
+    /// Bend by the laws `theta`, as the tip shows it now, rad.
+    pub fn predicted_by(&self, theta: &Theta) -> Vector2<f64> {
+        self.lagged + self.columns * theta
+    }
+
+    /// Bend by the laws `theta` once the tip has settled at the counted steps, rad.
+    pub fn settled_by(&self, theta: &Theta) -> Vector2<f64> {
+        self.given + self.now.columns(&self.lines, &self.geometry) * theta
     }
 
     /// Bend of the model without learned columns at the counted steps, rad.
@@ -337,7 +284,7 @@ impl Observer {
 
     /// Bend by the laws once the tip has settled at the counted steps, without g, rad.
     pub fn settled_by_laws(&self) -> Vector2<f64> {
-        self.given + self.now.columns(&self.lines, &self.geometry) * self.theta()
+        self.settled_by(&self.theta())
     }
 
     /// Bend once the pistons have reached `piston_mm`, with g, rad; and the channels there.
@@ -515,113 +462,6 @@ impl Observer {
 
     fn sigma_of(&self, k: usize) -> f64 {
         self.known.p[(k, k)].max(0.0).sqrt()
-    }
-}
-
-/// Standard deviations of the parameters before any motion.
-fn standard_deviations(config: &ObserverConfig, fixed: bool) -> Theta {
-    let mut sigma = Theta::zeros();
-    if !fixed {
-        sigma.rows_mut(laws::GAIN, 3).fill(config.gain_sigma);
-        sigma.rows_mut(laws::PLAY, 3).fill(config.play_sigma_mm);
-    }
-    sigma.rows_mut(laws::EVEN, 6).fill(config.curve_sigma);
-    sigma
-        .rows_mut(laws::PLY, laws::PLIES)
-        .fill(config.ply_sigma);
-    sigma
-        .rows_mut(laws::CREEP, laws::CREEPS)
-        .fill(config.creep_sigma);
-    sigma.rows_mut(laws::LEAK, 3).fill(config.leak_sigma_1_s);
-    sigma[laws::ROTATION] = config.rotation_sigma_deg.to_radians();
-    sigma
-        .rows_mut(laws::OFFSET, 2)
-        .fill(config.offset_sigma_deg.to_radians());
-    sigma
-}
-
-impl Knowledge {
-    fn new(sigma: &Theta, residual: f64) -> Self {
-        let mut p = Covariance::zeros();
-        for k in 0..LAWS {
-            p[(k, k)] = sigma[k] * sigma[k];
-        }
-        for k in RESIDUAL..LAG {
-            p[(k, k)] = residual * residual;
-        }
-        (p[(LAG, LAG)], p[(DELAY, DELAY)]) = (1e-4, 2.5e-5);
-        Self {
-            x: State::zeros(),
-            p,
-            residual_size: residual,
-        }
-    }
-
-    fn predict(
-        &mut self,
-        config: &ObserverConfig,
-        sigma: &Theta,
-        drift_2: f64,
-        path: f64,
-        dt_s: f64,
-    ) {
-        for k in 0..LAWS {
-            let memory_s = if k >= laws::OFFSET {
-                config.offset_memory_s
-            } else if (laws::PLAY..laws::ROTATION).contains(&k) {
-                config.constants_memory_s
-            } else {
-                config.memory_s
-            };
-            let most = sigma[k] * sigma[k];
-            // what does not move says nothing about the map and changes it by nothing
-            if path > 0.0 || k >= laws::OFFSET {
-                self.p[(k, k)] += most * dt_s / memory_s;
-            }
-            self.cap(k, most);
-        }
-        let keep = (-path / config.residual_path_deg.to_radians()).exp();
-        for k in RESIDUAL..LAG {
-            self.x[k] *= keep;
-            self.p.row_mut(k).scale_mut(keep);
-            self.p.column_mut(k).scale_mut(keep);
-            self.p[(k, k)] += (1.0 - keep * keep) * self.residual_size.powi(2) + drift_2 * dt_s;
-        }
-    }
-
-    fn correct(&mut self, row: &State, innovation: f64, variance: f64) {
-        let about = self.p * row;
-        let gain = about / (row.dot(&about) + variance);
-        self.x += gain * innovation;
-        self.p -= gain * about.transpose();
-        self.p = (self.p + self.p.transpose()) * 0.5;
-    }
-
-    /// A variance of at most `most`, with the correlations that go with it.
-    fn cap(&mut self, k: usize, most: f64) {
-        let variance = self.p[(k, k)];
-        if variance > most {
-            let share = if most > 0.0 {
-                (most / variance).sqrt()
-            } else {
-                0.0
-            };
-            self.p.row_mut(k).scale_mut(share);
-            self.p.column_mut(k).scale_mut(share);
-        }
-    }
-
-    fn reset(&mut self, k: usize, variance: f64) {
-        self.p.row_mut(k).fill(0.0);
-        self.p.column_mut(k).fill(0.0);
-        self.p[(k, k)] = variance;
-    }
-
-    fn reset_residual(&mut self, residual: &Vector2<f64>, sigma: f64) {
-        for axis in 0..2 {
-            self.reset(RESIDUAL + axis, sigma * sigma);
-            self.x[RESIDUAL + axis] = residual[axis];
-        }
     }
 }
 

@@ -37,10 +37,10 @@ use nalgebra::Vector2;
 /// One tick of the loop.
 pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame {
     sense::estimate(config, state, input);
-    let from_pistons = observe::follow_steps(config, state, &input.steps, input.dt_s);
+    observe::follow_steps(config, state, &input.steps, input.dt_s);
     let Some(estimate) = state.fusion.estimate() else {
         let output = PistonOutput::resting(state);
-        return frame(config, state, input, None, from_pistons, output);
+        return frame(config, state, input, None, output);
     };
     let bend = estimate.bend;
     state.setpoint.target_rests_s += input.dt_s;
@@ -58,7 +58,7 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
         decide::advance_setpoint(config, state, input)
     };
     let moving = !state.setpoint.has_arrived();
-    depart(state, moving);
+    depart(state, moving, input.suspected);
     sense::watch_base(config, state, input, bend);
     if !holding && !state.base.moved {
         observe::learn(config, state, &bend.0, moving, input.dt_s);
@@ -76,14 +76,17 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
     if output.cut == Cut::None {
         output.cut = setpoint_cut;
     }
-    frame(config, state, input, Some(estimate), from_pistons, output)
+    frame(config, state, input, Some(estimate), output)
 }
 
 /// When the set-point begins to move.
-fn depart(state: &mut LoopState, moving: bool) {
+fn depart(state: &mut LoopState, moving: bool, suspected: bool) {
     if moving && !state.moving {
         if !state.obstruction.blocked {
             state.remember();
+            if !suspected {
+                state.accepted = state.observer.theta();
+            }
         }
         state.observer.depart();
         state.rule.depart();
@@ -131,7 +134,6 @@ fn frame(
     state: &LoopState,
     input: &Input,
     estimate: Option<TipEstimate>,
-    from_pistons: Bend,
     output: PistonOutput,
 ) -> Frame {
     let phase = match estimate {
@@ -150,7 +152,7 @@ fn frame(
             length: Mm(state.setpoint.length.at.x),
         },
         estimate,
-        bend_from_pistons: from_pistons,
+        bend_from_pistons: Bend(state.observer.settled_by(&state.accepted)),
         predicted,
         unexplained: estimate.map_or_else(Vector2::zeros, |e| predicted - e.bend.0),
         feedback: state.feedback,

@@ -3,20 +3,17 @@
 use super::state::LoopState;
 use super::types::LoopConfig;
 use crate::control::observer::laws::{GAIN, ODD};
-use crate::model::{Bend, Line};
+use crate::model::Line;
 use crate::primitives::Steps;
 use nalgebra::Vector2;
 
+/// Time at rest for which a pose teaches the laws, s: what the estimate has wrong there lasts as long as the pose does.
+const TEACHES_S: f64 = 3.0;
 /// Mean of 3x⁴ over the mean of x² on [−1, 1]: the gain of a cubic over a symmetric range.
 const CUBIC: f64 = 0.6;
 
-/// Follows the counted steps; returns the bend that they cause according to the model without what was learned.
-pub(super) fn follow_steps(
-    config: &LoopConfig,
-    state: &mut LoopState,
-    steps: &Steps,
-    dt_s: f64,
-) -> Bend {
+/// Follows the counted steps.
+pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &Steps, dt_s: f64) {
     let mut piston_mm = config.drive.piston_mm(steps);
     let mut given = None;
     if let Some((machine, described)) = config.feedforward.as_deref().zip(state.described.as_mut())
@@ -26,7 +23,6 @@ pub(super) fn follow_steps(
         given = Some(described.advance(machine, &play_output_mm, dt_s).bend.0);
     }
     state.observer.follow(&piston_mm, given, dt_s);
-    Bend(state.observer.given())
 }
 
 /// Learns from the estimated bend: lag and dead time, a periodic disturbance, and the laws.
@@ -40,7 +36,7 @@ pub(super) fn learn(
     let Some(f) = &config.feedback else { return };
     let observer = &mut state.observer;
     let disturbance = state.periodic.at(0.0).0;
-    let laws = !state.obstruction.blocked;
+    let laws = !state.obstruction.blocked && state.rule.held_s() < TEACHES_S;
     if f.learn_dynamics
         && laws
         && state

@@ -72,7 +72,7 @@ pub(super) fn watch_base(
     input: &Input,
     estimate: Bend,
 ) {
-    let played = state.observer.given();
+    let played = state.observer.settled_by(&state.accepted);
     if input.realign {
         let quiet = &state.base.quiet;
         let bend = Bend(quiet.estimate + played - quiet.played);
@@ -102,7 +102,7 @@ pub(super) fn watch_base(
     let observed = WatchInput {
         rate_rad_s,
         estimate: estimate.0,
-        model: state.observer.nominal(),
+        model: state.observer.predicted_by(&state.accepted),
         setpoint: state.setpoint.bend.at,
         remaining: state.setpoint.target.bend.0 - estimate.0,
         still_s: state.motors.still_s,

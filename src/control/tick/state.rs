@@ -5,6 +5,7 @@ use super::types::LoopConfig;
 use crate::control::dynamics::{DynamicsPrior, DynamicsRange};
 use crate::control::feedforward::FeedforwardState;
 use crate::control::observer::bank::DynamicsBank;
+use crate::control::observer::laws::Theta;
 use crate::control::observer::{Knowledge, Observer, Periodic};
 use crate::control::obstruction::ObstructionDetector;
 use crate::control::rule::Rule;
@@ -38,6 +39,8 @@ pub struct LoopState {
     pub(super) before: DynamicsPrior,
     /// What was known when the set-point left the last pose that nothing obstructed.
     pub(super) known: Known,
+    /// The laws when the set-point last left a pose that nothing obstructed and no line was suspected.
+    pub(super) accepted: Theta,
     pub(super) periodic: Periodic,
     /// Sum of what the tip moved otherwise than predicted, and the last estimate, rad.
     pub(super) unexplained: Vector2<f64>,
@@ -133,6 +136,7 @@ impl LoopState {
             lines: config.lines,
             shown: [0.0; 3],
             sides: Default::default(),
+            accepted: Theta::zeros(),
             known: Known {
                 laws: observer.knowledge(),
                 dynamics,
@@ -225,6 +229,7 @@ impl LoopState {
         let f = config.feedback.unwrap_or_default();
         self.observer.stand(&f.observer, &piston_mm, given, &at.0);
         self.remember();
+        self.accepted = self.observer.theta();
         self.sides = std::array::from_fn(|i| {
             let play = &self.observer.now.play[i];
             SideState {

@@ -142,6 +142,8 @@ pub struct Input {
     pub reference: Option<Reference>,
     /// Microsteps counted so far.
     pub steps: Steps,
+    /// A line is suspected: what it does now is not taken for what it was.
+    pub suspected: bool,
     /// Requests a new alignment because the base was turned.
     pub realign: bool,
 }
@@ -201,7 +203,7 @@ pub struct Frame {
     pub setpoint: Shape,
     /// Estimated orientation and bend, once aligned.
     pub estimate: Option<TipEstimate>,
-    /// Bend that the counted steps cause according to the transmission model, rad.
+    /// Bend that the counted steps cause by the laws as they were when the set-point last left a pose, rad.
     pub bend_from_pistons: Bend,
     /// Bend that the observer predicts for now from the counted steps, without what no law explains, rad.
     pub predicted: Vector2<f64>,
