@@ -1,14 +1,12 @@
 //! What the firmware of a Raspberry Pi says about its supply and its temperature.
 
-use std::path::{Path, PathBuf};
-
-/// The folder of the firmware's node, which has another name on each model: `soc/soc:firmware` up to the Pi 4,
-/// `soc@107c000000/soc@107c000000:firmware` on a Pi 5.
-const PLATFORM: &str = "/sys/devices/platform";
-/// The status word in it, as `vcgencmd get_throttled` prints it.
-const STATUS: &str = "get_throttled";
-/// The alarm of the kernel's driver `raspberrypi-hwmon`, whose `name` is `rpi_volt`.
-const HWMON: &str = "/sys/class/hwmon";
+/// The status word of the firmware, as `vcgencmd get_throttled` prints it: up to the Pi 4, and on a Pi 5.
+const STATUS: [&str; 2] = [
+    "/sys/devices/platform/soc/soc:firmware/get_throttled",
+    "/sys/devices/platform/soc@107c000000/soc@107c000000:firmware/get_throttled",
+];
+/// Chips of the kernel's sensor interface that are looked at for the driver `raspberrypi-hwmon`.
+const CHIPS: std::ops::Range<u32> = 0..16;
 /// Meaning of its bits (Raspberry Pi documentation, `vcgencmd`).
 const BITS: [(u32, &str); 8] = [
     (0, "under-voltage now"),
@@ -27,23 +25,17 @@ pub const REMEDY: &str =
 
 /// What the firmware reports now, worst first; `None` on a computer without such a firmware.
 pub fn troubles() -> Option<Vec<&'static str>> {
-    let read = |path: PathBuf| std::fs::read_to_string(path).ok();
-    let inside = |folder: &Path| {
-        let entries = std::fs::read_dir(folder).ok();
-        entries.into_iter().flatten().flatten().map(|e| e.path())
+    let read = |path: &str| std::fs::read_to_string(path).ok();
+    let word = STATUS.iter().find_map(|path| parse(&read(path)?));
+    let chip = |n: u32| {
+        let chip = format!("/sys/class/hwmon/hwmon{n}");
+        let name = read(&format!("{chip}/name"))?;
+        let alarm = read(&format!("{chip}/in0_lcrit_alarm"))?;
+        (name.trim() == "rpi_volt").then_some(alarm.trim() == "1")
     };
-    let soc = inside(Path::new(PLATFORM)).filter(|path| {
-        (path.file_name()).is_some_and(|name| name.to_string_lossy().starts_with("soc"))
-    });
-    let word = soc
-        .flat_map(|soc| inside(&soc))
-        .find_map(|node| parse(&read(node.join(STATUS))?));
-    let alarm = inside(Path::new(HWMON))
-        .filter(|chip| read(chip.join("name")).is_some_and(|name| name.trim() == "rpi_volt"))
-        .find_map(|chip| read(chip.join("in0_lcrit_alarm")));
-    let sags = alarm.as_deref().map(str::trim) == Some("1");
-    let mut troubles = word.or(alarm.map(|_| Vec::new()))?;
-    if sags && !troubles.contains(&BITS[0].1) {
+    let sags = CHIPS.into_iter().find_map(chip);
+    let mut troubles = word.or(sags.map(|_| Vec::new()))?;
+    if sags == Some(true) && !troubles.contains(&BITS[0].1) {
         troubles.insert(0, BITS[0].1);
     }
     Some(troubles)
