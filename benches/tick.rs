@@ -22,7 +22,7 @@ use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::{HOLD_S, paper};
 use retroflex::primitives::units::{Mm, Seconds, Steps};
-use retroflex::service::rt_loop::LoopFrame;
+use retroflex::service::rt_loop::{LoopFrame, RestartNote};
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::sim::Sim;
 use retroflex::simulation::world::World;
@@ -134,7 +134,9 @@ fn handing_over_a_cycle(bencher: Bencher<'_, '_>) {
         calibration: Calibration::default(),
         gains: Gains::default(),
     };
-    let output = config.bench(1, 1).unwrap().turn(None).unwrap();
+    let mut bench = config.bench(1, 1).unwrap();
+    let output = bench.turn(None).unwrap();
+    let note = RestartNote::of(&bench.runner.supervisor);
     let (mut ring, mut hub) = RingBuffer::<LoopFrame>::new(CYCLES);
     // the hub has emptied the ring, as it does every few milliseconds
     let emptied = || while hub.pop().is_ok() {};
@@ -146,6 +148,7 @@ fn handing_over_a_cycle(bencher: Bencher<'_, '_>) {
                 ring.push(black_box(LoopFrame {
                     number,
                     changes: 0,
+                    note,
                     output,
                 }))
                 .unwrap();

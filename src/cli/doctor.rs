@@ -3,7 +3,8 @@
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::config::{Board, PressureBound};
 use crate::hardware::lock::HardwareLock;
-use crate::hardware::machine::Sensor;
+use crate::hardware::machine::{Sensor, slowness};
+use crate::hardware::pins::{self, Backend};
 use crate::hardware::rt::{self, Grant, RtRequest};
 use crate::hardware::supply;
 use crate::service::disk::free_bytes;
@@ -160,10 +161,17 @@ fn devices(board: &Board) -> Vec<Finding> {
         findings.extend(bus_speed(&imu.bus));
     }
     if let Some(pins) = &board.pins
-        && pins.chip.starts_with("/dev/")
+        && let Some(path) = pins::device(pins)
     {
-        let remedy = "join the group gpio; on a Raspberry Pi 5 with an older kernel the header is /dev/gpiochip4";
-        findings.push(device("pins", &pins.chip, remedy));
+        let remedy = match pins.backend {
+            Backend::Rppal => {
+                "join the group gpio; if there is no such file, set pins.backend = \"cdev\""
+            }
+            _ => {
+                "join the group gpio; on a Raspberry Pi 5 with an older kernel the header is /dev/gpiochip4"
+            }
+        };
+        findings.push(device("pins", path, remedy));
     }
     let Some(machine) = board.hardware() else {
         return findings;
@@ -186,7 +194,10 @@ fn devices(board: &Board) -> Vec<Finding> {
                     "{} at {:#04x}, {:.0} Hz",
                     i.inertial.part, i.inertial.address, i.rate_hz
                 );
-                Finding::pass(what, found)
+                match slowness(s.read_s, i.rate_hz) {
+                    Some(slow) => Finding::warn(what, found, &slow),
+                    None => Finding::pass(what, found),
+                }
             }
             Err(e) => {
                 let remedy =
@@ -265,10 +276,14 @@ fn power() -> Finding {
 fn disk(state: &Path) -> Finding {
     let mut folders = state.ancestors();
     let folder = folders.find(|f| f.exists()).unwrap_or(Path::new("/"));
+    let remedy = "make sure that this user may write there, and that the card is sound: a file system with errors becomes read-only";
     let Ok(free) = free_bytes(folder) else {
-        let remedy = "make sure that the state folder is writable";
         return Finding::warn("disk", "free space unknown", remedy);
     };
+    if let Err(e) = tempfile_in(folder) {
+        let found = format!("nothing can be written under {}: {e}", folder.display());
+        return Finding::fail("disk", found, remedy);
+    }
     let found = format!("{} MiB free under {}", free >> 20, folder.display());
     let scarce = "free some space: the state and recordings need it";
     match free >> 20 {
@@ -276,6 +291,13 @@ fn disk(state: &Path) -> Finding {
         1..512 => Finding::warn("disk", found, "a recording takes 15 MiB per minute"),
         _ => Finding::pass("disk", found),
     }
+}
+
+/// Writes a file as the service does, and removes it.
+fn tempfile_in(folder: &Path) -> std::io::Result<()> {
+    let path = folder.join(format!(".doctor-{}", std::process::id()));
+    std::fs::File::create_new(&path)?.sync_all()?;
+    std::fs::remove_file(path)
 }
 
 fn folder(what: &str, path: Option<&Path>) -> Finding {

@@ -1,10 +1,15 @@
-//! Destination of log events: the journal, with structured fields, under systemd; standard error otherwise.
+//! Log events go to standard error, for the journal with the priority of each line (`sd-daemon(3)`). A thread writes them, so that
+//! nobody waits for a reader.
 
 use std::io::{self, IsTerminal, Write};
+use std::os::unix::fs::MetadataExt;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::{Duration, Instant};
+use tracing::{Level, Metadata};
+use tracing_subscriber::Layer;
 use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
@@ -14,27 +19,34 @@ pub fn start() -> Logging {
         .ok()
         .and_then(|targets| targets.parse().ok())
         .unwrap_or_else(|| Targets::new().with_default(LevelFilter::INFO));
-    let registry = tracing_subscriber::registry().with(filter);
-    // systemd sets this variable if standard error is connected to the journal
-    let journal = std::env::var_os("JOURNAL_STREAM").and_then(|_| tracing_journald::layer().ok());
-    let started = match journal {
-        Some(journal) => registry
-            .with(journal.with_field_prefix(Some("RETROFLEX".to_owned())))
-            .try_init(),
-        None => {
-            let colours = std::io::stderr().is_terminal();
-            let people = tracing_subscriber::fmt::layer()
-                .with_writer(Lines::start())
-                .with_target(false)
-                .with_ansi(colours);
-            registry.with(people).try_init()
-        }
+    let journal = is_journal();
+    let lines = tracing_subscriber::fmt::layer()
+        .with_writer(Lines::start(journal))
+        .with_target(false)
+        .with_level(!journal)
+        .with_ansi(std::io::stderr().is_terminal());
+    let lines = if journal {
+        lines.without_time().boxed()
+    } else {
+        lines.boxed()
     };
-    if started.is_err() {
+    let registry = tracing_subscriber::registry().with(lines.with_filter(filter));
+    if registry.try_init().is_err() {
         // events go to the subscriber that is already installed, as in tests
         tracing::debug!("logging has already been started");
     }
     Logging
+}
+
+/// True if standard error is the journal: systemd names its device and inode.
+fn is_journal() -> bool {
+    let (Ok(named), Ok(there)) = (
+        std::env::var("JOURNAL_STREAM"),
+        std::fs::metadata("/proc/self/fd/2"),
+    ) else {
+        return false;
+    };
+    named == format!("{}:{}", there.dev(), there.ino())
 }
 
 /// Lines that may wait for a reader of standard error. Further ones are lost.
@@ -44,13 +56,15 @@ const END_MAX: Duration = Duration::from_millis(200);
 /// Lines that wait now.
 static WAITING: AtomicUsize = AtomicUsize::new(0);
 
-/// Hands lines to a thread that writes them, so that a terminal or a pipe that nobody reads blocks no other thread.
-#[derive(Clone)]
-struct Lines(SyncSender<Vec<u8>>);
+/// Hands lines to a thread that writes them, so that a terminal, a pipe or a journal that nobody reads blocks no other thread.
+struct Lines {
+    waiting: SyncSender<Vec<u8>>,
+    journal: bool,
+}
 
 impl Lines {
-    /// Starts the thread and returns what makes the writer of a line.
-    fn start() -> impl Fn() -> Self {
+    /// Starts the thread.
+    fn start(journal: bool) -> Self {
         let (lines, waiting) = sync_channel::<Vec<u8>>(WAITING_MAX);
         // without a thread the service runs without a log
         let _ = std::thread::Builder::new()
@@ -62,14 +76,40 @@ impl Lines {
                     WAITING.fetch_sub(1, Relaxed);
                 }
             });
-        move || Self(lines.clone())
+        Self {
+            waiting: lines,
+            journal,
+        }
     }
 }
 
-impl Write for Lines {
+impl<'a> MakeWriter<'a> for Lines {
+    type Writer = Line<'a>;
+
+    fn make_writer(&'a self) -> Line<'a> {
+        Line(&self.waiting, "")
+    }
+
+    fn make_writer_for(&'a self, event: &Metadata<'_>) -> Line<'a> {
+        let priority = match *event.level() {
+            _ if !self.journal => "",
+            Level::ERROR => "<3>",
+            Level::WARN => "<4>",
+            Level::INFO => "<6>",
+            _ => "<7>",
+        };
+        Line(&self.waiting, priority)
+    }
+}
+
+/// The writer of one line, which begins with its priority.
+struct Line<'a>(&'a SyncSender<Vec<u8>>, &'static str);
+
+impl Write for Line<'_> {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
         WAITING.fetch_add(1, Relaxed);
-        if self.0.try_send(one_line(line)).is_err() {
+        let line_with_priority = [self.1.as_bytes(), &one_line(line)].concat();
+        if self.0.try_send(line_with_priority).is_err() {
             WAITING.fetch_sub(1, Relaxed);
         }
         Ok(line.len())

@@ -5,9 +5,11 @@ use crate::cli::{CommandOutcome, Unreachable, inputs, logging, manual_motion};
 use crate::config::show;
 use crate::config::supervisor::assemble;
 use crate::config::{Board, Calibration, PressureBound, ServiceSection, source};
-use crate::hardware::machine::Hardware;
+use crate::hardware::machine::{Hardware, HardwareError, MachineConfig};
 use crate::service::error::ServiceError;
 use crate::service::flight::start::hash;
+use crate::service::notify::Notifier;
+use crate::service::paths::Paths;
 use crate::service::record::{flight_path, make_room};
 use crate::service::start::RunConfig;
 use crate::service::{Claim, Setup, serve};
@@ -18,6 +20,10 @@ use crate::supervisor::Machine;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::fs::File;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Time until hardware that is not there is looked for again.
+const HARDWARE_AGAIN: Duration = Duration::from_secs(1);
 
 /// Arguments of `run`.
 #[derive(Debug, clap::Args)]
@@ -191,6 +197,35 @@ fn check_tip(args: &Args, calibration: &Calibration) -> Result<String> {
     }
 }
 
+/// Opens the hardware. For a service manager it is waited for, as after a boot, unless it was open since then: the file `opened` says
+/// so, the drivers may be energised, and a failure counts as one.
+fn open_patiently(config: &MachineConfig, opened: &Path) -> Result<Hardware, HardwareError> {
+    let manager = Notifier::from_env();
+    let mut said = String::new();
+    loop {
+        let error = match Hardware::open(config) {
+            Ok(hardware) => {
+                // without the file, a later failure is waited for too
+                let _ = File::create(opened);
+                return Ok(hardware);
+            }
+            Err(error) => error,
+        };
+        if !manager.is_there() || error.is_config() || opened.exists() {
+            return Err(error);
+        }
+        let why = error.to_string();
+        manager.notify(&format!(
+            "EXTEND_TIMEOUT_USEC=30000000\nSTATUS=waiting for the hardware: {why}"
+        ));
+        if said != why {
+            tracing::warn!(event = "waiting", "waiting for the hardware: {why}");
+            said = why;
+        }
+        std::thread::sleep(HARDWARE_AGAIN);
+    }
+}
+
 /// Opens the machine of the board, or the external plant.
 fn open(args: &Args, path: Option<&Path>, board: &Board) -> Result<Box<dyn Machine>> {
     if let Some(plant) = &args.plant {
@@ -200,7 +235,8 @@ fn open(args: &Args, path: Option<&Path>, board: &Board) -> Result<Box<dyn Machi
     }
     if let Some(config) = board.hardware() {
         let path = path.unwrap_or(Path::new("the built-in board"));
-        let hardware = Hardware::open(&config);
+        let opened = Paths::of(&board.service).control.with_extension("opened");
+        let hardware = open_patiently(&config, &opened);
         return Ok(Box::new(
             hardware.map_err(|e| manual_motion::hardware_error(path, e))?,
         ));

@@ -10,12 +10,16 @@ pub const PAPER: (&str, &str) = ("calib/paper.toml", include_str!("../../calib/p
 pub const GAINS: (&str, &str) = ("boards/gains.toml", include_str!("../../boards/gains.toml"));
 
 /// Every board with its text.
-pub const BOARDS: [(&str, &str); 7] = [
+pub const BOARDS: [(&str, &str); 8] = [
     ("sim", SIM.1),
     ("demo", DEMO.1),
     ("pi3", include_str!("../../boards/pi3.toml")),
     ("pi4", include_str!("../../boards/pi4.toml")),
     ("pi5", include_str!("../../boards/pi5.toml")),
+    (
+        "pi5-lsm6dsv16x",
+        include_str!("../../boards/pi5-lsm6dsv16x.toml"),
+    ),
     ("pi-zero2w", include_str!("../../boards/pi-zero2w.toml")),
     (
         "linux-gpiochip",

@@ -108,11 +108,6 @@ impl Session {
         }
     }
 
-    /// The parameters in use before the calibration.
-    pub fn before(&self) -> Found {
-        self.before
-    }
-
     /// Progress, for the status.
     pub fn progress(&self) -> String {
         let (at, of) = self.round.at();

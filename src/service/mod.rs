@@ -4,7 +4,7 @@
 //!      stop ═socket═ stop ────┐ (atomic counter)
 //!  commands ═socket═ control ─┴──stop──▶ loop ──▶ machine
 //!                      │ ▲                      ▲ │
-//!                      ▼ │                orders│ │answers, frames, restart notes   (wait-free rings)
+//!                      ▼ │                orders│ │answers, frames   (wait-free rings)
 //!  readers ═socket═ status ══ hub ──────────────┘ ▼
 //!                        └──▶ state writer (disk), flight log (disk), recording (disk), systemd (notify socket)
 //! ```
@@ -235,13 +235,14 @@ fn control_priority(service: &ServiceSection) -> i32 {
     }
 }
 
-/// What is believed of a memory. A simulated plant begins at rest with the service, whatever the memory says.
+/// What is believed of a memory. A simulated plant begins at rest with the service, so only a damaged memory is doubted.
 fn believed(recall: &Recall, simulated: bool) -> (Belief, Memory) {
     let (mut belief, mut memory) = (
         Belief::in_recall(recall),
         recall.memory.clone().unwrap_or_default(),
     );
-    if simulated && belief != Belief::Certain {
+    let lost = recall.found == Found::Damaged || memory.lost;
+    if simulated && belief != Belief::Certain && !lost {
         (belief, memory.restart, memory.unverified) = (Belief::Certain, None, false);
     }
     memory.lost = belief == Belief::Lost;

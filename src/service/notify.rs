@@ -41,6 +41,11 @@ impl Notifier {
         }
     }
 
+    /// True if there is a service manager.
+    pub fn is_there(&self) -> bool {
+        self.socket.is_some()
+    }
+
     /// Sends a line. Errors are ignored: the service also runs without a manager.
     pub fn notify(&self, line: &str) {
         if let Some(socket) = &self.socket {

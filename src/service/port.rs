@@ -164,6 +164,30 @@ impl Port {
     }
 }
 
+#[cfg(test)]
+impl Port {
+    /// A port without a socket, and what the hub has sent to its clients.
+    pub(in crate::service) fn detached() -> (Self, impl Fn() -> Option<(u64, String)>) {
+        let ((replies, out), (events, _)) = (channel(), sync_channel(0));
+        let (waker, _) = std::os::unix::net::UnixStream::pair().unwrap();
+        waker.set_nonblocking(true).unwrap();
+        let port = Self {
+            messages: channel().1,
+            replies,
+            events,
+            waker: Waker::of(waker),
+            clients: Arc::default(),
+            thread: std::thread::spawn(|| {}),
+        };
+        let sent = move || loop {
+            if let Outgoing::Reply(client, line) = out.try_recv().ok()? {
+                return Some((client, line));
+            }
+        };
+        (port, sent)
+    }
+}
+
 /// A stop that the loop has not carried out yet.
 struct PendingStop {
     client: u64,

@@ -58,7 +58,8 @@ pub enum Request {
         #[serde(default)]
         t_s: Option<f64>,
     },
-    /// Follow a path from its first row. A path that is too fast for the pistons is slowed down.
+    /// Follow a path from its first row. A path that is faster than `pace.bend_speed_deg_s`, or too fast for the pistons, is slowed
+    /// down.
     Path {
         /// Rows, at most [`PATH_ROWS`] in all.
         rows: Vec<PathRow>,

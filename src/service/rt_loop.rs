@@ -9,11 +9,12 @@ use crate::service::server::CLIENTS_MAX;
 use crate::service::shared::{HeartbeatMonitor, Shared, ThreadWatch, Watched};
 use crate::service::stop::StopCounter;
 use crate::supervisor::{
-    CycleOutput, Machine, MachineError, Order, Refusal, Runner, Supervisor, SupervisorConfig,
+    CycleOutput, Machine, MachineError, Mode, Order, Refusal, Runner, Supervisor, SupervisorConfig,
 };
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
+use std::time::Instant;
 
 /// A message to the loop.
 #[derive(Debug)]
@@ -24,15 +25,27 @@ pub enum Message {
         id: u64,
         /// What to do.
         order: Order,
-        /// Number of stops requested when the order was received, see [`StopCounter`].
-        stops: u64,
+        /// What must still hold in the cycle that carries it out.
+        precondition: Precondition,
     },
     /// Replaces the configuration. The old one comes back as [`Retired::Config`].
     Reload(Box<SupervisorConfig>),
     /// Loads a path. The one before comes back as [`Retired::Path`].
     Path(Box<Path>),
-    /// Replaces the supervisor with a freshly reset one, so that a recording starts from a known state.
+    /// Replaces an idle supervisor with a freshly reset one, so that a recording starts from a known state. The first cycle of
+    /// the new one says [`CycleOutput::first`]; one that is not idle any more stays.
     ReplaceSupervisor(Box<Supervisor>),
+}
+
+/// What an order was decided on. The picture of the hub may be old, so the loop compares it with the present.
+#[derive(Debug, Clone, Copy)]
+pub struct Precondition {
+    /// Number of stops requested when the order was received, see [`StopCounter`].
+    pub stops: u64,
+    /// When it was received: an order that nobody waits for any longer is not carried out.
+    pub since: Instant,
+    /// The only mode in which it may be carried out; `None` leaves that to the supervisor.
+    pub mode: Option<Mode>,
 }
 
 /// Objects retired by the loop. The hub drops them so that the loop never frees memory.
@@ -46,7 +59,7 @@ pub enum Retired {
     Path(Option<Box<Path>>),
 }
 
-/// What a restart needs, sampled by the loop.
+/// What a restart needs.
 #[derive(Debug, Clone, Copy)]
 pub struct RestartNote {
     /// Position and learned parameters.
@@ -57,6 +70,21 @@ pub struct RestartNote {
     pub lost: bool,
     /// No measurement has confirmed the last zero.
     pub unverified: bool,
+    /// A freshly reset supervisor may take the place of this one.
+    pub idle: bool,
+}
+
+impl RestartNote {
+    /// The note after a cycle.
+    pub fn of(supervisor: &Supervisor) -> Self {
+        Self {
+            state: supervisor.keep(),
+            at_rest: supervisor.is_at_rest(),
+            lost: supervisor.is_lost(),
+            unverified: supervisor.is_unverified(),
+            idle: supervisor.is_idle(),
+        }
+    }
 }
 
 /// The output of a cycle on its way to the hub.
@@ -64,14 +92,16 @@ pub struct RestartNote {
 pub struct LoopFrame {
     /// Number of the cycle.
     pub number: u64,
+    /// What a restart after it needs.
+    pub note: RestartNote,
     /// Messages other than orders that the loop had carried out before it.
     pub changes: u64,
     /// The output.
     pub output: CycleOutput,
 }
 
-/// Result of an order, with the id of its message.
-pub type Answer = (u64, Result<(), Refusal>);
+/// Result of an order, with the id of its message and the number of the cycle.
+pub type Answer = (u64, u64, Result<(), Refusal>);
 
 /// The loop's ends of the rings. All rings are wait-free.
 pub struct LoopRings {
@@ -80,7 +110,6 @@ pub struct LoopRings {
     answers: Producer<Answer>,
     frames: Producer<LoopFrame>,
     changes: u64,
-    notes: Producer<RestartNote>,
     retired: Producer<Retired>,
 }
 
@@ -94,18 +123,18 @@ pub struct HubRings {
     pub answers: Consumer<Answer>,
     /// The output of every cycle.
     pub frames: Consumer<LoopFrame>,
-    /// Restart data, every `NOTE_EVERY` cycles.
-    pub notes: Consumer<RestartNote>,
     /// Objects to drop.
     pub retired: Consumer<Retired>,
 }
 
+/// The loop must answer an order within this time, s.
+pub const ANSWER_MAX_S: f64 = 2.0;
 /// Capacity of the frame ring, cycles: the hub may be late by 4 s at 1 kHz.
 const FRAMES: usize = 4096;
 /// Capacity of the rings of orders and answers: every client of the command socket may have as many as are accepted.
 const ORDERS: usize = CLIENTS_MAX * UNANSWERED_MAX + 64;
-/// Cycles between two restart notes.
-const NOTE_EVERY: u64 = 20;
+/// Oldest order that is carried out, s: whoever gave it has not yet been told that the loop does not respond.
+const ORDER_MAX_S: f64 = 0.95 * ANSWER_MAX_S;
 /// The tip stops if nobody could command a stop for longer than this, s.
 const UNCOMMANDED_MAX_S: f64 = 1.0;
 
@@ -115,7 +144,6 @@ pub fn rings() -> (LoopRings, HubRings) {
     let (setpoints, loop_setpoints) = RingBuffer::new(64);
     let (loop_answers, answers) = RingBuffer::new(ORDERS);
     let (loop_frames, frames) = RingBuffer::new(FRAMES);
-    let (loop_notes, notes) = RingBuffer::new(256);
     let (loop_retired, retired) = RingBuffer::new(16);
     (
         LoopRings {
@@ -124,7 +152,6 @@ pub fn rings() -> (LoopRings, HubRings) {
             answers: loop_answers,
             frames: loop_frames,
             changes: 0,
-            notes: loop_notes,
             retired: loop_retired,
         },
         HubRings {
@@ -132,7 +159,6 @@ pub fn rings() -> (LoopRings, HubRings) {
             setpoints,
             answers,
             frames,
-            notes,
             retired,
         },
     )
@@ -207,8 +233,9 @@ impl Loop {
         Ok(())
     }
 
-    fn cycle(&mut self, now: Seconds) -> Result<(), MachineError> {
-        // a stop comes before every queued message
+    pub(super) fn cycle(&mut self, now: Seconds) -> Result<(), MachineError> {
+        let sensed = self.runner.sense(now)?;
+        // a stop comes before every queued message, also one that came while a slow plant was waited for
         let stop = self.stops.take_request(&self.shared.stop);
         let unattended = self.watch.age_s(Watched::Control) > UNCOMMANDED_MAX_S
             && self.runner.supervisor.mode().moves();
@@ -218,33 +245,27 @@ impl Loop {
             None if unattended && !self.runner.supervisor.is_stopped() => (None, Some(Order::Stop)),
             None => self.next_order(),
         };
-        let output = self.runner.turn(now, order)?;
-        if let (Some(id), Some(answer)) = (id, output.answer) {
-            self.answer(id, answer);
-        }
+        let output = self.runner.act(&sensed, order);
         let number = self.shared.cycles.fetch_add(1, Relaxed);
+        let supervisor = &self.runner.supervisor;
+        let stopped = supervisor.is_stopped();
         let frame = LoopFrame {
             number,
+            note: RestartNote::of(supervisor),
             changes: self.rings.changes,
             output,
         };
         if self.rings.frames.push(frame).is_err() {
             self.shared.lost.fetch_add(1, Relaxed);
         }
+        // after the frame, so that a status that follows an answer reports what was answered
+        if let (Some(id), Some(answer)) = (id, output.answer) {
+            self.answer(id, answer);
+        }
         if let Some(number) = stop {
-            // after the frame, so that a status that follows the answer reports the stop
             self.shared.stop.complete(number);
         }
-        if number.is_multiple_of(NOTE_EVERY) {
-            let supervisor = &self.runner.supervisor;
-            // if the ring is full the hub is late, and a newer note will replace this one
-            let _ = self.rings.notes.push(RestartNote {
-                state: supervisor.keep(),
-                at_rest: supervisor.is_at_rest(),
-                lost: supervisor.is_lost(),
-                unverified: supervisor.is_unverified(),
-            });
-        }
+        self.shared.stop.latch(stopped);
         Ok(())
     }
 
@@ -262,7 +283,11 @@ impl Loop {
             &mut rings.orders
         };
         match ring.pop() {
-            Ok(Message::Order { id, order, stops }) => match self.stops.admit(&order, stops) {
+            Ok(Message::Order {
+                id,
+                order,
+                precondition,
+            }) => match self.admit(&order, &precondition) {
                 Ok(()) => return (Some(id), Some(order)),
                 Err(refusal) => self.answer(id, Err(refusal)),
             },
@@ -278,8 +303,11 @@ impl Loop {
                 self.retire(Retired::Path(path));
             }
             Ok(Message::ReplaceSupervisor(mut supervisor)) => {
-                supervisor.inherit(&self.runner.supervisor);
-                std::mem::swap(&mut self.runner.supervisor, &mut supervisor);
+                // the hub must learn of the first cycle
+                if self.runner.supervisor.is_idle() && rings.frames.slots() > 0 {
+                    supervisor.inherit(&self.runner.supervisor);
+                    std::mem::swap(&mut self.runner.supervisor, &mut supervisor);
+                }
                 rings.changes += 1;
                 self.retire(Retired::Supervisor(supervisor));
             }
@@ -288,8 +316,22 @@ impl Loop {
         (None, None)
     }
 
+    /// Whether what an order was decided on still holds.
+    fn admit(&self, order: &Order, then: &Precondition) -> Result<(), Refusal> {
+        let mode = self.runner.supervisor.mode();
+        self.stops.admit(order, then.stops)?;
+        if then.since.elapsed().as_secs_f64() > ORDER_MAX_S {
+            return Err(Refusal::Late);
+        }
+        match then.mode {
+            Some(expected) if expected != mode => Err(Refusal::Mode(mode)),
+            _ => Ok(()),
+        }
+    }
+
     fn answer(&mut self, id: u64, result: Result<(), Refusal>) {
-        if self.rings.answers.push((id, result)).is_err() {
+        let cycle = self.shared.cycles.load(Relaxed);
+        if self.rings.answers.push((id, cycle, result)).is_err() {
             self.shared.lost.fetch_add(1, Relaxed);
         }
     }

@@ -29,6 +29,11 @@ const ACCEPTED_PER_ROUND: usize = CLIENTS_MAX;
 pub struct Waker(UnixStream);
 
 impl Waker {
+    #[cfg(test)]
+    pub(super) fn of(stream: UnixStream) -> Self {
+        Self(stream)
+    }
+
     /// Wakes the server. A full pipe means that it is about to wake anyway.
     pub fn wake(&self) {
         let _ = (&self.0).write(&[0]);

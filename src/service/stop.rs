@@ -8,7 +8,7 @@
 use crate::service::protocol::Failure;
 use crate::supervisor::{Order, Refusal};
 use serde_json::{Value, json};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 /// The loop must carry out a stop within this time.
@@ -19,6 +19,7 @@ const ANSWER_MAX: Duration = Duration::from_millis(150);
 pub struct StopSignal {
     requested: AtomicU64,
     completed: AtomicU64,
+    latched: AtomicBool,
 }
 
 impl StopSignal {
@@ -37,9 +38,10 @@ impl StopSignal {
         self.completed.load(Ordering::Acquire)
     }
 
-    /// The answer to a stop that was requested at this instant; `None` while the loop still has time to carry it out.
+    /// The answer to a stop that was requested at this instant: at once while one is latched, because nothing moves until the loop has
+    /// seen this one too; `None` while the loop still has time to carry it out.
     pub fn answer(&self, number: u64, since: Instant) -> Option<Result<Value, Failure>> {
-        if self.completed() >= number {
+        if self.completed() >= number || self.latched.load(Ordering::Acquire) {
             Some(Ok(json!({})))
         } else {
             (since.elapsed() > ANSWER_MAX).then(|| {
@@ -49,6 +51,11 @@ impl StopSignal {
                 })
             })
         }
+    }
+
+    /// Reports whether a stop is latched after a cycle.
+    pub fn latch(&self, latched: bool) {
+        self.latched.store(latched, Ordering::Release);
     }
 
     /// Reports that the loop has carried out a stop.

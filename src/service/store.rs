@@ -12,8 +12,9 @@
 
 use crate::service::memory::{Memory, MemoryError};
 use crate::service::slot::{self, SIZE};
-use std::fs::{File, OpenOptions};
+use std::fs::{DirBuilder, File, OpenOptions, Permissions};
 use std::io::{self, Read, Seek, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 /// File names of the slots.
@@ -64,13 +65,29 @@ impl Store {
             path: path.display().to_string(),
             source,
         };
-        std::fs::create_dir_all(folder).map_err(|e| fail(folder, e))?;
+        let mut builder = DirBuilder::new();
+        let created = builder.recursive(true).mode(0o700).create(folder);
+        created.map_err(|e| fail(folder, e))?;
         let lock_path = folder.join("lock");
-        if !lock_path.exists() {
-            File::create(&lock_path).map_err(|e| fail(&lock_path, e))?;
-        }
+        let (mut read, mut create) = (OpenOptions::new(), OpenOptions::new());
         // opened for reading only, so that the file system can still be remounted read-only
-        let lock = File::open(&lock_path).map_err(|e| fail(&lock_path, e))?;
+        let lock = slot::open(read.read(true), &lock_path)
+            .or_else(|e| match e.kind() {
+                io::ErrorKind::NotFound => {
+                    slot::open(create.write(true).create_new(true), &lock_path)?;
+                    slot::open(read.read(true), &lock_path)
+                }
+                _ => Err(e),
+            })
+            .map_err(|e| fail(&lock_path, e))?;
+        for file in NAMES.into_iter().chain(["lock"]) {
+            // files of an older version let others read them, and hold the lock; those of another user are left alone
+            let path = folder.join(file);
+            if std::fs::symlink_metadata(&path).is_ok_and(|m| m.is_file() && m.mode() & 0o077 != 0)
+            {
+                let _ = std::fs::set_permissions(&path, Permissions::from_mode(0o600));
+            }
+        }
         if lock.try_lock().is_err() {
             return Err(MemoryError::InUse {
                 path: folder.display().to_string(),
@@ -115,8 +132,8 @@ impl Store {
     /// Reserves the disk space of both slots. A slot that contains only spaces is empty.
     fn reserve(&self) -> io::Result<()> {
         for path in NAMES.map(|name| self.folder.join(name)) {
-            if !path.exists() {
-                let mut file = File::create(&path)?;
+            if std::fs::symlink_metadata(&path).is_err() {
+                let mut file = slot::open(OpenOptions::new().write(true).create_new(true), &path)?;
                 file.write_all(&vec![b' '; SIZE])?;
                 file.sync_all()?;
             }
@@ -143,12 +160,8 @@ impl Store {
         let path = self.folder.join(NAMES[place(sequence)]);
         let slot = slot::compose(sequence, memory)?;
         let put = || -> io::Result<()> {
-            let mut file = OpenOptions::new()
-                .read(true)
-                .write(true)
-                .create(true)
-                .truncate(false)
-                .open(&path)?;
+            let mut options = OpenOptions::new();
+            let mut file = slot::open(options.read(true).write(true).create(true), &path)?;
             file.write_all(&slot)?;
             file.set_len(SIZE as u64)?;
             file.sync_data()?;
@@ -307,6 +320,63 @@ mod tests {
             (recall.found, recall.memory),
             (Found::Intact, Some(memory(2)))
         );
+    }
+
+    /// Every file of the state in turn: a link, a pipe, a folder, a socket.
+    #[test]
+    fn only_regular_files_of_the_owner_are_opened_and_no_links() {
+        use std::os::unix::net::UnixListener;
+        let mode = |path: &Path| std::fs::metadata(path).unwrap().mode() & 0o777;
+        for name in ["memory.a", "memory.b", "lock"] {
+            for kind in ["link", "dangling", "pipe", "folder", "socket"] {
+                let outer = tempfile::tempdir().unwrap();
+                let folder = outer.path().join("state");
+                Store::open(&folder).unwrap().0.write(&memory(1)).unwrap();
+                assert_eq!(mode(&folder), 0o700);
+                for name in ["memory.a", "memory.b", "lock"] {
+                    assert_eq!(mode(&folder.join(name)), 0o600, "{name}");
+                }
+                let (path, other) = (folder.join(name), outer.path().join("other"));
+                std::fs::remove_file(&path).unwrap();
+                let _listener = match kind {
+                    "socket" => Some(UnixListener::bind(&path).unwrap()),
+                    _ => None,
+                };
+                match kind {
+                    "link" => {
+                        std::fs::write(&other, "mine").unwrap();
+                        std::os::unix::fs::symlink(&other, &path).unwrap();
+                    }
+                    "dangling" => std::os::unix::fs::symlink(&other, &path).unwrap(),
+                    "folder" => std::fs::create_dir(&path).unwrap(),
+                    "pipe" => {
+                        use std::os::unix::ffi::OsStrExt;
+                        let name = std::ffi::CString::new(path.as_os_str().as_bytes()).unwrap();
+                        // a command would hold the locks of other tests until it runs
+                        // SAFETY: the name is a live string that ends in a zero
+                        #[allow(unsafe_code)]
+                        let made = unsafe { libc::mkfifo(name.as_ptr(), 0o600) };
+                        assert_eq!(made, 0);
+                    }
+                    _ => {}
+                }
+                // a slot is renamed as damaged, which the lock cannot be
+                match Store::open(&folder) {
+                    Ok((mut store, recall)) => {
+                        assert_eq!(recall.found, Found::Damaged, "{name} {kind}");
+                        store.write(&memory(2)).unwrap();
+                        assert_ne!(name, "lock");
+                    }
+                    Err(e) => assert_eq!(name, "lock", "{kind}: {e}"),
+                }
+                let there = std::fs::read_to_string(&other).unwrap_or_default();
+                assert_eq!(
+                    there,
+                    if kind == "link" { "mine" } else { "" },
+                    "{name} {kind}"
+                );
+            }
+        }
     }
 
     #[test]

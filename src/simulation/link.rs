@@ -9,6 +9,7 @@ use crate::supervisor::{MachineError, MachineInfo};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use std::io::{BufRead, BufReader, BufWriter, Read, Write};
+use std::os::unix::process::CommandExt;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::Duration;
@@ -72,6 +73,7 @@ impl Link {
             .args(args)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
+            .process_group(0)
             .spawn()
             .map_err(fail)?;
         let missing = || fail(std::io::Error::other("its pipes could not be opened"));
@@ -126,10 +128,14 @@ impl Link {
 }
 
 impl Drop for Link {
+    #[allow(unsafe_code)]
     fn drop(&mut self) {
-        // a plant ends at end of file; one that does not is killed here. Both calls fail only if the process has
-        // already ended, which is the desired state
-        let _ = self.child.kill();
+        // a plant ends at end of file; one that does not is killed here, with what it has started. Both calls fail only if
+        // the processes have already ended, which is the desired state
+        if let Ok(group) = libc::pid_t::try_from(self.child.id()) {
+            // SAFETY: a system call without memory; the child is its group's leader and has not been waited for
+            unsafe { libc::kill(-group, libc::SIGKILL) };
+        }
         let _ = self.child.wait();
     }
 }

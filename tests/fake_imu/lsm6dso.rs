@@ -1,8 +1,8 @@
-//! Register machine of the LSM6DSO (DS12140): power-down until a rate is set, reset, new-data bits.
+//! Register machine of the LSM6DSO (DS12140) and the LSM6DSV16X: power-down until a rate is set, reset, new-data bits.
 
 use super::{Analog, Device, Motion, Noise, Quirks, Ticker};
 use retroflex::hardware::imu::Axes;
-use retroflex::hardware::imu::lsm6dso::{RATES_HZ, WHO_AM_I, reg, scale};
+use retroflex::hardware::imu::lsm6dso::{RATES_HZ, Variant, reg, scale};
 
 /// First bytes of temperature, rate and force.
 const OUT_TEMP_L: u8 = 0x20;
@@ -16,6 +16,7 @@ const RESET_TIME_S: f64 = 50e-6;
 /// Gyroscope and accelerometer at 0x6A or 0x6B.
 #[derive(Debug)]
 pub struct FakeLsm6dso {
+    variant: Variant,
     address: u8,
     regs: [u8; 128],
     pointer: u8,
@@ -29,7 +30,14 @@ impl FakeLsm6dso {
     /// A chip fresh from power-up; the seed is that of its noise.
     #[must_use]
     pub fn new(address: u8, seed: u64) -> Self {
+        Self::of(Variant::Dso, address, seed)
+    }
+
+    /// One of the parts.
+    #[must_use]
+    pub fn of(variant: Variant, address: u8, seed: u64) -> Self {
         let mut fake = Self {
+            variant,
             address,
             regs: [0; 128],
             pointer: 0,
@@ -47,7 +55,15 @@ impl FakeLsm6dso {
     }
 
     /// Period of an ODR field; `None` in power-down.
-    fn period_s(control: u8) -> Option<f64> {
+    fn period_s(&self, control: u8) -> Option<f64> {
+        if self.variant == Variant::Dsv16x {
+            // code 1 is 1.875 Hz, code 2 is 7.5 Hz, and each further one doubles it
+            return match control & 0x0F {
+                0 => None,
+                1 => Some(1.0 / 1.875),
+                code => Some(1.0 / (7.5 * f64::from(1_u32 << (code - 2)))),
+            };
+        }
         let code = usize::from(control >> 4);
         RATES_HZ.get(code.wrapping_sub(1)).map(|hz| 1.0 / hz)
     }
@@ -59,18 +75,23 @@ impl FakeLsm6dso {
     }
 
     fn convert(&mut self, dt_s: f64) {
-        let (ctrl1, ctrl2) = (self.get(reg::CTRL1_XL), self.get(reg::CTRL2_G));
-        let gyro_due = Self::period_s(ctrl2).is_some_and(|p| self.gyro.due(dt_s, p));
-        let acc_due = Self::period_s(ctrl1).is_some_and(|p| self.acc.due(dt_s, p));
+        let (ctrl1, ctrl2) = (self.get(reg::CTRL1), self.get(reg::CTRL2));
+        let gyro_due = self.period_s(ctrl2).is_some_and(|p| self.gyro.due(dt_s, p));
+        let acc_due = self.period_s(ctrl1).is_some_and(|p| self.acc.due(dt_s, p));
         if !(gyro_due || acc_due) || self.analog.quirks.frozen {
             return;
         }
-        let gyro_dps = if ctrl2 & 0x02 != 0 {
-            125
-        } else {
-            250 << (ctrl2 >> 2 & 3)
+        let (gyro_dps, acc_g) = match self.variant {
+            Variant::Dso if ctrl2 & 0x02 != 0 => (125, [2, 16, 4, 8][usize::from(ctrl1 >> 2 & 3)]),
+            Variant::Dso => (
+                250 << (ctrl2 >> 2 & 3),
+                [2, 16, 4, 8][usize::from(ctrl1 >> 2 & 3)],
+            ),
+            Variant::Dsv16x => (
+                125 << (self.get(reg::CTRL6) & 0x0F),
+                2 << (self.get(reg::CTRL8) & 0x03),
+            ),
         };
-        let acc_g = [2, 16, 4, 8][usize::from(ctrl1 >> 2 & 3)];
         let unit = scale(gyro_dps, acc_g, Axes::ALIGNED);
         let (gyro, acc) = self.analog.inertial(unit.gyro_rad_s, unit.acc_m_s2);
         let temp = ((self.analog.motion.temp_c - unit.temp_zero_c) / unit.temp_c).round() as i16;
@@ -95,7 +116,7 @@ impl FakeLsm6dso {
         self.pointer = register & 0x7F;
         for &value in data {
             match self.pointer {
-                reg::CTRL3_C if value & 0x01 != 0 => {
+                reg::CTRL3 if value & 0x01 != 0 => {
                     self.defaults();
                     self.reset_s = RESET_TIME_S;
                 }
@@ -110,8 +131,11 @@ impl FakeLsm6dso {
     pub fn read(&mut self, out: &mut [u8]) {
         for byte in out {
             *byte = match self.pointer {
-                reg::WHO_AM_I => self.analog.quirks.wrong_id.unwrap_or(WHO_AM_I),
-                reg::CTRL3_C if self.reset_s > 0.0 => self.get(reg::CTRL3_C) | 0x01,
+                reg::WHO_AM_I => self.analog.quirks.wrong_id.unwrap_or(match self.variant {
+                    Variant::Dso => 0x6C,
+                    Variant::Dsv16x => 0x70,
+                }),
+                reg::CTRL3 if self.reset_s > 0.0 => self.get(reg::CTRL3) | 0x01,
                 r => self.get(r),
             };
             let read = match self.pointer {
@@ -126,15 +150,17 @@ impl FakeLsm6dso {
     }
 
     fn step(&mut self) {
-        if self.get(reg::CTRL3_C) & 0x04 != 0 {
+        if self.get(reg::CTRL3) & 0x04 != 0 {
             self.pointer = self.pointer.wrapping_add(1) & 0x7F;
         }
     }
 
     fn defaults(&mut self) {
         self.regs = [0; 128];
-        self.regs[usize::from(reg::CTRL3_C)] = 0x04;
-        self.regs[usize::from(reg::CTRL9_XL)] = 0xE0;
+        self.regs[usize::from(reg::CTRL3)] = 0x04;
+        if self.variant == Variant::Dso {
+            self.regs[usize::from(reg::CTRL9)] = 0xE0;
+        }
         (self.gyro, self.acc) = Default::default();
     }
 }

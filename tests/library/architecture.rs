@@ -443,8 +443,12 @@ fn rooms_are_pure() {
             continue;
         };
         for name in forbidden(&room.may_use) {
+            // a child process has options of its operating system
+            let child = room.may_use == "child processes";
             let hit = |written: &&String| {
-                if name.contains("::") {
+                if child && written.starts_with("std::os::unix::process") {
+                    false
+                } else if name.contains("::") {
                     written.starts_with(name)
                 } else {
                     written.split("::").any(|s| s == name)

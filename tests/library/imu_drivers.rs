@@ -244,7 +244,7 @@ fn icm_detects_a_transfer_that_ends_early() {
 }
 
 #[test]
-fn icm_canary_checks_power_and_ranges_in_turn() {
+fn icm_canary_checks_power_ranges_and_mode_in_turn() {
     let good = burst(0x00, [0; 3], 0x10);
     let tail = vec![
         get(ICM, 0x2D, &good),
@@ -255,22 +255,30 @@ fn icm_canary_checks_power_and_ranges_in_turn() {
         get(ICM, 0x14, &[0x1B]),
         put(ICM, 0x7F, 0x00),
         get(ICM, 0x2D, &good),
+        get(ICM, 0x17, &[0x00]),
+        put(ICM, 0x7F, 0x30), // asks for the mode of the magnetometer
+        put(ICM, 0x13, 0x8C),
+        put(ICM, 0x14, 0x31),
+        put(ICM, 0x16, 0x00),
+        put(ICM, 0x15, 0x80),
+        put(ICM, 0x7F, 0x00),
+        get(ICM, 0x2D, &good),
         get(ICM, 0x03, &[0x20, 0, 0, 0x01, 0]),
         get(ICM, 0x2D, &good),
         put(ICM, 0x7F, 0x20),
         get(ICM, 0x00, &[0x00, 0x01]), // 250 dps, full rate: the power-on values
     ];
-    let r = scripted_icm(tail, 1, 5);
-    assert!(r[..3].iter().all(Result::is_ok));
+    let r = scripted_icm(tail, 1, 6);
+    assert!(r[..4].iter().all(Result::is_ok));
     let want = ImuError::ResetToDefaults {
         part: Part::Icm20948,
         register: 0x00,
         have: 0,
         want: 1,
     };
-    assert_eq!(r[3], Err(want));
+    assert_eq!(r[4], Err(want));
     assert!(
-        matches!(r[4], Err(ImuError::NotReady { .. })),
+        matches!(r[5], Err(ImuError::NotReady { .. })),
         "no reading before the next init"
     );
 }
@@ -367,7 +375,24 @@ fn lsm_bus(noise: Noise, axes: Axes) -> FakeBus {
     bus
 }
 
-/// Every range of both parts, with the smallest count of each.
+/// The bus of a configuration.
+fn bus_of(config: &ChipConfig, noise: Noise) -> FakeBus {
+    match config {
+        ChipConfig::Icm20948(_) => icm_bus(noise),
+        ChipConfig::Lsm6dsoLis2mdl(_) => lsm_bus(noise, Axes::ALIGNED),
+        ChipConfig::Lsm6dsv16xLis2mdl(_) => {
+            let bus = FakeBus::new();
+            bus.machine()
+                .attach(FakeLsm6dso::of(lsm6dso::Variant::Dsv16x, LSM, 12));
+            bus.machine()
+                .attach(FakeLis2mdl::mounted(Axes::ALIGNED, 13));
+            bus.machine().set_noise(noise);
+            bus
+        }
+    }
+}
+
+/// Every range of all parts, with the smallest count of each.
 fn all_configs() -> Vec<(ChipConfig, f64, f64)> {
     let mut all = Vec::new();
     for acc_range_g in [2, 4, 8, 16] {
@@ -381,7 +406,8 @@ fn all_configs() -> Vec<(ChipConfig, f64, f64)> {
                 rate_hz,
                 ..Default::default()
             };
-            all.push((ChipConfig::Lsm6dsoLis2mdl(lsm), gyro, acc));
+            all.push((ChipConfig::Lsm6dsoLis2mdl(lsm.clone()), gyro, acc));
+            all.push((ChipConfig::Lsm6dsv16xLis2mdl(lsm), gyro, acc));
             if gyro_range_dps > 125 {
                 let icm = icm20948::IcmConfig {
                     acc_range_g,
@@ -400,10 +426,7 @@ fn all_configs() -> Vec<(ChipConfig, f64, f64)> {
 fn every_range_measures_the_true_motion() {
     let motion = odd_motion();
     for (config, gyro_lsb, acc_lsb) in all_configs() {
-        let bus = match config {
-            ChipConfig::Icm20948(_) => icm_bus(Noise::NONE),
-            ChipConfig::Lsm6dsoLis2mdl(_) => lsm_bus(Noise::NONE, Axes::ALIGNED),
-        };
+        let bus = bus_of(&config, Noise::NONE);
         let mut imu = open(&config, bus.clone()).unwrap();
         imu.init(&mut bus.delay()).unwrap();
         bus.machine().set_motion(&motion);
@@ -482,17 +505,12 @@ fn a_second_sensor_shares_the_bus() {
 
 #[test]
 fn the_magnetometer_is_read_once_per_measurement_at_500_hz() {
-    for part in 0..2 {
-        let bus = if part == 0 {
-            icm_bus(Noise::TYPICAL)
-        } else {
-            lsm_bus(Noise::TYPICAL, Axes::ALIGNED)
-        };
-        let config = if part == 0 {
-            ChipConfig::default()
-        } else {
-            ChipConfig::Lsm6dsoLis2mdl(lsm6dso::LsmConfig::default())
-        };
+    for config in [
+        ChipConfig::default(),
+        ChipConfig::Lsm6dsoLis2mdl(lsm6dso::LsmConfig::default()),
+        ChipConfig::Lsm6dsv16xLis2mdl(lsm6dso::LsmConfig::default()),
+    ] {
+        let bus = bus_of(&config, Noise::TYPICAL);
         let mut imu = open(&config, bus.clone()).unwrap();
         imu.init(&mut bus.delay()).unwrap();
         let mut fresh = 0;
@@ -543,7 +561,105 @@ fn bus_time_of_a_reading_is_as_documented() {
     assert!(t < 510e-6);
 }
 
+/// The successor keeps its settings in other registers; each is noticed if it changes, and its predecessor is another part.
+#[test]
+fn the_lsm6dsv16x_notices_each_of_its_settings_that_changes() {
+    let config = ChipConfig::Lsm6dsv16xLis2mdl(lsm6dso::LsmConfig {
+        canary_every: 1,
+        gyro_filter: Some(3),
+        ..Default::default()
+    });
+    for (register, value) in [
+        (0x10, 0x08),
+        (0x11, 0x00),
+        (0x12, 0x04),
+        (0x15, 0x01),
+        (0x16, 0x00),
+        (0x17, 0x03),
+    ] {
+        let bus = bus_of(&config, Noise::TYPICAL);
+        let mut imu = open(&config, bus.clone()).unwrap();
+        let id = imu.init(&mut bus.delay()).unwrap();
+        assert_eq!(
+            (id.inertial.part, id.inertial.id, id.rate_hz),
+            (Part::Lsm6dsv16x, 0x70, 960.0)
+        );
+        next(&bus, &mut *imu).unwrap();
+        bus.machine().write(LSM, &[register, value]).unwrap();
+        let error = next(&bus, &mut *imu).unwrap_err();
+        assert!(
+            matches!(error, ImuError::ResetToDefaults { register: r, .. } if r == register),
+            "{error}"
+        );
+    }
+    let bus = lsm_bus(Noise::TYPICAL, Axes::ALIGNED);
+    let error = open(&config, bus.clone())
+        .unwrap()
+        .init(&mut bus.delay())
+        .unwrap_err();
+    assert!(
+        matches!(
+            error,
+            ImuError::WrongId {
+                have: 0x6C,
+                want: 0x70,
+                ..
+            }
+        ),
+        "{error}"
+    );
+}
+
 // ------------------------------------------------------------------------------------ faults
+
+/// Whatever answers in the place of the part: the advice names what can be done about it.
+#[test]
+fn each_wrong_identity_has_an_advice_that_can_be_followed() {
+    for (have, words) in [
+        (Some(0x00), "short to ground"),
+        (Some(0xFF), "nobody drives the data line"),
+        (Some(0x70), "MPU-6000"),
+        (Some(0x71), "MPU-6000"),
+        (Some(0xE1), "imu.chip.part"),
+        (None, "i2cdetect"),
+    ] {
+        for two in [false, true] {
+            let (bus, mut imu): (_, Box<dyn Imu>) = if two {
+                let bus = lsm_bus(Noise::TYPICAL, Axes::ALIGNED);
+                let imu = Lsm6dsoLis2mdl::new(bus.clone(), &lsm6dso::LsmConfig::default()).unwrap();
+                (bus, Box::new(imu))
+            } else {
+                let bus = icm_bus(Noise::TYPICAL);
+                let imu = Icm20948::new(bus.clone(), &icm20948::IcmConfig::default()).unwrap();
+                (bus, Box::new(imu))
+            };
+            let address = if two { LSM } else { ICM };
+            match have {
+                Some(id) => bus.machine().spoil(address, |q| q.wrong_id = Some(id)),
+                None => bus.machine().nack(address, 1000),
+            }
+            let message = imu.init(&mut bus.delay()).unwrap_err().to_string();
+            assert!(message.contains(words), "{have:?}: {message}");
+        }
+    }
+    // the magnetometer inside the chip is dead, or a separate one does not answer
+    let bus = icm_bus(Noise::TYPICAL);
+    bus.machine().spoil(ICM, |q| q.mag_dead = true);
+    let mut icm = Icm20948::new(bus.clone(), &icm20948::IcmConfig::default()).unwrap();
+    let message = icm.init(&mut bus.delay()).unwrap_err().to_string();
+    assert!(
+        message.contains("AK09916") && message.contains("fit another"),
+        "{message}"
+    );
+    let bus = lsm_bus(Noise::TYPICAL, Axes::ALIGNED);
+    bus.machine().nack(LIS, 1000);
+    let mut lsm = Lsm6dsoLis2mdl::new(bus.clone(), &lsm6dso::LsmConfig::default()).unwrap();
+    let message = lsm.init(&mut bus.delay()).unwrap_err().to_string();
+    assert!(
+        message.contains("LIS2MDL") && message.contains("i2cdetect"),
+        "{message}"
+    );
+}
 
 fn running_icm() -> (FakeBus, Icm20948<FakeBus>) {
     let bus = icm_bus(Noise::TYPICAL);
@@ -585,7 +701,13 @@ fn a_fault_in_another_bank_does_not_falsify_the_next_reading() {
         get(ICM, 0x00, &[0x01, 0x13]).with_error(ErrorKind::ArbitrationLoss),
         put(ICM, 0x7F, 0x00), // the data bank is selected again first
         get(ICM, 0x2D, &burst(0, [0; 3], 0)),
-        get(ICM, 0x03, &[0x20, 0, 0, 0x01, 0]),
+        get(ICM, 0x17, &[0x00]),
+        put(ICM, 0x7F, 0x30), // asks for the mode of the magnetometer
+        put(ICM, 0x13, 0x8C),
+        put(ICM, 0x14, 0x31),
+        put(ICM, 0x16, 0x00),
+        put(ICM, 0x15, 0x80),
+        put(ICM, 0x7F, 0x00),
     ];
     let r = scripted_icm(script_end, 1, 3);
     assert!(r[0].is_ok() && r[1].is_err() && r[2].is_ok());

@@ -212,6 +212,32 @@ def drag_bends(b, service):
     done("a drag commands a bend, and stays within the reach")
 
 
+def a_stray_click_moves_nothing(b, service):
+    service.ask("bend", bend_deg=10, dir_deg=0)
+    wait(service, "the bend", lambda s: near(s["target"], 10, 0) and s["settled"])
+    b.until("the target on the page", "frame.target && Math.abs(frame.target.bend_deg - 10) < 0.1")
+    for bend, direction in [(70, 200), (45, 90), (25, 0), (60, 310)]:
+        b.mouse("Pressed", *b.pad(bend, direction))
+        b.mouse("Released", *b.pad(bend, direction))
+        time.sleep(0.6)
+        assert near(service.status()["target"], 10, 0, 0.1), ("a click moved the tip", bend, direction)
+        assert b.js(f"Math.abs(Math.hypot(aim.x, aim.y) - {bend}) < 1 && aiming"), "the target of a click is not drawn"
+    # held, it bends there, at a bounded rate
+    b.mouse("Pressed", *b.pad(60, 0))
+    began, at, fastest = time.monotonic(), None, 0.0
+    while time.monotonic() - began < 1.2:
+        status = service.status()
+        now = (time.monotonic(), status["setpoint"]["bend_deg"])
+        if at and now[0] - at[0] > 0.1:
+            fastest, at = max(fastest, abs(now[1] - at[1]) / (now[0] - at[0])), now
+        at = at or now
+    b.mouse("Released", *b.pad(60, 0))
+    wait(service, "the target of the press", lambda s: near(s["target"], 60, 0))
+    assert 15 < fastest < 45, f"{fastest:.0f} degrees a second"
+    wait(service, "the bend", lambda s: near(s["estimate"], 60, 0))
+    done("a click draws a target and moves nothing; held, it bends at a bounded rate")
+
+
 def keyboard_bends_and_stops(b, service):
     service.ask("bend", bend_deg=10, dir_deg=0)
     wait(service, "the bend", lambda s: near(s["target"], 10, 0) and s["settled"])
@@ -334,6 +360,7 @@ def main():
         try:
             loads_and_follows(b, service)
             drag_bends(b, service)
+            a_stray_click_moves_nothing(b, service)
             keyboard_bends_and_stops(b, service)
             zoom_and_dark(b)
             token(b)

@@ -95,12 +95,16 @@ fn boards_state_the_defaults_except_where_they_say_so() {
             imu.bus_lines, expected,
             "{name}: only a Raspberry Pi can return the lines to the bus"
         );
+        let bare = retroflex::config::sections::ImuSection::default();
+        let another_part = name.ends_with("lsm6dsv16x");
+        assert_eq!(imu.chip != bare.chip, another_part, "{name}");
         assert_eq!(
             retroflex::config::sections::ImuSection {
                 bus_lines: None,
+                chip: bare.chip.clone(),
                 ..imu
             },
-            Default::default(),
+            bare,
             "{name}"
         );
     }

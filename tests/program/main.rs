@@ -19,6 +19,7 @@ mod guided;
 mod hostile_server;
 mod imu_calibrate;
 mod monitor;
+mod outside;
 mod page;
 #[path = "../emulated_pi/mod.rs"]
 mod pi;

@@ -627,6 +627,53 @@ fn a_stop_is_answered_under_every_attack_on_the_port_of_the_page() {
 }
 
 /// Chromium, if there is one.
+/// Files that never answer: a pipe without a writer, and one whose writer writes nothing.
+#[test]
+fn a_diagnosis_that_does_not_answer_keeps_nobody_waiting() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = service(folder.path());
+    let pipe = folder.path().join("pipe");
+    assert!(
+        Command::new("mkfifo")
+            .arg(&pipe)
+            .status()
+            .unwrap()
+            .success()
+    );
+    for written in [false, true] {
+        // opened for both, so that it has a writer
+        let both = || {
+            std::fs::File::options()
+                .read(true)
+                .write(true)
+                .open(&pipe)
+                .unwrap()
+        };
+        let _writer = written.then(both);
+        let page = Page::start(&daemon, &["--diagnosis", pipe.to_str().unwrap()]);
+        std::thread::scope(|scope| {
+            for _ in 0..20 {
+                scope.spawn(|| assert_eq!(page.get("/diagnosis").2, "null"));
+            }
+            for path in ["/", "/page.js", "/diagnosis"] {
+                let since = Instant::now();
+                assert_eq!(page.get(path).0, 200);
+                assert!(
+                    since.elapsed() < Duration::from_secs(1),
+                    "{path}: {:?}",
+                    since.elapsed()
+                );
+            }
+            let since = Instant::now();
+            let (code, _, body) = page.ask("POST /stop", "x-retroflex-page: 0\r\n", "");
+            let took_s = since.elapsed().as_secs_f64();
+            assert!(code == 200 && body.contains("true"), "{code} {body}");
+            assert!(took_s < STOPPED_MAX_S, "stopped after {took_s:.2} s");
+        });
+    }
+}
+
 fn chromium() -> Option<PathBuf> {
     let named = std::env::var_os("RETROFLEX_CHROMIUM").map(PathBuf::from);
     let folders = std::env::var_os("PATH").unwrap_or_default();

@@ -578,15 +578,28 @@ fn an_ordinary_user_needs_no_flags_and_a_simulated_plant_begins_at_rest() {
         }
     };
     let memory = folder.path().join("state/memory.b");
-    // a kill in motion, and a damaged memory after it, concern the pistons of a real machine only
-    for damage in [false, false, true] {
-        if damage {
-            std::fs::write(&memory, b"").unwrap();
+    // a kill in motion concerns the pistons of a real machine only; a damaged memory is doubted whatever the machine
+    for damage in [None, None, Some(0), Some(1000), Some(32_767)] {
+        if let Some(length) = damage {
+            let whole = std::fs::read(&memory).unwrap();
+            std::fs::write(&memory, &whole[..length]).unwrap();
         }
         let mut child = command(&["run"])
             .stderr(std::process::Stdio::null())
             .spawn()
             .unwrap();
+        if damage.is_some() {
+            until("lost");
+            let lost = status()["lost"].to_string();
+            assert!(lost.contains("memory.b"), "{lost}");
+            assert!(
+                command(&["zero", "--straight"])
+                    .output()
+                    .unwrap()
+                    .status
+                    .success()
+            );
+        }
         until("disarmed");
         assert_eq!(status()["counted"], serde_json::json!([0, 0, 0]));
         for args in [&["arm"][..], &["bend", "40", "--wait"]] {

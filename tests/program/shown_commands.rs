@@ -1,4 +1,4 @@
-//! Every command that the documents show exists, and what they print in a `console` block is what the program prints.
+//! Every command that the documents and the program's messages show exists, and what they print in a `console` block is what the program prints.
 //!
 //! In `console` blocks a line after `$` is executed and the lines below it are compared: `…` stands for any text, and
 //! numbers may differ. The commands of all other blocks, and those of tables that start with `retroflex`, are parsed.
@@ -62,7 +62,7 @@ fn shown(text: &str) -> Vec<(String, bool)> {
         let line = line
             .strip_prefix("cargo run --release -- ")
             .map_or(line.clone(), |rest| format!("retroflex {rest}"));
-        let placeholder = ['[', '…', '<', '='].iter().any(|c| line.contains(*c))
+        let placeholder = ['[', '…', '<', '=', '{'].iter().any(|c| line.contains(*c))
             || line.split(' ').any(|w| w == "N" || w == "HOURS");
         (line.starts_with("retroflex ") && !placeholder).then_some(line)
     };
@@ -72,11 +72,50 @@ fn shown(text: &str) -> Vec<(String, bool)> {
         .collect()
 }
 
+/// The texts in the program's source, file by file: what it says to people, and more.
+fn messages() -> Vec<(String, String)> {
+    let mut folders = vec![repo("src")];
+    let mut files = Vec::new();
+    while let Some(folder) = folders.pop() {
+        for path in std::fs::read_dir(folder).unwrap() {
+            let path = path.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|e| e == "rs") && !path.ends_with("tests.rs") {
+                files.push(path);
+            }
+        }
+    }
+    let literal = |path: PathBuf| {
+        let code = std::fs::read_to_string(&path).unwrap();
+        let code = code.split("#[cfg(test)]\nmod tests").next().unwrap();
+        let lines = code
+            .lines()
+            .filter(|line| !line.trim_start().starts_with("//"));
+        let code = lines.collect::<Vec<_>>().join("\n").replace("\\\"", "'");
+        // a quotation mark as a character is none
+        let code = code.replace("'\"'", "");
+        let texts: Vec<String> = code
+            .split('"')
+            .skip(1)
+            .step_by(2)
+            .map(str::to_owned)
+            .collect();
+        let name = path
+            .strip_prefix(repo("src"))
+            .unwrap()
+            .display()
+            .to_string();
+        texts.into_iter().map(move |text| (name.clone(), text))
+    };
+    files.into_iter().flat_map(literal).collect()
+}
+
 #[test]
 fn every_shown_command_is_understood() {
     let mut wrong = Vec::new();
     let mut count = 0;
-    for (name, text) in documents() {
+    for (name, text) in documents().into_iter().chain(messages()) {
         for (line, in_sentence) in shown(&text) {
             count += 1;
             let words = shlex::split(&line).unwrap();

@@ -300,6 +300,46 @@ fn a_service_that_has_failed_for_good_is_followed_by_the_release_of_the_drivers(
     assert_eq!(booted.show_of("retroflex-release", "Result"), "success");
 }
 
+/// A bus that is not there when the unit starts: it is waited for without a restart, until the hardware was open once.
+#[test]
+fn a_unit_whose_bus_comes_late_does_not_give_up() {
+    if let Err(why) = can_boot() {
+        eprintln!("skipped: {why}");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let booted = boot(folder.path());
+    let here = "[Service]\nExecStart=\nExecStart=/run/rf/retroflex run --board pi4\n";
+    let drop_in = "/run/units/retroflex.service.d/here.conf";
+    assert!(
+        booted
+            .enter(&[
+                "bash",
+                "-c",
+                &format!("printf '{here}' > {drop_in}; systemctl daemon-reload")
+            ])
+            .0
+    );
+    booted.systemctl(&["start", "retroflex", "--no-block"]);
+    booted.until("its wait", |b| {
+        b.show("StatusText").contains("waiting for the hardware")
+    });
+    std::thread::sleep(Duration::from_secs(9));
+    assert_eq!(
+        (
+            booted.show("ActiveState").as_str(),
+            booted.show("NRestarts").as_str()
+        ),
+        ("activating", "0")
+    );
+    // hardware that was open before: each failure counts, and in the end the drivers are released
+    assert!(booted.enter(&["touch", "/run/retroflex/control.opened"]).0);
+    booted.until("the failure", |b| b.show("ActiveState") == "failed");
+    booted.until("the release", |b| {
+        b.show_of("retroflex-release", "ActiveState") == "active"
+    });
+}
+
 #[test]
 fn the_units_are_hardened() {
     for unit in [

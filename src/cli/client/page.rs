@@ -67,8 +67,8 @@ pub fn page(args: &PageArgs) -> Result<CommandOutcome> {
         .map(|file| format!("?token=TOKEN, with the token in {}", file.display()));
     print(format!("http://{address}/{}\n", file.unwrap_or_default()));
     let (sender, latest) = watch::channel(Bytes::new());
-    let (pages, diagnosis) = (Mutex::default(), args.diagnosis.clone().unwrap_or_default());
-    let control = socket.clone();
+    let (pages, control) = (Mutex::default(), socket.clone());
+    let diagnosis = source::read_again(args.diagnosis.clone());
     std::thread::spawn(move || source::follow(&control, &sender));
     server::run(
         listener,

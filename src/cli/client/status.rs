@@ -137,6 +137,8 @@ pub(super) fn rows(s: &Value) -> Vec<(&'static str, String)> {
     );
     let advice = list(&s["sensor"]["advice"]);
     rows.extend(advice.iter().map(|advice| ("sensor", text(advice))));
+    let slow = list(&s["remarks"]).into_iter().map(|r| text(&r));
+    rows.extend(slow.filter(|r| r.contains("slow bus")).map(|r| ("note", r)));
     let granted = |g: &Value| format!("{}: {}", text(&g["what"]), text(&g["grant"]));
     rows.extend(
         list(&s["real_time"])

@@ -19,6 +19,12 @@ pub trait Imu {
     /// [`ImuError::ResetToDefaults`], `init` is required.
     fn read(&mut self) -> Result<RawImu, ImuError>;
 
+    /// Sets up the magnetometer alone, while the other axes go on. Takes some 10 ms, or 50 ms if it does not answer.
+    ///
+    /// # Errors
+    /// [`ImuError`] when it is absent, is another part, or does not start.
+    fn restart_mag(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError>;
+
     /// The scale of the counts in the present configuration.
     fn scale(&self) -> Scale;
 }

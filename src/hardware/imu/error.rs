@@ -83,6 +83,20 @@ impl ImuError {
     /// The remedy.
     pub fn advice(&self) -> &'static str {
         match self {
+            Self::Nack {
+                part: Part::Ak09916,
+                ..
+            }
+            | Self::Timeout {
+                part: Part::Ak09916,
+                ..
+            }
+            | Self::WrongId {
+                part: Part::Ak09916,
+                ..
+            } => {
+                "the magnetometer inside the chip is dead, or the chip is a copy without one: fit another"
+            }
             Self::Nack { .. } => {
                 "check the plug, the 3.3 V supply and `imu.chip.address` (`i2cdetect -y 1` lists the addresses that answer)"
             }
@@ -97,12 +111,6 @@ impl ImuError {
             }
             Self::WrongId { have: 0xFF, .. } => {
                 "nobody drives the data line: check the plug and the address"
-            }
-            Self::WrongId {
-                part: Part::Ak09916,
-                ..
-            } => {
-                "the magnetometer inside the chip is dead, or the chip is a copy without one: fit another"
             }
             Self::WrongId {
                 have: 0x68 | 0x70 | 0x71 | 0x73 | 0x75,

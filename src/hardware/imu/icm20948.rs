@@ -51,7 +51,10 @@ pub struct Icm20948<I> {
     ready: bool,
     bank: Option<u8>,
     reads: u16,
-    ranges_next: bool,
+    /// Which of the three checks is next.
+    check: u8,
+    /// The mode of the magnetometer has been asked for.
+    mode_asked: bool,
     last: Option<RawImu>,
     last_mag: Option<[i16; 3]>,
 }
@@ -75,7 +78,8 @@ impl<I: I2c> Icm20948<I> {
             ready: false,
             bank: None,
             reads: 0,
-            ranges_next: false,
+            check: 0,
+            mode_asked: false,
             last,
             last_mag,
         })
@@ -128,14 +132,8 @@ impl<I: I2c> Icm20948<I> {
         self.bank(0)
     }
 
-    /// Transfers one byte to or from the magnetometer through the one-shot slave.
-    fn aux(
-        &mut self,
-        delay: &mut dyn DelayNs,
-        register: u8,
-        write: Option<u8>,
-    ) -> Result<u8, ImuError> {
-        self.port.get(&mut self.bus, reg::I2C_MST_STATUS)?; // reading clears it
+    /// Begins a transfer of [`Self::aux`].
+    fn ask(&mut self, register: u8, write: Option<u8>) -> Result<(), ImuError> {
         self.bank(3)?;
         self.set(
             reg::I2C_SLV4_ADDR,
@@ -144,7 +142,18 @@ impl<I: I2c> Icm20948<I> {
         self.set(reg::I2C_SLV4_REG, register)?;
         self.set(reg::I2C_SLV4_DO, write.unwrap_or(0))?;
         self.set(reg::I2C_SLV4_CTRL, 0x80)?;
-        self.bank(0)?;
+        self.bank(0)
+    }
+
+    /// Transfers one byte to or from the magnetometer through the one-shot slave.
+    fn aux(
+        &mut self,
+        delay: &mut dyn DelayNs,
+        register: u8,
+        write: Option<u8>,
+    ) -> Result<u8, ImuError> {
+        self.port.get(&mut self.bus, reg::I2C_MST_STATUS)?; // reading clears it
+        self.ask(register, write)?;
         for _ in 0..SLV4_LIMIT_MS {
             delay.delay_ms(1);
             let status = self.port.get(&mut self.bus, reg::I2C_MST_STATUS)?;
@@ -170,9 +179,10 @@ impl<I: I2c> Icm20948<I> {
 
     /// Resets and identifies the magnetometer. It may miss the first transfers after power-on, so the
     /// internal master is restarted between the attempts.
-    fn find_mag(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
+    fn find_mag(&mut self, delay: &mut dyn DelayNs, tries: u32) -> Result<(), ImuError> {
         let mut last = Ok(());
-        for _ in 0..MAG_TRIES {
+        self.mode_asked = false;
+        for _ in 0..tries {
             self.start_master(delay)?;
             last = self.aux(delay, reg::AK_CNTL3, Some(0x01)).and_then(|_| {
                 delay.delay_ms(2);
@@ -201,13 +211,8 @@ impl<I: I2c> Icm20948<I> {
         let want = self.settings.mag_mode;
         self.aux(delay, reg::AK_CNTL2, Some(want))?;
         let have = self.aux(delay, reg::AK_CNTL2, None)?;
-        if have != want {
-            return Err(ImuError::ResetToDefaults {
-                part: Part::Ak09916,
-                register: reg::AK_CNTL2,
-                have,
-                want,
-            });
+        if let Some(lost) = mode_lost(have, want) {
+            return Err(lost);
         }
         self.bank(3)?;
         self.set(reg::I2C_SLV0_ADDR, 0x80 | AK_ADDRESS)?;
@@ -216,15 +221,30 @@ impl<I: I2c> Icm20948<I> {
         self.bank(0)
     }
 
-    /// Checks power settings and ranges in turn, one of them every `canary_every` readings.
-    fn canary(&mut self, suspicious: bool) -> Result<(), ImuError> {
+    /// Whether the magnetometer has lost its mode, by the answer to the check before: the answer to this one is not waited for.
+    fn check_mode(&mut self) -> Result<Option<ImuError>, ImuError> {
+        let status = self.port.get(&mut self.bus, reg::I2C_MST_STATUS)?;
+        let mut lost = None;
+        if self.mode_asked && status & 0x50 == 0x40 {
+            self.bank(3)?;
+            let have = self.port.get(&mut self.bus, reg::I2C_SLV4_DI)?;
+            lost = mode_lost(have, self.settings.mag_mode);
+        }
+        self.mode_asked = true;
+        self.ask(reg::AK_CNTL2, None)?;
+        Ok(lost)
+    }
+
+    /// Checks power settings, ranges and the mode of the magnetometer in turn, one of them every `canary_every` readings.
+    fn canary(&mut self, raw: &mut RawImu) -> Result<(), ImuError> {
+        let suspicious = raw.acc == [0; 3] && raw.gyro == [0; 3]; // the values of a sleeping chip
         self.reads = self.reads.wrapping_add(1);
         let due = self.settings.canary_every != 0 && self.reads >= self.settings.canary_every;
         if due {
             self.reads = 0;
-            self.ranges_next = !self.ranges_next;
+            self.check = (self.check + 1) % 3;
         }
-        if suspicious || (due && self.ranges_next) {
+        if suspicious || (due && self.check == 1) {
             // USER_CTRL, 0x04 (reserved), LP_CONFIG, PWR_MGMT_1, PWR_MGMT_2
             let want = [
                 (0x20, 0xFF),
@@ -234,6 +254,9 @@ impl<I: I2c> Icm20948<I> {
                 (0x00, 0x3F),
             ];
             self.port.check(&mut self.bus, reg::USER_CTRL, &want)
+        } else if due && self.check == 0 {
+            raw.mag_fault = self.check_mode()?;
+            Ok(())
         } else if due {
             let s = self.settings;
             self.bank(2)?;
@@ -265,14 +288,23 @@ impl<I: I2c> Icm20948<I> {
 
     fn read_checked(&mut self) -> Result<RawImu, ImuError> {
         let mut raw = self.burst()?;
-        let blank = raw.acc == [0; 3] && raw.gyro == [0; 3]; // the values of a sleeping chip
-        self.canary(blank)?;
+        self.canary(&mut raw)?;
         raw.fresh = self
             .last
             .is_none_or(|l| (l.gyro, l.acc) != (raw.gyro, raw.acc));
         self.last = Some(raw);
         Ok(raw)
     }
+}
+
+/// A magnetometer in another mode than it was given has restarted.
+fn mode_lost(have: u8, want: u8) -> Option<ImuError> {
+    (have != want).then_some(ImuError::ResetToDefaults {
+        part: Part::Ak09916,
+        register: reg::AK_CNTL2,
+        have,
+        want,
+    })
 }
 
 /// Decodes the burst. A magnetometer value is new if its data-ready bit is set or if it has changed (after
@@ -306,7 +338,7 @@ impl<I: I2c> Imu for Icm20948<I> {
         let inertial = self.port.identify(&mut self.bus, reg::WHO_AM_I, WHO_AM_I)?;
         self.reset(delay)?;
         self.ranges()?;
-        self.find_mag(delay)?;
+        self.find_mag(delay, MAG_TRIES)?;
         self.start_mag(delay)?;
         delay.delay_ms(10); // first magnetometer measurement
         self.ready = true;
@@ -331,6 +363,11 @@ impl<I: I2c> Imu for Icm20948<I> {
         let result = self.read_checked();
         self.ready &= !matches!(result, Err(ImuError::ResetToDefaults { .. }));
         result
+    }
+
+    fn restart_mag(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
+        self.find_mag(delay, 1)?;
+        self.start_mag(delay)
     }
 
     fn scale(&self) -> Scale {

@@ -1,47 +1,24 @@
-//! LSM6DSO with a separate LIS2MDL: six and three axes at two addresses.
+//! LSM6DSO or LSM6DSV16X with a separate LIS2MDL: six and three axes at two addresses.
 //!
-//! Source: ST DS12140 rev. 2 (registers: chapter 9; outputs p. 66-67; rates p. 10). Status,
+//! Source: ST DS12140 rev. 2 (registers: chapter 9; outputs p. 66-67; rates p. 10); for the LSM6DSV16X the register definitions of
+//! ST's own driver (STMicroelectronics/lsm6dsv16x-rs, `src/register/main.rs`). The two differ in the registers of their settings
+//! ([`Variant`]), not in those of the data. Status,
 //! temperature and all six axes (0x1E … 0x2D) are one burst of sixteen bytes, little-endian. Block
 //! data update keeps the bytes of a conversion together. The magnetometer is read only when it can have
 //! a new measurement.
 
 mod config;
+pub mod reg;
 
-pub use config::{LsmConfig, RATES_HZ, Settings, scale};
+pub use config::{LsmConfig, RATES_HZ, Settings, Variant, scale};
 
 use super::lis2mdl::Lis2mdl;
 use super::port::Port;
-use super::{Identity, Imu, ImuError, Part, RawImu, Scale};
+use super::{Identity, Imu, ImuError, RawImu, Scale};
 use crate::primitives::Invalid;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 
-/// Register addresses (DS12140, chapter 8).
-pub mod reg {
-    /// Identity.
-    pub const WHO_AM_I: u8 = 0x0F;
-    /// Accelerometer rate, range, second filter.
-    pub const CTRL1_XL: u8 = 0x10;
-    /// Gyroscope rate and range.
-    pub const CTRL2_G: u8 = 0x11;
-    /// Block data update, address increment, reset.
-    pub const CTRL3_C: u8 = 0x12;
-    /// Gyroscope filter on.
-    pub const CTRL4_C: u8 = 0x13;
-    /// Gyroscope filter width.
-    pub const CTRL6_C: u8 = 0x15;
-    /// Accelerometer filter width.
-    pub const CTRL8_XL: u8 = 0x17;
-    /// I3C off.
-    pub const CTRL9_XL: u8 = 0x18;
-    /// New data; first byte of the burst.
-    pub const STATUS_REG: u8 = 0x1E;
-}
-
-/// Content of WHO_AM_I.
-pub const WHO_AM_I: u8 = 0x6C;
-const CTRL3: u8 = 0x44; // BDU, IF_INC
-const CTRL9: u8 = 0xE2; // default, I3C disabled
 const BURST: usize = 16;
 const RESET_LIMIT_MS: u32 = 20;
 /// Magnetometer counts from here on count as overflow: within 0.2 % of the full scale of ±32,768 counts.
@@ -54,6 +31,7 @@ pub struct Lsm6dsoLis2mdl<I> {
     port: Port,
     mag: Lis2mdl,
     settings: Settings,
+    who_am_i: u8,
     mag_rate_hz: f64,
     ready: bool,
     reads: u16,
@@ -61,19 +39,28 @@ pub struct Lsm6dsoLis2mdl<I> {
 }
 
 impl<I: I2c> Lsm6dsoLis2mdl<I> {
-    /// A driver that has not accessed its chips yet.
+    /// A driver of an LSM6DSO that has not accessed its chips yet.
     ///
     /// # Errors
     /// [`Invalid`] for a setting that the parts do not support.
     pub fn new(bus: I, config: &LsmConfig) -> Result<Self, Invalid> {
-        let settings = config.settings()?;
+        Self::of(bus, config, Variant::Dso)
+    }
+
+    /// A driver of one of the parts that has not accessed its chips yet.
+    ///
+    /// # Errors
+    /// As for [`new`](Self::new).
+    pub fn of(bus: I, config: &LsmConfig, variant: Variant) -> Result<Self, Invalid> {
+        let settings = config.settings(variant)?;
+        let (part, who_am_i, _) = variant.part();
         let mag = Lis2mdl::new(config.mag_rate_hz).ok_or(Invalid {
             key: "imu.chip.mag_rate_hz".to_owned(),
             problem: format!("the LIS2MDL does not measure at {} Hz", config.mag_rate_hz),
             hint: "write 10, 20, 50 or 100".to_owned(),
         })?;
         let port = Port {
-            part: Part::Lsm6dso,
+            part,
             address: settings.address,
         };
         let mag_rate_hz = f64::from(config.mag_rate_hz);
@@ -82,6 +69,7 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
             port,
             mag,
             settings,
+            who_am_i,
             mag_rate_hz,
             ready: false,
             reads: 0,
@@ -90,25 +78,15 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
     }
 
     fn configure(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
-        let s = self.settings;
-        self.port.set(&mut self.bus, reg::CTRL3_C, 0x05)?; // IF_INC, SW_RESET
+        self.port.set(&mut self.bus, reg::CTRL3, 0x05)?; // IF_INC, SW_RESET
         self.port.wait_clear(
             &mut self.bus,
             delay,
-            (reg::CTRL3_C, 0x01),
+            (reg::CTRL3, 0x01),
             "its reset",
             RESET_LIMIT_MS,
         )?;
-        let settings = [
-            (reg::CTRL3_C, CTRL3),
-            (reg::CTRL9_XL, CTRL9),
-            (reg::CTRL4_C, s.ctrl4),
-            (reg::CTRL6_C, s.ctrl6),
-            (reg::CTRL8_XL, s.ctrl8),
-            (reg::CTRL1_XL, s.ctrl1),
-            (reg::CTRL2_G, s.ctrl2),
-        ];
-        for (register, value) in settings {
+        for (register, value) in self.settings.writes {
             self.port.set(&mut self.bus, register, value)?;
         }
         delay.delay_ms(80); // gyroscope turn-on
@@ -121,21 +99,10 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
             return Ok(());
         }
         self.reads = 0;
-        let s = self.settings;
-        let want = [
-            (s.ctrl1, 0xFE),
-            (s.ctrl2, 0xFE),
-            (CTRL3, 0xC5),
-            (s.ctrl4, 0x42),
-        ];
-        self.port.check(&mut self.bus, reg::CTRL1_XL, &want)?;
-        match self.mag.check(&mut self.bus) {
-            Err(error) if !matches!(error, ImuError::ResetToDefaults { .. }) => {
-                raw.mag_fault = Some(error);
-                Ok(())
-            }
-            other => other,
-        }
+        self.port
+            .check(&mut self.bus, reg::CTRL1, &self.settings.canary)?;
+        raw.mag_fault = raw.mag_fault.or(self.mag.check(&mut self.bus).err());
+        Ok(())
     }
 
     fn burst(&mut self) -> Result<RawImu, ImuError> {
@@ -143,7 +110,7 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
         self.port.read(&mut self.bus, reg::STATUS_REG, &mut b)?;
         let le = |i: usize| i16::from_le_bytes([b[i], b[i + 1]]);
         let acc = [le(10), le(12), le(14)];
-        // Status bits 7:3 are always 0, and −1 on all axes would be free fall: the line is not driven.
+        // Status bits 7:3 are never all 1, and −1 on all axes would be free fall: the line is not driven.
         if b[0] & 0xF8 == 0xF8 || acc == [-1; 3] {
             return Err(self.port.short(&b));
         }
@@ -178,7 +145,9 @@ impl<I: I2c> Imu for Lsm6dsoLis2mdl<I> {
     fn init(&mut self, delay: &mut dyn DelayNs) -> Result<Identity, ImuError> {
         self.ready = false;
         (self.reads, self.since_mag) = (0, 0);
-        let inertial = self.port.identify(&mut self.bus, reg::WHO_AM_I, WHO_AM_I)?;
+        let inertial = self
+            .port
+            .identify(&mut self.bus, reg::WHO_AM_I, self.who_am_i)?;
         self.configure(delay)?;
         let magnetic = self.mag.init(&mut self.bus, delay)?;
         self.ready = true;
@@ -192,9 +161,8 @@ impl<I: I2c> Imu for Lsm6dsoLis2mdl<I> {
 
     fn read(&mut self) -> Result<RawImu, ImuError> {
         if !self.ready {
-            return Err(ImuError::NotReady {
-                part: Part::Lsm6dso,
-            });
+            let part = self.port.part;
+            return Err(ImuError::NotReady { part });
         }
         let mut raw = self.burst()?;
         self.read_mag(&mut raw);
@@ -203,6 +171,10 @@ impl<I: I2c> Imu for Lsm6dsoLis2mdl<I> {
             return Err(error);
         }
         Ok(raw)
+    }
+
+    fn restart_mag(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
+        self.mag.init(&mut self.bus, delay).map(|_| ())
     }
 
     fn scale(&self) -> Scale {

@@ -7,7 +7,7 @@
 //! | part | transfers per reading | bus time at 400 kHz |
 //! |---|---|---|
 //! | `icm20948` | one of 23 bytes, nine axes | 0.59 ms |
-//! | `lsm6dso_lis2mdl` | one of 16 bytes; a second of 7 when the magnetometer is due | 0.43 + 0.23 ms |
+//! | `lsm6dso_lis2mdl`, `lsm6dsv16x_lis2mdl` | one of 16 bytes; a second of 7 when the magnetometer is due | 0.43 + 0.23 ms |
 //!
 //! A driver is polled a quarter faster than its chip converts ([`POLL_SHARE`]), and readings without a new conversion are
 //! dropped, so that no conversion is lost.
@@ -43,10 +43,10 @@ pub use recovery::{ImuRecovery, POLL_SHARE};
 
 use crate::primitives::{Invalid, Parameters, Setting, Shape};
 use embedded_hal::i2c::I2c;
+use lsm6dso::Variant;
 use serde::{Deserialize, Serialize};
 
-/// The `chip` table of a sensor: `part = "icm20948"` or `part = "lsm6dso_lis2mdl"`, and the settings of
-/// that part.
+/// The `chip` table of a sensor: `part = "icm20948"`, `"lsm6dso_lis2mdl"` or `"lsm6dsv16x_lis2mdl"`, and the settings of that part.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "part", rename_all = "snake_case")]
 pub enum ChipConfig {
@@ -55,6 +55,9 @@ pub enum ChipConfig {
     /// Two chips on one bus.
     #[serde(rename = "lsm6dso_lis2mdl")]
     Lsm6dsoLis2mdl(lsm6dso::LsmConfig),
+    /// The same with the successor of the first.
+    #[serde(rename = "lsm6dsv16x_lis2mdl")]
+    Lsm6dsv16xLis2mdl(lsm6dso::LsmConfig),
 }
 
 impl Setting for ChipConfig {
@@ -63,6 +66,10 @@ impl Setting for ChipConfig {
         &[
             ("icm20948", <icm20948::IcmConfig as Parameters>::TABLE),
             ("lsm6dso_lis2mdl", <lsm6dso::LsmConfig as Parameters>::TABLE),
+            (
+                "lsm6dsv16x_lis2mdl",
+                <lsm6dso::LsmConfig as Parameters>::TABLE,
+            ),
         ],
     );
 }
@@ -78,7 +85,7 @@ impl ChipConfig {
     pub fn address(&self) -> u8 {
         match self {
             Self::Icm20948(c) => c.address,
-            Self::Lsm6dsoLis2mdl(c) => c.address,
+            Self::Lsm6dsoLis2mdl(c) | Self::Lsm6dsv16xLis2mdl(c) => c.address,
         }
     }
 
@@ -89,7 +96,8 @@ impl ChipConfig {
     pub fn check(&self) -> Result<(), Invalid> {
         match self {
             Self::Icm20948(c) => c.settings().map(|_| ()),
-            Self::Lsm6dsoLis2mdl(c) => c.settings().map(|_| ()),
+            Self::Lsm6dsoLis2mdl(c) => c.settings(Variant::Dso).map(|_| ()),
+            Self::Lsm6dsv16xLis2mdl(c) => c.settings(Variant::Dsv16x).map(|_| ()),
         }
     }
 }
@@ -105,5 +113,8 @@ pub fn open<I: I2c + Send + 'static>(
     Ok(match config {
         ChipConfig::Icm20948(c) => Box::new(icm20948::Icm20948::new(bus, c)?),
         ChipConfig::Lsm6dsoLis2mdl(c) => Box::new(lsm6dso::Lsm6dsoLis2mdl::new(bus, c)?),
+        ChipConfig::Lsm6dsv16xLis2mdl(c) => {
+            Box::new(lsm6dso::Lsm6dsoLis2mdl::of(bus, c, Variant::Dsv16x)?)
+        }
     })
 }

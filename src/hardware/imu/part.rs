@@ -12,6 +12,8 @@ named! {
         Ak09916 = "AK09916",
         /// ST LSM6DSO: gyroscope and accelerometer.
         Lsm6dso = "LSM6DSO",
+        /// ST LSM6DSV16X: gyroscope and accelerometer.
+        Lsm6dsv16x = "LSM6DSV16X",
         /// ST LIS2MDL: magnetometer.
         Lis2mdl = "LIS2MDL",
     }

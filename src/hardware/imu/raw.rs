@@ -24,7 +24,7 @@ pub struct RawImu {
     pub fresh: bool,
     /// The magnetometer overflowed; the sample does not contain its value.
     pub mag_overflow: bool,
-    /// A separate magnetometer failed; the other six axes are valid.
+    /// The magnetometer failed or has lost its settings; the other six axes are valid.
     pub mag_fault: Option<ImuError>,
 }
 

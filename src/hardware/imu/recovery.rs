@@ -3,6 +3,7 @@
 //! ```text
 //! read ── good ──────────────────────────────▶ Sample
 //!   ├── restarted, or another part ──▶ init ─▶ Failed (and Sample from the next reading on)
+//!   ├── an axis that repeats itself ─▶ init ─▶ Nothing, again after 2, 4, … 64 s
 //!   └── failed RETRY_AFTER times ────▶ init ─▶ Failed, with the error of the initialisation
 //! ```
 //!
@@ -14,7 +15,7 @@
 //! are scaled but not corrected; the loop applies the calibration. Time is an argument.
 
 use super::bus_clear::BusState;
-use super::{Identity, Imu, ImuError};
+use super::{Identity, Imu, ImuError, RawImu};
 use crate::estimation::fusion::health::{ImuReading, ReadFault};
 use crate::primitives::Seconds;
 use embedded_hal::delay::DelayNs;
@@ -31,6 +32,58 @@ const STALE_MAX: u32 = 3;
 /// Least time between two initialisations, s, which leaves the bus to other sensors.
 const RETRY_EVERY_S: f64 = 0.05;
 
+/// An inertial axis whose count repeats for this long has stopped converting, s.
+const FROZEN_S: f64 = 2.0;
+/// The same for the magnetometer, which is slower; a silent one repeats its last value.
+const MAG_FROZEN_S: f64 = 1.0;
+/// Longest time between two attempts to set up a part that stays frozen, s. It doubles from attempt to attempt.
+const FROZEN_RETRY_MAX_S: f64 = 64.0;
+
+/// Recognises axes that repeat themselves: each has noise, so its count changes.
+#[derive(Debug, Clone, Copy)]
+struct Repetition<const N: usize> {
+    /// The last count of each axis, and when it came.
+    last: Option<([i16; N], [f64; N])>,
+    patience_s: f64,
+    wait_s: f64,
+    next_s: f64,
+}
+
+impl<const N: usize> Repetition<N> {
+    fn new(patience_s: f64) -> Self {
+        let (last, wait_s, next_s) = (None, patience_s, 0.0);
+        Self {
+            last,
+            patience_s,
+            wait_s,
+            next_s,
+        }
+    }
+
+    /// Takes the counts of a reading, if it has new ones; true if the part has to be set up again, at once if it is `lost`.
+    fn is_due(&mut self, counts: Option<[i16; N]>, lost: bool, now_s: f64) -> bool {
+        let (last, changed_s) = self
+            .last
+            .get_or_insert((counts.unwrap_or([0; N]), [now_s; N]));
+        for (i, count) in counts.iter().flatten().enumerate() {
+            if *count != last[i] {
+                (last[i], changed_s[i]) = (*count, now_s);
+            }
+        }
+        let repeats = changed_s.iter().any(|t| now_s - t > self.patience_s);
+        if now_s < self.next_s || !(repeats || lost) {
+            if !repeats && now_s >= self.next_s + self.patience_s {
+                self.wait_s = self.patience_s;
+            }
+            return false;
+        }
+        *changed_s = [now_s; N];
+        self.next_s = now_s + self.wait_s;
+        self.wait_s = (2.0 * self.wait_s).min(FROZEN_RETRY_MAX_S);
+        true
+    }
+}
+
 /// Frees the bus of a sensor.
 type FreeBus = Box<dyn FnMut(&mut dyn DelayNs) -> BusState + Send>;
 
@@ -45,6 +98,8 @@ pub struct ImuRecovery<S: Imu + ?Sized> {
     tried_s: Option<f64>,
     init_error: Option<ImuError>,
     restarts: u32,
+    inertial: Repetition<6>,
+    magnetic: Repetition<3>,
 }
 
 impl<S: Imu + ?Sized> ImuRecovery<S> {
@@ -59,6 +114,8 @@ impl<S: Imu + ?Sized> ImuRecovery<S> {
             tried_s: None,
             init_error: None,
             restarts: 0,
+            inertial: Repetition::new(FROZEN_S),
+            magnetic: Repetition::new(MAG_FROZEN_S),
         }
     }
 
@@ -87,6 +144,9 @@ impl<S: Imu + ?Sized> ImuRecovery<S> {
         let error = match self.sensor.read() {
             Ok(raw) => {
                 (self.failures, self.init_error) = (0, None);
+                if let Some(reading) = self.thaw(&raw, delay, now.0) {
+                    return reading;
+                }
                 self.stale = if raw.fresh {
                     0
                 } else {
@@ -115,6 +175,25 @@ impl<S: Imu + ?Sized> ImuRecovery<S> {
             self.init_error = self.init(delay).err();
         }
         ImuReading::Failed(self.init_error.unwrap_or(error).fault())
+    }
+
+    /// Sets up what repeats itself. Returns a reading if the inertial chip was set up, which takes the place of the old one.
+    fn thaw(&mut self, raw: &RawImu, delay: &mut dyn DelayNs, now_s: f64) -> Option<ImuReading> {
+        let ([gx, gy, gz], [ax, ay, az]) = (raw.gyro, raw.acc);
+        let inertial = Some([gx, gy, gz, ax, ay, az]);
+        if self.inertial.is_due(inertial, false, now_s) {
+            self.restarts = self.restarts.saturating_add(1);
+            self.init_error = self.init(delay).err();
+            let failed = |error: ImuError| ImuReading::Failed(error.fault());
+            return Some(self.init_error.map_or(ImuReading::Nothing, failed));
+        }
+        let lost = matches!(raw.mag_fault, Some(ImuError::ResetToDefaults { .. }));
+        if self.magnetic.is_due(raw.mag, lost, now_s) {
+            self.restarts = self.restarts.saturating_add(1);
+            // if it fails, the magnetometer stays silent, and it is tried again later
+            let _ = self.sensor.restart_mag(delay);
+        }
+        None
     }
 
     fn init(&mut self, delay: &mut dyn DelayNs) -> Result<Identity, ImuError> {
@@ -270,5 +349,107 @@ mod tests {
             });
         read_for(&bus, &mut imu, 0.0, 0.1);
         assert!((imu.temp_c.unwrap() - 38.5).abs() < 0.01);
+    }
+
+    /// The ways in which a magnetometer falls silent although its chip goes on.
+    const LOSSES: [&str; 4] = ["mode", "master", "brown-out", "mode"];
+
+    /// Reads for some seconds and takes away the magnetometer, or its chip's inertial half, at a drawn moment; returns how long the
+    /// magnetometer gave nothing new and the inertial axes no sample, at most, and whether the former came back.
+    fn lose(loss: &str, two_chips: bool, seed: u64) -> (f64, f64, u32) {
+        use crate::hardware::imu::fake::{FakeLis2mdl, FakeLsm6dso};
+        use crate::hardware::imu::{lis2mdl, lsm6dso};
+        let bus = FakeBus::new();
+        let sensor: Box<dyn Imu> = if two_chips {
+            bus.machine().attach(FakeLsm6dso::new(0x6A, seed));
+            bus.machine().attach(FakeLis2mdl::new(seed));
+            let config = lsm6dso::LsmConfig::default();
+            Box::new(lsm6dso::Lsm6dsoLis2mdl::new(bus.clone(), &config).unwrap())
+        } else {
+            bus.machine().attach(FakeIcm20948::new(0x68, seed));
+            let config = icm20948::IcmConfig::default();
+            Box::new(Icm20948::new(bus.clone(), &config).unwrap())
+        };
+        let mut imu = ImuRecovery::new(sensor);
+        imu.start(&mut bus.delay()).unwrap();
+        let lost_at = 1000 + (seed * 7919 % 1000) as u32;
+        let (mut last_mag, mut mag_s, mut gyro_s) = (None, 0.0, 0.0);
+        let (mut longest_mag_s, mut longest_s): (f64, f64) = (0.0, 0.0);
+        for k in 0..6000 {
+            if k == lost_at {
+                let mut bus = bus.machine();
+                let write = |bus: &mut crate::hardware::imu::fake::Machine, bytes: &[u8]| {
+                    bus.write(0x68, bytes).unwrap();
+                };
+                match (loss, two_chips) {
+                    (_, true) if loss == "brown-out" => {
+                        bus.device(lis2mdl::ADDRESS).unwrap().brown_out();
+                    }
+                    (_, true) => bus.write(lis2mdl::ADDRESS, &[0x60, 0x03]).unwrap(),
+                    ("master", false) => {
+                        // EXT_SLV_SENS_DATA keeps its last content, data-ready bit included
+                        write(&mut bus, &[0x7F, 0x30]);
+                        write(&mut bus, &[0x05, 0x00]);
+                        write(&mut bus, &[0x7F, 0x00]);
+                    }
+                    (_, false) => {
+                        let (register, value) = if loss == "mode" {
+                            (0x31, 0x00)
+                        } else {
+                            (0x32, 0x01)
+                        };
+                        write(&mut bus, &[0x7F, 0x30]);
+                        write(&mut bus, &[0x13, 0x0C, register]);
+                        write(&mut bus, &[0x16, value]);
+                        write(&mut bus, &[0x15, 0x80]);
+                        write(&mut bus, &[0x7F, 0x00]);
+                    }
+                }
+            }
+            bus.machine().advance(DT_S);
+            let t_s = f64::from(k) * DT_S;
+            if let ImuReading::Sample(sample, _) = imu.read(&mut bus.delay(), Seconds(t_s)) {
+                longest_s = longest_s.max(t_s - gyro_s);
+                gyro_s = t_s;
+                if sample.mag_ut.is_some() && sample.mag_ut != last_mag {
+                    (last_mag, mag_s) = (sample.mag_ut, t_s);
+                }
+            }
+            longest_mag_s = longest_mag_s.max(t_s - mag_s);
+        }
+        (longest_mag_s, longest_s, imu.restarts())
+    }
+
+    #[test]
+    fn a_magnetometer_that_falls_silent_is_set_up_again_while_the_other_axes_go_on() {
+        for seed in 0..16 {
+            let (loss, two) = (LOSSES[seed as usize % 4], seed % 8 > 3);
+            let (mag_s, inertial_s, restarts) = lose(loss, two, seed);
+            println!(
+                "{loss}, two chips {two}: silent for {mag_s:.2} s, no sample for {inertial_s:.3} s, {restarts}"
+            );
+            assert!(
+                mag_s < 1.5 && restarts == 1,
+                "{loss} {two}: {mag_s} s, {restarts}"
+            );
+            assert!(inertial_s < 0.05, "{loss} {two}: {inertial_s} s");
+        }
+    }
+
+    #[test]
+    fn a_chip_that_stays_frozen_is_set_up_at_growing_intervals_and_a_healthy_one_never() {
+        let (bus, mut imu) = recovering();
+        assert_eq!(read_for(&bus, &mut imu, 0.0, 60.0).1, None);
+        assert_eq!(imu.restarts(), 0);
+        bus.machine().spoil(0x68, |q| q.frozen = true);
+        read_for(&bus, &mut imu, 60.0, 120.0);
+        let tried = imu.restarts();
+        assert!((5..=16).contains(&tried), "{tried}");
+        bus.machine().spoil(0x68, |q| q.frozen = false);
+        let (samples, fault) = read_for(&bus, &mut imu, 180.0, 30.0);
+        assert!(samples > 14_000 && fault.is_none(), "{samples} {fault:?}");
+        bus.machine().spoil(0x68, |q| q.mag_dead = true);
+        read_for(&bus, &mut imu, 210.0, 60.0);
+        assert!(imu.restarts() - tried < 10, "{}", imu.restarts() - tried);
     }
 }

@@ -4,7 +4,7 @@ use crate::estimation::fusion::health::ImuReading;
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::error::HardwareError;
 use crate::hardware::machine::gauges::{GaugeConfig, GaugeWatch};
-use crate::hardware::machine::sensor::{Sensor, SensorConfig};
+use crate::hardware::machine::sensor::{self, Sensor, SensorConfig};
 use crate::hardware::pins::{self, Pins, PinsConfig};
 use crate::hardware::rt::monotonic_ns;
 use crate::hardware::stepper::{StartError, Stepper};
@@ -159,6 +159,8 @@ impl Machine for Hardware {
                         "; the bus driver accepts no time limit"
                     },
                 );
+                let slow = sensor::slowness(s.read_s, i.rate_hz);
+                remarks.extend(slow.map(|slow| format!("{place} IMU: {slow}")));
                 remarks.push(format!(
                     "{place} IMU: {} at {:#04x} on {}, {:.1} Hz{limit}",
                     chip.part, chip.address, s.bus, i.rate_hz

@@ -19,4 +19,4 @@ mod sensor;
 pub use error::HardwareError;
 pub use gauges::GaugeConfig;
 pub use hardware::{Hardware, MachineConfig};
-pub use sensor::{Sensor, SensorConfig};
+pub use sensor::{Sensor, SensorConfig, slowness};

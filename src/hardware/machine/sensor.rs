@@ -60,6 +60,24 @@ pub struct Sensor {
     pub bounded: bool,
     /// Device file of the bus.
     pub bus: String,
+    /// Duration of a reading, s.
+    pub read_s: f64,
+}
+
+/// Readings at the start whose duration is measured.
+const TIMED: u32 = 16;
+
+/// What is wrong with a reading of this duration in s, if anything.
+pub fn slowness(read_s: f64, rate_hz: f64) -> Option<String> {
+    let (read_ms, period_ms) = (read_s * 1e3, 1e3 / rate_hz);
+    (read_ms > period_ms).then(|| format!("slow bus: a reading takes {read_ms:.1} ms and the chip converts every {period_ms:.1} ms, so conversions are lost: set `dtparam=i2c_arm_baudrate=400000` in config.txt, or a smaller imu.chip.rate_hz"))
+}
+
+/// What the thread reports once the chip is set up.
+struct Ready {
+    identity: Identity,
+    bounded: bool,
+    read_s: f64,
 }
 
 /// Delays by sleeping.
@@ -88,8 +106,13 @@ impl Sensor {
         let path = config.bus.clone();
         match receiver.recv_timeout(Duration::from_secs_f64(SETUP_MAX_S)) {
             Ok(result) => {
-                let (identity, bounded) = result?;
+                let Ready {
+                    identity,
+                    bounded,
+                    read_s,
+                } = result?;
                 Ok(Self {
+                    read_s,
                     readings,
                     stop,
                     identity,
@@ -161,7 +184,7 @@ fn run(
     config: &SensorConfig,
     mut output: rtrb::Producer<StampedReading>,
     stop: &AtomicBool,
-    started: &Sender<Result<(Identity, bool), HardwareError>>,
+    started: &Sender<Result<Ready, HardwareError>>,
 ) {
     let set_up = open(config).and_then(|(driver, bounded)| {
         let mut imu = recovery(config, driver);
@@ -182,8 +205,17 @@ fn run(
         priority: config.priority,
         cpu: None,
     });
+    let since_ns = monotonic_ns();
+    for _ in 0..TIMED {
+        imu.read(&mut Sleep, Seconds(monotonic_ns() as f64 * 1e-9));
+    }
+    let read_s = (monotonic_ns() - since_ns) as f64 * 1e-9 / f64::from(TIMED);
     // The receiver may have timed out; then `stop` is set.
-    let _ = started.send(Ok((identity, bounded)));
+    let _ = started.send(Ok(Ready {
+        identity,
+        bounded,
+        read_s,
+    }));
     let period_ns = (1e9 / (POLL_SHARE * identity.rate_hz)) as u64;
     let mut next_ns = monotonic_ns();
     while !stop.load(Ordering::Relaxed) && !output.is_abandoned() {
@@ -310,6 +342,16 @@ mod tests {
             matches!(same, ImuReading::Sample(s, _) if s.gyro_rad_s.x == 0.1),
             "a frozen chip stays recognisable"
         );
+    }
+
+    #[test]
+    fn a_reading_that_takes_longer_than_a_conversion_is_named() {
+        for rate_hz in [104.0, 281.25, 562.5, 833.0, 960.0] {
+            for share in [0.1, 0.5, 0.9, 1.1, 2.0, 9.0] {
+                let named = slowness(share / rate_hz, rate_hz);
+                assert_eq!(named.is_some(), share > 1.0, "{rate_hz} {share}: {named:?}");
+            }
+        }
     }
 
     #[test]

@@ -54,6 +54,9 @@ pub enum PinError {
         "no permission for {0}: add this user to the group gpio (`sudo usermod -aG gpio $USER`, then log in again) or run as the service"
     )]
     PermissionDenied(String),
+    /// The kernel has no device for the registers: its path.
+    #[error("there is no {0}: set pins.backend = \"cdev\"")]
+    NoRegisters(String),
     /// `rppal` does not support this board.
     #[error("this is not a Raspberry Pi that rppal supports: set pins.backend = \"cdev\"")]
     UnknownModel,

@@ -46,9 +46,30 @@ pub fn open(config: &PinsConfig, microsteps: u32) -> Result<Box<dyn Pins>, OpenE
             map,
         )?)),
         #[cfg(feature = "hw")]
-        Backend::Rppal => Ok(Box::new(rppal::open(map)?)),
+        Backend::Rppal => {
+            let missing = device(config).filter(|path| !std::path::Path::new(path).exists());
+            let opened = rppal::open(map);
+            Ok(Box::new(opened.map_err(|e| match (e, missing) {
+                (e @ PinError::UnknownModel, _) | (e, None) => e,
+                (_, Some(path)) => PinError::NoRegisters(path.to_owned()),
+            })?))
+        }
         #[cfg(not(feature = "hw"))]
         Backend::Rppal => Err(OpenError::Pin(PinError::NotBuilt)),
+    }
+}
+
+/// The device file that the configured backend opens, if any.
+pub fn device(config: &PinsConfig) -> Option<&str> {
+    match config.backend {
+        Backend::Mock => None,
+        Backend::Cdev => Some(&config.chip),
+        // the registers of the RP1, which holds the header of a Raspberry Pi 5
+        Backend::Rppal => {
+            let model = std::fs::read_to_string("/proc/device-tree/model").unwrap_or_default();
+            let rp1 = model.contains("Raspberry Pi 5") || model.contains("Compute Module 5");
+            Some(if rp1 { "/dev/gpiomem0" } else { "/dev/gpiomem" })
+        }
     }
 }
 

@@ -1,24 +1,25 @@
 //! What comes from the loop: frames and answers.
 
-use super::state::{Caller, Hub, Mover, Pending, unix_s};
+use super::state::{Hub, Mover, Pending, unix_s};
 use crate::service::calibrate::{Found, Next};
-use crate::service::flight::start::Logged;
+use crate::service::flight::start::{Event, Logged};
 use crate::service::memory::{LearnedGains, RecordedFault};
 use crate::service::protocol::Failure;
-use crate::service::rt_loop::LoopFrame;
+use crate::service::rt_loop::{ANSWER_MAX_S, Answer, LoopFrame};
 use crate::service::status;
 use crate::supervisor::{CycleOutput, Mode, Order};
 use serde_json::json;
 use std::time::{Duration, Instant};
 
-/// The loop must answer an order within this time, s.
-const ANSWER_MAX_S: f64 = 2.0;
 /// With more frames than this in one round the hub is late, and subscribers receive none of them.
 const FRAMES_SENT_MAX: usize = 40;
 
 impl Hub {
     /// Reads everything that has come since the last round.
     pub(super) fn take_loop_output(&mut self) {
+        // first the answers: the frames up to them are there by then
+        let answers: Vec<Answer> =
+            std::iter::from_fn(|| self.io.rings.answers.pop().ok()).collect();
         // no more than are there now: a hub that is late still answers commands
         let waiting = self.io.rings.frames.slots();
         for _ in 0..waiting {
@@ -27,46 +28,41 @@ impl Hub {
             };
             let LoopFrame {
                 number,
+                note,
                 changes,
                 output,
             } = frame;
             let due = self
                 .changes
                 .partition_point(|(change, _)| *change <= changes);
-            let events = self.changes.drain(..due).map(|(_, event)| event).collect();
+            let mut events: Vec<_> = self.changes.drain(..due).collect();
+            // a supervisor that was not idle any more has stayed
+            events.retain(|(change, event)| {
+                let stayed = *change > 0 && !output.first && matches!(**event, Event::Start(_));
+                if stayed && let Some(state) = &mut self.recording {
+                    state.recording.give_up_replay();
+                }
+                !stayed
+            });
             let logged = Logged {
                 number,
-                events,
+                events: events.into_iter().map(|(_, event)| event).collect(),
                 output,
             };
             self.process(&logged, waiting <= FRAMES_SENT_MAX);
-            self.last = Some(logged.output);
+            (self.last, self.note, self.cycle) = (Some(logged.output), Some(note), number);
         }
-        while let Ok((id, result)) = self.io.rings.answers.pop() {
+        for (id, cycle, result) in answers {
             let Some(pending) = self.pending.remove(&id) else {
                 continue;
             };
-            if result.is_ok() {
-                self.note_mover(&pending);
+            match result {
+                Ok(()) => self.carried_out(&pending, cycle),
+                Err(why) if why.is_invalid_order() => {
+                    self.fail(&pending, Failure::bad(why.to_string()));
+                }
+                Err(why) => self.fail(&pending, Failure::refused(why.to_string())),
             }
-            let done = || {
-                if pending.order == Order::Play {
-                    self.path.clone()
-                } else {
-                    json!({})
-                }
-            };
-            let reply = result.map(|()| done()).map_err(|why| {
-                if let Some(hidden) = self.log_limit.admit("refused") {
-                    let Caller { command, client, .. } = &pending.caller;
-                    tracing::warn!(event = "refused", command, client, hidden, config = %self.config.config_hash, "{why}");
-                }
-                if pending.order == Order::Calibrate(true) {
-                    self.calibration = None;
-                }
-                if why.is_invalid_order() { Failure::bad(why.to_string()) } else { Failure::refused(why.to_string()) }
-            });
-            self.reply(&pending.caller, &reply);
         }
         while let Ok(retired) = self.io.rings.retired.pop() {
             drop(retired);
@@ -79,8 +75,15 @@ impl Hub {
         self.give_up_late_answers();
     }
 
-    /// Remembers whose command moves the tip.
-    fn note_mover(&mut self, pending: &Pending) {
+    /// Answers an order, and remembers whose command moves the tip.
+    fn carried_out(&mut self, pending: &Pending, cycle: u64) {
+        let mut result = json!({});
+        match pending.order {
+            Order::Arm => self.persistence.armed_cycle = cycle,
+            Order::Lines(_) => self.persistence.lines_before = None,
+            Order::Play => result = self.path.clone(),
+            _ => {}
+        }
         match pending.order {
             order if order.leads_setpoint() || order == Order::Calibrate(true) => {
                 self.mover = Some(Mover {
@@ -91,6 +94,7 @@ impl Hub {
             Order::Hold | Order::Disarm | Order::Relax => self.mover = None,
             _ => {}
         }
+        self.reply(&pending.caller, &Ok(result));
     }
 
     fn give_up_late_answers(&mut self) {
@@ -98,10 +102,11 @@ impl Hub {
         let late: Vec<_> = self.pending.extract_if(|_, p| late(p)).collect();
         for (_, pending) in late {
             if pending.held.is_some() {
-                self.refuse_held(&pending, "the disk does not respond; try again in a moment");
+                let why = "the disk does not respond; try again in a moment";
+                self.fail(&pending, Failure::refused(why));
             } else {
                 let (code, message) = (3, "the loop does not respond".to_owned());
-                self.reply(&pending.caller, &Err(Failure { code, message }));
+                self.fail(&pending, Failure { code, message });
             }
         }
     }
@@ -120,20 +125,21 @@ impl Hub {
             self.send_frames(output);
         }
         self.advance_calibration(output);
-        self.end_long_hold(output);
+        self.end_long_hold(output, sends);
     }
 
-    /// Returns a tip to rest that has held its pose for `service.hold_max_s`.
-    fn end_long_hold(&mut self, output: &CycleOutput) {
+    /// Returns a tip to rest that has held its pose for `service.hold_max_s`, unless the hub is late.
+    fn end_long_hold(&mut self, output: &CycleOutput, in_time: bool) {
         let holds = output.mode == Mode::Holding && !output.stopped && output.order.is_none();
         let t = output.sensed.t.0;
         self.held_since_s = holds.then(|| self.held_since_s.unwrap_or(t));
         if let (Some(since), Some(most)) = (self.held_since_s, self.config.service.hold_max_s)
             && t - since > most
+            && in_time
         {
             tracing::warn!(event = "hold_max", config = %self.config.config_hash, "the tip has held its pose for {most} s: returning to rest");
             self.held_since_s = None;
-            self.own_order(Order::Relax);
+            self.own_order(Order::Relax, Some(Mode::Holding));
         }
     }
 
@@ -194,18 +200,17 @@ impl Hub {
     }
 
     fn advance_calibration(&mut self, output: &CycleOutput) {
+        let calibrating = Some(Mode::Calibrating);
         let Some(session) = &mut self.calibration else {
             return;
         };
         match session.step(output) {
             Next::Wait => {}
-            Next::Drive(command) => self.own_order(Order::Bend(command, None)),
-            Next::Lines(lines) => self.own_order(Order::Lines(lines)),
+            Next::Drive(command) => self.own_order(Order::Bend(command, None), calibrating),
+            Next::Lines(lines) => self.own_order(Order::Lines(lines), calibrating),
             Next::Done(result) => {
-                let before = session.before();
                 self.calibration = None;
-                self.own_order(Order::Calibrate(false));
-                self.own_order(Order::Lines(before.lines));
+                self.own_order(Order::Calibrate(false), calibrating);
                 self.conclude_calibration(result);
             }
         }

@@ -9,3 +9,6 @@ mod run;
 mod state;
 
 pub use state::{Facts, Hub, HubIo};
+
+#[cfg(test)]
+mod tests;

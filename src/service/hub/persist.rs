@@ -37,7 +37,10 @@ impl Hub {
         if write.is_some() {
             self.pending.insert(id, pending);
         } else {
-            self.refuse_held(&pending, "the disk is busy; try again in a moment");
+            self.fail(
+                &pending,
+                Failure::refused("the disk is busy; try again in a moment"),
+            );
         }
         write
     }
@@ -50,26 +53,9 @@ impl Hub {
         self.write_ahead(order, caller, None);
     }
 
-    /// Refuses an order because the memory could not be written first.
-    pub(super) fn refuse_held(&mut self, pending: &Pending, message: &str) {
-        let (memory, caller) = (&mut self.memory, &pending.caller);
-        if matches!(pending.order, Order::Lines(_)) {
-            memory.proposed = std::mem::replace(
-                &mut memory.accepted,
-                self.persistence.accepted_before.take(),
-            );
-        }
-        tracing::warn!(event = "refused", command = caller.command, client = caller.client, config = %self.config.config_hash, "{message}");
-        self.reply(caller, &Err(Failure::refused(message)));
-    }
-
     /// Passes the latest position to the state writer when a checkpoint is due, and reads its results.
     pub(super) fn persist(&mut self) {
-        let mut newest = None;
-        while let Ok(note) = self.io.rings.notes.pop() {
-            newest = Some(note);
-        }
-        if let Some(note) = newest {
+        if let Some(note) = self.note {
             let state = note.state;
             let memory = &self.memory;
             let beliefs = memory.lost != note.lost || memory.unverified != note.unverified;
@@ -78,7 +64,10 @@ impl Hub {
                     .restart
                     .is_none_or(|r| r.steps != state.steps || r.rest != state.rest);
             let still = !self.mode().moves() && self.mode() != Mode::Relaxing;
-            let at_rest = note.at_rest && still && !self.pending.values().any(|p| p.held.is_some());
+            // an `arm` that is under way, or was carried out in a cycle that is not known yet, energises the drivers
+            let arms = self.cycle < self.persistence.armed_cycle
+                || (self.pending.values()).any(|p| p.order == Order::Arm || p.held.is_some());
+            let at_rest = note.at_rest && still && !arms;
             let disarms = self.persistence.armed_on_disk && at_rest;
             self.memory.restart = Some(state);
             (self.memory.armed, self.memory.lost, self.memory.unverified) =
@@ -119,16 +108,18 @@ impl Hub {
         for pending in held.into_values() {
             match &error {
                 None => {
-                    match pending.order {
-                        Order::Lines(lines) => self.config.supervisor.tick.lines = lines,
-                        _ => self.persistence.armed_on_disk = true,
+                    self.persistence.armed_on_disk |= pending.order == Order::Arm;
+                    if let Order::Lines(lines) = pending.order {
+                        let now = &mut self.config.supervisor.tick.lines;
+                        self.persistence.lines_before = Some(std::mem::replace(now, lines));
                     }
                     self.order(pending.order, pending.caller);
                 }
-                Some(error) => self.refuse_held(
-                    &pending,
-                    &format!("refused because the state could not be written first: {error}"),
-                ),
+                Some(error) => {
+                    let why =
+                        format!("refused because the state could not be written first: {error}");
+                    self.fail(&pending, Failure::refused(why));
+                }
             }
         }
     }

@@ -44,7 +44,7 @@ impl Hub {
             (RecordAction::Stop, None) => refuse("no recording is in progress".to_owned()),
             (RecordAction::Stop, Some(state)) => {
                 state.recording.finish();
-                state.ending = Some(caller.clone());
+                state.ending.push(caller.clone());
                 None
             }
             (RecordAction::Start, Some(state)) => refuse(format!(
@@ -101,17 +101,10 @@ impl Hub {
         self.changes.push_back((self.changes_sent, Arc::new(event)));
     }
 
-    /// Starts a recording. It can be replayed if the supervisor is in its first cycle (`at_boot`) or can be replaced by a
-    /// freshly reset one because the machine is disarmed at zero with a straight tip.
+    /// Starts a recording. It can be replayed if the supervisor is in its first cycle (`at_boot`), or if it is idle now and when
+    /// the loop replaces it by a freshly reset one.
     pub(super) fn start_recording(&mut self, path: &Path, at_boot: bool) -> io::Result<()> {
-        let straight_deg = self.config.supervisor.restart_check.straight_deg;
-        let idle = self.mode() == Mode::Disarmed
-            && self.is_at_zero()
-            && self
-                .last
-                .as_ref()
-                .is_some_and(|t| t.latched.is_none() && !t.stopped)
-            && self.hangs_deg().is_some_and(|deg| deg <= straight_deg);
+        let idle = self.note.is_some_and(|note| note.idle);
         let flight = (at_boot || idle)
             .then(|| zero_unix_ns(self.last.as_ref().map_or(0.0, |last| last.sensed.t.0)));
         let mut recording = Recording::start(
@@ -122,6 +115,7 @@ impl Hub {
         )?;
         tracing::info!(event = "record", path = %path.display(), replayable = recording.is_replayable(), "recording started");
         if !at_boot && idle {
+            self.memory.restart = self.note.map(|note| note.state);
             let start = Start::new(&self.config, &self.memory, Belief::Certain);
             let header = start.header(&self.config, self.machine());
             match self
@@ -139,13 +133,19 @@ impl Hub {
             recording,
             owner: None,
             starting: None,
-            ending: None,
+            ending: Vec::new(),
         });
         Ok(())
     }
 
     /// Reads what the recording's thread reports, and answers who waits for it.
     pub(super) fn follow_recording(&mut self) {
+        // whether it can be replayed is known once the loop has replaced the supervisor or not
+        let undecided =
+            |(change, event): &(u64, Arc<Event>)| *change > 0 && matches!(**event, Event::Start(_));
+        if self.changes.iter().any(undecided) {
+            return;
+        }
         while let Some(progress) = self
             .recording
             .as_mut()
@@ -191,7 +191,7 @@ impl Hub {
                             tracing::error!(event = "record", path = %path.display(), rows, "the recording has ended: {why}")
                         }
                     }
-                    for caller in [state.starting, state.ending].into_iter().flatten() {
+                    for caller in state.starting.into_iter().chain(state.ending) {
                         self.reply(&caller, &reply);
                     }
                     self.recording_ended = why.or(self.recording_ended.take());
@@ -208,6 +208,7 @@ impl Hub {
         if let Some(state) = &mut self.recording {
             state.recording.finish();
         }
+        self.changes.clear();
         let since = Instant::now();
         while self.recording.is_some() && since.elapsed() < END_MAX {
             self.follow_recording();

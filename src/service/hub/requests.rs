@@ -18,6 +18,9 @@ use crate::supervisor::{BEND_MAX_RAD, Mode, Order, SupervisorConfig};
 use serde_json::{Value, json};
 use std::time::Instant;
 
+/// Interval at which the speed of a path is looked at, s.
+const SCAN_S: f64 = 0.005;
+
 fn refuse(message: impl Into<String>) -> Reply {
     Some(Err(Failure::refused(message)))
 }
@@ -177,7 +180,7 @@ impl Hub {
     }
 
     /// Collects the rows of a path and checks them; with the last ones, hands it to the loop, slowed down so that the pistons can
-    /// follow it. True once that is done.
+    /// follow it and it is no faster than a bend. True once that is done.
     fn path(&mut self, rows: &[PathRow], more: bool, client: u64) -> Result<bool, Failure> {
         let (before, mut all) = std::mem::take(&mut self.path_rows);
         if before != client {
@@ -217,8 +220,12 @@ impl Hub {
             self.path_rows = (client, all);
             return Ok(false);
         }
+        let rate = |k: u64| path.at(k as f64 * SCAN_S).rate.norm();
+        let scans = (path.duration_s() / SCAN_S).ceil() as u64;
+        let fastest = (0..=scans).map(rate).fold(0.0, f64::max);
         let time_scale = path
             .demand(&tick.geometry, &lines, &tick.motion.limits)
+            .max(fastest / tick.bend_pace.speed)
             .max(1.0);
         let path = path.slowed(time_scale);
         let (t_s, rows) = path.rows();

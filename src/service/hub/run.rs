@@ -19,6 +19,8 @@ const ROUND: Duration = Duration::from_millis(5);
 const END_MAX_S: f64 = 30.0;
 /// Time between two questions about the supply.
 const SUPPLY_EVERY: Duration = Duration::from_secs(5);
+/// Where less than this share of the time passes, a plant is too slow to be waited for.
+const SLOW: f64 = 0.1;
 /// A faulted or stopped tip is given this long to brake before the service ends.
 const BRAKE_MAX: Duration = Duration::from_secs(1);
 
@@ -60,7 +62,7 @@ impl Hub {
             self.take_requests();
             if again && self.ending.is_some() && self.last.as_ref().is_some_and(is_late) {
                 (again, self.ending) = (false, Some(Instant::now()));
-                self.own_order(Order::Relax);
+                self.own_order(Order::Relax, None);
             }
             self.follow_recording();
             self.persist();
@@ -132,7 +134,7 @@ impl Hub {
     }
 
     /// A client was disconnected: its recording ends, and the motion that it attended.
-    fn forget(&mut self, client: u64, reason: &'static str) {
+    pub(super) fn forget(&mut self, client: u64, reason: &'static str) {
         self.subscriptions.retain(|s| s.client != client);
         if reason != "disconnected"
             && let Some(hidden) = self.log_limit.admit("dropped")
@@ -161,19 +163,20 @@ impl Hub {
                 _ => return,
             };
             tracing::warn!(event = "abandoned", client, config = %self.config.config_hash, "the client that moved the tip disconnected: holding");
-            self.own_order(order);
+            self.own_order(order, Some(self.mode()));
         }
     }
 
     /// A signal that ends a process: returns to rest; after a stop the tip stays where it is.
     fn start_ending(&mut self) {
         self.ending = Some(Instant::now());
+        self.ending_from_s = self.last.as_ref().map_or(0.0, |last| last.sensed.t.0);
         self.io.notifier.notify("STOPPING=1\nSTATUS=relaxing");
         tracing::info!(event = "end", config = %self.config.config_hash, mode = %self.mode(), "ending on a signal");
-        let away = self.last.is_some() && !self.is_at_zero();
+        let away = self.last.is_some() && (!self.is_at_zero() || self.mode().moves());
         let stopped = self.last.as_ref().is_some_and(|last| last.stopped);
         if away && !stopped && self.mode() != Mode::Lost {
-            self.own_order(Order::Relax);
+            self.own_order(Order::Relax, None);
         }
     }
 
@@ -183,7 +186,9 @@ impl Hub {
         };
         let rested = self.is_at_zero() || matches!(last.mode, Mode::Lost | Mode::Boot);
         let settled = since.elapsed() > Duration::from_millis(100) && last.mode != Mode::Relaxing;
-        let stays = last.mode == Mode::Faulted || last.stopped;
+        let passed_s = last.sensed.t.0 - self.ending_from_s;
+        let slow = passed_s < SLOW * since.elapsed().as_secs_f64();
+        let stays = last.mode == Mode::Faulted || last.stopped || slow;
         (stays && since.elapsed() > BRAKE_MAX)
             || (rested && settled)
             || since.elapsed().as_secs_f64() > END_MAX_S
@@ -191,7 +196,7 @@ impl Hub {
 
     fn end(mut self) -> [Port; 2] {
         self.end_recording();
-        let at_rest = self.is_at_zero();
+        let at_rest = self.is_at_zero() && !self.mode().moves();
         self.memory.armed = !at_rest;
         if let (Some(restart), Some(last)) = (&mut self.memory.restart, &self.last) {
             // the last restart note may be older than the last step

@@ -1,6 +1,7 @@
 //! The state of the hub, and what all its parts use.
 
 use crate::hardware::rt::RtStatus;
+use crate::model::Line;
 use crate::service::belief::Belief;
 use crate::service::calibrate::Session;
 use crate::service::flight::log::FlightLog;
@@ -10,7 +11,7 @@ use crate::service::notify::Notifier;
 use crate::service::port::Port;
 use crate::service::protocol::{Failure, PathRow, reply_line};
 use crate::service::record::Recording;
-use crate::service::rt_loop::{HubRings, Message};
+use crate::service::rt_loop::{HubRings, Message, Precondition, RestartNote};
 use crate::service::shared::Shared;
 use crate::service::start::RunConfig;
 use crate::service::state_writer::StateWriter;
@@ -90,7 +91,7 @@ pub(super) struct RecordingState {
     /// The recording ends when this client disconnects.
     pub(super) owner: Option<u64>,
     pub(super) starting: Option<Caller>,
-    pub(super) ending: Option<Caller>,
+    pub(super) ending: Vec<Caller>,
 }
 
 /// The reply to a request, or `None` if the loop or the disk has to answer first.
@@ -117,6 +118,10 @@ pub struct Hub {
     /// Duration of the last path and by how much it was slowed, for the status.
     pub(super) path: Value,
     pub(super) last: Option<CycleOutput>,
+    /// What a restart after that cycle needs.
+    pub(super) note: Option<RestartNote>,
+    /// Number of that cycle.
+    pub(super) cycle: u64,
     /// The log of this run, if there is one.
     pub(super) flight: Option<FlightLog>,
     /// Messages other than orders that were sent to the loop.
@@ -138,6 +143,8 @@ pub struct Hub {
     pub(super) stops_logged: u64,
     pub(super) last_status: (String, Instant),
     pub(super) ending: Option<Instant>,
+    /// Time of the loop's clock at that instant, s.
+    pub(super) ending_from_s: f64,
     /// When the service was ready, s since the computer started.
     pub(super) ready_after_boot_s: f64,
     /// What the firmware says about the supply, if there is such a firmware, and when it was asked.
@@ -156,6 +163,10 @@ pub(super) struct Persistence {
     pub(super) error: Option<String>,
     /// The accepted gains before those that are being written.
     pub(super) accepted_before: Option<LearnedGains>,
+    /// The gains in use before those that are on their way to the loop.
+    pub(super) lines_before: Option<[Line; 3]>,
+    /// The cycle that carried out the last `arm`: a note from before it says nothing about the drivers.
+    pub(super) armed_cycle: u64,
     pub(super) last_checkpoint: Option<Instant>,
 }
 
@@ -166,6 +177,8 @@ impl Persistence {
             arming: None,
             error: None,
             accepted_before: None,
+            lines_before: None,
+            armed_cycle: 0,
             last_checkpoint: Some(now),
         }
     }
@@ -198,6 +211,8 @@ impl Hub {
             path_rows: (0, Vec::new()),
             path: Value::Null,
             last: None,
+            note: None,
+            cycle: 0,
             flight: None,
             changes_sent: 0,
             changes: VecDeque::new(),
@@ -211,6 +226,7 @@ impl Hub {
             stops_logged: 0,
             last_status: (String::new(), now),
             ending: None,
+            ending_from_s: 0.0,
             ready_after_boot_s: 0.0,
             supply: (None, None),
             log_limit: LogLimit::default(),
@@ -220,7 +236,11 @@ impl Hub {
     /// Sends an order of a client.
     pub(super) fn order(&mut self, order: Order, caller: Caller) {
         let id = self.next_id();
-        let stops = caller.stops;
+        let precondition = Precondition {
+            stops: caller.stops,
+            since: caller.since,
+            mode: None,
+        };
         self.pending.insert(
             id,
             Pending {
@@ -229,26 +249,65 @@ impl Hub {
                 held: None,
             },
         );
-        self.push_order(id, order, stops);
+        self.push_order(id, order, precondition);
     }
 
-    /// Sends an order of the hub itself.
-    pub(super) fn own_order(&mut self, order: Order) {
-        let (id, stops) = (self.next_id(), self.io.shared.stop.requested());
-        self.push_order(id, order, stops);
+    /// Sends an order of the hub itself, which is carried out only in `mode` if there is one.
+    pub(super) fn own_order(&mut self, order: Order, mode: Option<Mode>) {
+        let id = self.next_id();
+        let precondition = Precondition {
+            stops: self.io.shared.stop.requested(),
+            since: Instant::now(),
+            mode,
+        };
+        self.push_order(id, order, precondition);
     }
 
-    fn push_order(&mut self, id: u64, order: Order, stops: u64) {
+    pub(super) fn push_order(&mut self, id: u64, order: Order, precondition: Precondition) {
         let rings = &mut self.io.rings;
         let ring = if order.leads_setpoint() && order != Order::Play {
             &mut rings.setpoints
         } else {
             &mut rings.orders
         };
-        let pushed = ring.push(Message::Order { id, order, stops }).is_ok();
-        if !pushed && let Some(pending) = self.pending.remove(&id) {
-            self.reply(&pending.caller, &Err(too_many()));
+        let message = Message::Order {
+            id,
+            order,
+            precondition,
+        };
+        if ring.push(message).is_err()
+            && let Some(pending) = self.pending.remove(&id)
+        {
+            self.fail(&pending, too_many());
         }
+    }
+
+    /// Answers an order that was not carried out, and takes back what was prepared for it.
+    pub(super) fn fail(&mut self, pending: &Pending, failure: Failure) {
+        match pending.order {
+            Order::Calibrate(true) => self.calibration = None,
+            Order::Lines(_) => {
+                self.memory.proposed = std::mem::replace(
+                    &mut self.memory.accepted,
+                    self.persistence.accepted_before.take(),
+                );
+                if let Some(lines) = self.persistence.lines_before.take() {
+                    self.config.supervisor.tick.lines = lines;
+                }
+                self.persistence.write_soon();
+            }
+            _ => {}
+        }
+        if let Some(hidden) = self.log_limit.admit("refused") {
+            let (
+                why,
+                Caller {
+                    command, client, ..
+                },
+            ) = (&failure.message, &pending.caller);
+            tracing::warn!(event = "refused", command, client, hidden, config = %self.config.config_hash, "{why}");
+        }
+        self.reply(&pending.caller, &Err(failure));
     }
 
     pub(super) fn next_id(&mut self) -> u64 {

@@ -98,6 +98,8 @@ impl Supervisor {
         {
             *until_s = stream_until_s;
         }
+        // no client leads the tip faster than the board permits
+        let speed = speed.min(self.pace.speed);
         self.config.tick.bend_pace = Pace { speed, ..self.pace };
         self.guide = Guide::Target;
         self.pending.command = Some(*command);

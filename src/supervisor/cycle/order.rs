@@ -110,6 +110,9 @@ pub enum Refusal {
     /// The gains are outside the physical range.
     #[error("gains must lie within 0 to 10 (k_ε) and 0 to 3 mm (k_λ)")]
     Gains,
+    /// The order is too old.
+    #[error("the loop did not respond in time, so nothing was done; try again")]
+    Late,
     /// A motion has not ended, or the drivers are not energised yet.
     #[error("still braking or energising; try again in a moment")]
     Busy,

@@ -1,7 +1,7 @@
 //! Couples a supervisor to its machine.
 
 use crate::primitives::{Seconds, Steps};
-use crate::supervisor::{CycleOutput, Machine, MachineError, Order, Supervisor};
+use crate::supervisor::{CycleOutput, Machine, MachineError, Order, Sensed, Supervisor};
 
 /// A machine with its supervisor.
 #[derive(Debug)]
@@ -36,8 +36,21 @@ impl<M: Machine> Runner<M> {
         now: Seconds,
         order: Option<Order>,
     ) -> Result<CycleOutput, MachineError> {
-        let sensed = self.machine.turn(now, &self.wanted)?;
-        let output = self.supervisor.turn(&sensed, order);
+        let sensed = self.sense(now)?;
+        Ok(self.act(&sensed, order))
+    }
+
+    /// The first half of a cycle: exchanges counts and samples with the machine.
+    ///
+    /// # Errors
+    /// [`MachineError`] of the machine.
+    pub fn sense(&mut self, now: Seconds) -> Result<Sensed, MachineError> {
+        self.machine.turn(now, &self.wanted)
+    }
+
+    /// The second half: runs the supervisor, and passes what it decides to the machine.
+    pub fn act(&mut self, sensed: &Sensed, order: Option<Order>) -> CycleOutput {
+        let output = self.supervisor.turn(sensed, order);
         if self.energised != Some(output.energise) {
             self.energised = Some(output.energise);
             self.machine.energise(output.energise);
@@ -49,6 +62,6 @@ impl<M: Machine> Runner<M> {
             self.machine.recount(&counted);
         }
         self.wanted = output.steps;
-        Ok(output)
+        output
     }
 }

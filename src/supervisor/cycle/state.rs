@@ -1,7 +1,7 @@
 //! State of the supervisor. Each mode owns its data; every change of mode goes through [`Supervisor::take`].
 
 use crate::control::{Command, FeedbackConfig, LoopState, Pace, Path, RestartRest, RestartState};
-use crate::model::{Bend, Shape};
+use crate::model::{Bend, Line, Shape};
 use crate::primitives::{Mm, Steps};
 use crate::supervisor::cycle::guide::{Guide, Recent};
 use crate::supervisor::cycle::sensor_watch::SensorWatch;
@@ -30,9 +30,10 @@ pub(super) enum ModeState {
     Relaxing {
         arriving: bool,
     },
-    /// `feedback`: the outer loop's settings, set aside while the calibration runs open loop.
+    /// `feedback`: the outer loop's settings, set aside while the calibration runs open loop; `lines`: the gains in use before it.
     Calibrating {
         feedback: Option<FeedbackConfig>,
+        lines: [Line; 3],
     },
     Faulted,
     Lost,
@@ -235,6 +236,20 @@ impl Supervisor {
         self.sent == Steps::default() && there && self.position == Position::Known
     }
 
+    /// True if a freshly reset supervisor may take the place of this one: nothing moves, nothing is latched, and the tip is
+    /// straight by what it measures.
+    pub fn is_idle(&self) -> bool {
+        let straight_rad = self.config.restart_check.straight_deg.to_radians();
+        self.mode == ModeState::Disarmed
+            && self.is_at_rest()
+            && !self.stopped
+            && self.gate.latched().is_none()
+            && !self.gate.is_busy()
+            && self
+                .off_straight_rad()
+                .is_some_and(|rad| rad <= straight_rad)
+    }
+
     /// Angle of the tip from straight, rad: by the estimate while the position is known, otherwise between measured and
     /// remembered gravity. `None` if nothing tells.
     pub(super) fn off_straight_rad(&self) -> Option<f64> {
@@ -249,7 +264,7 @@ impl Supervisor {
     /// `new`, outside the real-time loop.
     pub fn reload(&mut self, new: &mut SupervisorConfig) {
         std::mem::swap(&mut self.config, new);
-        if let ModeState::Calibrating { feedback } = &mut self.mode {
+        if let ModeState::Calibrating { feedback, .. } = &mut self.mode {
             *feedback = self.config.tick.feedback.take();
         }
         self.pace = self.config.tick.bend_pace;
@@ -272,15 +287,15 @@ impl Supervisor {
             Mode::Relaxing => ModeState::Relaxing { arriving: false },
             Mode::Calibrating => ModeState::Calibrating {
                 feedback: self.config.tick.feedback.take(),
+                lines: *self.state.lines(),
             },
             Mode::Faulted => ModeState::Faulted,
             Mode::Lost => ModeState::Lost,
         };
-        if let ModeState::Calibrating {
-            feedback: Some(feedback),
-        } = std::mem::replace(&mut self.mode, next)
+        if let ModeState::Calibrating { feedback, lines } = std::mem::replace(&mut self.mode, next)
         {
-            self.config.tick.feedback = Some(feedback);
+            (self.config.tick.feedback, self.config.tick.lines) = (feedback, lines);
+            self.state.set_lines(lines);
         }
         Ok(())
     }

@@ -166,7 +166,13 @@ impl Supervisor {
 
     fn gate_input(&self, frame: &Frame, sensed: &Sensed, dt_s: f64) -> GateInput {
         let armed = self.leads();
-        let open_loop = matches!(self.mode, ModeState::Calibrating { feedback: Some(_) });
+        let open_loop = matches!(
+            self.mode,
+            ModeState::Calibrating {
+                feedback: Some(_),
+                ..
+            }
+        );
         let must_follow = armed && !open_loop && !frame.senses.held;
         let geometry = &self.config.tick.geometry;
         let bellow_mm = |bend| {

@@ -102,11 +102,8 @@ async fn route(
         ("GET", "/page.js") => text(SCRIPT, include_str!("page.js")),
         ("GET", "/page.css") => text(STYLE, include_str!("page.css")),
         ("GET", "/diagnosis") => {
-            let found = crate::log::table::text(&site.diagnosis);
-            text(
-                JSON,
-                found.map_or_else(|_| b"null".to_vec(), String::into_bytes),
-            )
+            let found = site.diagnosis.borrow().clone();
+            text(JSON, found)
         }
         ("GET", "/frames") => {
             let Some(page) = site.open().await else {

@@ -5,6 +5,10 @@ const LOST_MS = 800; // without a frame for this long the picture is old, and no
 const SEND_MS = 100; // least time between two bends of a drag
 const STOP_TRIES = 20;
 const WINDOW_S = 30;
+const SPEED_DEG_S = 30; // of every bend of this page
+const NEAR_DEG = 10; // a press nearer to the target than this counts at once
+const HOLD_MS = 300; // a press farther away counts after this long, or once it is a drag
+const DRAG_PX = 8;
 const $ = (id) => document.getElementById(id);
 const RAD = Math.PI / 180;
 
@@ -17,6 +21,7 @@ let gone = "waiting for the first picture";
 let aim = { x: 0, y: 0 }; // wanted bend vector, degrees; x towards direction 0, y towards 90
 let aiming = false; // the operator is choosing
 let dragging = false;
+let press = null; // where the drag began, and whether it counts
 let wanted = null, sending = false, sentMs = -Infinity;
 let errors = []; // [time, error or null]
 
@@ -151,7 +156,7 @@ async function pump() {
   wanted = null;
   if (bend) {
     sentMs = performance.now();
-    await command({ cmd: "bend", bend_deg: Math.hypot(bend.x, bend.y), dir_deg: Math.atan2(bend.y, bend.x) / RAD });
+    await command({ cmd: "bend", bend_deg: Math.hypot(bend.x, bend.y), dir_deg: Math.atan2(bend.y, bend.x) / RAD, speed_deg_s: SPEED_DEG_S });
   }
   sending = false;
   pump();
@@ -209,9 +214,17 @@ function padScale() {
   return { box, k: (Math.min(box.width, box.height) / 2 - 20) / most, cx: box.width / 2, cy: box.height / 2 };
 }
 
+// Draws the target; the tip follows once the press counts.
 function drag(event) {
   const { box, k, cx, cy } = padScale();
   aimAt((event.clientX - box.left - cx) / k, (cy - (event.clientY - box.top)) / k);
+  const from = vector(frame.target ?? frame.setpoint);
+  press ??= { x: event.clientX, y: event.clientY, counts: Math.hypot(aim.x - from.x, aim.y - from.y) < NEAR_DEG };
+  press.counts ||= Math.hypot(event.clientX - press.x, event.clientY - press.y) > DRAG_PX;
+  if (press.counts) follow();
+}
+
+function follow() {
   wanted = { ...aim };
   pump();
 }
@@ -220,14 +233,27 @@ $("pad").addEventListener("pointerdown", (event) => {
   if (!bends()) return say(live() ? "Not armed: press Arm first." : "Not connected.", true);
   $("pad").setPointerCapture(event.pointerId);
   dragging = true;
+  press = null;
   drag(event);
+  const begun = press;
+  setTimeout(() => {
+    if (press !== begun || press.counts || !dragging || !bends()) return;
+    press.counts = true;
+    follow();
+  }, HOLD_MS);
 });
 // a drag that was interrupted by a stop or a loss does not go on without another press
 $("pad").addEventListener("pointermove", (event) => {
   if (dragging && bends()) drag(event);
 });
 for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) {
-  $("pad").addEventListener(end, () => { if (dragging) { dragging = false; aiming = false; requestDraw(); } });
+  $("pad").addEventListener(end, () => {
+    if (!dragging) return;
+    dragging = false;
+    aiming = !press.counts;
+    if (aiming) say("Nothing moves yet: press longer, drag, or press Enter to bend there.");
+    requestDraw();
+  });
 }
 $("pad").addEventListener("keydown", (event) => {
   const step = event.shiftKey ? 0.5 : 2;

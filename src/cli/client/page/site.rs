@@ -25,8 +25,8 @@ pub struct Site {
     pub socket: PathBuf,
     /// What a browser must show, if anything.
     pub token: Option<String>,
-    /// File of the last diagnosis; empty without one.
-    pub diagnosis: PathBuf,
+    /// The last diagnosis as it was last read, or `null`.
+    pub diagnosis: watch::Receiver<Bytes>,
     /// What the service has sent last.
     pub latest: watch::Receiver<Bytes>,
     /// The open pages by their number, with the connection of the last bend of each.

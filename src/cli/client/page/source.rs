@@ -6,7 +6,7 @@ use crate::service::protocol::{Failure, Request};
 use hyper::body::Bytes;
 use serde_json::{Value, json};
 use std::convert::Infallible;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::sync::watch;
 
@@ -16,6 +16,8 @@ const RATE_HZ: f64 = 20.0;
 const STATUS_EVERY: u32 = 10;
 /// A service that sends nothing for this long counts as gone.
 const SILENCE_MAX: Duration = Duration::from_secs(1);
+/// Time until a file is read again.
+const READ_AGAIN: Duration = Duration::from_secs(2);
 /// Time until the next attempt to reach a service that is gone.
 const RETRY: Duration = Duration::from_millis(500);
 
@@ -42,6 +44,21 @@ fn follow_once(control: &Path, latest: &watch::Sender<Bytes>) -> Result<Infallib
             latest.send_replace(std::mem::take(&mut text).into());
         }
     }
+}
+
+/// Reads a file of JSON now and then in a thread of its own, so that nobody waits for a file that does not answer.
+pub fn read_again(file: Option<PathBuf>) -> watch::Receiver<Bytes> {
+    let (sender, latest) = watch::channel(Bytes::from_static(b"null"));
+    if let Some(file) = file {
+        std::thread::spawn(move || {
+            while !sender.is_closed() {
+                let text = crate::log::table::text(&file);
+                sender.send_replace(text.map_or(Bytes::from_static(b"null"), Bytes::from));
+                std::thread::sleep(READ_AGAIN);
+            }
+        });
+    }
+    latest
 }
 
 /// A server-sent event.

@@ -1,28 +1,53 @@
-//! Settings of the LSM6DSO and its LIS2MDL in people's units, and their translation into registers.
+//! Settings of an LSM6DSO or LSM6DSV16X and its LIS2MDL in people's units, and their translation into the registers of each.
 
-use crate::hardware::imu::{Axes, STANDARD_GRAVITY_M_S2, Scale, lis2mdl};
+use super::reg;
+use crate::hardware::imu::{Axes, Part, STANDARD_GRAVITY_M_S2, Scale, lis2mdl};
 use crate::parameters;
 use crate::primitives::{Checker, Invalid, Parameters};
 
-/// Conversion rates by ODR code 1 to 10, Hz (p. 10).
+/// Conversion rates of the LSM6DSO by ODR code 1 to 10, Hz (p. 10).
 pub const RATES_HZ: [f64; 10] = [
     12.5, 26.0, 52.0, 104.0, 208.0, 416.0, 833.0, 1666.0, 3332.0, 6664.0,
 ];
+/// The same of the LSM6DSV16X, code 1 to 12.
+const DSV_RATES_HZ: [f64; 12] = [
+    1.875, 7.5, 15.0, 30.0, 60.0, 120.0, 240.0, 480.0, 960.0, 1920.0, 3840.0, 7680.0,
+];
+
+/// The parts that this driver serves. Their data are in the same places, their settings are not.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Variant {
+    /// LSM6DSO (ST DS12140).
+    Dso,
+    /// LSM6DSV16X (ST DS13510).
+    Dsv16x,
+}
+
+impl Variant {
+    /// The part, the content of its WHO_AM_I, and its conversion rates by ODR code from 1 on, Hz.
+    pub fn part(self) -> (Part, u8, &'static [f64]) {
+        match self {
+            Self::Dso => (Part::Lsm6dso, 0x6C, &RATES_HZ),
+            Self::Dsv16x => (Part::Lsm6dsv16x, 0x70, &DSV_RATES_HZ),
+        }
+    }
+}
 
 parameters! {
-    /// Settings of an LSM6DSO and the LIS2MDL beside it.
+    /// Settings of an LSM6DSO or LSM6DSV16X and the LIS2MDL beside it.
     pub struct LsmConfig {
-        /// 7-bit bus address of the LSM6DSO: 106 (0x6A) with SA0 low, 107 (0x6B) with it high. The LIS2MDL is always at 30
+        /// 7-bit bus address of the six-axis chip: 106 (0x6A) with SA0 low, 107 (0x6B) with it high. The LIS2MDL is always at 30
         /// (0x1E).
         address: u8 = 106, "", [106, 107], "106 (0x6A) or 107 (0x6B)";
         /// Full scale of the gyroscope. A larger range survives jerks and costs resolution (500 is 0.0175 °/s a count).
         gyro_range_dps: u16 = 500, "°/s", [125, 250, 500, 1000, 2000], "500 is four times the fastest bend";
         /// Full scale of the accelerometer. A larger range survives knocks and costs resolution (4 g is 0.122 mg a count).
         acc_range_g: u8 = 4, "g", [2, 4, 8, 16], "4 survives the motion of the tip";
-        /// Least number of conversions per second. The chip converts at the next rate of 12.5, 26, 52, 104, 208, 416, 833, 1666 …
-        /// Hz that is not slower, and every conversion is read as far as the bus permits. A larger value loads the bus.
+        /// Least number of conversions per second. The chip converts at the next rate that is not slower, of 12.5, 26, 52, 104, 208,
+        /// 416, 833 … Hz (LSM6DSO) or 7.5, 15, 30, 60, 120, 240, 480, 960 … Hz (LSM6DSV16X), and every conversion is read as far as
+        /// the bus permits. A larger value loads the bus.
         rate_hz: f64 = 500.0, "Hz", 1.0..=6664.0, "500 is one conversion per turn of the loop";
-        /// Gyroscope low-pass, CTRL6_C.FTYPE; left out, only the fixed second stage (295 Hz at 833 Hz). 3 is the widest, a
+        /// Gyroscope low-pass, code of the first stage's width; left out, only the fixed second stage (295 Hz at 833 Hz). 3 is the widest, a
         /// larger value is narrower.
         gyro_filter: Option<u8> = None, "", 0..=7, "leave it out for the fixed second stage alone";
         /// Accelerometer low-pass as a divisor of the conversion rate; 10 is 83 Hz at 833 Hz. A larger value filters more and
@@ -39,35 +64,45 @@ parameters! {
     }
 }
 
+/// Registers with their values.
+pub type Writes = [(u8, u8); 7];
+
 /// A configuration in the chips' own terms.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
     pub(super) address: u8,
-    pub(super) ctrl1: u8,
-    pub(super) ctrl2: u8,
-    pub(super) ctrl4: u8,
-    pub(super) ctrl6: u8,
-    pub(super) ctrl8: u8,
+    /// Registers with the values that are written after a reset, in this order.
+    pub(super) writes: Writes,
+    /// Values and masks from CTRL1 on by which a chip that has restarted is recognised.
+    pub(super) canary: Vec<(u8, u8)>,
     pub(super) rate_hz: f64,
     pub(super) mag_every: u16,
     pub(super) canary_every: u16,
     pub(super) scale: Scale,
 }
 
-/// Gyroscope: range in °/s, FS_G and FS_125 bits (DS12140, CTRL2_G).
-const GYRO: [(u16, u8); 5] = [
-    (125, 0b0010),
-    (250, 0b0000),
-    (500, 0b0100),
-    (1000, 0b1000),
-    (2000, 0b1100),
+/// Gyroscope: range in °/s, FS_G and FS_125 bits of the LSM6DSO (CTRL2_G), FS_G of the LSM6DSV16X (CTRL6).
+const GYRO: [(u16, u8, u8); 5] = [
+    (125, 0b0010, 0),
+    (250, 0b0000, 1),
+    (500, 0b0100, 2),
+    (1000, 0b1000, 3),
+    (2000, 0b1100, 4),
 ];
-/// Accelerometer: range in g, FS_XL bits (CTRL1_XL); note that 16 g sits at code 1.
-const ACC: [(u8, u8); 4] = [(2, 0b0000), (4, 0b1000), (8, 0b1100), (16, 0b0100)];
+/// Accelerometer: range in g, FS_XL bits of the LSM6DSO (CTRL1_XL; note that 16 g sits at code 1) and the LSM6DSV16X (CTRL8).
+const ACC: [(u8, u8, u8); 4] = [
+    (2, 0b0000, 0),
+    (4, 0b1000, 1),
+    (8, 0b1100, 2),
+    (16, 0b0100, 3),
+];
 /// Accelerometer filter: divisor of the rate by HPCF_XL (CTRL8_XL); 2 is the first stage alone.
 const ACC_DIVISORS: [u16; 8] = [4, 10, 20, 45, 100, 200, 400, 800];
 
-/// SI value of a count for a range: 35 mdps per 1000 °/s, 0.122 mg per 4 g (mechanical characteristics); 256 LSB/°C at 25 °C.
+const CTRL3: u8 = 0x44; // BDU, IF_INC
+const DSO_CTRL9: u8 = 0xE2; // default, I3C disabled
+
+/// SI value of a count for a range, on either part: 35 mdps per 1000 °/s, 0.122 mg per 4 g (mechanical characteristics); 256 LSB/°C at 25 °C.
 pub fn scale(gyro_range_dps: u16, acc_range_g: u8, mag_axes: Axes) -> Scale {
     Scale {
         gyro_rad_s: (f64::from(gyro_range_dps) * 35e-6).to_radians(),
@@ -84,7 +119,7 @@ impl LsmConfig {
     ///
     /// # Errors
     /// The first setting that the parts do not have.
-    pub fn settings(&self) -> Result<Settings, Invalid> {
+    pub fn settings(&self, variant: Variant) -> Result<Settings, Invalid> {
         self.checked("imu.chip")?;
         let mut checker = Checker::default();
         checker
@@ -93,28 +128,16 @@ impl LsmConfig {
             .hint("each of x, y and z once, with a sign");
         checker.done()?;
         // every value is in its list: the searches find it
-        let fs_g = GYRO
-            .into_iter()
-            .find(|(range, _)| *range == self.gyro_range_dps)
-            .map_or(0, |(_, bits)| bits);
-        let fs_xl = ACC
-            .into_iter()
-            .find(|(range, _)| *range == self.acc_range_g)
-            .map_or(0, |(_, bits)| bits);
+        let (_, _, rates_hz) = variant.part();
         let (odr, rate_hz) = (1_u8..)
-            .zip(RATES_HZ)
+            .zip(rates_hz.iter().copied())
             .find(|(_, rate)| *rate >= self.rate_hz)
-            .unwrap_or((1, RATES_HZ[0]));
-        let divisor = ACC_DIVISORS
-            .into_iter()
-            .position(|d| d == self.acc_filter_divisor);
+            .unwrap_or((1, rates_hz[0]));
+        let (writes, canary) = self.registers(variant, odr);
         Ok(Settings {
             address: self.address,
-            ctrl1: odr << 4 | fs_xl | if divisor.is_some() { 0x02 } else { 0 },
-            ctrl2: odr << 4 | fs_g,
-            ctrl4: if self.gyro_filter.is_some() { 0x02 } else { 0 },
-            ctrl6: self.gyro_filter.unwrap_or(0),
-            ctrl8: divisor.map_or(0, |d| (d as u8) << 5),
+            writes,
+            canary,
             rate_hz,
             // a quarter faster than the magnetometer, so that none of its values is missed
             mag_every: (self.rate_hz / (1.25 * f64::from(self.mag_rate_hz)))
@@ -124,6 +147,57 @@ impl LsmConfig {
             scale: scale(self.gyro_range_dps, self.acc_range_g, self.mag_axes),
         })
     }
+
+    /// What is written after a reset, and what a chip that has restarted is recognised by, from CTRL1 on.
+    fn registers(&self, variant: Variant, odr: u8) -> (Writes, Vec<(u8, u8)>) {
+        let is_gyro = |row: &&(u16, u8, u8)| row.0 == self.gyro_range_dps;
+        let is_acc = |row: &&(u8, u8, u8)| row.0 == self.acc_range_g;
+        let (_, fs_g, dsv_fs_g) = *GYRO.iter().find(is_gyro).unwrap_or(&GYRO[0]);
+        let (_, fs_xl, dsv_fs_xl) = *ACC.iter().find(is_acc).unwrap_or(&ACC[0]);
+        let divisor = ACC_DIVISORS
+            .into_iter()
+            .position(|d| d == self.acc_filter_divisor);
+        let (acc_bw, acc_on) = divisor.map_or((0, 0), |d| ((d as u8) << 5, 1));
+        let (gyro_bw, gyro_on) = self.gyro_filter.map_or((0, 0), |code| (code, 1));
+        match variant {
+            Variant::Dso => {
+                let (ctrl1, ctrl2, ctrl4) = (
+                    odr << 4 | fs_xl | acc_on << 1,
+                    odr << 4 | fs_g,
+                    gyro_on << 1,
+                );
+                let writes = [
+                    (reg::CTRL3, CTRL3),
+                    (reg::CTRL9, DSO_CTRL9),
+                    (reg::CTRL4, ctrl4),
+                    (reg::CTRL6, gyro_bw),
+                    (reg::CTRL8, acc_bw),
+                    (reg::CTRL1, ctrl1),
+                    (reg::CTRL2, ctrl2),
+                ];
+                (
+                    writes,
+                    vec![(ctrl1, 0xFE), (ctrl2, 0xFE), (CTRL3, 0xC5), (ctrl4, 0x42)],
+                )
+            }
+            Variant::Dsv16x => {
+                let (ctrl6, ctrl8) = (gyro_bw << 4 | dsv_fs_g, acc_bw | dsv_fs_xl);
+                let writes = [
+                    (reg::CTRL3, CTRL3),
+                    (reg::CTRL6, ctrl6),
+                    (reg::CTRL7, gyro_on),
+                    (reg::CTRL8, ctrl8),
+                    (reg::CTRL9, acc_on << 3),
+                    (reg::CTRL1, odr),
+                    (reg::CTRL2, odr),
+                ];
+                // CTRL4 and CTRL5 keep their defaults, which nobody depends on
+                let mut canary = vec![(odr, 0x7F), (odr, 0x7F), (CTRL3, 0xC5), (0, 0), (0, 0)];
+                canary.extend([(ctrl6, 0x7F), (gyro_on, 0x01), (ctrl8, 0xEB)]);
+                (writes, canary)
+            }
+        }
+    }
 }
 
 #[cfg(test)]
@@ -132,27 +206,42 @@ mod tests {
 
     #[test]
     fn settings_are_the_register_fields() {
-        let s = LsmConfig::default().settings().expect("default");
+        let of = |config: &LsmConfig, variant| {
+            let s = config.settings(variant).expect("valid");
+            let value = |register| s.writes.into_iter().find(|w| w.0 == register).unwrap().1;
+            (
+                [reg::CTRL1, reg::CTRL2, reg::CTRL6, reg::CTRL8].map(value),
+                s.mag_every,
+            )
+        };
+        let (dso, dsv) = (Variant::Dso, Variant::Dsv16x);
+        // 833 Hz; 4 g is code 2, 500 dps code 1
+        assert_eq!(of(&LsmConfig::default(), dso), ([0x78, 0x74, 0, 0], 4));
+        // 960 Hz; 4 g and 500 dps are in registers of their own
         assert_eq!(
-            (s.ctrl1, s.ctrl2),
-            (0x78, 0x74),
-            "833 Hz; 4 g is code 2, 500 dps code 1"
+            of(&LsmConfig::default(), dsv),
+            ([0x09, 0x09, 0x02, 0x01], 4)
         );
-        assert_eq!((s.ctrl4, s.ctrl6, s.ctrl8, s.mag_every), (0, 0, 0, 4));
         let filtered = LsmConfig {
             acc_filter_divisor: 20,
             gyro_filter: Some(5),
             ..LsmConfig::default()
         };
-        let s = filtered.settings().expect("filtered");
-        assert_eq!((s.ctrl1, s.ctrl4, s.ctrl6, s.ctrl8), (0x7A, 0x02, 5, 0x40));
+        assert_eq!(of(&filtered, dso).0, [0x7A, 0x74, 5, 0x40]);
+        assert_eq!(of(&filtered, dsv).0, [0x09, 0x09, 0x52, 0x41]);
+        let enabled = |variant, register| {
+            let s = filtered.settings(variant).unwrap();
+            s.writes.into_iter().find(|w| w.0 == register).unwrap().1
+        };
+        assert_eq!(enabled(dso, reg::CTRL4), 0x02);
+        assert_eq!((enabled(dsv, reg::CTRL7), enabled(dsv, reg::CTRL9)), (1, 8));
         let wide = LsmConfig {
             acc_range_g: 16,
             gyro_range_dps: 125,
             ..LsmConfig::default()
         };
-        let s = wide.settings().expect("wide");
-        assert_eq!((s.ctrl1, s.ctrl2), (0x74, 0x72));
+        assert_eq!(of(&wide, dso).0, [0x74, 0x72, 0, 0]);
+        assert_eq!(of(&wide, dsv).0, [0x09, 0x09, 0, 3]);
     }
 
     #[test]
@@ -228,7 +317,7 @@ mod tests {
         ];
         for (config, field) in bad {
             assert_eq!(
-                config.settings().expect_err(field).key,
+                config.settings(Variant::Dso).expect_err(field).key,
                 format!("imu.chip.{field}")
             );
         }
@@ -244,7 +333,7 @@ mod tests {
             ..LsmConfig::default()
         };
         assert_eq!(
-            twice.settings().expect_err("twice x").key,
+            twice.settings(Variant::Dsv16x).expect_err("twice x").key,
             "imu.chip.mag_axes"
         );
         assert!(
