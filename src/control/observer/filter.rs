@@ -21,6 +21,8 @@ const SPEED_MAX: f64 = 2.5;
 /// Time constants with which the rate of the residual and its noise are smoothed, s.
 const RESIDUAL_RATE_S: f64 = 0.03;
 const NOISE_S: f64 = 2.0;
+/// Largest square of a change in units of the noise that counts as noise.
+const OUTLIER_2: f64 = 9.0;
 /// Standard deviations by which the largest plausible error of the response time counts for how long a motion is in flight: half of three.
 const TIMING_SIGMAS: f64 = 1.5;
 /// Rate of the residual that a settled pose may have, rad/s.
@@ -264,17 +266,16 @@ impl Observer {
 
     /// Bend by the laws as the tip shows it now, without g, rad.
     pub fn predicted(&self) -> Vector2<f64> {
-        self.predicted_by(&self.theta())
+        self.lagged + self.columns * self.theta()
     }
 
-    /// Bend by the laws `theta`, as the tip shows it now, rad.
-    pub fn predicted_by(&self, theta: &Theta) -> Vector2<f64> {
-        self.lagged + self.columns * theta
-    }
-
-    /// Bend by the laws `theta` once the tip has settled at the counted steps, rad.
-    pub fn settled_by(&self, theta: &Theta) -> Vector2<f64> {
-        self.given + self.now.columns(&self.lines, &self.geometry) * theta
+    /// Bend of the plays through straight `lines` at the counted steps, and dead time ago, rad.
+    pub fn played_by(&self, lines: &[Line; 3]) -> [Vector2<f64>; 2] {
+        [&self.now, &self.then].map(|channels| {
+            laws::bend_of(&std::array::from_fn(|i| {
+                channels.play[i].w_mm / laws::mm_per_rad(&lines[i], &self.geometry)
+            }))
+        })
     }
 
     /// Bend of the model without learned columns at the counted steps, rad.
@@ -284,7 +285,7 @@ impl Observer {
 
     /// Bend by the laws once the tip has settled at the counted steps, without g, rad.
     pub fn settled_by_laws(&self) -> Vector2<f64> {
-        self.settled_by(&self.theta())
+        self.given + self.now.columns(&self.lines, &self.geometry) * self.theta()
     }
 
     /// Bend once the pistons have reached `piston_mm`, with g, rad; and the channels there.
@@ -318,7 +319,8 @@ impl Observer {
         let change = residual - std::mem::replace(&mut self.last_residual, residual);
         let rate = change.norm() / dt_s;
         self.residual_rate += (rate - self.residual_rate) * (dt_s / RESIDUAL_RATE_S).min(1.0);
-        let noise_2 = change.norm_squared() / 4.0;
+        let least = config.noise_deg.to_radians().powi(2);
+        let noise_2 = (change.norm_squared() / 4.0).min(OUTLIER_2 * least.max(self.noise_2));
         if self.recent_rate < SETTLED_RAD_S {
             self.noise_2 += (noise_2 - self.noise_2) * (dt_s / NOISE_S).min(1.0);
         }
@@ -331,7 +333,7 @@ impl Observer {
         let unsettled = config.unsettled_s * (self.residual_rate - SETTLED_RAD_S).max(0.0);
         let timing_2 = (timing_s * self.recent_rate).powi(2) + unsettled.powi(2);
         let same_sign = (SAME_SIGN_S[usize::from(!corrects)] / dt_s).max(1.0);
-        self.variance = config.noise_deg.to_radians().powi(2).max(self.noise_2);
+        self.variance = least.max(self.noise_2);
         if laws {
             self.variance += timing_2 * same_sign;
         }

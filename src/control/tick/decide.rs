@@ -274,19 +274,14 @@ fn correct(
     given
 }
 
-/// The bend with a correction within its bound, and no further from the estimate than an obstruction permits.
+/// The bend, no further from the estimate than an obstruction permits.
 fn bounded(
     config: &LoopConfig,
     f: &FeedbackConfig,
-    state: &mut LoopState,
+    state: &LoopState,
     bend: Vector2<f64>,
     estimate: &Vector2<f64>,
 ) -> Vector2<f64> {
-    let at = state.setpoint.bend.at;
-    let most = f.integral_max_deg.to_radians();
-    state.feedback = (bend - at).cap_magnitude(most);
-    state.feedback_full = (bend - at).norm() >= most;
-    let bend = at + state.feedback;
     if !state.obstruction.blocked {
         return bend;
     }
@@ -310,6 +305,8 @@ fn go(
 ) {
     let (choice, aim_mm) = choose(config, f, state, bend, keep, estimate);
     state.rule.length = choice.length;
+    let sides = sides(state, &choice);
+    let aim_mm = within_bound(f, state, aim_mm, &sides);
     state.rule.aim_mm = match config.feedforward.as_deref().zip(state.described.as_mut()) {
         None => aim_mm,
         Some((machine, described)) => {
@@ -323,16 +320,44 @@ fn go(
             let piston_mm = Vector3::from_fn(|i, _| {
                 let line = &observer.lines[i];
                 let w_mm = line.play_output_mm(bellow_mm[i]);
-                let side = if choice.sides[i] == 0.0 {
-                    -observer.now.play[i].slope
-                } else {
-                    choice.sides[i]
-                };
-                w_mm + side * line.k_lambda_mm
+                w_mm + sides[i] * line.k_lambda_mm
             });
             described.counted(machine, &piston_mm)
         }
     };
+}
+
+/// Side on which each piston pushes after a choice.
+fn sides(state: &LoopState, choice: &Choice) -> [f64; 3] {
+    std::array::from_fn(|i| {
+        if choice.sides[i] == 0.0 {
+            -state.observer.now.play[i].slope
+        } else {
+            choice.sides[i]
+        }
+    })
+}
+
+/// Pistons that push to `sides`, mm, with a nominal bend no further from the set-point than the bound of the correction.
+fn within_bound(
+    config: &FeedbackConfig,
+    state: &mut LoopState,
+    aim_mm: Vector3<f64>,
+    sides: &[f64; 3],
+) -> Vector3<f64> {
+    let observer = &state.observer;
+    let most = config.integral_max_deg.to_radians();
+    let play_mm = |i: usize| sides[i] * observer.lines[i].k_lambda_mm;
+    let v: [f64; 3] = std::array::from_fn(|i| (aim_mm[i] - play_mm(i)) / observer.mm_per_rad(i));
+    let correction = bend_of(&v) - state.setpoint.bend.at;
+    state.feedback_full = correction.norm() >= most;
+    state.feedback = correction.cap_magnitude(most);
+    if !state.feedback_full {
+        return aim_mm;
+    }
+    let bounded = inverse::outputs(&(state.setpoint.bend.at + state.feedback));
+    let length = v.iter().sum::<f64>() / 3.0;
+    Vector3::from_fn(|i, _| (bounded[i] + length) * observer.mm_per_rad(i) + play_mm(i))
 }
 
 fn choose(

@@ -85,7 +85,7 @@ fn depart(state: &mut LoopState, moving: bool, suspected: bool) {
         if !state.obstruction.blocked {
             state.remember();
             if !suspected {
-                state.accepted = state.observer.theta();
+                state.accepted = state.lines;
             }
         }
         state.observer.depart();
@@ -152,7 +152,7 @@ fn frame(
             length: Mm(state.setpoint.length.at.x),
         },
         estimate,
-        bend_from_pistons: Bend(state.observer.settled_by(&state.accepted)),
+        bend_from_pistons: Bend(state.played()),
         predicted,
         unexplained: estimate.map_or_else(Vector2::zeros, |e| predicted - e.bend.0),
         feedback: state.feedback,

@@ -23,6 +23,12 @@ pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &S
         given = Some(described.advance(machine, &play_output_mm, dt_s).bend.0);
     }
     state.observer.follow(&piston_mm, given, dt_s);
+    let from = match given {
+        Some(bend) => bend,
+        None => state.observer.played_by(&state.accepted)[1],
+    };
+    let keep = (-dt_s / state.observer.dynamics.lag_s.max(1e-3)).exp();
+    state.shown_by_accepted = from + (state.shown_by_accepted - from) * keep;
 }
 
 /// Learns from the estimated bend: lag and dead time, a periodic disturbance, and the laws.

@@ -72,7 +72,7 @@ pub(super) fn watch_base(
     input: &Input,
     estimate: Bend,
 ) {
-    let played = state.observer.settled_by(&state.accepted);
+    let played = state.played();
     if input.realign {
         let quiet = &state.base.quiet;
         let bend = Bend(quiet.estimate + played - quiet.played);
@@ -102,7 +102,7 @@ pub(super) fn watch_base(
     let observed = WatchInput {
         rate_rad_s,
         estimate: estimate.0,
-        model: state.observer.predicted_by(&state.accepted),
+        model: state.shown_by_accepted,
         setpoint: state.setpoint.bend.at,
         remaining: state.setpoint.target.bend.0 - estimate.0,
         still_s: state.motors.still_s,

@@ -5,7 +5,6 @@ use super::types::LoopConfig;
 use crate::control::dynamics::{DynamicsPrior, DynamicsRange};
 use crate::control::feedforward::FeedforwardState;
 use crate::control::observer::bank::DynamicsBank;
-use crate::control::observer::laws::Theta;
 use crate::control::observer::{Knowledge, Observer, Periodic};
 use crate::control::obstruction::ObstructionDetector;
 use crate::control::rule::Rule;
@@ -39,8 +38,10 @@ pub struct LoopState {
     pub(super) before: DynamicsPrior,
     /// What was known when the set-point left the last pose that nothing obstructed.
     pub(super) known: Known,
-    /// The laws when the set-point last left a pose that nothing obstructed and no line was suspected.
-    pub(super) accepted: Theta,
+    /// The published gains when the set-point last left a pose that nothing obstructed and no line was suspected, and the bend by them as
+    /// the tip shows it now, rad.
+    pub(super) accepted: [Line; 3],
+    pub(super) shown_by_accepted: Vector2<f64>,
     pub(super) periodic: Periodic,
     /// Sum of what the tip moved otherwise than predicted, and the last estimate, rad.
     pub(super) unexplained: Vector2<f64>,
@@ -136,7 +137,8 @@ impl LoopState {
             lines: config.lines,
             shown: [0.0; 3],
             sides: Default::default(),
-            accepted: Theta::zeros(),
+            accepted: config.lines,
+            shown_by_accepted: Vector2::zeros(),
             known: Known {
                 laws: observer.knowledge(),
                 dynamics,
@@ -189,6 +191,14 @@ impl LoopState {
         }
     }
 
+    /// Bend that the counted steps cause by the accepted gains or, where a machine is described, by its laws, rad.
+    pub(super) fn played(&self) -> Vector2<f64> {
+        match self.described {
+            Some(_) => self.observer.given(),
+            None => self.observer.played_by(&self.accepted)[0],
+        }
+    }
+
     /// Remembers what is known, to return to.
     pub(super) fn remember(&mut self) {
         self.known = Known {
@@ -229,7 +239,8 @@ impl LoopState {
         let f = config.feedback.unwrap_or_default();
         self.observer.stand(&f.observer, &piston_mm, given, &at.0);
         self.remember();
-        self.accepted = self.observer.theta();
+        self.accepted = self.lines;
+        self.shown_by_accepted = self.played();
         self.sides = std::array::from_fn(|i| {
             let play = &self.observer.now.play[i];
             SideState {

@@ -203,7 +203,7 @@ pub struct Frame {
     pub setpoint: Shape,
     /// Estimated orientation and bend, once aligned.
     pub estimate: Option<TipEstimate>,
-    /// Bend that the counted steps cause by the laws as they were when the set-point last left a pose, rad.
+    /// Bend that the counted steps cause by the gains as they were when the set-point last left a pose, rad.
     pub bend_from_pistons: Bend,
     /// Bend that the observer predicts for now from the counted steps, without what no law explains, rad.
     pub predicted: Vector2<f64>,

@@ -295,7 +295,7 @@ impl Supervisor {
         if let ModeState::Calibrating { feedback, lines } = std::mem::replace(&mut self.mode, next)
         {
             (self.config.tick.feedback, self.config.tick.lines) = (feedback, lines);
-            self.state.set_lines(lines);
+            self.state.set_lines(&self.config.tick, lines);
         }
         Ok(())
     }
