@@ -81,10 +81,8 @@ pub fn fit(cases: &[Case], names: Vec<String>) -> Trained {
 /// Probability of what may be claimed of the truth, and what all more probable claims have together.
 fn needed(case: &Case, right: usize, w: &[f64]) -> (f64, f64) {
     let truth = &case.said[right];
-    let truth = match truth.names {
-        Some(_) => Some(truth.claim.names.clone().unwrap_or_default()),
-        None => None,
-    };
+    let claim = || truth.claim.names.clone().unwrap_or_default();
+    let truth = truth.names.as_ref().map(|_| claim());
     let claimed = case.claimed(&probabilities(case.features(), w));
     let p = claimed
         .iter()
