@@ -4,7 +4,7 @@ use crate::cli::gap::rows::read;
 use crate::cli::{CommandOutcome, output};
 use crate::config::Calibration;
 use crate::diagnosis::fleet::row::{self, GAINS, Row};
-use crate::diagnosis::fleet::{Finding, Lot, Survey};
+use crate::diagnosis::fleet::{Finding, Lot, Spread, Survey};
 use crate::log::columns;
 use crate::report::bars::{self, Bar};
 use crate::report::page::Page;
@@ -15,6 +15,8 @@ use std::path::PathBuf;
 
 /// Least value and least standard deviation in a prior.
 const LEAST: f64 = 0.001;
+/// Fewest sound logs of a prior.
+const SOUND_MIN: usize = 3;
 
 /// Arguments of `fleet`.
 #[derive(Debug, clap::Args)]
@@ -68,11 +70,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let rows: Vec<Row> = rows.into_values().collect();
     let survey = Survey::new(&rows);
+    let prior = args.prior.as_ref().map(|_| prior(&survey)).transpose()?;
     if let Some(path) = &args.merged {
         output::write(path, columns::write(&row::table(&rows)).into_diagnostic()?)?;
     }
-    if let Some(path) = &args.prior {
-        output::write(path, toml::to_string(&prior(&survey)?).into_diagnostic()?)?;
+    if let (Some(path), Some(prior)) = (&args.prior, &prior) {
+        output::write(path, toml::to_string(prior).into_diagnostic()?)?;
     }
     output::json(json, &survey)?;
     if let Some(path) = html {
@@ -86,28 +89,31 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 fn prior(survey: &Survey) -> Result<Calibration> {
     let mut gains = Vec::new();
     for name in GAINS {
-        let gain = survey
-            .gains
-            .get(name)
-            .ok_or_else(|| miette!("--prior: no log of these tables is without an effect"))?;
-        gains.push(gain.map(|x| (x * 1e4).round() / 1e4));
+        let gain = survey.gains.get(name);
+        let sound = gain.map_or(0, |g| g.n);
+        let gain = gain.filter(|_| sound >= SOUND_MIN).ok_or_else(|| {
+            miette!("--prior: {sound} logs of these tables are without an effect, and a prior needs {SOUND_MIN}; the paper's gains are a better start")
+        })?;
+        gains.push(*gain);
     }
-    let [value, sigma] = [0, 1].map(|k| move |gain: &[f64; 2]| gain[k].max(LEAST));
+    let rounded = |x: f64| ((x * 1e4).round() / 1e4).max(LEAST);
+    let (value, sigma) = (
+        |k: usize| rounded(gains[k].median),
+        |k: usize| rounded(gains[k].sigma),
+    );
     let mut prior = Calibration::default();
     let transmission = &mut prior.transmission;
     for i in 0..3 {
-        (transmission.k_epsilon[i], transmission.k_epsilon_sigma[i]) =
-            (value(&gains[i]), sigma(&gains[i]));
-        (
-            transmission.k_lambda_mm[i],
-            transmission.k_lambda_sigma_mm[i],
-        ) = (value(&gains[3 + i]), sigma(&gains[3 + i]));
+        transmission.k_epsilon[i] = value(i);
+        transmission.k_epsilon_sigma[i] = sigma(i);
+        transmission.k_lambda_mm[i] = value(3 + i);
+        transmission.k_lambda_sigma_mm[i] = sigma(3 + i);
     }
     transmission.source = format!(
-        "median and spread of the sound ones of {} logs",
-        survey.lots[0].logs
+        "median and spread of the {} sound ones of {} logs",
+        gains[0].n, survey.lots[0].logs
     );
-    prior.dynamics.lag_s = value(&gains[6]);
+    prior.dynamics.lag_s = value(6);
     Ok(prior)
 }
 
@@ -153,8 +159,9 @@ fn summary(survey: &Survey) -> String {
             survey.lots.iter().map(row)
         )
     );
-    for (name, [median, sigma]) in &survey.gains {
-        text += &format!("{name}: {median:.3} ± {sigma:.3}\n");
+    for (name, Spread { n, median, sigma }) in &survey.gains {
+        text +=
+            &format!("{name}: {median:.3} ± {sigma:.3} for the next unit, from {n} sound logs\n");
     }
     if survey.findings.is_empty() {
         text += "no lot differs from the others, and nothing drifts\n";

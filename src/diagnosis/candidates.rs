@@ -53,14 +53,14 @@ impl<C: Scored> Candidates<C> {
         c.names().iter().filter_map(|n| self.without(c, n))
     }
 
-    /// The part of a set that may be claimed: each of its effects explains enough beyond the others.
-    pub fn claimable<'a>(&'a self, c: &'a C) -> &'a C {
-        if self.parts(c).all(|part| c.gain(part) >= 1.0) {
+    /// The part of a set that may be claimed: each of its effects explains `enough` beyond the others.
+    pub fn claimable<'a>(&'a self, c: &'a C, enough: &impl Fn(&C, &C) -> bool) -> &'a C {
+        if self.parts(c).all(|part| enough(c, part)) {
             return c;
         }
         self.parts(c)
             .min_by(|a, b| a.energy().total_cmp(&b.energy()))
-            .map_or(&self.nominal, |part| self.claimable(part))
+            .map_or(&self.nominal, |part| self.claimable(part, enough))
     }
 
     /// Logarithms, where they are negative, of what a set explains beyond the nominal model, and of the least that one of several effects

@@ -20,3 +20,12 @@ pub fn separable(a: &str, b: &str, tracker: bool) -> bool {
 pub fn confused_with(name: &str) -> &'static [&'static str] {
     by_name(name).map_or(&[], |e| e.info().confused_with)
 }
+
+/// The pairs of which a log, with a tracker or not, shows the sum alone.
+pub fn alike(tracker: bool) -> Vec<[&'static str; 2]> {
+    INSEPARABLE_BY_MOTION
+        .iter()
+        .filter(|(_, by_tracker)| *by_tracker && !tracker)
+        .map(|(pair, _)| *pair)
+        .collect()
+}

@@ -3,6 +3,7 @@
 use crate::diagnosis::candidate::Candidate;
 use crate::diagnosis::candidates::{Candidates, Scored};
 use crate::diagnosis::chain::{Model, run};
+use crate::diagnosis::confusion::alike;
 use crate::diagnosis::credit::{credits, stages};
 use crate::diagnosis::decide::{Verdict, decide};
 use crate::diagnosis::dependence::dependences;
@@ -16,6 +17,7 @@ use crate::diagnosis::interval::{Compared, closed_ci95};
 use crate::diagnosis::location::BeforeAfter;
 use crate::diagnosis::observe::{CORRELATED_S, Observed, Segment};
 use crate::diagnosis::posterior::Posterior;
+use crate::diagnosis::quantity::Quantity;
 use crate::diagnosis::search::search;
 use crate::diagnosis::sense::{every_bin, sense};
 use crate::model::effects::Effect;
@@ -46,11 +48,10 @@ pub fn diagnose(
     seed: u64,
 ) -> Diagnosed {
     let found = search(log, catalogue, lines);
-    let posterior = Posterior::new(&HEAD, statements(log, &found));
     let set = |names: &[&str]| found.set(names).unwrap_or(&found.nominal);
-    let verdict = decide(&posterior, |names| {
-        found.claimable(set(names)).names.clone()
-    });
+    let alike = alike(log.has[Quantity::Reference]);
+    let posterior = Posterior::new(&HEAD, statements(log, &found)).shared(&alike);
+    let verdict = decide(&posterior, &alike, |_| vec![]);
     let chosen = set(&verdict.names);
     let probabilities: Vec<_> = found
         .singles
@@ -145,6 +146,7 @@ impl Assembly<'_> {
             verdict: VerdictEntry {
                 kind: verdict.kind,
                 names: verdict.names,
+                probability: verdict.probability,
                 equivalent: verdict.equivalent,
                 conformal: self.conformal.clone(),
             },

@@ -114,6 +114,8 @@ pub struct VerdictEntry {
     pub kind: VerdictKind,
     /// Names of the effects.
     pub names: Vec<&'static str>,
+    /// Probability of the statement; an effect of a group counts as any other of it.
+    pub probability: f64,
     /// Groups of effects that this log cannot separate.
     pub equivalent: Vec<Vec<&'static str>>,
     /// Statements of which one is true in 95 % of all logs, the most probable first.

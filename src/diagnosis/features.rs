@@ -4,17 +4,22 @@
 //! sensor is that of residuals whose variance is unknown ([`crate::diagnosis::holdout::density`]).
 
 use crate::diagnosis::candidate::Candidate;
-use crate::diagnosis::candidates::Candidates;
+use crate::diagnosis::candidates::{Candidates, Scored};
 use crate::diagnosis::dependence::dependences;
 use crate::diagnosis::holdout::HeldOut;
 use crate::diagnosis::observe::Observed;
-use crate::diagnosis::posterior::{Head, Layout, Statement};
+use crate::diagnosis::posterior::{Claim, Head, Layout, Statement};
 use crate::diagnosis::quantity::Quantity;
 use crate::model::effects::catalogue;
 use std::sync::LazyLock;
 
 /// Surcharge per effect when the best set is chosen, in the unit of a density.
 const PER_EFFECT: f64 = 0.15;
+
+/// Part of the least claimed error, which an effect brings to a recalibrated model, that the effect must explain beyond the others of its
+/// set. The labels of the training logs hold that error itself, so the weights know it; a law of another form explains a part of it, and the
+/// other effects, fitted again without it, take over another part.
+const SHOWN: f64 = 2.0 / 3.0;
 
 /// The features but for those of the effects. For every statement, the density of the left-out short blocks: the mean over the sensors,
 /// and that of the gyroscope (for `unknown`, of the best set). For a set: the number of effects beyond the first; what the log tells about
@@ -82,6 +87,8 @@ pub fn statements(log: &Observed, found: &Candidates<Candidate>) -> Vec<Statemen
         Statement {
             names: Some(c.names.clone()),
             features: features(density(c), own, 0.0, [0.0; 5], &[]),
+            // what is below the bar counts as `none`
+            claim: Claim::of(found.claimable(c, &enough).names.clone()),
         }
     };
     let none = features(
@@ -114,13 +121,20 @@ pub fn statements(log: &Observed, found: &Candidates<Candidate>) -> Vec<Statemen
         Statement {
             names: Some(vec![]),
             features: none,
+            claim: Claim::of(vec![]),
         },
         Statement {
             names: None,
             features: unknown,
+            claim: Claim::of(vec![]),
         },
     ];
     found.sets().map(of_set).chain(others).collect()
+}
+
+/// Whether a set explains enough beyond a part of it.
+fn enough(c: &Candidate, part: &Candidate) -> bool {
+    c.gain(part) >= SHOWN
 }
 
 /// Features of a statement: the densities, those of a set, of `none`, and of `unknown` with the effects of the best set.

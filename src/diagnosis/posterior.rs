@@ -115,6 +115,8 @@ pub struct Statement {
     pub names: Option<Vec<&'static str>>,
     /// The features, in the order of a [`Head`].
     pub features: Vec<f64>,
+    /// What may be claimed of the set; of no meaning for `unknown`.
+    pub claim: Claim,
 }
 
 /// Probabilities of statements with these features.
@@ -140,26 +142,112 @@ pub fn conformal_set(p: &[f64], level: f64) -> Vec<usize> {
     order
 }
 
+/// Statements with their probabilities: the names of a set, or `None` for `unknown`.
+pub type Said<N = Vec<&'static str>> = (Option<N>, f64);
+
+/// What may be claimed of a set of effects.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Claim<N = Vec<&'static str>> {
+    /// The effects that explain enough; `None` for a set that says nothing.
+    pub names: Option<N>,
+    /// Part of the probability that goes to `unknown`, because the set leaves more than an effect of another form would.
+    pub unexplained: f64,
+}
+
+impl<N> Claim<N> {
+    /// The claim of these effects, which leave nothing.
+    pub fn of(names: N) -> Self {
+        Self {
+            names: Some(names),
+            unexplained: 0.0,
+        }
+    }
+
+    /// The claims of a statement that has the probability `p`.
+    pub fn said(self, p: f64) -> Vec<Said<N>> {
+        let Self { names, unexplained } = self;
+        names.map_or(vec![], |names| {
+            vec![
+                (Some(names), p * (1.0 - unexplained)),
+                (None, p * unexplained),
+            ]
+        })
+    }
+}
+
+/// Adds the probabilities of equal statements and divides them by the sum of all; the most probable comes first. Without any, it is
+/// `unknown`.
+pub fn ranked<N: PartialEq>(said: impl IntoIterator<Item = Said<N>>) -> Vec<Said<N>> {
+    let mut out: Vec<Said<N>> = Vec::new();
+    for (names, p) in said {
+        match out.iter_mut().find(|(known, _)| *known == names) {
+            Some((_, sum)) => *sum += p,
+            None => out.push((names, p)),
+        }
+    }
+    let total: f64 = out.iter().map(|s| s.1).sum();
+    if total > 0.0 {
+        out.iter_mut().for_each(|s| s.1 /= total);
+    } else {
+        out = vec![(None, 1.0)];
+    }
+    out.sort_by(|a, b| b.1.total_cmp(&a.1));
+    out
+}
+
 /// Statements about a log with their probabilities.
 #[derive(Debug, Clone)]
 pub struct Posterior {
-    /// Names and probability, the most probable first; `None` is `unknown`.
-    pub ranked: Vec<(Option<Vec<&'static str>>, f64)>,
+    /// The statements, the most probable first.
+    pub ranked: Vec<Said>,
     /// How many of them make up the conformal set.
     pub conformal: usize,
+    /// Probability that the statements of a conformal set have together.
+    level: f64,
 }
 
 impl Posterior {
-    /// The posterior of these statements.
+    /// The posterior of what may be claimed: a probability is that of an effect that is present and above the bar. A set of which nothing
+    /// may be claimed is left out.
     pub fn new(head: &Head, statements: Vec<Statement>) -> Self {
         let p = probabilities(
             statements.iter().map(|s| s.features.as_slice()),
             &head.weights,
         );
-        let conformal = conformal_set(&p, head.conformal).len();
-        let mut ranked: Vec<_> = statements.into_iter().map(|s| s.names).zip(p).collect();
-        ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
-        Self { ranked, conformal }
+        let said = statements.into_iter().zip(p);
+        Self::of(
+            said.flat_map(|(s, p)| match s.names {
+                Some(_) => s.claim.said(p),
+                None => vec![(None, p)],
+            }),
+            head.conformal,
+        )
+    }
+
+    /// The posterior of statements with these probabilities.
+    pub fn of(said: impl IntoIterator<Item = Said>, level: f64) -> Self {
+        let ranked = ranked(said);
+        let p: Vec<f64> = ranked.iter().map(|s| s.1).collect();
+        Self {
+            conformal: conformal_set(&p, level).len(),
+            ranked,
+            level,
+        }
+    }
+
+    /// The posterior of a log that cannot tell the effects of these pairs apart: they share the probability.
+    #[must_use]
+    pub fn shared(mut self, alike: &[[&'static str; 2]]) -> Self {
+        for pair in alike {
+            let of = |(names, p): Said| -> Vec<Said> {
+                match names.as_deref().and_then(|names| exchanged(names, pair)) {
+                    Some(other) => vec![(names, p / 2.0), (Some(other), p / 2.0)],
+                    None => vec![(names, p)],
+                }
+            };
+            self = Self::of(self.ranked.into_iter().flat_map(of), self.level);
+        }
+        self
     }
 
     /// Probability that a statement for which `of` holds is true.
@@ -185,6 +273,19 @@ impl Posterior {
     pub fn unknown(&self) -> f64 {
         self.sum(|s| s.is_none())
     }
+}
+
+/// A set with one effect of a pair in place of the other; `None` for a set with both or neither.
+pub fn exchanged(names: &[&'static str], pair: &[&'static str; 2]) -> Option<Vec<&'static str>> {
+    let [a, b] = pair.map(|name| names.iter().position(|n| *n == name));
+    let (at, other) = match (a, b) {
+        (Some(at), None) => (at, pair[1]),
+        (None, Some(at)) => (at, pair[0]),
+        _ => return None,
+    };
+    let mut names = names.to_vec();
+    names[at] = other;
+    Some(names)
 }
 
 #[cfg(test)]

@@ -1,13 +1,11 @@
-//! A diagnosis saved as TOML, and its check on a fresh log of the same unit.
+//! A diagnosis saved as TOML.
 
 use crate::diagnosis::candidate::Candidate;
-use crate::diagnosis::chain::{LAG_MAX_S, Model, run};
+use crate::diagnosis::chain::{LAG_MAX_S, Model};
 use crate::diagnosis::confusion::confused_with;
 use crate::diagnosis::diagnose::Diagnosed;
 use crate::diagnosis::forecast::best_predicting;
-use crate::diagnosis::holdout::score;
 use crate::diagnosis::observe::Observed;
-use crate::diagnosis::sense::{every_bin, sense};
 use crate::model::effects::{Effect, Param, catalogue};
 use crate::model::{DescribedMachine, Geometry, Line, RestReadings, lines, nominal_theta};
 use crate::primitives::{Check, Checker};
@@ -85,19 +83,6 @@ pub struct SavedForecast {
     /// Effects.
     #[serde(default)]
     pub effect: Vec<SavedEffect>,
-}
-
-/// Result of a check.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Checked {
-    /// RMSE of the recalibrated nominal model, degrees.
-    pub before_deg: f64,
-    /// RMSE with the effects, degrees.
-    pub after_deg: f64,
-    /// Part of the gap that the effects close.
-    pub closed: f64,
-    /// Effects that are left out, because they happen once and not again on a fresh log.
-    pub left_out: Vec<&'static str>,
 }
 
 impl SavedGains {
@@ -231,54 +216,6 @@ impl SavedModel {
             .flat_map(|e| confused_with(&e.name))
             .map(|n| (*n).to_owned());
         names.chain(similar).collect()
-    }
-
-    /// Runs both models over a fresh log. Only gravity, field and gyroscope bias (base frame and references) are solved
-    /// again. Effects that happen once are left out.
-    pub fn check_on(&self, log: &Observed, catalogue: &[Box<dyn Effect>]) -> Checked {
-        let energy = |gains: &SavedGains, names: &[&str]| {
-            let model = Model::named(catalogue, names);
-            let mut theta = nominal_theta(&gains.lines(), gains.lag_s);
-            theta.extend(
-                model
-                    .effects
-                    .iter()
-                    .filter_map(|e| self.params_of(*e))
-                    .flatten(),
-            );
-            score(
-                log,
-                sense(log, &model, &theta, &run(log, &model, &theta), every_bin),
-                every_bin,
-            )
-            .energy()
-        };
-        let known = Model::named(
-            catalogue,
-            &self
-                .effect
-                .iter()
-                .map(|e| e.name.as_str())
-                .collect::<Vec<_>>(),
-        );
-        let (events, lasting): (Vec<&dyn Effect>, Vec<&dyn Effect>) = known
-            .effects
-            .iter()
-            .copied()
-            .partition(|e| e.info().is_event());
-        let names: Vec<&'static str> = lasting.iter().map(|e| e.name()).collect();
-        let (before, after) = (
-            energy(&self.nominal, &[]),
-            energy(&self.with_effects, &names),
-        );
-        let closed = ((before - after) / (before - log.noise_energy()).max(1e-9)).min(1.0);
-        let left_out = events.iter().map(|e| e.name()).collect();
-        Checked {
-            before_deg: log.rms_deg(before),
-            after_deg: log.rms_deg(after),
-            closed,
-            left_out,
-        }
     }
 
     /// The first effect or parameter that the catalogue does not have, as a problem; `None` if there is none.

@@ -1,5 +1,6 @@
 //! The diagnosis on logs of the built-in plant, whose laws differ in form from the catalogue's.
 
+use retroflex::diagnosis::check::{Judgement, check};
 use retroflex::diagnosis::decide::VerdictKind;
 use retroflex::diagnosis::diagnose::diagnose;
 use retroflex::diagnosis::document::{Diagnosis, ParamValue};
@@ -8,6 +9,8 @@ use retroflex::diagnosis::exam::run::run;
 use retroflex::diagnosis::exam::score::score;
 use retroflex::diagnosis::observe::Observed;
 use retroflex::diagnosis::rig::Rig;
+use retroflex::diagnosis::saved::SavedModel;
+use retroflex::log::bend_log::BendLog;
 use retroflex::model::effects::catalogue;
 
 fn question(content: Content, names: &[&'static str], lab: bool, seed: u64) -> Question {
@@ -143,6 +146,40 @@ fn an_event_of_one_log_stays_in_that_log() {
         "{:?}",
         d.effects[0].params
     );
+}
+
+/// A saved model on a fresh log of its unit, of the mended unit, and of others.
+#[test]
+fn a_check_tells_this_machine_from_another_and_from_a_mended_one() {
+    for (effect, lab, seed) in [
+        ("leak", false, 31),
+        ("curvature", true, 45),
+        ("creep", false, 52),
+    ] {
+        let drawn = |content, names: &[&'static str], seed| {
+            question(content, names, lab, seed).draw().unwrap()
+        };
+        let observed = |log: &BendLog| Observed::new(log, &Rig::default()).unwrap();
+        let sick = drawn(Content::Single, &[effect], seed);
+        let done = diagnose(&observed(&sick.log), &catalogue(), &sick.lines, 1);
+        let model = SavedModel::new("log", &catalogue(), &done);
+        let judged = |log: &BendLog| check(&model, &observed(log), &catalogue());
+        let same = judged(&sick.fresh);
+        assert_eq!(same.judgement, Judgement::ThisMachine, "{effect} {same:?}");
+        // the same seed draws the same unit
+        let mended = judged(&drawn(Content::None, &[], seed).fresh);
+        assert_eq!(
+            mended.judgement,
+            Judgement::WorseThanNothing,
+            "{effect} {mended:?}"
+        );
+        let others =
+            (1..=4).map(|k| judged(&drawn(Content::Single, &[effect], seed + 1000 * k).log));
+        let told = others
+            .filter(|c| c.judgement != Judgement::ThisMachine)
+            .count();
+        assert!(told >= 3, "{effect}: {told} of 4 other units are told");
+    }
 }
 
 #[test]

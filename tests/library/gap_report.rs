@@ -70,6 +70,7 @@ fn diagnosis(
         verdict: VerdictEntry {
             kind,
             names: names.to_vec(),
+            probability: 0.9,
             equivalent: equivalent.iter().map(|g| g.to_vec()).collect(),
             conformal: vec![],
         },

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::Command;
 use tempfile::TempDir;
 
-/// Exit code and stderr on one line, without the drawing characters of the report.
+/// Exit code and what was printed, on one line, without the drawing characters of the report.
 fn retroflex(args: &[&str]) -> (i32, String) {
     let out = Command::new(env!("CARGO_BIN_EXE_retroflex"))
         .args(args)
@@ -17,7 +17,7 @@ fn retroflex(args: &[&str]) -> (i32, String) {
         .unwrap();
     (
         out.status.code().unwrap_or(-1),
-        flat(&String::from_utf8(out.stderr).unwrap()),
+        flat(&String::from_utf8([out.stdout, out.stderr].concat()).unwrap()),
     )
 }
 
@@ -475,10 +475,14 @@ fn real_recordings_are_diagnosed_through_their_maps() {
             .into_iter()
             .chain(held(&r["verdict"]["equivalent"]))
             .collect();
+        // of the probe, as much remains as an effect of the catalogue does not leave: its memory is a part
+        let partly = log.starts_with("endoscope") && r["verdict"]["kind"] == "unknown";
         assert!(
-            r["verdict"]["kind"] == "effects" && named.contains(&Value::from(expected)),
+            (r["verdict"]["kind"] == "effects" || partly) && named.contains(&Value::from(expected)),
             "{log}: {message}"
         );
+        let set = &r["verdict"]["conformal"];
+        assert_eq!(r["verdict"]["kind"], set[0]["kind"], "{log}: {message}");
         if let Some(same) = same {
             assert!(
                 named.contains(&Value::from(same)) && message.contains("one speed"),
@@ -486,4 +490,65 @@ fn real_recordings_are_diagnosed_through_their_maps() {
             );
         }
     }
+}
+
+/// Recordings of other people's machines: what is right of each, as the people who recorded them or the physics tell.
+#[test]
+fn field_recordings_are_judged_right() {
+    let field = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/field/logs");
+    if !field.is_dir() {
+        println!("skipped: {} does not exist", field.display());
+        return;
+    }
+    let folder = TempDir::new().unwrap();
+    let json = folder.path().join("r.json");
+    let diagnosed = |log: &str| {
+        let path = field.join(log);
+        let map = path.with_file_name("map.toml");
+        let (code, message) = retroflex(&[
+            "gap",
+            "diagnose",
+            path.to_str().unwrap(),
+            "--map",
+            map.to_str().unwrap(),
+            "--json",
+            json.to_str().unwrap(),
+        ]);
+        assert_eq!(code, 0, "{message}");
+        let r: Value = serde_json::from_str(&std::fs::read_to_string(&json).unwrap()).unwrap();
+        // the verdict is the most probable statement of its own 95 % set
+        let (verdict, first) = (&r["verdict"], &r["verdict"]["conformal"][0]);
+        assert_eq!(verdict["kind"], first["kind"], "{message}");
+        if verdict["kind"] != "unknown" {
+            assert_eq!(verdict["names"], first["names"], "{message}");
+        }
+        (r, message)
+    };
+    let has = |v: &Value, name: &str| v.to_string().contains(&format!("\"{name}\""));
+    let named = |r: &Value, name: &str| {
+        r["verdict"]["kind"] == "effects"
+            && (has(&r["verdict"]["names"], name) || has(&r["verdict"]["equivalent"], name))
+    };
+    for log in [
+        "lag_longer_than_2pct/heater.csv",
+        "periodic_below_nyquist/heaters.csv",
+    ] {
+        let (r, message) = diagnosed(log);
+        assert!(named(&r, "lag"), "{log}: {message}");
+    }
+    let (r, message) = diagnosed("coulomb_hidden_by_8pct/tx40_joint6.csv");
+    assert!(named(&r, "coulomb") && named(&r, "viscous"), "{message}");
+    let (r, message) = diagnosed("none_explains_nothing/robotarm.csv");
+    assert!(r["verdict"]["kind"] == "unknown", "{message}");
+    let (r, message) = diagnosed("unknown_too_low/diamond_y.csv");
+    assert!(
+        r["verdict"]["kind"] == "unknown" && r["unknown"]["probability"].as_f64() >= Some(0.5),
+        "{message}"
+    );
+    assert!(has(&r["verdict"]["names"], "delay"), "{message}");
+    let (r, message) = diagnosed("few_poses/tdcr.csv");
+    assert!(
+        r["verdict"]["kind"] == "unknown" && message.contains("20 distinct"),
+        "{message}"
+    );
 }

@@ -4,9 +4,11 @@ use crate::cli::calibrate::today;
 use crate::cli::gap::input;
 use crate::cli::{CommandOutcome, output};
 use crate::config::{Calibration, DynamicsSection, TransmissionSection};
+use crate::diagnosis::remedy::Remedy;
 use crate::diagnosis::saved::SavedModel;
 use crate::estimation::imu_calibration::Entry;
 use crate::model::effects::{Effect, by_name};
+use crate::report::gap::words::plain;
 use miette::{IntoDiagnostic, Result};
 use std::path::{Path, PathBuf};
 
@@ -56,41 +58,50 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             toml::to_string_pretty(&calibration(&model, &args.model, path)?).into_diagnostic()?;
         output::write(path, &text)?;
     }
-    if let Some(path) = &args.calib {
-        eprintln!("written to {}", path.display());
-    }
-    eprintln!(
+    output::show(&(said(&model, &effects, args) + "\n"), None);
+    Ok(CommandOutcome::Good)
+}
+
+/// What becomes of the gains and of each effect, after a sentence that says what the verdict asks for.
+fn said(model: &SavedModel, effects: &[Box<dyn Effect>], args: &Args) -> String {
+    let verdict: Vec<String> = effects
+        .iter()
+        .filter(|e| model.effect.iter().any(|s| s.name == e.name()))
+        .map(|e| format!("{}: {}", plain(e.name()), Remedy::of(e.as_ref()).advice()))
+        .collect();
+    let mut out = vec![if verdict.is_empty() {
+        "The verdict names no effect; the recalibrated gains are all there is to apply.".to_owned()
+    } else {
+        format!("The verdict asks for this: {}.", verdict.join("; "))
+    }];
+    out.extend(
+        args.calib
+            .as_ref()
+            .map(|p| format!("written to {}", p.display())),
+    );
+    out.push(format!(
         "calibration: k_epsilon and k_lambda as re-identified on {}",
         model.source
-    );
-    for e in &effects {
-        match place(&model, e.as_ref()) {
-            Place::Calibration => eprintln!("calibration: {}", e.name()),
-            Place::Feedforward => {
-                eprintln!("feedforward through {}: {}", args.model.display(), e.name())
-            }
-            Place::Nowhere(why) => eprintln!("not held: {}, {why}", e.name()),
-        }
-    }
-    Ok(CommandOutcome::Good)
+    ));
+    out.extend(effects.iter().map(|e| match place(model, e.as_ref()) {
+        Place::Calibration => format!("calibration: {}", e.name()),
+        Place::Feedforward => format!("feedforward through {}: {}", args.model.display(), e.name()),
+        Place::Nowhere(why) => format!("not held: {}, {why}", e.name()),
+    }));
+    out.join("\n")
 }
 
 fn place(model: &SavedModel, e: &dyn Effect) -> Place {
     let proven = model.effect.iter().any(|s| s.name == e.name());
-    match e.name() {
-        _ if e.info().is_event() => Place::Nowhere("which happens once and cannot be predicted"),
-        "transport_delay" | "sensor_latency" | "accel_bias" | "hard_iron"
-        | "mount_misalignment"
-            if proven =>
-        {
-            Place::Calibration
-        }
-        "gyro_bias" => Place::Nowhere("which drifts: the service estimates it while it runs"),
-        "motor_field" => {
+    match Remedy::of(e) {
+        Remedy::Mend => Place::Nowhere("which happens once and cannot be predicted"),
+        Remedy::Calibrate if proven => Place::Calibration,
+        Remedy::Calibrate if e.sensing_only() => Place::Nowhere("which the verdict does not name"),
+        Remedy::Estimate => Place::Nowhere("which drifts: the service estimates it while it runs"),
+        Remedy::Motors => {
             Place::Nowhere("which `retroflex calibrate imu motors` identifies from the same log")
         }
-        _ if e.sensing_only() => Place::Nowhere("which the verdict does not name"),
-        _ => Place::Feedforward,
+        Remedy::Calibrate | Remedy::Feedforward => Place::Feedforward,
     }
 }
 

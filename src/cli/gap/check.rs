@@ -2,6 +2,7 @@
 
 use crate::cli::gap::input;
 use crate::cli::{CommandOutcome, output};
+use crate::diagnosis::check::{Checked, Judgement, check};
 use crate::model::effects::catalogue;
 use miette::Result;
 use std::path::PathBuf;
@@ -30,19 +31,33 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     inputs.extend(args.board.as_deref());
     output::check(&[("--json", args.json.as_deref())], &inputs)?;
     let model = input::saved(&args.model)?;
-    let checked = model.check_on(
-        &input::observe(&args.log, &input::rig(args.board.as_deref())?)?,
-        &catalogue(),
-    );
-    eprintln!(
-        "before {:.2}°, after {:.2}°, closed {:.0} %",
-        checked.before_deg,
-        checked.after_deg,
-        checked.closed * 100.0
-    );
-    for name in &checked.left_out {
-        eprintln!("{name} happens once and is left out");
-    }
+    let log = input::observe(&args.log, &input::rig(args.board.as_deref())?)?;
+    let checked = check(&model, &log, &catalogue());
     output::json(args.json.as_deref(), &checked)?;
-    Ok(CommandOutcome::Good)
+    output::show(&said(&checked), args.json.as_deref());
+    Ok((checked.judgement == Judgement::ThisMachine).into())
+}
+
+/// The judgement in one sentence, then the figures.
+fn said(c: &Checked) -> String {
+    let sentence = match c.judgement {
+        Judgement::ThisMachine => "The model fits this machine.",
+        Judgement::AnotherUnit => {
+            "The model is of another unit, or the gains of this one have changed: diagnose a log of it."
+        }
+        Judgement::WorseThanNothing => {
+            "The model does worse than nothing here: its effects are no longer there. Diagnose the machine again."
+        }
+    };
+    let mut out = format!(
+        "{sentence}\nbefore {:.2}°, after {:.2}°, closed {:.0} %; with gains identified anew {:.2}°\n",
+        c.before_deg,
+        c.after_deg,
+        c.closed * 100.0,
+        c.refitted_deg
+    );
+    for name in &c.left_out {
+        out += &format!("{name} happens once and is left out\n");
+    }
+    out
 }

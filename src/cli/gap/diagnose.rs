@@ -99,7 +99,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     for (path, text) in files(args, &observed, &done)? {
         output::write(path, &text)?;
     }
-    eprintln!("{}", summary(&done.document, args.save.as_deref()));
+    let answer = summary(&done.document, args.save.as_deref()) + "\n";
+    output::show(&answer, args.json.as_deref());
     Ok(CommandOutcome::Good)
 }
 
@@ -218,6 +219,7 @@ fn summary(d: &Diagnosis, saved: Option<&Path>) -> String {
         format!(": {}", d.verdict.names.join(" and "))
     };
     let mut out = vec![
+        words::opening(d),
         format!("verdict {}{names}", d.verdict.kind.name()),
         words::headline(d),
         words::place(d),

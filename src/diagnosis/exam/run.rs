@@ -1,5 +1,6 @@
 //! Answers the questions of an exam.
 
+use crate::diagnosis::check::check;
 use crate::diagnosis::decide::VerdictKind;
 use crate::diagnosis::diagnose::diagnose;
 use crate::diagnosis::document::Diagnosis;
@@ -77,9 +78,8 @@ fn answer(
     let observe = |log| Observed::new(log, &Rig::default()).map_err(|e| ExamError::Observe(n, e));
     let (log, fresh) = (observe(&logs.log)?, observe(&logs.fresh)?);
     let done = diagnose(&log, catalogue, &logs.lines, n as u64);
-    let fresh_closed = SavedModel::new("exam", catalogue, &done)
-        .check_on(&fresh, catalogue)
-        .closed;
+    let saved = SavedModel::new("exam", catalogue, &done);
+    let fresh_closed = check(&saved, &fresh, catalogue).closed;
     let left_out = left_out.map(|name| {
         let rest: Vec<Box<dyn Effect>> = effects::catalogue()
             .into_iter()

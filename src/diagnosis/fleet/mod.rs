@@ -44,6 +44,49 @@ pub struct Lot {
     pub shares: Vec<(String, f64)>,
 }
 
+/// A gain of the sound units, and what to expect of the next one.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Spread {
+    /// Sound logs.
+    pub n: usize,
+    /// Median.
+    pub median: f64,
+    /// Standard deviation of the next unit's gain. The spread of few units is itself uncertain: it is that of the paper's tip, as if
+    /// [`KNOWN`] units had shown it, together with that of the fleet, and the gain follows Student's t (Gelman et al., *Bayesian Data
+    /// Analysis*, 3rd ed. 2013, § 3.3).
+    pub sigma: f64,
+}
+
+/// Degrees of freedom that the spread of the paper's tip counts as.
+pub const KNOWN: f64 = 4.0;
+
+impl Spread {
+    /// Of these values; `usual` is the spread of the paper's tip. `None` without values.
+    pub fn new(values: impl Iterator<Item = f64>, usual: f64) -> Option<Self> {
+        let values: Vec<f64> = values.collect();
+        let [median, seen] = spread(values.iter().copied())?;
+        let n = values.len() as f64;
+        let freedom = KNOWN + n - 1.0;
+        let variance = (KNOWN * usual * usual + (n - 1.0) * seen * seen) / freedom;
+        // the median itself is uncertain, and Student's t is wider than a normal distribution
+        let sigma = (variance * (1.0 + 1.0 / n) * freedom / (freedom - 2.0)).sqrt();
+        Some(Self {
+            n: values.len(),
+            median,
+            sigma,
+        })
+    }
+}
+
+/// Spread of a gain over the three lines of the paper's tip: k_ε, k_λ in mm; the lag, whose prior has it, in s.
+fn usual(gain: &str) -> f64 {
+    match gain {
+        "lag_s" => 0.015,
+        name if name.starts_with("k_epsilon") => 0.18,
+        _ => 0.055,
+    }
+}
+
 /// What a fleet has in common and where its lots differ.
 #[derive(Debug, Clone, Serialize)]
 pub struct Survey {
@@ -51,8 +94,8 @@ pub struct Survey {
     pub refused: usize,
     /// The whole fleet, then its lots.
     pub lots: Vec<Lot>,
-    /// Median and robust standard deviation of each gain over the logs without an effect.
-    pub gains: BTreeMap<String, [f64; 2]>,
+    /// Each gain over the logs without an effect.
+    pub gains: BTreeMap<String, Spread>,
     /// Differences between lots and over time, the least probable first.
     pub findings: Vec<Finding>,
 }
@@ -174,17 +217,11 @@ impl Survey {
             findings.extend(drifting.into_iter().chain(all));
         }
         findings.sort_by(|a, b| a.p.total_cmp(&b.p));
-        let gain = |name| {
-            Some((
-                name,
-                spread(told.iter().filter_map(|row| Quantity::Gain(name).of(row)))?,
-            ))
+        let gain = |name: &&'static str| {
+            let values = told.iter().filter_map(|row| Quantity::Gain(name).of(row));
+            Some(((*name).to_owned(), Spread::new(values, usual(name))?))
         };
-        let gains = GAINS
-            .iter()
-            .filter_map(|name| gain(*name))
-            .map(|(name, spread)| (name.to_owned(), spread))
-            .collect();
+        let gains = GAINS.iter().filter_map(gain).collect();
         Self {
             refused: rows.len() - told.len(),
             lots,
@@ -283,4 +320,33 @@ fn spread(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
         middle,
         SIGMA_PER_MAD * median(values.iter().map(|x| (x - middle).abs()).collect())?,
     ])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::rngs::StdRng;
+    use rand::{RngExt, SeedableRng};
+    use rand_distr::StandardNormal;
+
+    /// Units with a spread between a third of the usual one and three times it: the next unit lies within two σ about as often as it
+    /// should, from two units on, and a spread is never zero.
+    #[test]
+    fn the_next_unit_lies_within_the_stated_spread() {
+        let mut rng = StdRng::seed_from_u64(8);
+        for n in [1, 2, 3, 6, 20] {
+            let (mut within, draws) = (0, 2000);
+            for _ in 0..draws {
+                let sigma = 0.18 * 3f64.powf(rng.random_range(-1.0..1.0));
+                let mut unit = || 2.3 + sigma * rng.sample::<f64, _>(StandardNormal);
+                let values: Vec<f64> = (0..n).map(|_| unit()).collect();
+                let next = unit();
+                let s = Spread::new(values.into_iter(), 0.18).unwrap();
+                assert!(s.sigma > 0.03 && s.n == n);
+                within += usize::from((next - s.median).abs() < 2.0 * s.sigma);
+            }
+            let share = within as f64 / f64::from(draws);
+            assert!((0.87..0.995).contains(&share), "{n}: {share}");
+        }
+    }
 }

@@ -14,16 +14,21 @@ use crate::diagnosis::map::model::{MapBase, catalogue};
 use crate::diagnosis::map::regress::{Regressed, variance};
 use crate::diagnosis::map::search::{Bench, Set};
 use crate::diagnosis::map::table::Signals;
-use crate::diagnosis::posterior::{Posterior, Statement};
+use crate::diagnosis::posterior::{Claim, Posterior, Statement};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
 /// Rows below which the probabilities are not to be trusted; the weights are fitted to logs of 500 rows and more.
 const FEW: usize = 200;
 /// Draws of the bootstrap.
-const DRAWS: usize = 1000;
+const DRAWS: usize = 400;
 /// Orders of differences from which the noise is estimated.
 const ORDERS: u32 = 8;
+/// Distinct values of the inputs below which a log has few poses.
+const FEW_POSES: usize = 30;
+/// Mean square of what the output moves from the third to the fourth quarter of a pose, in units of what it moves from pose to pose, below
+/// which it stands. A response that goes on through the poses has a sixteenth.
+const STANDS: f64 = 0.01;
 /// Ratio of the 90th to the 10th percentile of the speed below which a log has one speed only.
 const ONE_SPEED: f64 = 1.3;
 /// Samples from which the speeds are estimated.
@@ -39,8 +44,8 @@ pub struct Searched<'a> {
     pub statements: Vec<Statement>,
 }
 
-/// Searches a log; `None` if its inputs do not determine the nominal model.
-pub fn search<'a>(map: &MapFile, log: &'a Signals) -> Option<Searched<'a>> {
+/// Searches a log, with the seed of the bootstrap; `None` if its inputs do not determine the nominal model.
+pub fn search<'a>(map: &MapFile, log: &'a Signals, seed: u64) -> Option<Searched<'a>> {
     let noise = noise(&log.output);
     let (bench, nominal) = Bench::new(
         MapBase::new(map, log),
@@ -49,13 +54,37 @@ pub fn search<'a>(map: &MapFile, log: &'a Signals) -> Option<Searched<'a>> {
         noise * noise,
     )?;
     let found = bench.search(nominal);
-    let statements = statements(&found, noise * noise, variance(&log.output));
+    let poor = poor(log);
+    let claim = |set: &Set| match poor {
+        true => Claim {
+            names: None,
+            unexplained: 0.0,
+        },
+        false => claim(&found, set, &bench, seed),
+    };
+    let statements = statements(&found, noise * noise, variance(&log.output), claim);
     Some(Searched {
         bench,
         found,
         noise,
         statements,
     })
+}
+
+/// What may be claimed of a set: the effects that surely close enough of the gap. What it leaves of the gap beyond noise is unknown in
+/// proportion.
+fn claim(found: &Candidates<Set>, set: &Set, bench: &Bench<'_>, seed: u64) -> Claim {
+    let floor = found.nominal.energy() - bench.gap;
+    let enough = |c: &Set, part: &Set| {
+        c.gain(part) >= 1.0 && interval(&part.scores, &c.scores, floor, seed)[0] > 0.0
+    };
+    let kept = found.claimable(set, &enough);
+    let above = (kept.energy() - floor).max(0.0);
+    let structured = above / kept.energy().max(f64::MIN_POSITIVE);
+    Claim {
+        names: (!kept.names.is_empty()).then(|| kept.names.clone()),
+        unexplained: (above / bench.gap * structured).min(1.0),
+    }
 }
 
 /// Diagnoses a log; `fresh` are other logs of the rig, on which the fitted model is evaluated.
@@ -65,14 +94,16 @@ pub fn diagnose(map: &MapFile, log: &Signals, fresh: &[(String, Signals)], seed:
         found,
         noise,
         statements,
-    }) = search(map, log)
+    }) = search(map, log, seed)
     else {
         return Document::empty(map);
     };
     let posterior = Posterior::new(&HEAD, statements);
     let set = |names: &[&str]| found.set(names).unwrap_or(&found.nominal);
-    let verdict = decide(&posterior, |names| {
-        found.claimable(set(names)).names.clone()
+    let verdict = decide(&posterior, &[], |names| {
+        let least = set(names).energy();
+        let better = found.singles.iter().filter(|s| s.energy() < least);
+        better.map(|s| s.names[0]).collect()
     });
     let chosen = set(&verdict.names);
     let judged = Judged {
@@ -88,6 +119,9 @@ pub fn diagnose(map: &MapFile, log: &Signals, fresh: &[(String, Signals)], seed:
             .then(b.closed.total_cmp(&a.closed))
     });
     let mut notes = notes(log);
+    if bench.coarse {
+        notes.push("the rows are too far apart to tell noise from signal, so the parts that are closed include noise. Record more rows per second".to_owned());
+    }
     let mut evaluated = Vec::new();
     for (name, other) in fresh {
         match judged.on_fresh(chosen, name, other) {
@@ -105,10 +139,7 @@ pub fn diagnose(map: &MapFile, log: &Signals, fresh: &[(String, Signals)], seed:
             explained: chosen.energy().sqrt(),
             noise_floor: noise,
         },
-        set: (!chosen.names.is_empty())
-            .then(|| judged.entry(chosen))
-            .into_iter()
-            .collect(),
+        set: judged.parts(&found, chosen),
         effects,
         unknown: Left {
             probability: verdict.doubt,
@@ -117,6 +148,7 @@ pub fn diagnose(map: &MapFile, log: &Signals, fresh: &[(String, Signals)], seed:
         verdict: VerdictEntry {
             kind: verdict.kind,
             names: verdict.names,
+            probability: verdict.probability,
             equivalent: verdict.equivalent,
             conformal: StatementEntry::conformal(&posterior),
         },
@@ -134,15 +166,36 @@ struct Judged<'a> {
 }
 
 impl Judged<'_> {
+    /// A set as a whole, and what each of several effects closes beyond the others.
+    fn parts(&self, found: &Candidates<Set>, set: &Set) -> Vec<Entry> {
+        let beside = |name: &&'static str| {
+            let rest = found.without(set, name)?;
+            Some(Entry {
+                name: format!("{name}, beside the other"),
+                probability: self.posterior.effect(name),
+                params: vec![],
+                ..self.beyond(rest, set)
+            })
+        };
+        let several = set.names.iter().filter(|_| set.names.len() > 1);
+        let whole = (!set.names.is_empty()).then(|| self.entry(set));
+        whole
+            .into_iter()
+            .chain(several.filter_map(beside))
+            .collect()
+    }
+
     fn entry(&self, set: &Set) -> Entry {
-        let (before, after) = (self.nominal.energy(), set.energy());
+        self.beyond(self.nominal, set)
+    }
+
+    /// What a set closes beyond a part of it.
+    fn beyond(&self, from: &Set, set: &Set) -> Entry {
+        let (before, after) = (from.energy(), set.energy());
         let closed = ((before - after) / self.bench.gap).clamp(-1.0, 1.0);
-        let ci = interval(
-            &self.nominal.scores,
-            &set.scores,
-            before - self.bench.gap,
-            self.seed,
-        );
+        let floor = self.nominal.energy() - self.bench.gap;
+        let part = (before - floor).max(0.0) / self.bench.gap;
+        let ci = interval(&from.scores, &set.scores, floor, self.seed).map(|c| c * part);
         let params = set.members.iter().filter(|m| !m.operator.eta.is_empty());
         Entry {
             name: set.names.join(" + "),
@@ -215,12 +268,59 @@ fn noise(y: &[f64]) -> f64 {
     least.sqrt()
 }
 
+/// Whether a log shows nothing but a few poses: the output stands still while the inputs do, so that it has no more independent rows than
+/// poses.
+fn poor(log: &Signals) -> bool {
+    let rows = log.output.len();
+    let changes = |k: &usize| *k == 0 || log.inputs.iter().any(|u| u[*k] != u[k - 1]);
+    let mut starts: Vec<usize> = (0..rows).filter(changes).collect();
+    if log.inputs.is_empty() || starts.len() >= FEW_POSES || starts.len() < 2 {
+        return false;
+    }
+    starts.push(rows);
+    // the means of the last two quarters of each pose
+    let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
+    let quarters: Vec<[f64; 2]> = starts
+        .windows(2)
+        .map(|w| {
+            let quarter = ((w[1] - w[0]) / 4).max(1);
+            let third = w[1].saturating_sub(2 * quarter);
+            [
+                mean(&log.output[third..w[1] - quarter]),
+                mean(&log.output[w[1] - quarter..w[1]]),
+            ]
+        })
+        .collect();
+    let within: f64 = quarters.iter().map(|[a, b]| (b - a).powi(2)).sum();
+    let between: f64 = quarters
+        .windows(2)
+        .map(|w| (w[1][1] - w[0][1]).powi(2))
+        .sum();
+    within < STANDS * between
+}
+
+/// Number of distinct values of the inputs, up to [`FEW_POSES`].
+fn poses(log: &Signals) -> usize {
+    let mut known: Vec<Vec<f64>> = Vec::new();
+    for k in 0..log.output.len() {
+        let pose: Vec<f64> = log.inputs.iter().map(|u| u[k]).collect();
+        if known.len() < FEW_POSES && !known.contains(&pose) {
+            known.push(pose);
+        }
+    }
+    known.len()
+}
+
 /// What this log cannot show, regardless of the scores.
 fn notes(log: &Signals) -> Vec<String> {
     let mut out = Vec::new();
     if log.output.len() < FEW {
         let rows = log.output.len();
         out.push(format!("the log has {rows} rows; of fewer than {FEW}, noise is taken for an effect too often. Record a longer log"));
+    }
+    let poses = poses(log);
+    if !log.inputs.is_empty() && poses < FEW_POSES {
+        out.push(format!("the inputs have {poses} distinct values; a law of the path fits so few poses by chance. Record a log that passes {FEW_POSES} poses or more, each from both sides"));
     }
     if !log.clocked {
         out.push("the log has no clock: effects of time and effects of the path cannot be separated; times are in rows. Record a clock, and a second speed".to_owned());
@@ -302,6 +402,48 @@ mod tests {
         assert_eq!(d.verdict.names, ["drift"]);
         let d = diagnosis(|u, _| u.iter().map(|u| u + 0.2 * u.powi(3)).collect());
         assert_eq!(d.verdict.names, ["cubic"]);
+    }
+
+    /// A staircase of few poses after each of which the output stands shows no effect, whatever it looks like; one that moves on does.
+    #[test]
+    fn a_few_poses_claim_nothing_unless_the_output_moves_on() {
+        let mut rng = StdRng::seed_from_u64(6);
+        for poses in [5, 12, 20] {
+            let u: Vec<f64> = (0..poses).map(|_| rng.random_range(-1.0..1.0)).collect();
+            let hold = 60;
+            let inputs: Vec<f64> = (0..poses * hold).map(|k| u[k / hold]).collect();
+            let t: Vec<f64> = (0..poses * hold).map(|k| k as f64).collect();
+            let slow = |tau: f64| {
+                let mut y = 0.0;
+                inputs
+                    .iter()
+                    .map(|u| {
+                        y += (u - y) / tau;
+                        y
+                    })
+                    .collect::<Vec<f64>>()
+            };
+            let signals = |output: Vec<f64>| Signals {
+                inputs: vec![inputs.clone()],
+                output,
+                motion: Some(inputs.clone()),
+                t: t.clone(),
+                clocked: true,
+            };
+            let wrong: Vec<f64> = u.iter().map(|_| rng.random_range(-1.0..1.0)).collect();
+            let stands = signals(
+                (0..poses * hold)
+                    .map(|k| u[k / hold] + wrong[k / hold])
+                    .collect(),
+            );
+            assert!(poor(&stands) && !poor(&signals(slow(80.0))), "{poses}");
+            let d = diagnose(&toml::from_str(MAP).unwrap(), &stands, &[], 1);
+            assert!(
+                d.verdict.names.is_empty() && d.notes.iter().any(|n| n.contains("distinct")),
+                "{:?}",
+                d.verdict
+            );
+        }
     }
 
     /// Lines with noise: nothing is claimed of a log that is long enough, and a short one has a note.

@@ -4,7 +4,7 @@ use crate::diagnosis::candidates::{Candidates, Scored};
 use crate::diagnosis::map::model::RESONANT;
 use crate::diagnosis::map::operators::{DRIVEN, STILL};
 use crate::diagnosis::map::search::Set;
-use crate::diagnosis::posterior::{Head, Layout, Statement};
+use crate::diagnosis::posterior::{Claim, Head, Layout, Statement};
 use std::sync::LazyLock;
 
 /// Surcharge per effect when the best set is chosen, in the unit of a density.
@@ -63,7 +63,13 @@ pub static HEAD: LazyLock<Head> =
     LazyLock::new(|| Head::built_in(include_str!("posterior.toml"), &LAYOUT));
 
 /// All statements about a log whose noise has the variance `floor` and whose output has the variance `output`.
-pub fn statements(found: &Candidates<Set>, floor: f64, output: f64) -> Vec<Statement> {
+/// `may_claim` is what may be claimed of a set.
+pub fn statements(
+    found: &Candidates<Set>,
+    floor: f64,
+    output: f64,
+    may_claim: impl Fn(&Set) -> Claim,
+) -> Vec<Statement> {
     let nominal = &found.nominal;
     let reference = nominal.scores.density();
     let densities = |s: &Set| [0, 1].map(|k| reference[k] - s.scores.density()[k]);
@@ -90,6 +96,7 @@ pub fn statements(found: &Candidates<Set>, floor: f64, output: f64) -> Vec<State
         Statement {
             names: Some(s.names.clone()),
             features: features(density(s), own, [0.0; 4], [0.0; 5], &[]),
+            claim: may_claim(s),
         }
     };
     let above = |s: &Set| (s.energy() - floor).max(0.0);
@@ -105,10 +112,12 @@ pub fn statements(found: &Candidates<Set>, floor: f64, output: f64) -> Vec<State
         Statement {
             names: Some(vec![]),
             features: features([0.0; 4], [0.0; 4], none, [0.0; 5], &[]),
+            claim: Claim::of(vec![]),
         },
         Statement {
             names: None,
             features: features(density(best), [0.0; 4], [0.0; 4], unknown, &best.names),
+            claim: Claim::of(vec![]),
         },
     ];
     found.sets().map(of_set).chain(others).collect()

@@ -16,6 +16,17 @@ pub struct Member {
     pub columns: Vec<Vec<f64>>,
 }
 
+/// Effects whose answer replaces the immediate one of the nominal model.
+const TAKES_OVER: [&str; 7] = [
+    "play",
+    "hysteresis",
+    "bouc_wen",
+    "dead_band",
+    "rate_limit",
+    "lag",
+    "delay",
+];
+
 /// Largest nominal prediction on a fresh log, in half ranges of the fitted one.
 const OUTSIDE: f64 = 2.5;
 
@@ -114,8 +125,18 @@ impl MapBase {
         let (mut of, mut signs): (Vec<&[f64]>, _) =
             (self.base.iter().map(Vec::as_slice).collect(), vec![]);
         for m in members {
-            signs.push((of.len(), m.operator.sign));
+            // of several inputs each has a weight of its own, and nothing tells its sign
+            let weighted = !self.drive.parts.is_empty() && m.columns.len() > self.drive.parts.len();
+            signs.push((of.len(), if weighted { 0 } else { m.operator.sign }));
             of.extend(m.columns.iter().map(Vec::as_slice));
+        }
+        // what creeps has answered at once, the same way, and creeps on that way, unless another effect takes the answer over
+        let creeps = members.iter().any(|m| m.operator.name == "creep");
+        let taken = members
+            .iter()
+            .any(|m| TAKES_OVER.contains(&m.operator.name));
+        if let ([weight], true, false) = (self.scale.weights.as_slice(), creeps, taken) {
+            signs.push((1, if *weight < 0.0 { -1 } else { 1 }));
         }
         Columns { of, signs }
     }
@@ -183,6 +204,13 @@ impl Scale {
             m,
             m_range: self.m_range,
             t: log.t.clone(),
+            zero: -self.middle / self.half,
+            parts: inputs
+                .iter()
+                .zip(&self.weights)
+                .skip(1)
+                .map(|(u, w)| u.iter().map(|u| u * w / self.half).collect())
+                .collect(),
         }
     }
 }

@@ -17,6 +17,10 @@ pub struct Drive {
     pub m_range: f64,
     /// Time, s or rows.
     pub t: Vec<f64>,
+    /// `v` at an input of zero.
+    pub zero: f64,
+    /// Parts of `v` due to each input but the first, of several; a time constant changes their weights.
+    pub parts: Vec<Vec<f64>>,
 }
 
 /// An operator.
@@ -61,15 +65,18 @@ impl Operator {
 pub fn kind(name: &str) -> &'static str {
     match name {
         "play" | "hysteresis" | "bouc_wen" | "coulomb" | "load_friction" => "memory of the path",
-        "viscous" | "lag" | "delay" | "creep" | "leak" => "memory of the time",
-        "cubic" | "asymmetry" => "curved characteristic",
+        "viscous" | "lag" | "delay" | "creep" | "leak" | "rate_limit" => "memory of the time",
+        "cubic" | "asymmetry" | "saturation" | "dead_band" => "curved characteristic",
         "periodic_position" | "periodic_time" => "period",
         _ => "drift",
     }
 }
 
+/// Ratio of the time constants of the two elements of a creep.
+const SLOWER: f64 = 12.0;
+
 /// Operators for a rig with an input.
-pub const DRIVEN: [Operator; 15] = [
+pub const DRIVEN: [Operator; 18] = [
     // Play operator of one half-width. Separated by nested loops of several sizes.
     Operator::new("play", "half-width / range", widths, |d, r| {
         vec![play(&d.v, 2.0 * r)]
@@ -102,28 +109,52 @@ pub const DRIVEN: [Operator; 15] = [
         |_| (1..10).map(|k| f64::from(k) * 0.1).collect(),
         |d, c| vec![d.v.iter().map(|v| (v - (2.0 * c - 1.0)).abs()).collect()],
     ),
+    // No answer to a small input of either sign. Separated by small and large amplitudes.
+    Operator::new("dead_band", "half-width / range", widths, |d, w| {
+        vec![d.v.iter().map(|v| beyond(v - d.zero, 2.0 * w)).collect()]
+    })
+    .signed(1),
+    // Nothing beyond an end, on either side. Separated by amplitudes to both sides.
+    Operator::new(
+        "saturation",
+        "end / half range",
+        |_| (2..20).map(|k| f64::from(k) * 0.05).collect(),
+        |d, c| {
+            let side = |sign: f64| d.v.iter().map(|v| sign * (sign * v - c).max(0.0)).collect();
+            vec![side(1.0), side(-1.0)]
+        },
+    )
+    .signed(-1),
+    // The speed of a servo is limited. Separated by steps of several sizes.
+    Operator::new(
+        "rate_limit",
+        "largest speed, ranges per time",
+        rates,
+        |d, r| vec![limited(&d.v, &d.t, 2.0 * r)],
+    )
+    .signed(1),
     // First order. Separated by a step and a chirp.
     Operator::new(
         "lag",
         "time constant",
-        |d| times_from(d, 1.0, 0.02),
-        |d, tau| vec![follow(&d.v, &d.t, tau)],
+        |d| times_from(d, 1.0, 0.5),
+        |d, tau| of_each(d, |v| follow(v, &d.t, tau)),
     )
     .signed(1),
     // Delayed input. Separated by a chirp: phase that grows with frequency.
     Operator::new(
         "delay",
         "dead time",
-        |d| times_from(d, 1.0, 0.02),
-        |d, tau| vec![late(&d.v, &d.t, tau)],
+        |d| times_from(d, 1.0, 0.5),
+        |d, tau| of_each(d, |v| late(v, &d.t, tau)),
     )
     .signed(1),
-    // Two Kelvin-Voigt elements, a factor 12 apart. Separated by hold, return, hold.
+    // Two Kelvin-Voigt elements, a factor [`SLOWER`] apart. Separated by hold, return, hold.
     Operator::new(
         "creep",
         "time constant",
-        |d| times_from(d, 20.0, 0.2),
-        |d, tau| vec![follow(&d.v, &d.t, tau), follow(&d.v, &d.t, 12.0 * tau)],
+        |d| times_from(d, 20.0, 0.5 / SLOWER),
+        |d, tau| vec![follow(&d.v, &d.t, tau), follow(&d.v, &d.t, SLOWER * tau)],
     )
     .signed(1),
     // Exponential return after an input. Separated by a long hold, then a return to zero.
@@ -138,14 +169,14 @@ pub const DRIVEN: [Operator; 15] = [
     Operator::new(
         "periodic_position",
         "period",
-        |d| periods(d.m_range),
+        |d| periods(d.m_range, &d.m, d.m_range),
         |d, p| waves(d.m.iter().map(|m| m * d.m_range / p)),
     ),
     // Sine of time, with a second harmonic. Separated by two speeds.
     Operator::new(
         "periodic_time",
         "period",
-        |d| periods(d.t[d.t.len() - 1] - d.t[0]),
+        |d| periods(d.t[d.t.len() - 1] - d.t[0], &d.t, 1.0),
         |d, p| waves(d.t.iter().map(|t| t / p)),
     ),
     DRIFT,
@@ -173,6 +204,14 @@ pub const STILL: [Operator; 3] = [
     DRIFT,
 ];
 
+/// A column of the whole drive, and one of each part of it.
+fn of_each(d: &Drive, column: impl Fn(&[f64]) -> Vec<f64>) -> Vec<Vec<f64>> {
+    std::iter::once(&d.v)
+        .chain(&d.parts)
+        .map(|v| column(v))
+        .collect()
+}
+
 /// The grid of an operator without η.
 pub fn none(_: &Drive) -> Vec<f64> {
     vec![0.0]
@@ -191,9 +230,52 @@ fn times_from(d: &Drive, rows: f64, share: f64) -> Vec<f64> {
         .map(|k| low * (high / low).powf(f64::from(k) / 23.0))
         .collect()
 }
-/// Periods of which 6 to 150 fit in a range, a quarter apart; fewer than six are a trend.
-fn periods(range: f64) -> Vec<f64> {
-    (24..=600).map(|k| range * 4.0 / f64::from(k)).collect()
+/// Rows that a period has at least.
+const ROWS_PER_PERIOD: f64 = 5.0;
+
+/// Periods of which 6 to 150 fit in a range, a quarter apart, and that a signal of this unit passes in five rows or more; fewer than six
+/// are a trend. The longest is there in any case.
+fn periods(range: f64, x: &[f64], unit: f64) -> Vec<f64> {
+    let mut steps: Vec<f64> = x
+        .windows(2)
+        .map(|w| (w[1] - w[0]).abs() * unit)
+        .filter(|s| *s > 0.0)
+        .collect();
+    steps.sort_by(f64::total_cmp);
+    let usual = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
+    (24..=600)
+        .map(|k| range * 4.0 / f64::from(k))
+        .enumerate()
+        .filter(|(k, p)| *k == 0 || *p >= ROWS_PER_PERIOD * usual)
+        .map(|(_, p)| p)
+        .collect()
+}
+/// Speeds of the nominal prediction, ranges per time: up to what it rarely exceeds, uniform in the logarithm.
+fn rates(d: &Drive) -> Vec<f64> {
+    let mut speeds: Vec<f64> = (1..d.v.len())
+        .map(|k| (d.v[k] - d.v[k - 1]).abs() / (d.t[k] - d.t[k - 1]) / 2.0)
+        .filter(|s| *s > 0.0)
+        .collect();
+    speeds.sort_by(f64::total_cmp);
+    let high = speeds.get(speeds.len() * 99 / 100).copied().unwrap_or(1.0);
+    let span = d.t[d.t.len() - 1] - d.t[0];
+    let low = (1.0 / span).min(high / 2.0);
+    (0..24)
+        .map(|k| low * (high / low).powf(f64::from(k) / 23.0))
+        .collect()
+}
+fn beyond(x: f64, half: f64) -> f64 {
+    x - x.clamp(-half, half)
+}
+fn limited(v: &[f64], t: &[f64], rate: f64) -> Vec<f64> {
+    let (mut y, mut before) = (v[0], t[0]);
+    let one = |(&x, &now): (&f64, &f64)| {
+        let most = rate * (now - before);
+        before = now;
+        y += (x - y).clamp(-most, most);
+        y
+    };
+    v.iter().zip(t).map(one).collect()
 }
 /// The play operator; it starts centred.
 pub fn play(v: &[f64], r: f64) -> Vec<f64> {
@@ -311,6 +393,50 @@ mod tests {
         let ramp: Vec<f64> = t.clone();
         assert!((late(&ramp, &t, 0.05)[100] - 0.95).abs() < 1e-9);
         assert!((follow(&ramp, &t, 0.05)[199] - (1.99 - 0.05)).abs() < 0.006);
+    }
+
+    #[test]
+    fn a_servo_follows_a_step_at_its_speed_and_a_dead_band_keeps_the_slope() {
+        let t: Vec<f64> = (0..100).map(|k| f64::from(k) * 0.1).collect();
+        let step: Vec<f64> = t.iter().map(|t| f64::from(u8::from(*t >= 1.0))).collect();
+        let y = limited(&step, &t, 0.25);
+        assert!((y[30] - 0.25 * 2.1).abs() < 1e-9 && (y[99] - 1.0).abs() < 1e-12);
+        assert_eq!(
+            [-0.5, 0.1, 0.5].map(|x| beyond(x, 0.25)),
+            [-0.25, 0.0, 0.25]
+        );
+    }
+
+    #[test]
+    fn no_period_is_under_five_rows_and_a_lag_may_be_half_of_the_log() {
+        for (rows, dt) in [(80, 3.0), (200, 1.0), (3000, 0.01)] {
+            let t: Vec<f64> = (0..rows).map(|k| f64::from(k) * dt).collect();
+            let m: Vec<f64> = t.iter().map(|t| (t / dt * 0.3).sin()).collect();
+            let d = Drive {
+                v: m.clone(),
+                m,
+                m_range: 1.0,
+                t,
+                zero: 0.0,
+                parts: vec![],
+            };
+            for o in DRIVEN {
+                let grid = (o.grid)(&d);
+                assert!(
+                    !grid.is_empty() && grid.iter().all(|x| x.is_finite()),
+                    "{}",
+                    o.name
+                );
+                match o.name {
+                    "periodic_time" => assert!(grid[1..].iter().all(|p| *p >= 5.0 * dt)),
+                    "lag" | "delay" => {
+                        let span = f64::from(rows - 1) * dt;
+                        assert!((grid[grid.len() - 1] / span - 0.5).abs() < 1e-9);
+                    }
+                    _ => {}
+                }
+            }
+        }
     }
 
     #[test]

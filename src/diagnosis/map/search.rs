@@ -9,7 +9,11 @@ use crate::diagnosis::map::operators::Operator;
 use crate::diagnosis::map::regress::{Regressed, Task};
 
 /// Part of the gap that an effect must close to be claimed.
-const WORTH: f64 = 0.08;
+const WORTH: f64 = 0.03;
+/// Noise, in units of what the nominal model leaves, beyond which the log is too coarse to tell noise.
+const COARSE: f64 = 1.1;
+/// Least part of what the nominal model leaves that counts as the gap.
+const GAP_MIN: f64 = 0.1;
 /// Pairs that are fitted again.
 const REFITTED: usize = 8;
 /// Values of η tried between the neighbours of the best grid point.
@@ -48,6 +52,8 @@ pub struct Bench<'a> {
     catalogue: Vec<Operator>,
     /// Mean square that the nominal model leaves above the noise.
     pub gap: f64,
+    /// Whether the rows are too far apart to tell noise from signal.
+    pub coarse: bool,
 }
 
 impl<'a> Bench<'a> {
@@ -61,13 +67,18 @@ impl<'a> Bench<'a> {
     ) -> Option<(Self, Regressed)> {
         let task = Task::new(y);
         let nominal = base.scored(&task, &[])?;
-        let gap = (nominal.energy() - floor).max(1e-300);
+        let coarse = floor > COARSE * nominal.energy();
+        let noise = if coarse { 0.0 } else { floor };
+        let gap = (nominal.energy() - noise)
+            .max(GAP_MIN * nominal.energy())
+            .max(1e-300);
         Some((
             Self {
                 base,
                 task,
                 catalogue,
                 gap,
+                coarse,
             },
             nominal,
         ))

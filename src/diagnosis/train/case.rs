@@ -3,7 +3,7 @@
 use crate::diagnosis::features::statements;
 use crate::diagnosis::map;
 use crate::diagnosis::observe::Observed;
-use crate::diagnosis::posterior::Statement;
+use crate::diagnosis::posterior::{Claim, Said as SaidOf, Statement, ranked};
 use crate::diagnosis::refuse::ObserveError;
 use crate::diagnosis::rig::Rig;
 use crate::diagnosis::search::search;
@@ -19,6 +19,8 @@ pub struct Said {
     pub names: Option<Vec<String>>,
     /// Its features.
     pub features: Vec<f64>,
+    /// What may be claimed of it.
+    pub claim: Claim<Vec<String>>,
 }
 
 /// A log of training.
@@ -44,6 +46,10 @@ impl Case {
         let said = |s: &Statement| Said {
             names: s.names.as_deref().map(owned),
             features: s.features.clone(),
+            claim: Claim {
+                names: s.claim.names.as_deref().map(owned),
+                unexplained: s.claim.unexplained,
+            },
         };
         Self {
             seed,
@@ -69,7 +75,7 @@ impl Case {
     /// Searches the log of a random rig.
     pub fn of_rig(seed: u64) -> Self {
         let rig = rig::draw(seed);
-        let searched = map::diagnose::search(&rig.map, &rig.signals);
+        let searched = map::diagnose::search(&rig.map, &rig.signals, seed);
         Self::new(
             seed,
             rig.truth.as_deref(),
@@ -87,6 +93,15 @@ impl Case {
         };
         let truth = sorted(&self.truth);
         self.said.iter().position(|s| sorted(&s.names) == truth)
+    }
+
+    /// What these probabilities of the statements claim, the most probable first.
+    pub fn claimed(&self, p: &[f64]) -> Vec<SaidOf<Vec<String>>> {
+        let of = |(s, p): (&Said, &f64)| match s.names {
+            Some(_) => s.claim.clone().said(*p),
+            None => vec![(None, *p)],
+        };
+        ranked(self.said.iter().zip(p).flat_map(of))
     }
 
     /// Features of all statements.

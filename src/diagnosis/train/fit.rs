@@ -53,13 +53,13 @@ pub fn fit(cases: &[Case], names: Vec<String>) -> Trained {
             break;
         }
     }
-    let p: Vec<(Vec<f64>, usize)> = check
+    let p: Vec<(f64, f64)> = check
         .iter()
-        .map(|(c, right)| (probabilities(c.features(), w.as_slice()), *right))
+        .map(|(c, right)| needed(c, *right, w.as_slice()))
         .collect();
     let loss = -p
         .iter()
-        .map(|(p, right)| p[*right].max(f64::MIN_POSITIVE).ln())
+        .map(|(p, _)| p.max(f64::MIN_POSITIVE).ln())
         .sum::<f64>()
         / p.len().max(1) as f64;
     let logs = [
@@ -78,11 +78,22 @@ pub fn fit(cases: &[Case], names: Vec<String>) -> Trained {
     }
 }
 
+/// Probability of what may be claimed of the truth, and what all more probable claims have together.
+fn needed(case: &Case, right: usize, w: &[f64]) -> (f64, f64) {
+    let truth = &case.said[right];
+    let claim = || truth.claim.names.clone().unwrap_or_default();
+    let truth = truth.names.as_ref().map(|_| claim());
+    let claimed = case.claimed(&probabilities(case.features(), w));
+    let p = claimed
+        .iter()
+        .find(|(names, _)| *names == truth)
+        .map_or(0.0, |s| s.1);
+    (p, claimed.iter().map(|s| s.1).filter(|x| *x > p).sum())
+}
+
 /// The least level at which the sets contain the truth often enough.
-fn level(p: &[(Vec<f64>, usize)]) -> f64 {
-    // what the truth and all more probable statements have together
-    let needed = |(p, right): &(Vec<f64>, usize)| p.iter().filter(|x| **x > p[*right]).sum::<f64>();
-    let mut needed: Vec<f64> = p.iter().map(needed).collect();
+fn level(p: &[(f64, f64)]) -> f64 {
+    let mut needed: Vec<f64> = p.iter().map(|p| p.1).collect();
     needed.sort_by(f64::total_cmp);
     let at =
         ((COVERED * (needed.len() + 1) as f64).ceil() as usize).clamp(1, needed.len().max(1)) - 1;
@@ -122,7 +133,7 @@ fn slopes(cases: &[(&Case, usize)], w: &DVector<f64>) -> (DVector<f64>, DMatrix<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::posterior::conformal_set;
+    use crate::diagnosis::posterior::{Claim, conformal_set};
     use crate::diagnosis::train::case::Said;
     use rand::rngs::StdRng;
     use rand::{RngExt, SeedableRng};
@@ -149,6 +160,7 @@ mod tests {
                 .map(|(k, features)| Said {
                     names: name(k),
                     features,
+                    claim: Claim::of(vec![k.to_string()]),
                 })
                 .collect();
             Case {

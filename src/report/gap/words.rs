@@ -2,6 +2,7 @@
 
 use crate::diagnosis::decide::VerdictKind;
 use crate::diagnosis::document::{Diagnosis, EffectEntry, ParamValue, StatementEntry};
+use crate::diagnosis::remedy::Remedy;
 use crate::model::effects::by_name;
 
 /// Name of an effect without underscores.
@@ -26,6 +27,104 @@ fn entry<'a>(d: &'a Diagnosis, name: &str) -> Option<&'a EffectEntry> {
 /// Group of effects that this log cannot separate from `name`, itself included.
 fn group<'a>(d: &'a Diagnosis, name: &str) -> Option<&'a Vec<&'static str>> {
     d.verdict.equivalent.iter().find(|g| g.contains(&name))
+}
+
+/// The verdict in one sentence for who stands at the machine: cause, place, size, share of the gap, certainty, what to do next.
+pub fn opening(d: &Diagnosis) -> String {
+    let (percent, sure) = (
+        closed_percent(d),
+        format!("probability {:.2}", d.verdict.probability),
+    );
+    let (was, many) = (d.gap.recalibrated_deg, d.verdict.names.len() > 1);
+    let sized: Vec<String> = d.verdict.names.iter().map(|name| sized(d, name)).collect();
+    match d.verdict.kind {
+        VerdictKind::None => {
+            format!("No effect ({sure}): the recalibrated model leaves {was:.2}°; keep its gains.")
+        }
+        VerdictKind::Unknown if sized.is_empty() => format!(
+            "Unknown cause ({sure}): {was:.2}° remain, and no known effect explains them; record a schedule of `gap excite`."
+        ),
+        VerdictKind::Unknown => format!(
+            "Unknown cause ({sure}), of which {} {} {percent:.0} % of the gap; record a schedule of `gap excite`.",
+            listed(&sized, "and"),
+            if many { "close" } else { "closes" }
+        ),
+        VerdictKind::Effects => format!(
+            "{} {} {percent:.0} % of the gap ({sure}): {}.",
+            capital(&listed(&sized, "and")),
+            if many { "together close" } else { "closes" },
+            asked(d)
+        ),
+    }
+}
+
+/// Part of the gap that the verdict closes, percent.
+fn closed_percent(d: &Diagnosis) -> f64 {
+    let [was, is, noise] = [
+        d.gap.recalibrated_deg,
+        d.gap.explained_deg,
+        d.gap.noise_floor_deg,
+    ]
+    .map(|x| x * x);
+    100.0 * ((was - is) / (was - noise).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0)
+}
+
+/// An effect, or its group as a choice, with the lines that have it and its largest parameter.
+fn sized(d: &Diagnosis, name: &'static str) -> String {
+    if let Some(group) = group(d, name) {
+        return format!("either {}", listed(group, "or"));
+    }
+    let params = entry(d, name).map_or(&[][..], |e| &e.params);
+    // the parameter that is known best, in the line that has most of it
+    let known = |p: &&ParamValue| (p.value / (p.ci95[1] - p.ci95[0]).max(1e-12)).abs();
+    let Some(best) = params.iter().max_by(|a, b| known(a).total_cmp(&known(b))) else {
+        return plain(name);
+    };
+    let same = || params.iter().filter(|p| p.name == best.name);
+    let size = |p: &&ParamValue| p.value.abs();
+    let Some(p) = same().max_by(|a, b| size(a).total_cmp(&size(b))) else {
+        return plain(name);
+    };
+    let lines: Vec<String> = same()
+        .filter(|q| q.channel > 0 && 2.0 * q.value.abs() >= p.value.abs())
+        .map(|q| q.channel.to_string())
+        .collect();
+    let place = match lines.len() {
+        0 => String::new(),
+        1 => format!(" of line {}", lines[0]),
+        3 => " of all lines".to_owned(),
+        _ => format!(" of lines {}", listed(&lines, "and")),
+    };
+    let [value, low, high] = [p.value, p.ci95[0], p.ci95[1]].map(short);
+    let unit = format!(" {}", p.unit);
+    format!(
+        "{}{place} ({} {value}{}, 95 %: {low} to {high})",
+        plain(name),
+        plain(p.name),
+        unit.trim_end()
+    )
+}
+
+/// What to do about the effects of the verdict: first tell those of a group apart.
+fn asked(d: &Diagnosis) -> String {
+    if let Some(group) = d.verdict.equivalent.first() {
+        let how = group
+            .first()
+            .and_then(|n| by_name(n))
+            .map_or("", |e| e.info().separated_by);
+        return format!(
+            "record this manoeuvre to tell {} apart: {how}",
+            listed(group, "and")
+        );
+    }
+    let mut all: Vec<&str> = Vec::new();
+    for e in d.verdict.names.iter().filter_map(|n| by_name(n)) {
+        let advice = Remedy::of(e.as_ref()).advice();
+        if !all.contains(&advice) {
+            all.push(advice);
+        }
+    }
+    all.join("; ")
 }
 
 /// The verdict in one sentence.
