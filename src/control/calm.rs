@@ -15,6 +15,6 @@ parameters! {
         /// Speed of the tip that each piston may then cause. A larger value corrects sooner and jumps further.
         speed_deg_s: f64 = 1.0, "deg/s", 0.01..=1000.0, "1 moves the tip by 0.1° before a line with 0.1 s of lag answers";
         /// Error above which that speed rises. A larger value corrects disturbances more slowly.
-        large_deg: f64 = 2.5, "deg", 0.0..=180.0, "2.5 is more than a learned pose leaves";
+        large_deg: f64 = 2.0, "deg", 0.0..=180.0, "2 is more than a learned pose leaves";
     }
 }

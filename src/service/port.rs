@@ -167,7 +167,7 @@ impl Port {
 #[cfg(test)]
 impl Port {
     /// A port without a socket, and what the hub has sent to its clients.
-    pub(in crate::service) fn detached() -> (Self, impl Fn() -> Option<(u64, String)>) {
+    pub(super) fn detached() -> (Self, impl Fn() -> Option<(u64, String)>) {
         let ((replies, out), (events, _)) = (channel(), sync_channel(0));
         let (waker, _) = std::os::unix::net::UnixStream::pair().unwrap();
         waker.set_nonblocking(true).unwrap();

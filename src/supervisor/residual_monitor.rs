@@ -263,7 +263,9 @@ impl ResidualMonitor {
             // a larger residual identifies the cause better
             verdict.age_s += input.dt_s;
             let now = self.classify(input, moved, sudden, verdict.abrupt);
-            if verdict.age_s < UPDATE_S && beyond && now.deg > verdict.suspicion.deg {
+            // a line that was strong at first is not one that does not respond once the loop has reacted
+            let same = now.share * verdict.suspicion.share >= 0.0;
+            if verdict.age_s < UPDATE_S && beyond && same && now.deg > verdict.suspicion.deg {
                 verdict.suspicion = now;
             }
             self.verdict = Some(verdict);

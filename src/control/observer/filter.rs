@@ -21,6 +21,8 @@ const SPEED_MAX: f64 = 2.5;
 /// Time constants with which the rate of the residual and its noise are smoothed, s.
 const RESIDUAL_RATE_S: f64 = 0.03;
 const NOISE_S: f64 = 2.0;
+/// Standard deviation of an estimate that is not doubted, rad (0.6°).
+const SIGMA_RAD: f64 = 0.01;
 /// Largest square of a change in units of the noise that counts as noise.
 const OUTLIER_2: f64 = 9.0;
 /// Standard deviations by which the largest plausible error of the response time counts for how long a motion is in flight: half of three.
@@ -47,6 +49,17 @@ const BELIEVED_MAX: f64 = 2.0 * std::f64::consts::PI;
 const SIZE_GAIN: f64 = 0.15;
 const SIZE_MIN: f64 = 0.003;
 const SIZE_MAX_2: f64 = 0.003;
+
+/// What the observer is told of the tip.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measured {
+    /// Estimated bend, less a periodic disturbance, rad.
+    pub bend: Vector2<f64>,
+    /// Standard deviation of the estimate, rad; 0 if it is not known.
+    pub sigma_rad: f64,
+    /// The laws learn too, not g alone.
+    pub laws: bool,
+}
 
 /// The observer.
 #[derive(Debug, Clone)]
@@ -298,15 +311,14 @@ impl Observer {
         (bend, there)
     }
 
-    /// A measurement of the bend, less a periodic disturbance, rad. At rest g follows it with the rate `ki_1_s`: the steady rate of a
-    /// filter for a random walk of variance rate d² in noise of density r is √(d²/r). Without `laws` g alone learns.
-    pub fn measure(
-        &mut self,
-        config: &ObserverConfig,
-        ki_1_s: f64,
-        laws: bool,
-        bend: &Vector2<f64>,
-    ) {
+    /// Takes a measurement. At rest g follows it with the rate `ki_1_s`: the steady rate of a filter for a random walk of variance rate d²
+    /// in noise of density r is √(d²/r).
+    pub fn measure(&mut self, config: &ObserverConfig, ki_1_s: f64, measured: &Measured) {
+        let &Measured {
+            bend,
+            sigma_rad,
+            laws,
+        } = measured;
         if self.due_s < PERIOD_S - 1e-9 {
             return;
         }
@@ -337,6 +349,8 @@ impl Observer {
         if laws {
             self.variance += timing_2 * same_sign;
         }
+        let doubt = (sigma_rad - SIGMA_RAD).max(0.0);
+        self.variance += doubt * doubt * SAME_SIGN_S[1] / dt_s;
         let mut rows = [State::zeros(); 2];
         for (axis, row) in rows.iter_mut().enumerate() {
             row.fixed_rows_mut::<LAWS>(0)
@@ -346,23 +360,17 @@ impl Observer {
                 (row[LAG], row[DELAY]) = (self.lag_derivative[axis], -self.rate[axis]);
             }
         }
-        if !laws {
-            for (axis, row) in rows.iter_mut().enumerate() {
-                row.fill(0.0);
-                row[RESIDUAL + axis] = 1.0;
-            }
-        }
         for axis in 0..2 {
             let expected = (self.predicted() + self.residual())[axis];
             self.known
-                .correct(&rows[axis], bend[axis] - expected, self.variance);
+                .correct(&rows[axis], bend[axis] - expected, self.variance, laws);
         }
         self.take_times();
         self.take_plays();
         let believed = (self.settled_by_laws() + self.residual()).norm();
         if believed.is_nan() || believed > BELIEVED_MAX {
             self.forget();
-            self.believe(bend);
+            self.believe(&bend);
         }
     }
 
@@ -540,12 +548,20 @@ mod tests {
                 let bend = tip.step(&at);
                 observer.follow(&at, None, DT_S);
                 if n < poses {
-                    observer.measure(&config, 23.0, true, &bend);
+                    observer.measure(&config, 23.0, &seen(bend, true));
                 }
             }
             error = (observer.settled_by_laws() - tip.bend).norm();
         }
         (observer, error)
+    }
+
+    fn seen(bend: Vector2<f64>, laws: bool) -> Measured {
+        Measured {
+            bend,
+            sigma_rad: 0.0,
+            laws,
+        }
     }
 
     fn other(gains: [f64; 3], widths_mm: [f64; 3]) -> [Line; 3] {
@@ -577,7 +593,7 @@ mod tests {
         let pushed = bend + Vector2::new(0.1, -0.05);
         for k in 0..100 {
             observer.follow(&at, None, DT_S);
-            observer.measure(&config, 23.0, false, &pushed);
+            observer.measure(&config, 23.0, &seen(pushed, false));
             if k == 30 {
                 let left = (observer.settled_by_laws() + observer.residual() - pushed).norm();
                 assert!(left < 0.01, "{left} rad after 0.3 s");
@@ -596,8 +612,7 @@ mod tests {
             observer.measure(
                 &config,
                 23.0,
-                true,
-                &Vector2::new(0.002 * f64::from(k), 0.0),
+                &seen(Vector2::new(0.002 * f64::from(k), 0.0), true),
             );
         }
         assert!(observer.theta().rows(laws::GAIN, 3).norm() < 1e-9);

@@ -70,11 +70,19 @@ impl Knowledge {
         }
     }
 
-    pub(super) fn correct(&mut self, row: &State, innovation: f64, variance: f64) {
+    /// Takes an innovation. Without `laws` g alone learns.
+    pub(super) fn correct(&mut self, row: &State, innovation: f64, variance: f64, laws: bool) {
         let about = self.p * row;
-        let gain = about / (row.dot(&about) + variance);
+        let expected = row.dot(&about) + variance;
+        let mut gain = about / expected;
+        if !laws {
+            gain.rows_mut(0, LAWS).fill(0.0);
+            gain.rows_mut(LAG, STATES - LAG).fill(0.0);
+        }
         self.x += gain * innovation;
-        self.p -= gain * about.transpose();
+        // for any gain (Schmidt 1966)
+        let cross = gain * about.transpose();
+        self.p += gain * gain.transpose() * expected - cross - cross.transpose();
         self.p = (self.p + self.p.transpose()) * 0.5;
     }
 

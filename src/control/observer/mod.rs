@@ -8,6 +8,6 @@ pub mod laws;
 pub mod periodic;
 
 pub use config::ObserverConfig;
-pub use filter::Observer;
+pub use filter::{Measured, Observer};
 pub use knowledge::Knowledge;
 pub use periodic::{Periodic, PeriodicConfig};

@@ -127,6 +127,10 @@ pub(super) fn command(
     dt_s: f64,
 ) -> PistonOutput {
     let length = Mm(state.setpoint.length.at.x);
+    if config.feedback.is_some() && state.setpoint.acceleration.is_none() {
+        // a path goes on from the sides on which the pistons push
+        state.push_sides();
+    }
     let command = match &config.feedback {
         None => open_loop(config, state, dt_s),
         Some(f) if moving => track(config, f, state, &estimate.0, dt_s),

@@ -58,10 +58,10 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
         decide::advance_setpoint(config, state, input)
     };
     let moving = !state.setpoint.has_arrived();
-    depart(state, moving, input.suspected);
+    depart(config, state, moving, input.suspected);
     sense::watch_base(config, state, input, bend);
-    if !holding && !state.base.moved {
-        observe::learn(config, state, &bend.0, moving, input.dt_s);
+    if !holding && !state.base.moved && !input.idle {
+        observe::learn(config, state, &estimate, moving, input.dt_s);
     }
     state.last_estimate = bend.0;
     let mut output = decide::command(config, state, bend, moving, input.dt_s);
@@ -80,12 +80,12 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
 }
 
 /// When the set-point begins to move.
-fn depart(state: &mut LoopState, moving: bool, suspected: bool) {
+fn depart(config: &LoopConfig, state: &mut LoopState, moving: bool, suspected: bool) {
     if moving && !state.moving {
         if !state.obstruction.blocked {
             state.remember();
             if !suspected {
-                state.accepted = state.lines;
+                state.accept_lines(config);
             }
         }
         state.observer.depart();
@@ -141,6 +141,23 @@ fn frame(
         Some(_) if state.setpoint.has_arrived() => TickPhase::Holding,
         Some(_) => TickPhase::Tracking,
     };
+    if std::env::var("DBG").is_ok() && (input.t.0 * 1000.0).round() as i64 % 50 == 0 {
+        eprintln!(
+            "{:.2} {phase:?} target {:.1} est {:.1} given {:.1} moved {} blocked {} hold {:?} settled {:.1} g {:.1} fb {:.1} full {} aim {:?}",
+            input.t.0,
+            state.setpoint.target.bend.beta().to_degrees(),
+            estimate.map_or(0.0, |e| e.bend.beta().to_degrees()),
+            state.played().norm().to_degrees(),
+            state.base.moved,
+            state.obstruction.blocked,
+            state.hold.is_holding(),
+            state.observer.settled_by_laws().norm().to_degrees(),
+            state.observer.residual().norm().to_degrees(),
+            state.feedback.norm().to_degrees(),
+            state.feedback_full,
+            state.rule.aim_mm.as_slice()
+        );
+    }
     let dynamics = state.observer.dynamics;
     let predicted = state.observer.predicted();
     Frame {

@@ -2,10 +2,11 @@
 
 use super::state::LoopState;
 use super::types::LoopConfig;
+use crate::control::observer::Measured;
 use crate::control::observer::laws::{GAIN, ODD};
+use crate::estimation::fusion::tip::TipEstimate;
 use crate::model::Line;
 use crate::primitives::Steps;
-use nalgebra::Vector2;
 
 /// Time at rest for which a pose teaches the laws, s: what the estimate has wrong there lasts as long as the pose does.
 const TEACHES_S: f64 = 3.0;
@@ -31,41 +32,37 @@ pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &S
     state.shown_by_accepted = from + (state.shown_by_accepted - from) * keep;
 }
 
-/// Learns from the estimated bend: lag and dead time, a periodic disturbance, and the laws.
+/// Learns from the estimate: lag and dead time, a periodic disturbance, and the laws.
 pub(super) fn learn(
     config: &LoopConfig,
     state: &mut LoopState,
-    estimate: &Vector2<f64>,
+    estimate: &TipEstimate,
     moving: bool,
     dt_s: f64,
 ) {
     let Some(f) = &config.feedback else { return };
-    let observer = &mut state.observer;
+    let (bend, observer) = (estimate.bend.0, &mut state.observer);
     let disturbance = state.periodic.at(0.0).0;
     let laws = !state.obstruction.blocked && state.rule.held_s() < TEACHES_S;
-    if f.learn_dynamics
-        && laws
-        && state
-            .bank
-            .step(observer.given(), estimate - disturbance, dt_s)
-    {
+    if f.learn_dynamics && laws && state.bank.step(observer.given(), bend - disturbance, dt_s) {
         state.dynamics = state.bank.assess(&state.before, &state.dynamics);
         observer.take_dynamics(&state.dynamics, moving);
     }
-    state.unexplained += estimate - state.last_estimate - observer.rate * dt_s;
-    let noise = observer
-        .variance
-        .max(f.observer.noise_deg.to_radians().powi(2));
-    let moved = observer.rate.norm() * dt_s;
-    state
-        .periodic
-        .step(&f.periodic, &state.unexplained, 2.0 * noise, moved, dt_s);
-    observer.measure(
-        &f.observer,
-        f.ki_1_s,
+    state.unexplained += bend - state.last_estimate - observer.rate * dt_s;
+    // a path has periods of its own
+    if state.setpoint.acceleration.is_none() {
+        let least = f.observer.noise_deg.to_radians().powi(2);
+        let (noise, moved) = (observer.variance.max(least), observer.rate.norm() * dt_s);
+        state
+            .periodic
+            .step(&f.periodic, &state.unexplained, 2.0 * noise, moved, dt_s);
+    }
+    let measured = Measured {
+        bend: bend - state.periodic.at(0.0).0,
+        sigma_rad: estimate.sigma_rad.unwrap_or(0.0),
         laws,
-        &(estimate - state.periodic.at(0.0).0),
-    );
+    };
+    observer.measure(&f.observer, f.ki_1_s, &measured);
     publish(config, state);
 }
 

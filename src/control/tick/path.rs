@@ -48,9 +48,11 @@ pub(super) fn advance(
         },
         dt_s,
     );
+    // catching up takes no more than the pace either
+    let before = setpoint.bend.at;
     setpoint.bend = Follower {
-        at: at + difference.at,
-        velocity: reference.rate + difference.velocity,
+        at: before + (at + difference.at - before).cap_magnitude(pace.speed * dt_s),
+        velocity: (reference.rate + difference.velocity).cap_magnitude(pace.speed),
     };
     setpoint.target = reference.shape;
     setpoint.target_rests_s = 0.0;

@@ -199,6 +199,31 @@ impl LoopState {
         }
     }
 
+    /// Takes the published gains as what the lines are, each as far as it is known better than before any motion.
+    pub(super) fn accept_lines(&mut self, config: &LoopConfig) {
+        let most = config.feedback.unwrap_or_default().observer.gain_sigma;
+        for i in 0..3 {
+            let known = 1.0 - (self.observer.gain_sigma(i) / most.max(1e-9)).powi(2);
+            let (from, to) = (config.lines[i], self.lines[i]);
+            self.accepted[i] = Line {
+                k_epsilon: from.k_epsilon + known.clamp(0.0, 1.0) * (to.k_epsilon - from.k_epsilon),
+                ..to
+            };
+        }
+    }
+
+    /// Takes the sides on which the pistons push by the plays.
+    pub(super) fn push_sides(&mut self) {
+        self.sides = std::array::from_fn(|i| {
+            let play = &self.observer.now.play[i];
+            SideState {
+                w_mm: play.w_mm,
+                side: -play.slope,
+                way: -play.slope,
+            }
+        });
+    }
+
     /// Remembers what is known, to return to.
     pub(super) fn remember(&mut self) {
         self.known = Known {
@@ -239,16 +264,9 @@ impl LoopState {
         let f = config.feedback.unwrap_or_default();
         self.observer.stand(&f.observer, &piston_mm, given, &at.0);
         self.remember();
-        self.accepted = self.lines;
+        self.accept_lines(config);
         self.shown_by_accepted = self.played();
-        self.sides = std::array::from_fn(|i| {
-            let play = &self.observer.now.play[i];
-            SideState {
-                w_mm: play.w_mm,
-                side: -play.slope,
-                way: -play.slope,
-            }
-        });
+        self.push_sides();
         self.rule = Rule::resting(piston_mm);
         self.rule.length = (self.setpoint.length.at.x - rest_length_mm) / config.geometry.r_mm;
         (self.unexplained, self.last_estimate) = (Vector2::zeros(), at.0);

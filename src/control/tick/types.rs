@@ -142,6 +142,8 @@ pub struct Input {
     pub reference: Option<Reference>,
     /// Microsteps counted so far.
     pub steps: Steps,
+    /// The loop does not lead: something else moves the pistons, or they stand.
+    pub idle: bool,
     /// A line is suspected: what it does now is not taken for what it was.
     pub suspected: bool,
     /// Requests a new alignment because the base was turned.

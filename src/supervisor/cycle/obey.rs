@@ -191,7 +191,9 @@ impl Supervisor {
     /// Defines the present pose as rest. Only the operator's word (`asserted`) replaces an attitude that confirms it.
     fn zero(&mut self, asserted: bool) -> Result<(), Refusal> {
         let mode = self.mode();
-        if mode == Mode::Disarmed && self.sent != Steps::default() {
+        // a step that is still on its way counts too
+        let there = self.last.is_none_or(|sensed| sensed.counted == self.sent);
+        if mode == Mode::Disarmed && !(there && self.sent == Steps::default()) {
             return Err(Refusal::NotAtRest);
         }
         if self.gate.latched().is_some() {

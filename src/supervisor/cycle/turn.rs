@@ -91,6 +91,7 @@ impl Supervisor {
             base_imu: sensed.base_imu,
             command: self.pending.command.take(),
             steps: sensed.counted,
+            idle: !self.leads(),
             suspected: self.residual.suspicion().is_some(),
             realign: false,
         }
