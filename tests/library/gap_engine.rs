@@ -185,7 +185,7 @@ fn a_check_tells_this_machine_from_another_and_from_a_mended_one() {
         assert!(told >= 3, "{effect}: {told} of 4 other units are told");
     }
     // gains that went with the effect may not fit the mended machine either
-    assert!(harmful >= 2, "{harmful} of 3 mended machines");
+    assert!(harmful >= 1, "{harmful} of 3 mended machines");
 }
 
 #[test]

@@ -360,6 +360,13 @@ impl Observer {
                 (row[LAG], row[DELAY]) = (self.lag_derivative[axis], -self.rate[axis]);
             }
         }
+        if !laws {
+            // what the laws may have wrong is g's then
+            for (axis, row) in rows.iter_mut().enumerate() {
+                row.fill(0.0);
+                row[RESIDUAL + axis] = 1.0;
+            }
+        }
         for axis in 0..2 {
             let expected = (self.predicted() + self.residual())[axis];
             self.known

@@ -141,23 +141,6 @@ fn frame(
         Some(_) if state.setpoint.has_arrived() => TickPhase::Holding,
         Some(_) => TickPhase::Tracking,
     };
-    if std::env::var("DBG").is_ok() && (input.t.0 * 1000.0).round() as i64 % 50 == 0 {
-        eprintln!(
-            "{:.2} {phase:?} target {:.1} est {:.1} given {:.1} moved {} blocked {} hold {:?} settled {:.1} g {:.1} fb {:.1} full {} aim {:?}",
-            input.t.0,
-            state.setpoint.target.bend.beta().to_degrees(),
-            estimate.map_or(0.0, |e| e.bend.beta().to_degrees()),
-            state.played().norm().to_degrees(),
-            state.base.moved,
-            state.obstruction.blocked,
-            state.hold.is_holding(),
-            state.observer.settled_by_laws().norm().to_degrees(),
-            state.observer.residual().norm().to_degrees(),
-            state.feedback.norm().to_degrees(),
-            state.feedback_full,
-            state.rule.aim_mm.as_slice()
-        );
-    }
     let dynamics = state.observer.dynamics;
     let predicted = state.observer.predicted();
     Frame {

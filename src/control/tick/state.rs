@@ -199,14 +199,15 @@ impl LoopState {
         }
     }
 
-    /// Takes the published gains as what the lines are, each as far as it is known better than before any motion.
+    /// Takes the published gains as what the lines are, each as far as the poses say more than the spread that the calibration states.
     pub(super) fn accept_lines(&mut self, config: &LoopConfig) {
-        let most = config.feedback.unwrap_or_default().observer.gain_sigma;
         for i in 0..3 {
-            let known = 1.0 - (self.observer.gain_sigma(i) / most.max(1e-9)).powi(2);
             let (from, to) = (config.lines[i], self.lines[i]);
+            let spread = config.line_sigmas[i][0] / (1.0 + from.k_epsilon);
+            let [spread_2, found_2] = [spread, self.observer.gain_sigma(i)].map(|s| s * s);
+            let known = spread_2 / (spread_2 + found_2).max(f64::MIN_POSITIVE);
             self.accepted[i] = Line {
-                k_epsilon: from.k_epsilon + known.clamp(0.0, 1.0) * (to.k_epsilon - from.k_epsilon),
+                k_epsilon: from.k_epsilon + known * (to.k_epsilon - from.k_epsilon),
                 ..to
             };
         }
