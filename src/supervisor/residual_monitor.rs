@@ -33,7 +33,7 @@ parameters! {
         motion_deg: f64 = 12.0, "deg", 0.2..=90.0, "12 is above what backlash and lag make";
         /// Increase of both thresholds per degree that the pistons have commanded since: a tip whose cable pulls taut on one
         /// side follows a third less there. A larger value misses a line that responds weakly.
-        share: f64 = 0.3, "", 0.0..=2.0, "0.3 is above the error of the gains";
+        share: f64 = 0.35, "", 0.0..=2.0, "0.35 is above the error of the gains and what a taut cable takes";
         /// Time for which the threshold must be exceeded. A larger value ignores knocks and reports leaks later.
         for_s: f64 = 0.1, "s", 0.0..=10.0, "0.1 ignores a knock";
         /// Change of the unexplained bend within 64 turns of the loop that counts as sudden; twice the bend commanded meanwhile
@@ -263,8 +263,9 @@ impl ResidualMonitor {
             // a larger residual identifies the cause better
             verdict.age_s += input.dt_s;
             let now = self.classify(input, moved, sudden, verdict.abrupt);
-            // a line that was strong at first is not one that does not respond once the loop has reacted
-            let same = now.share * verdict.suspicion.share >= 0.0;
+            // the reaction of the loop is motion that is not answered yet: it lets a line look less responsive than it is
+            let then = verdict.suspicion.share;
+            let same = now.share * then >= 0.0 && now.share.abs() <= then.abs();
             if verdict.age_s < UPDATE_S && beyond && same && now.deg > verdict.suspicion.deg {
                 verdict.suspicion = now;
             }

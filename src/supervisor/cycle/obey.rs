@@ -67,7 +67,9 @@ impl Supervisor {
     }
 
     fn disarm(&mut self) -> Result<(), Refusal> {
-        let in_motion = self.mode() != Mode::Holding;
+        // a correction of a held pose is a motion too
+        let there = self.last.is_none_or(|sensed| sensed.counted == self.sent);
+        let in_motion = self.mode() != Mode::Holding || !there;
         self.take(Event::Disarm)?;
         if in_motion {
             self.gate.brake();
