@@ -264,8 +264,9 @@ impl ResidualMonitor {
             verdict.age_s += input.dt_s;
             let now = self.classify(input, moved, sudden, verdict.abrupt);
             // the reaction of the loop is motion that is not answered yet: it lets a line look less responsive than it is
-            let then = verdict.suspicion.share;
-            let same = now.share * then >= 0.0 && now.share.abs() <= then.abs();
+            let then = verdict.suspicion;
+            let same = now.share * then.share >= 0.0
+                && (now.kind, then.kind) != (SuspicionKind::NoResponse, SuspicionKind::Weak);
             if verdict.age_s < UPDATE_S && beyond && same && now.deg > verdict.suspicion.deg {
                 verdict.suspicion = now;
             }
