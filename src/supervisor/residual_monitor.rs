@@ -314,7 +314,9 @@ impl ResidualMonitor {
             ..of(SuspicionKind::Contact, share)
         };
         let (of_motion, of_deflection) = (x_mm / motion_mm, x_mm / deflection_mm);
-        let in_motion = !sudden && moved > u.norm() && motion_mm.abs() > MOTION_MIN_MM;
+        // what begins abruptly at rest is judged by the deflection: the motion since is the loop's answer
+        let in_motion = !(self.settled && abrupt)
+            && (!sudden && moved > u.norm() && motion_mm.abs() > MOTION_MIN_MM);
         let deflected = deflection_mm.abs() > DEFLECTION_MIN_MM;
         // a residual along one spoke has its cause in one line, even if the controller reports an obstruction
         let one_line = along[j].abs() > 0.9 * u.norm();
