@@ -19,8 +19,6 @@ use nalgebra::{Vector2, Vector3};
 const SLIP_GAIN: f64 = 0.05;
 const SLIP_KEEP: f64 = 0.75;
 const SLIP_MAX: f64 = 0.05;
-/// Error that is not corrected before the first target, rad (0.6°): a tip that was declared to rest shall not be stirred by noise.
-const UNTOUCHED_RAD: f64 = 0.01;
 /// Time beyond dead time and three lags after which a move is answered, s.
 const ANSWERED_S: f64 = 0.2;
 /// Least time for which a new pose is corrected at full speed, s.
@@ -40,8 +38,6 @@ pub struct Rule {
     /// Common length commanded last, rad of output.
     pub length: f64,
     held_s: f64,
-    /// No target has been given since the pistons were declared to rest.
-    untouched: bool,
     /// Target of the last move, and the time since.
     acted: Option<(Vector2<f64>, f64)>,
     /// Mean square of what the tip missed after earlier moves, rad².
@@ -56,7 +52,6 @@ impl Rule {
         Self {
             aim_mm: piston_mm,
             goal_mm: piston_mm,
-            untouched: true,
             ..Self::default()
         }
     }
@@ -68,7 +63,7 @@ impl Rule {
 
     /// A new target.
     pub fn depart(&mut self) {
-        (self.acted, self.untouched) = (None, false);
+        self.acted = None;
         self.slip_2 *= SLIP_KEEP;
     }
 
@@ -99,11 +94,6 @@ impl Rule {
 
     /// Whether to move by `change`, rad, with a move of this risk, rad².
     pub fn moves(&self, change: &Vector2<f64>, risk: f64, step: f64, caution: f64) -> bool {
-        let step = if self.untouched {
-            step.max(UNTOUCHED_RAD)
-        } else {
-            step
-        };
         change.norm_squared() > caution * caution * (risk + step * step + self.slip_2)
     }
 

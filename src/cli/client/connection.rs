@@ -5,17 +5,21 @@ use crate::cli::{CommandOutcome, Unreachable};
 use crate::service::client::{Client as Connection, connect_within};
 use crate::service::paths;
 use crate::service::protocol::{Failure, Request};
+use crate::supervisor::Refusal;
 use miette::{Context, Report, Result, bail, miette};
 use serde_json::Value;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Longest time after which a service that works says its status.
 const ANSWER_MAX: Duration = Duration::from_secs(2);
 
 /// Longest wait for a service that may listen on a socket.
 const PROBE_MAX: Duration = Duration::from_millis(100);
+
+/// Longest wait for pistons that brake and drivers that energise.
+const BUSY_MAX: Duration = Duration::from_secs(1);
 
 /// Address of the service.
 #[derive(Debug, Clone, clap::Args)]
@@ -124,8 +128,17 @@ pub(super) fn stop(at: &At) -> Result<CommandOutcome> {
 }
 
 /// Sends a request. A refusal is printed on standard error and yields `None`; every other failure is an error.
+/// While the drivers energise or the pistons brake, it is sent again.
 pub(super) fn ask(connection: &mut Connection, request: &Request) -> Result<Option<Value>> {
-    answered(connection.request(request))
+    let (started, busy) = (Instant::now(), Refusal::Busy.to_string());
+    loop {
+        match connection.request(request) {
+            Err(f) if f.message == busy && started.elapsed() < BUSY_MAX => {
+                std::thread::sleep(BUSY_MAX / 20);
+            }
+            result => return answered(result),
+        }
+    }
 }
 
 /// The status of the service.

@@ -258,11 +258,18 @@ impl LoopState {
             self.described = Some(described);
         }
         let rest_length_mm = config.geometry.rest_length_mm;
+        // within its plays and the free length, a tip at its rest length has that length
+        let f = config.feedback.unwrap_or_default();
+        let plays_mm = self.lines.map(|line| line.bellow_mm(line.k_lambda_mm));
+        if (length_mm - rest_length_mm).abs()
+            <= f.free_length_mm + plays_mm.iter().sum::<f64>() / 3.0
+        {
+            length_mm = rest_length_mm;
+        }
         self.setpoint = SetPoint::resting(Shape {
             bend: at,
             length: Mm(length_mm.clamp(0.5 * rest_length_mm, 2.0 * rest_length_mm)),
         });
-        let f = config.feedback.unwrap_or_default();
         self.observer.stand(&f.observer, &piston_mm, given, &at.0);
         self.remember();
         self.accept_lines(config);
@@ -270,6 +277,8 @@ impl LoopState {
         self.push_sides();
         self.rule = Rule::resting(piston_mm);
         self.rule.length = (self.setpoint.length.at.x - rest_length_mm) / config.geometry.r_mm;
+        // what the estimate did meanwhile is no disturbance
+        self.periodic = Periodic::new(&f.periodic);
         (self.unexplained, self.last_estimate) = (Vector2::zeros(), at.0);
         (self.feedback, self.feedback_full, self.moving) = (Vector2::zeros(), false, false);
         self.obstruction = ObstructionDetector::default();
