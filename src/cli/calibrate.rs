@@ -99,9 +99,9 @@ pub fn run(command: &Calibrate) -> Result<CommandOutcome> {
         },
         &mut calibration,
     )? {
-        Ok(line) => eprintln!("{line}"),
+        Ok(line) => output::print(line + "\n"),
         Err(refusal) => {
-            eprintln!("refused: {refusal}");
+            output::print(format!("refused: {refusal}\n"));
             return Ok(CommandOutcome::NotGoodEnough);
         }
     }

@@ -29,7 +29,9 @@ pub enum Client {
     Stop(Plain),
     /// Return to rest slowly, then de-energise.
     Relax(Plain),
-    /// Energise the drivers and hold the present pose, at the end of an alignment that is in progress.
+    /// Energise the drivers and hold the present pose.
+    ///
+    /// Waits for the end of an alignment that is in progress.
     Arm(Plain),
     /// Accept no more motion.
     Disarm(Plain),
@@ -37,7 +39,7 @@ pub enum Client {
     Zero(ZeroArgs),
     /// Show the state of the service.
     Status(StatusArgs),
-    /// Watch the tip, its lines and gains on the terminal, live or from a flight log.
+    /// Watch tip, lines and gains, live or from a flight log.
     Monitor(monitor::MonitorArgs),
     /// Clear a fault whose cause has been removed.
     ResetFault(Plain),
@@ -47,12 +49,16 @@ pub enum Client {
     Record(RecordArgs),
     /// Run a schedule of `gap excite`: its poses, speeds and holds.
     Play(PlayArgs),
-    /// Stream set-points from standard input, `BEND DIR` or `BEND DIR T` per line (degrees, and seconds if the tip shall follow a smooth curve
-    /// through them). The tip stops when the stream pauses, and comes to rest at the last set-point when it ends.
+    /// Stream set-points from standard input.
+    ///
+    /// One per line, `BEND DIR` or `BEND DIR T` (degrees, and seconds if the tip shall follow a smooth curve through them). The tip stops when
+    /// the stream pauses, and comes to rest at the last set-point when it ends.
     Stream(Plain),
-    /// Bend the tip by hand, with a joystick or the arrow keys, while a button is held.
+    /// Bend the tip by hand, with a joystick or the arrow keys.
+    ///
+    /// It moves while a button is held.
     Steer(steer::SteerArgs),
-    /// Serve a page for a tablet beside the unit: tip and bellows in 3-D, bend by hand, stop.
+    /// Serve a page for a tablet: the tip in 3-D, bend by hand, stop.
     Page(page::PageArgs),
     /// Print frames as JSON lines.
     Subscribe(SubscribeArgs),

@@ -11,7 +11,6 @@ use crate::drill::{list, soak};
 use crate::report::page::Page;
 use crate::service::memory::Memory;
 use crate::service::store::Store;
-use comfy_table::{ColumnConstraint, Width};
 use miette::{IntoDiagnostic, Result, bail};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -170,7 +169,7 @@ fn show(rows: &[Row], args: &Args) -> Result<()> {
         ]
     };
     let cells: Vec<_> = rows.iter().map(cells).collect();
-    let header = "fault,detected,steps after,state,error during,after,ok,message";
+    let header = "fault,detected,steps,state,error during,after,ok,message";
     let header: Vec<&str> = header.split(',').collect();
     let failed = rows.iter().filter(|r| !r.ok).count();
     let all = format!("{} faults, {failed} failed", rows.len());
@@ -180,10 +179,12 @@ fn show(rows: &[Row], args: &Args) -> Result<()> {
         page.table(&header, &cells);
         output::write(path, page.html())?;
     }
-    let mut table = output::table(&header, 1..6, cells);
-    if let Some(column) = table.column_mut(7) {
-        column.set_constraint(ColumnConstraint::UpperBoundary(Width::Fixed(80)));
-    }
-    output::show(&format!("{table}\n{all}\n"), args.json.as_deref());
+    let why = rows.iter().zip(&cells).filter(|(r, _)| !r.ok);
+    let why: String = why
+        .map(|(r, cells)| format!("{}: {}\n", r.fault, cells[7]))
+        .collect();
+    let narrow = cells.iter().map(|cells| cells[..7].to_vec());
+    let table = output::table(&header[..7], 1..6, narrow);
+    output::show(&format!("{table}\n{why}{all}\n"), args.json.as_deref());
     Ok(())
 }

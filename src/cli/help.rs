@@ -65,7 +65,7 @@ pub fn explained(cli: Command) -> Command {
         let second = own.get(1).map_or(second, |other| &other.1[0]);
         let _ = writeln!(
             text,
-            "  Examples: `retroflex {first}`, `retroflex {second}`"
+            "  For example:\n    retroflex {first}\n    retroflex {second}"
         );
     }
     let numbers = |c: Command| c.allow_negative_numbers(true);

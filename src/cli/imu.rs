@@ -2,7 +2,7 @@
 
 use crate::cli::{CommandOutcome, output};
 use crate::estimation::fusion::FilterName;
-use crate::estimation::score;
+use crate::estimation::score::{self, Row, Score};
 use miette::{IntoDiagnostic, Result};
 use std::path::{Path, PathBuf};
 
@@ -39,7 +39,7 @@ pub fn run(command: &Imu) -> Result<CommandOutcome> {
     let inputs: Vec<&Path> = args.files.iter().map(PathBuf::as_path).collect();
     output::check(&[("--json", args.json.as_deref())], &inputs)?;
     let rows = score::run(&args.files, args.filter, args.all).into_diagnostic()?;
-    eprintln!("{}", score::table(&rows));
+    output::show(&format!("{}\n", table(&rows)), args.json.as_deref());
     for row in rows
         .iter()
         .filter(|row| row.filter == rows[0].filter && row.saturated > 0.0)
@@ -52,4 +52,29 @@ pub fn run(command: &Imu) -> Result<CommandOutcome> {
     }
     output::json(args.json.as_deref(), &rows)?;
     Ok(CommandOutcome::Good)
+}
+
+/// A line for each recording and filter, and the means of several recordings.
+fn table(rows: &[Row]) -> String {
+    let line = |file: &str, filter: FilterName, s: &Score| {
+        let figures = [s.total_deg, s.heading_deg, s.inclination_deg].map(|x| format!("{x:.2}"));
+        let [total, heading, inclination] = figures;
+        [
+            file.to_owned(),
+            filter.to_string(),
+            total,
+            heading,
+            inclination,
+        ]
+    };
+    let mut lines: Vec<_> = rows
+        .iter()
+        .map(|row| line(&row.file, row.filter, &row.score))
+        .collect();
+    if rows.iter().any(|row| row.file != rows[0].file) {
+        let means = |filter| Some(line("mean", filter, &score::mean(rows, filter)?));
+        lines.extend(FilterName::ALL.into_iter().filter_map(means));
+    }
+    let header = ["° RMS", "filter", "total", "heading", "inclination"];
+    output::table(&header, 2..5, lines).to_string()
 }

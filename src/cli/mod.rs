@@ -35,7 +35,7 @@ pub use outcome::{CommandOutcome, Unreachable};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
 
-/// Closed-loop bend control and gap diagnosis for a disposable pneumatic endoscope tip.
+/// Closed-loop bend control and gap diagnosis for a pneumatic endoscope tip.
 ///
 /// For research. Not a medical device.
 #[derive(Debug, Parser)]
@@ -47,13 +47,15 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Run the paper's experiment: the open-loop arms and the closed loop.
+    /// Run the paper's experiment: open-loop arms and closed loop.
     Evaluate(evaluate::Args),
-    /// Show the service, a leak of a simulated tip, its diagnosis and its remedy, in less than two minutes.
+    /// Show the service and a leak of a simulated tip, from cause to remedy.
     Demo(demo::Args),
-    /// Run every step from a board file to a tip that bends, and bundle what they print into one report.
+    /// Run every step from a board file to a tip that bends.
+    ///
+    /// What they print becomes one report.
     Accept(accept::Args),
-    /// Verify the wiring and the tightness of a machine with small guarded moves.
+    /// Verify wiring and tightness with small guarded moves.
     Commission(commission::Args),
     /// Boards, gains and calibrations.
     #[command(subcommand)]
@@ -68,9 +70,11 @@ enum Command {
     /// Diagnose the gap between model and machine.
     #[command(subcommand)]
     Gap(gap::Gap),
-    /// Show what the rows of `gap diagnose --rows` tell about the lots of a fleet and about its next unit.
+    /// Compare the lots of a fleet and predict its next unit.
+    ///
+    /// Reads the rows of `gap diagnose --rows`.
     Fleet(fleet::Args),
-    /// Identify the errors of the IMU, or the transmission of a running service.
+    /// Identify errors of the IMU, or the transmission.
     #[command(subcommand)]
     Calibrate(calibrate::Calibrate),
     /// Score orientation filters on recordings.
@@ -89,7 +93,7 @@ enum Command {
     /// Show, export and cut flight logs.
     #[command(subcommand)]
     Log(log::Log),
-    /// Run a recording through the current control loop and compare bit for bit.
+    /// Run a recording through the loop and compare bit for bit.
     Replay(replay::Args),
     /// Print a completion script for a shell.
     Completions(help::CompletionsArgs),

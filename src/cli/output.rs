@@ -4,19 +4,15 @@
 
 use crate::config::Calibration;
 use crate::hardware::rt;
-use comfy_table::{CellAlignment, ContentArrangement, Row, Table, presets};
+pub use crate::report::table::table;
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, Result, bail, miette};
 use serde::Serialize;
 use signal_hook::iterator::Signals;
 use std::borrow::Cow;
 use std::io::{Read, Write};
-use std::ops::Range;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-
-/// Width of a table, columns; longer cells are wrapped.
-const TABLE_COLUMNS: u16 = 100;
 
 /// A temporary folder, which is removed at the end and on a signal that ends the program.
 pub struct Scratch(pub PathBuf);
@@ -60,28 +56,6 @@ pub fn bar(length: u64, text: &str) -> ProgressBar {
         bar.set_style(style);
     }
     bar
-}
-
-/// A table for the terminal; the columns `numbers` are aligned to the right.
-pub fn table<R: Into<Row>>(
-    header: &[&str],
-    numbers: Range<usize>,
-    rows: impl IntoIterator<Item = R>,
-) -> Table {
-    let mut table = Table::new();
-    table.load_style(presets::UTF8_HORIZONTAL_ONLY);
-    table
-        .set_content_arrangement(ContentArrangement::Dynamic)
-        .set_width(TABLE_COLUMNS);
-    table.set_header(header.to_vec());
-    for row in rows {
-        table.add_row(row);
-    }
-    let columns = table.column_iter_mut().skip(numbers.start);
-    for column in columns.take(numbers.len()) {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
-    table
 }
 
 /// Prints on standard output. A reader that has closed its end, such as `head`, is not an error; any other obstacle, such as a full disk,

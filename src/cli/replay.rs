@@ -96,7 +96,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         0 => "a field without a digest".to_owned(),
         _ => fields.join(", "),
     };
-    eprintln!(
+    println!(
         "the first difference is in cycle {number} at {t_s:.3} s, in {fields}: the software has changed since version {program} wrote the log"
     );
     Ok(CommandOutcome::NotGoodEnough)

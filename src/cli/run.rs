@@ -62,7 +62,7 @@ pub struct Args {
     /// Number of the simulated unit.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Run a simulation this many times faster than real time; without a number, as fast as possible.
+    /// Run a simulation this many times as fast as real time; without a number, as fast as possible. Default 1.
     #[arg(long, value_name = "FACTOR", num_args = 0..=1, default_missing_value = "inf", value_parser = within(0.1..=f64::INFINITY, "or nothing"))]
     fast: Option<f64>,
 }

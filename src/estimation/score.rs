@@ -17,7 +17,6 @@ use crate::estimation::fusion::{FilterName, OrientationFilter, Periods};
 use crate::log::error::ReadError;
 use crate::log::recording::{self, Recording};
 use crate::primitives::{Rotation, Sensor, World};
-use comfy_table::{CellAlignment, Table};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -190,48 +189,6 @@ pub fn mean(rows: &[Row], filter: FilterName) -> Option<Score> {
         heading_deg: over(|s| s.heading_deg),
         inclination_deg: over(|s| s.inclination_deg),
     })
-}
-
-/// The rows as a table: one line per file, one column per filter, and the means.
-pub fn table(rows: &[Row]) -> String {
-    let filters: Vec<FilterName> = FilterName::ALL
-        .into_iter()
-        .filter(|f| rows.iter().any(|r| r.filter == *f))
-        .collect();
-    let cell = |s: Option<Score>| {
-        s.map_or_else(String::new, |s| {
-            format!(
-                "{:.2} / {:.2} / {:.2}",
-                s.total_deg, s.heading_deg, s.inclination_deg
-            )
-        })
-    };
-    let mut files: Vec<&str> = Vec::new();
-    for r in rows {
-        if !files.contains(&r.file.as_str()) {
-            files.push(&r.file);
-        }
-    }
-    let mut table = Table::new();
-    table.load_style(comfy_table::presets::ASCII_MARKDOWN);
-    table.set_header(
-        std::iter::once("total / heading / inclination, ° RMS".to_owned())
-            .chain(filters.iter().map(ToString::to_string)),
-    );
-    for file in files {
-        let of_file: Vec<Row> = rows.iter().filter(|r| r.file == file).cloned().collect();
-        table.add_row(
-            std::iter::once(file.to_owned())
-                .chain(filters.iter().map(|&f| cell(mean(&of_file, f)))),
-        );
-    }
-    table.add_row(
-        std::iter::once("mean".to_owned()).chain(filters.iter().map(|&f| cell(mean(rows, f)))),
-    );
-    for column in table.column_iter_mut().skip(1) {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
-    table.to_string()
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ use crate::motion::{
 };
 use crate::report::chart::{Axis, Chart, Series, Stroke, sheet};
 use crate::report::svg::Ink;
-use comfy_table::{CellAlignment, Table};
+use crate::report::table::table;
 use std::fmt::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -235,21 +235,17 @@ impl RtBench {
 
     /// Percentiles in µs and the granted real-time settings as a table.
     pub fn table(&self) -> String {
-        let mut table = Table::new();
-        let mut header = vec!["µs".to_string(), "mean".into()];
-        header.extend(QUANTILES.iter().map(|q| q.0.to_string()));
-        header.extend(["longest".into(), "count".into()]);
-        table.set_header(header);
-        for (name, h) in self.rows() {
+        let mut header = vec!["µs", "mean"];
+        header.extend(QUANTILES.iter().map(|q| q.0));
+        header.extend(["longest", "count"]);
+        let rows = self.rows().map(|(name, h)| {
             let us = |ns: f64| format!("{:.1}", ns * 1e-3);
             let mut row = vec![name.to_string(), us(h.mean_ns())];
             row.extend(QUANTILES.iter().map(|q| us(h.quantile_ns(q.1) as f64)));
             row.extend([us(h.max_ns() as f64), h.count().to_string()]);
-            table.add_row(row);
-        }
-        for column in table.column_iter_mut().skip(1) {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
+            row
+        });
+        let table = table(&header, 1..header.len(), rows);
         let report = &self.steps.report;
         let (steps, rate) = (
             report.lateness.count(),

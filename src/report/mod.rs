@@ -8,4 +8,5 @@ pub mod page;
 pub mod polar;
 pub mod svg;
 pub mod sweep;
+pub mod table;
 pub mod wiring;

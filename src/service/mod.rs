@@ -120,7 +120,7 @@ pub struct Setup {
     pub machine: Box<dyn Machine>,
     /// The configuration.
     pub config: RunConfig,
-    /// How many times faster than real time a simulation runs; infinity: as fast as possible. `None`: in real time.
+    /// Pace of a simulation beside real time; infinity: as fast as possible. `None`: 1.
     pub pace: Option<f64>,
     /// Record from the first cycle on into this file.
     pub record: Option<PathBuf>,
@@ -151,6 +151,7 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         // from now on both slots say what is known
         store.write(&memory)?;
     }
+    let pace = pace.or_else(|| machine.is_simulated().then_some(1.0));
     let remarks = machine.remarks();
     let notifier = Notifier::from_env();
     let shared = Arc::new(Shared::default());
@@ -200,7 +201,7 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
     Ok(())
 }
 
-/// What the loop's thread requests. A simulation that runs ahead of time would take its processor from everybody.
+/// What the loop's thread requests: nothing for simulated time.
 fn wish(service: &ServiceSection, pace: Option<f64>) -> RtRequest {
     let (priority, cpu) = match pace {
         Some(_) => (0, None),

@@ -137,6 +137,8 @@ const ORDERS: usize = CLIENTS_MAX * UNANSWERED_MAX + 64;
 const ORDER_MAX_S: f64 = 0.95 * ANSWER_MAX_S;
 /// The tip stops if nobody could command a stop for longer than this, s.
 const UNCOMMANDED_MAX_S: f64 = 1.0;
+/// Longest delay that simulated time makes up for, ns.
+const CATCH_UP_NS: u64 = 200_000_000;
 
 /// Creates the rings.
 pub fn rings() -> (LoopRings, HubRings) {
@@ -174,7 +176,7 @@ pub struct Loop {
     pub shared: Arc<Shared>,
     /// Period of a cycle, s.
     pub period_s: f64,
-    /// How many times faster than real time a simulation runs; infinity: as fast as possible. `None`: in real time.
+    /// Pace of simulated time beside real time; infinity: as fast as possible. `None`: real time.
     pub pace: Option<f64>,
     /// The watchdog heartbeat.
     pub heartbeat: HeartbeatMonitor,
@@ -190,17 +192,19 @@ impl Loop {
     /// # Errors
     /// [`MachineError`].
     pub fn run(mut self) -> Result<(), MachineError> {
-        let simulated = self.runner.machine.is_simulated();
         let period_ns = (self.period_s * 1e9) as u64;
         let start_ns = monotonic_ns();
         let mut due_ns = start_ns;
         let mut periods = 0u64;
         let mut cycle_ns = start_ns;
         while !self.shared.is_quitting() {
-            let elapsed = if let Some(pace) = self.pace {
+            let now_s = if let Some(pace) = self.pace {
                 due_ns += (period_ns as f64 / pace) as u64;
                 sleep_until_ns(due_ns);
-                periods + 1
+                // simulated time stands while the computer does not get to it
+                due_ns = due_ns.max(monotonic_ns().saturating_sub(CATCH_UP_NS));
+                periods += 1;
+                periods as f64 * self.period_s
             } else {
                 due_ns += period_ns;
                 sleep_until_ns(due_ns);
@@ -210,17 +214,7 @@ impl Loop {
                     // missed cycles are skipped, not caught up
                     due_ns = now_ns;
                 }
-                if simulated {
-                    ((now_ns - start_ns) / period_ns).max(periods + 1)
-                } else {
-                    now_ns - start_ns
-                }
-            };
-            periods = elapsed;
-            let now_s = if simulated || self.pace.is_some() {
-                elapsed as f64 * self.period_s
-            } else {
-                elapsed as f64 * 1e-9
+                (now_ns - start_ns) as f64 * 1e-9
             };
             let real_ns = monotonic_ns();
             self.watch.step(

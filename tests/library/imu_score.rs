@@ -187,5 +187,5 @@ fn a_single_filter_can_be_selected() {
     assert_eq!(rows[0].file, "broad_02_undisturbed_slow_rotation_B.csv.gz");
     let rows = score::run(&files, None, false).unwrap();
     assert_eq!(rows[0].filter, score::DEFAULT_FILTER);
-    println!("{}", score::table(&rows));
+    println!("{rows:#?}");
 }

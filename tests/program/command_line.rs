@@ -507,6 +507,17 @@ fn help_is_grouped_by_task_and_shells_complete() {
             && help.contains("Not a medical device"),
         "{help}"
     );
+    // read in a pipe, all of it fits a terminal
+    let width = |text: &str| text.lines().map(|l| l.chars().count()).max().unwrap();
+    assert!(width(&help) <= 80, "{help}");
+    let names = help.lines().filter_map(|line| line.strip_prefix("  "));
+    let names = names.filter_map(|line| line.split(' ').next());
+    for name in names
+        .filter(|name| !name.is_empty() && name.chars().all(|c| c.is_ascii_lowercase() || c == '-'))
+    {
+        let (code, own, _) = retroflex(&["help", name]);
+        assert!(code == 0 && width(&own) <= 100, "{name}: {own}");
+    }
     for shell in ["bash", "zsh", "fish"] {
         let (code, script, _) = retroflex(&["completions", shell]);
         assert!(code == 0 && script.contains("evaluate"), "{shell}");

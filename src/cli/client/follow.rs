@@ -98,7 +98,10 @@ pub fn settle(
             }
             None if s["settled"] == true => {
                 bar.finish_and_clear();
-                eprintln!("{line}: {}", s["shortfall"].as_str().unwrap_or("settled"));
+                output::print(format!(
+                    "{line}: {}\n",
+                    s["shortfall"].as_str().unwrap_or("settled")
+                ));
                 return Some(if s["blocked"] == true {
                     NotGoodEnough
                 } else {
@@ -115,7 +118,7 @@ pub fn settle(
         let suspicion = s["suspicion"]
             .as_str()
             .map_or_else(String::new, |x| format!("; {x}"));
-        eprintln!("not settled: {why}{suspicion}");
+        output::print(format!("not settled: {why}{suspicion}\n"));
         Some(NotGoodEnough)
     });
     bar.finish_and_clear();
@@ -208,7 +211,7 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
         }
         bar.finish_and_clear();
         if let Some(why) = s["calibration_failed"].as_str() {
-            eprintln!("no gains were identified: {why}");
+            output::print(format!("no gains were identified: {why}\n"));
             return Some(NotGoodEnough);
         }
         last = s.clone();

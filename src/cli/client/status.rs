@@ -140,11 +140,9 @@ pub(super) fn rows(s: &Value) -> Vec<(&'static str, String)> {
     let slow = list(&s["remarks"]).into_iter().map(|r| text(&r));
     rows.extend(slow.filter(|r| r.contains("slow bus")).map(|r| ("note", r)));
     let granted = |g: &Value| format!("{}: {}", text(&g["what"]), text(&g["grant"]));
-    rows.extend(
-        list(&s["real_time"])
-            .iter()
-            .map(|g| ("real time", granted(g))),
-    );
+    let requested = list(&s["real_time"]).into_iter();
+    let requested = requested.filter(|g| g["grant"] != "not requested");
+    rows.extend(requested.map(|g| ("real time", granted(&g))));
     rows
 }
 

@@ -204,13 +204,7 @@ fn summary(d: &Diagnosis, saved: Option<&Path>) -> String {
         ]
     };
     let header = [
-        "effect",
-        "stage",
-        "probability",
-        "gap before",
-        "after",
-        "closed",
-        "95 %",
+        "effect", "stage", "prob.", "before", "after", "closed", "95 %",
     ];
     let table = output::table(&header, 2..7, d.effects.iter().take(shown(d)).map(row));
     let names = if d.verdict.names.is_empty() {

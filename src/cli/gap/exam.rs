@@ -66,7 +66,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         answer_all(&asked, Question::draw, &catalogue(), || bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
     let score = score(args.seed, &asked, &answers);
-    eprintln!("{}", summary(&score));
+    output::show(&(summary(&score) + "\n"), args.json.as_deref());
     output::json(
         args.json.as_deref(),
         &Document {

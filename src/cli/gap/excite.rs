@@ -80,7 +80,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let designed = design(&request, &mut |tried| bar.set_position(tried as u64));
     bar.finish_and_clear();
     output::write(&args.out, csv(&designed.rows))?;
-    eprintln!("{}", summary(args, &designed));
+    output::show(&(summary(args, &designed) + "\n"), Some(&args.out));
     Ok(CommandOutcome::Good)
 }
 

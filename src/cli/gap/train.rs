@@ -88,7 +88,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     );
     let text = head + &trained.head.text().into_diagnostic()?;
     output::write(&args.out, text.as_bytes())?;
-    eprint!("{text}");
+    output::print(text);
     Ok(CommandOutcome::Good)
 }
 
