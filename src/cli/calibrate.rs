@@ -101,7 +101,7 @@ pub fn run(command: &Calibrate) -> Result<CommandOutcome> {
     )? {
         Ok(line) => output::print(line + "\n"),
         Err(refusal) => {
-            output::print(format!("refused: {refusal}\n"));
+            eprintln!("refused: {refusal}");
             return Ok(CommandOutcome::NotGoodEnough);
         }
     }

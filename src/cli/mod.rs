@@ -49,7 +49,7 @@ pub struct Cli {
 enum Command {
     /// Run the paper's experiment: open-loop arms and closed loop.
     Evaluate(evaluate::Args),
-    /// Show the service and a leak of a simulated tip, from cause to remedy.
+    /// Show the service and a leak of a simulated tip, cause to remedy.
     Demo(demo::Args),
     /// Run every step from a board file to a tip that bends.
     ///

@@ -78,7 +78,7 @@ pub fn diagnose(
 }
 
 /// What the remainder depends on.
-fn goes_with(log: &Observed, left: &HeldOut) -> Vec<DependenceEntry> {
+pub fn goes_with(log: &Observed, left: &HeldOut) -> Vec<DependenceEntry> {
     let mut told = dependences(log, &left.residual).to_vec();
     told.retain(|d| d.gain > 0.0 && d.share >= TOLD);
     told.sort_by(|a, b| b.gain.total_cmp(&a.gain));

@@ -3,6 +3,7 @@
 
 pub mod ablation;
 pub mod arm;
+pub mod compare;
 pub mod diagnosed;
 pub mod evaluation;
 pub mod identify;

@@ -23,7 +23,7 @@ pub enum RigError {
     NotStill(f64, String),
     /// The world has no reference for the score.
     #[error(
-        "the plant gives no `ref`; an evaluation is scored against the true orientation, so the plant must answer with \"ref\":{{\"quat\":[w,x,y,z]}}"
+        "the plant gives no `ref`, the true orientation of its tip, which it is judged by; it must answer with \"ref\":{{\"quat\":[w,x,y,z]}}"
     )]
     NoReference,
 }

@@ -2,6 +2,7 @@
 
 pub mod apply;
 pub mod check;
+pub mod compare;
 pub mod diagnose;
 pub mod exam;
 pub mod excite;
@@ -20,6 +21,8 @@ pub enum Gap {
     Diagnose(diagnose::Args),
     /// Apply a saved model to a fresh log of the same unit.
     Check(check::Args),
+    /// Drive your own simulator with the pistons of a log, and state how far it is from the log.
+    Compare(compare::Args),
     /// Write what a calibration file can hold of a saved model.
     Apply(apply::Args),
     /// Design a schedule that separates effects.
@@ -38,6 +41,7 @@ pub fn run(command: &Gap) -> Result<CommandOutcome> {
     match command {
         Gap::Diagnose(args) => diagnose::run(args),
         Gap::Check(args) => check::run(args),
+        Gap::Compare(args) => compare::run(args),
         Gap::Apply(args) => apply::run(args),
         Gap::Excite(args) => excite::run(args),
         Gap::Train(args) => train::run(args),
