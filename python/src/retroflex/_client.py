@@ -192,8 +192,9 @@ class _Connection:
 
     def has_ended(self) -> bool:
         """True if the service has closed the connection, for example because it was idle for an hour."""
+        self.socket.setblocking(False)
         try:
-            return not self.socket.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+            return not self.socket.recv(1, socket.MSG_PEEK)
         except BlockingIOError:
             return False
         except OSError:
@@ -243,7 +244,7 @@ class _Connection:
         self.last_id += 1
         given = {name: value for name, value in arguments.items() if value is not None}
         try:
-            line = json.dumps({"v": 1, "id": self.last_id, "cmd": cmd, **given}, allow_nan=False, default=float)
+            line = json.dumps({**given, "v": 1, "id": self.last_id, "cmd": cmd}, allow_nan=False, default=float)
         except (TypeError, ValueError) as problem:
             raise BadRequest(f"{cmd}: {problem}") from problem
         try:

@@ -7,6 +7,7 @@ import math
 import os
 import sys
 from functools import cached_property
+from io import RawIOBase
 from typing import Any, Dict, List, NamedTuple, Optional, Sequence, TextIO, Tuple
 
 _Quaternion = Tuple[float, float, float, float]
@@ -99,18 +100,17 @@ class Plant:
         """
         self.params  # an argument that is wrong is said before the link begins
         sys.stdout.flush()
-        link = os.fdopen(os.dup(1), "w", encoding="utf-8", newline="\n")
-        os.dup2(2, 1)
-        try:
-            self._serve(sys.stdin, link)
-        except BrokenPipeError:
-            # who asked has gone
-            os._exit(0)
+        with open(os.dup(1), "wb", buffering=0) as link:
+            os.dup2(2, 1)
+            try:
+                self._serve(sys.stdin, link)
+            except BrokenPipeError:
+                # who asked has gone, which is the end as well
+                pass
 
-    def _serve(self, requests: TextIO, link: TextIO) -> None:
+    def _serve(self, requests: TextIO, link: RawIOBase) -> None:
         def send(message: Dict[str, Any]) -> None:
-            link.write(json.dumps(message) + "\n")
-            link.flush()
+            link.write(json.dumps(message).encode() + b"\n")
 
         hello = {
             "plant": self.name, "protocol": 1, "imu_period_s": self.imu_period_s, "step_mm": self.step_mm,
