@@ -189,11 +189,11 @@ def _kept(column: Any) -> Sequence[Any]:
 
 def _flight_log(file: str, raw: BinaryIO) -> Dict[str, Columns]:
     stream = _package("mcap.stream_reader")
-    problems = _package("mcap.exceptions")
+    end_of_file = _package("mcap.exceptions").EndOfFile
     channels: Dict[int, Any] = {}
     rows: Dict[str, List[Dict[str, Any]]] = {}
     try:
-        for record in stream.StreamReader(raw).records:
+        for record in stream.StreamReader(raw, validate_crcs=True).records:
             if type(record).__name__ == "Channel":
                 channels[record.id] = record
             elif type(record).__name__ == "Message":
@@ -202,10 +202,10 @@ def _flight_log(file: str, raw: BinaryIO) -> Dict[str, Columns]:
                 if decode:
                     row = {"time_s": record.log_time / 1e9, **_flat(decode(record.data))}
                     rows.setdefault(channel.topic, []).append(row)
-    except problems.EndOfFile:
+    except end_of_file:
         warnings.warn(f"{file} was not closed; it is read up to its last whole chunk", stacklevel=3)
-    except (problems.McapError, KeyError, ValueError) as problem:
-        raise LogError(f"{file}: is damaged: {problem}; `retroflex log cut` takes out what is whole") from problem
+    except Exception as problem:  # a reader of damaged bytes fails in any way
+        raise LogError(f"{file}: is damaged ({type(problem).__name__}: {problem}); `retroflex log cut` takes out what is whole") from problem
     return {topic: _columns(of) for topic, of in rows.items()}
 
 
