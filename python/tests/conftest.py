@@ -36,15 +36,15 @@ def short_folder():
 
 
 @pytest.fixture
-def service(program, short_folder):
-    """The command socket of a service on the built-in plant."""
+def service_process(program, short_folder):
+    """A service on the built-in plant: its command socket and its process."""
     control = short_folder / "control.sock"
     command = [program, "run", "--socket", control, "--state", short_folder / "state"]
     running = subprocess.Popen(command, cwd=short_folder, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 10
     while not control.exists() and time.monotonic() < deadline:
         time.sleep(0.02)
-    yield control
+    yield control, running
     running.terminate()
     try:
         running.wait(20)
@@ -52,6 +52,12 @@ def service(program, short_folder):
         running.kill()
         running.wait()
         raise
+
+
+@pytest.fixture
+def service(service_process):
+    """The command socket of a service on the built-in plant."""
+    return service_process[0]
 
 
 class FakeService:
