@@ -68,7 +68,7 @@ def _engine(name: Optional[str]) -> Callable[[Columns], Any]:
         raise ValueError(f"engine is {name!r}; it must be 'pandas', 'polars' or None")
     module = _package(name)
     if name == "polars":
-        return lambda columns: module.DataFrame(columns).fill_nan(None)
+        return lambda columns: module.DataFrame({name: list(column) for name, column in columns.items()}).fill_nan(None)
     return cast(Callable[[Columns], Any], module.DataFrame)
 
 

@@ -6,11 +6,12 @@ import json
 import math
 import os
 import sys
-from functools import cached_property
+from functools import cached_property, reduce
 from io import RawIOBase
 from typing import Any, Dict, List, NamedTuple, Optional, Sequence, TextIO, Tuple
 
 _Quaternion = Tuple[float, float, float, float]
+_Vector = Tuple[float, float, float]
 
 
 class Imu(NamedTuple):
@@ -160,65 +161,55 @@ def _vector(name: str, values: Sequence[float], size: int) -> List[float]:
 class _RateCheck:
     """Compares the integrated rate with the rotation of the reference, and warns once if they disagree by far."""
 
-    # rotation that is compared, rad; longest time for it, s; comparisons before a judgement
+    # what is compared: windows of this time, s, in which the reference turns by this angle, rad
+    WINDOW_S = 1.0
     TURN = math.radians(10)
-    LONGEST_S = 2.0
-    NEEDED = 5
+    # windows in a row that disagree: single ones do by latency, or by a base that turns
+    IN_A_ROW = 8
 
     def __init__(self) -> None:
-        self.last: Optional[_Quaternion] = None
-        self.bad = self.good = self.mirrored = self.outside = 0
-        self.path = [0.0, 0.0]
-        self._restart()
-
-    def _restart(self) -> None:
+        self.start: Optional[_Quaternion] = None
+        self.turns: List[_Vector] = []
         self.elapsed_s = 0.0
-        # rotation of the reference, and the integrals of the rate as one in the sensor's frame, of other sign, and in the base's
-        self.turned = self.rate = self.mirror = self.fixed = (1.0, 0.0, 0.0, 0.0)
-        self.start = self.last
+        self.in_a_row = 0
 
-    def add(self, dt: float, gyr: Sequence[float], ref: Dict[str, List[float]]) -> None:
-        if self.bad + self.good >= self.NEEDED:
+    def add(self, dt: float, gyr: List[float], ref: Dict[str, List[float]]) -> None:
+        self.turns.append((gyr[0] * dt, gyr[1] * dt, gyr[2] * dt))
+        self.elapsed_s += dt
+        if self.start is None or self.elapsed_s > self.WINDOW_S - dt / 2:
+            base = ref.get("base_quat", [1.0, 0.0, 0.0, 0.0])
+            now = _times(_quaternion(base), _quaternion(ref["quat"]))
+            if self.start is not None and self.in_a_row < self.IN_A_ROW:
+                self._judge(self.start, now)
+            self.start, self.turns, self.elapsed_s = now, [], 0.0
+
+    def _judge(self, start: _Quaternion, now: _Quaternion) -> None:
+        in_sensor, in_base = _times(_inverse(start), now), _times(now, _inverse(start))
+        turned = _angle(in_sensor)
+        if turned < self.TURN:
             return
-        base = ref.get("base_quat", [1.0, 0.0, 0.0, 0.0])
-        now = _times(_quaternion(base), _quaternion(ref["quat"]))
-        if self.last is None:
-            self.last = now
-            return self._restart()
-        turn = (gyr[0] * dt, gyr[1] * dt, gyr[2] * dt)
-        self.path[0] += math.hypot(*turn)
-        self.path[1] += _angle(_times(_inverse(self.last), now))
-        self.last, self.elapsed_s = now, self.elapsed_s + dt
-        small = _exp(turn)
-        self.rate, self.mirror = _times(self.rate, small), _times(self.mirror, _inverse(small))
-        self.fixed = _times(small, self.fixed)
-        assert self.start is not None
-        self.turned = _times(_inverse(self.start), now)
-        turned = _angle(self.turned)
-        if turned > self.TURN:
-            allowed = turned / 2 + math.radians(2)
-            outside = _times(now, _inverse(self.start))
-            good = _angle(_times(_inverse(self.turned), self.rate)) <= allowed
-            self.good, self.bad = self.good + good, self.bad + (not good)
-            self.mirrored += _angle(_times(_inverse(self.turned), self.mirror)) <= allowed
-            self.outside += _angle(_times(_inverse(outside), self.fixed)) <= allowed
-            if self.bad + self.good == self.NEEDED and self.bad > self.good:
-                self._warn()
-        if turned > self.TURN or self.elapsed_s > self.LONGEST_S:
-            self._restart()
 
-    def _warn(self) -> None:
-        rate, true = self.path
+        def fits(true: _Quaternion, rate: _Quaternion) -> bool:
+            return _angle(_times(_inverse(true), rate)) <= turned / 2 + math.radians(2)
+
+        small = [_exp(turn) for turn in self.turns]
+        if fits(in_sensor, reduce(_times, small)):
+            self.in_a_row = 0
+            return
+        self.in_a_row += 1
+        if self.in_a_row < self.IN_A_ROW:
+            return
+        path = sum(math.hypot(*turn) for turn in self.turns)
         why = "perhaps it is in another frame, or the instantaneous rate in place of the mean since the sample before"
-        if rate > 20 * true:
+        if path > 20 * turned:
             why = "it looks like °/s"
-        elif self.mirrored > self.good:
+        elif fits(in_sensor, reduce(_times, map(_inverse, small))):
             why = "its sign looks wrong"
-        elif self.outside > self.good:
+        elif fits(in_base, reduce(_times, reversed(small))):
             why = "it looks like the rate in the base frame"
         print(
-            f"warning: gyr does not agree with ref: it turns by {math.degrees(rate):.4g}° in all, ref by "
-            f"{math.degrees(true):.4g}°; {why}. gyr is the mean rate over the step in the sensor frame, rad/s.",
+            f"warning: gyr does not agree with ref: within a second it turns by {math.degrees(path):.3g}°, and ref by "
+            f"{math.degrees(turned):.3g}°; {why}. gyr is the mean rate over the step in the sensor frame, rad/s.",
             file=sys.stderr, flush=True,
         )
 
@@ -238,7 +229,7 @@ def _inverse(q: _Quaternion) -> _Quaternion:
     return (q[0], -q[1], -q[2], -q[3])
 
 
-def _exp(v: Tuple[float, float, float]) -> _Quaternion:
+def _exp(v: _Vector) -> _Quaternion:
     angle = math.hypot(*v)
     scale = math.sin(angle / 2) / angle if angle > 1e-9 else 0.5
     return (math.cos(angle / 2), v[0] * scale, v[1] * scale, v[2] * scale)
