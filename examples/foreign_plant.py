@@ -5,7 +5,7 @@
 
 A simulator greets with one line, then answers every line of microstep counts with one line of IMU reading and
 true orientation, until end of file. The physics is minimal: play, extension, lag, constant curvature, and an
-IMU with bias and noise.
+IMU with bias and noise. `examples/plant.py` is the same plant by the package `retroflex`, which takes over the link.
 Units are mm, s, rad, m/s^2, uT; quaternions are [w, x, y, z] and take tip coordinates to the base's.
 """
 import argparse
@@ -67,10 +67,10 @@ class Tip:
         self.field = rotated(exponential(tilt), (20.0, 0.0, -43.0))
         self.play_output_mm, self.bend, self.attitude = [0.0] * 3, [0.0, 0.0], (1.0, 0.0, 0.0, 0.0)
 
-    def step(self, counts):
-        """Holds the counts for one period and returns the IMU reading."""
-        for i, n in enumerate(counts):
-            low, high = n * STEP_MM - self.half_gap_mm[i], n * STEP_MM + self.half_gap_mm[i]
+    def step(self, pistons_mm):
+        """Holds the pistons for one period and returns the IMU reading."""
+        for i, piston_mm in enumerate(pistons_mm):
+            low, high = piston_mm - self.half_gap_mm[i], piston_mm + self.half_gap_mm[i]
             self.play_output_mm[i] = min(max(self.play_output_mm[i], low), high)
         bellow_mm = [w / (1 + k) for w, k in zip(self.play_output_mm, self.gain)]
         angles = [2 * math.pi * i / 3 for i in range(3)]
@@ -101,7 +101,7 @@ def main():
     send({"plant": "python", "protocol": 1, "imu_period_s": PERIOD_S, "step_mm": STEP_MM, "rest_length_mm": REST_LENGTH_MM})
     for line in sys.stdin:
         request = json.loads(line)
-        imu = tip.step(request["steps"])
+        imu = tip.step([n * STEP_MM for n in request["steps"]])
         send({"t": request["t"], "imu": imu, "ref": {"quat": tip.attitude}})
 
 
