@@ -2,7 +2,7 @@
 
 mod studies;
 
-use crate::cli::{CommandOutcome, gap, inputs, output};
+use crate::cli::{CommandOutcome, gap, inputs, logging, output};
 use crate::config::assemble;
 use crate::config::source;
 use crate::config::{Board, Calibration, PlantSection};
@@ -110,6 +110,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let calibration: Option<Calibration> = args.calib.as_deref().map(source::read).transpose()?;
     let plant = Plant::new(args, &board)?;
+    let _logging = matches!(plant, Plant::Foreign { .. }).then(logging::start);
     let identify = calibration.is_none();
     let calibration = calibration.unwrap_or_default();
     let given = args.feedforward.as_deref();

@@ -4,6 +4,7 @@
 //! through a channel, so that a read can time out.
 
 use crate::primitives::{Base, ImuSample, Rotation, Seconds, Steps, Tip};
+use crate::simulation::rate_check::RateCheck;
 use crate::simulation::world::{Reply, World};
 use crate::supervisor::{MachineError, MachineInfo};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -14,8 +15,11 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
-/// Longest time without an answer, s.
+/// Longest time without an answer, and until the greeting, s: a simulator may have to be compiled.
 const SILENCE_S: f64 = 5.0;
+const GREETING_S: f64 = 120.0;
+/// Time after which a wait for the greeting is told, s.
+const TOLD_S: f64 = 2.0;
 /// Longest line, bytes.
 const LINE_MAX: u64 = 64 * 1024;
 
@@ -57,6 +61,7 @@ pub struct Link {
     info: MachineInfo,
     n: u64,
     last: String,
+    rates: RateCheck,
 }
 
 impl Link {
@@ -87,19 +92,27 @@ impl Link {
             info,
             n: 0,
             last: "(nothing yet)".to_owned(),
+            rates: RateCheck::default(),
         };
-        link.info = greeting(&link.line()?)?;
+        let first = match link.line(TOLD_S) {
+            Err(MachineError::Silent { .. }) => {
+                tracing::info!("waiting up to {GREETING_S} s for the greeting of {program}");
+                link.line(GREETING_S - TOLD_S)
+            }
+            said => said,
+        };
+        link.info = greeting(&first?)?;
         Ok(link)
     }
 
-    fn line(&mut self) -> Result<String, MachineError> {
-        match self.from.recv_timeout(Duration::from_secs_f64(SILENCE_S)) {
+    fn line(&mut self, seconds: f64) -> Result<String, MachineError> {
+        match self.from.recv_timeout(Duration::from_secs_f64(seconds)) {
             Ok(Ok(line)) if !line.is_empty() => {
                 line.trim_end().clone_into(&mut self.last);
                 Ok(line)
             }
             Err(RecvTimeoutError::Timeout) => Err(MachineError::Silent {
-                seconds: SILENCE_S,
+                seconds,
                 last: excerpt(&self.last),
             }),
             Ok(Err(e)) => Err(MachineError::Malformed {
@@ -155,8 +168,13 @@ impl World for Link {
             // the channel may still contain lines; the end of the process is the error
             return Err(self.died());
         }
-        let line = self.line()?;
-        reply(&line, t)
+        let line = self.line(SILENCE_S)?;
+        let reply = reply(&line, t)?;
+        if let (Some(imu), Some(truth)) = (&reply.imu, &reply.truth) {
+            let wrong = self.rates.update(reply.t.0, &truth.quat(), &imu.gyro_rad_s);
+            wrong.into_iter().for_each(|why| tracing::warn!("{why}"));
+        }
+        Ok(reply)
     }
 }
 

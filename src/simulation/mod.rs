@@ -4,6 +4,7 @@ pub mod described;
 pub mod link;
 pub mod lockstep;
 pub mod plant;
+mod rate_check;
 pub mod sim;
 pub mod stepper;
 pub mod world;

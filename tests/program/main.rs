@@ -15,6 +15,7 @@ mod fake_imu;
 mod fleet;
 mod flight_log;
 mod gap_cli;
+mod gap_compare;
 mod guided;
 mod hostile_server;
 mod imu_calibrate;

@@ -1,7 +1,7 @@
 //! `retroflex gap compare`: the user's own simulator beside a log.
 
 use crate::cli::gap::input;
-use crate::cli::{CommandOutcome, inputs, output};
+use crate::cli::{CommandOutcome, inputs, logging, output};
 use crate::diagnosis::chain::Motion;
 use crate::diagnosis::diagnose::{diagnose, goes_with};
 use crate::diagnosis::document::{DependenceEntry, Gap};
@@ -110,6 +110,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let lines = inputs::calibration(args.calib.as_deref())?.lines();
     let log = input::observe(&args.log, &input::rig(args.board.as_deref())?)?;
     let (program, arguments) = inputs::program(&args.plant)?;
+    let _logging = logging::start();
     let (bar, mut name) = (
         output::bar(0, "{pos} runs of the simulator,"),
         String::new(),
