@@ -82,7 +82,11 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let rows = rows(args, &config)?;
     if rows.is_empty() {
         let only = args.only.as_deref().unwrap_or("");
-        bail!("--only {only}: no fault has a name that contains this text");
+        let names: Vec<&str> = list::specs().iter().map(|s| s.name).collect();
+        let names = names.join(", ");
+        bail!(
+            "--only {only}: no fault has a name that contains this text; in flight there are {names}"
+        );
     }
     output::json(args.json.as_deref(), &json!({ "rows": rows }))?;
     show(&rows, args)?;

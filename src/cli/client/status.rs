@@ -14,7 +14,7 @@ use std::time::Duration;
 /// Clears the terminal and moves to its first place (ECMA-48).
 const CLEAR: &str = "\x1b[H\x1b[2J";
 /// Widest line of the status, characters.
-const WIDTH: usize = 100;
+const WIDTH: usize = 80;
 
 /// `status`, for people or as JSON.
 ///
@@ -141,7 +141,7 @@ pub(super) fn rows(s: &Value) -> Vec<(&'static str, String)> {
     rows.extend(slow.filter(|r| r.contains("slow bus")).map(|r| ("note", r)));
     let granted = |g: &Value| format!("{}: {}", text(&g["what"]), text(&g["grant"]));
     let requested = list(&s["real_time"]).into_iter();
-    let requested = requested.filter(|g| g["grant"] != "not requested");
+    let requested = requested.filter(|g| g["grant"] != "not requested" && g["grant"] != "granted");
     rows.extend(requested.map(|g| ("real time", granted(&g))));
     rows
 }
