@@ -41,7 +41,7 @@ UN = 1e6  # N and N mm in units of the simulator
 # name: smallest and largest size, unit, mechanism
 EFFECTS = {
     "missed_steps": (4, 16, "full steps", "a weak motor slips by whole pole pairs where load and speed are high"),
-    "gear_periodic": (0.08, 0.35, "mm", "tooth error of the rack, two harmonics"),
+    "gear_periodic": (0.1, 0.35, "mm", "tooth error of the rack, two harmonics"),
     "leak": (5e-4, 0.01, "1/s", "a puncture lets air out of one line, or in"),
     "gas_compression": (0.35, 0.95, "share", "this share of the line's compliance is ideal gas"),
     "line_lag": (0.08, 0.5, "s", "flow resistance between syringe and bellow, less of it in dense air"),
@@ -53,7 +53,7 @@ EFFECTS = {
     "creep": (0.08, 0.4, "share", "two Maxwell branches beside the walls"),
     "softening": (0.2, 0.6, "share", "walls that soften up to their largest stretch"),
     "gravity": (3, 9, "g", "a heavy head on a tilted base"),
-    "curvature": (0.12, 0.5, "share at 60 deg", "a core that stiffens, or softens, as it bends"),
+    "curvature": (0.08, 0.3, "share at 60 deg", "a core that stiffens, or softens, as it bends"),
     "clocking": (0.06, 0.3, "rad", "one bellow off its place, or all"),
     "cable_stiffness": (0.1, 0.5, "share", "an elastic cable along one side"),
     "torsion": (0.4, 1.1, "rad", "bellows wound around the axis"),
@@ -67,7 +67,7 @@ EFFECTS = {
     "sensor_latency": (0.03, 0.2, "s", "the sensor queues its samples"),
     "base_motion": (0.04, 0.17, "rad", "the base is turned three times"),
     # outside the catalogue
-    "loose_bead": (6, 14, "g", "a bead that slides between two stops in the head"),
+    "loose_bead": (3, 6, "g", "a bead that slides between two stops in the head"),
     "sticking_joint": (3, 7, "N mm", "five neighbouring joints stick and break loose"),
     "gyro_scale": (0.05, 0.2, "share", "the gyroscope reads too much, or too little"),
 }
@@ -142,6 +142,8 @@ class Unit:
             d = self.draw(name)
             low, high = EFFECTS[name][:2]
             drawn, sign = d.uniform(low, high) * scale, d.choice((-1, 1)) if name in SIGNED else 1
+            if name == "curvature" and sign < 0:
+                sign = -0.7  # a core that softens more would buckle
             self.size[name] = drawn * sign if size is None else size
         if "gravity" in self.size:
             tilt = self.draw("gravity base").uniform(0.7, 1.5)
@@ -195,13 +197,13 @@ def model_of(unit):
         a = u.draw("bead").uniform(-math.pi, math.pi)
         m = u.of("loose_bead")
         text.append(f'<body name="bead" pos="0 0 {HEAD_MM}"><inertial pos="0 0 0" mass="{m:.9g}" diaginertia="{m:.9g} {m:.9g} {m:.9g}"/>'
-                    f'<joint name="bead" type="slide" axis="{math.cos(a):.9g} {math.sin(a):.9g} 0" limited="true" range="-4 4" damping="{m * 80:.9g}" frictionloss="{m * 9810 * 0.08:.9g}"/></body>')
+                    f'<joint name="bead" type="slide" axis="{math.cos(a):.9g} {math.sin(a):.9g} 0" limited="true" range="-5 5" damping="{m * 80:.9g}" frictionloss="{m * 9810 * 0.08:.9g}"/></body>')
     close += "</body>"
     wall = ""
     if "contact" in u.size:
         b, a = u.of("contact"), u.draw("wall").uniform(-math.pi, math.pi)
         reach = LENGTH_MM * (1 - math.cos(b)) / b + SENSOR_MM * math.sin(b) + 4.0 + 20.0
-        wall = (f'<geom type="box" size="20 80 80" pos="{reach * math.cos(a):.9g} {reach * math.sin(a):.9g} 15" euler="0 0 {math.degrees(a):.9g}" '
+        wall = (f'<geom type="box" size="20 80 80" pos="{reach * math.cos(a):.9g} {reach * math.sin(a):.9g} 15" euler="0 0 {a:.9g}" '
                 'contype="1" conaffinity="1" friction="0.2" solref="0.01 1"/>')
     tendons = [(f"bellow{i}", f"b{i}", "") for i in range(3)]
     if "cable_stiffness" in u.size:
@@ -217,7 +219,7 @@ def model_of(unit):
         <default><geom contype="0" conaffinity="0" mass="0"/></default>
         <worldbody><body name="base" mocap="true" quat="{turned}">{sites(0)}{wall}{"".join(text)}{close}</body></worldbody>
         <tendon>{routes}</tendon><actuator>{motors}</actuator>
-        <sensor><accelerometer site="imu"/></sensor></mujoco>""".replace('euler="0 0 ', 'euler="0 0 '))
+        <sensor><accelerometer site="imu"/></sensor></mujoco>""")
     return model
 
 
@@ -294,6 +296,23 @@ class Rubber:
         return self.k * f
 
 
+class Friction:
+    """Dry friction in the joints: a stiff spring whose foot slips where it is loaded beyond a threshold, in both axes at once. The simulator's own
+    friction is regularised by the inertia of a joint, which is tiny here, so that it would give way under a load that stays."""
+
+    def __init__(self, thresholds, joint_k):
+        self.holds, self.slides = thresholds.copy(), thresholds.copy()
+        self.k, self.foot = 6 * joint_k, numpy.zeros((2, len(thresholds)))
+
+    def moment(self, at):
+        load = self.k * (at - self.foot)
+        size = numpy.hypot(*load)
+        slips = size > self.holds
+        load = numpy.where(slips, load * (self.slides / numpy.maximum(size, 1e-9)), load)
+        self.foot = numpy.where(slips, at - load / self.k, self.foot)
+        return load
+
+
 class Motors:
     """From counts to pistons, mm."""
 
@@ -367,14 +386,12 @@ class Plant:
         self.joint_k = 1.5 * unit.wall_n_mm * unit.radius_mm**2 * DISCS * UN
         moment = self.joint_k / DISCS  # at one radian
         share = numpy.array(unit.draw("thresholds").sample([0.1 + 1.8 * j / (DISCS - 1) for j in range(DISCS)], DISCS))
-        friction = unit.params["friction"] * UN + unit.of("hysteresis") * moment * share
-        self.model.dof_frictionloss[self.x] = self.model.dof_frictionloss[self.y] = friction
-        self.model.dof_solimp[:] = (0.95, 0.9999, 1e-5, 0.5, 2)
-        self.stuck = None
+        self.friction = Friction(unit.params["friction"] * UN + unit.of("hysteresis") * moment * share, self.joint_k)
         if "sticking_joint" in unit.size:
             first = unit.draw("stuck").randrange(DISCS - 5)
-            self.stuck = numpy.concatenate([self.x[first:first + 5], self.y[first:first + 5]])
-            self.free = numpy.zeros(10, bool)
+            self.friction.holds[first:first + 5] += unit.of("sticking_joint") * UN
+            self.friction.slides[first:first + 5] += 0.2 * unit.of("sticking_joint") * UN
+        self.bends_oddly = self.curve or self.friction.holds.any()
         self.lines, self.rubber = [Line(unit, i) for i in range(3)], [Rubber(unit) for _ in range(3)]
         self.motors = Motors(unit)
         self.tip_sensor, self.base_sensor = Sensor(unit, "tip sensor"), Sensor(unit, "base sensor") if base_imu else None
@@ -422,14 +439,11 @@ class Plant:
                 if self.rubber[i].any:
                     f -= self.rubber[i].force(q[i], dt)
                 d.ctrl[i] = f * UN
-            if self.curve:
-                x, y = d.qpos[self.x], d.qpos[self.y]
-                k = self.joint_k * self.curve * (x * x + y * y) * (DISCS * 3 / math.pi) ** 2
-                d.qfrc_applied[self.x], d.qfrc_applied[self.y] = -k * x, -k * y
-            if self.stuck is not None:
-                v = numpy.abs(d.qvel[self.stuck])
-                self.free = numpy.where(self.free, v > 2e-4, v > 2e-3)
-                m.dof_frictionloss[self.stuck] = self.unit.of("sticking_joint") * UN * numpy.where(self.free, 0.2, 1.0)
+            if self.bends_oddly:
+                at = numpy.array((d.qpos[self.x], d.qpos[self.y]))
+                square = (at * at).sum(0) * (DISCS * 3 / math.pi) ** 2
+                moment = -self.joint_k * self.curve * 1.5 * square / (1 + 0.5 * square) * at
+                d.qfrc_applied[self.x], d.qfrc_applied[self.y] = moment - self.friction.moment(at)
             mujoco.mj_step2(m, d)
         self.forward = d.xquat[self.head].tolist()  # where the accelerometer was evaluated
         mujoco.mj_kinematics(m, d)
