@@ -50,6 +50,7 @@ EFFECTS = {
     "stiffening": (0.12, 0.6, "share at 5 mm", "the walls of a bellow stiffen with stretch"),
     "asymmetry": (0.1, 0.4, "share", "walls stiffer in extension than in contraction, or the other way round"),
     "hysteresis": (0.06, 0.25, "share", "dry friction in every joint, each with another threshold"),
+    "fold_friction": (0.06, 0.25, "share", "hysteresis again: dry friction between the folds of each bellow"),
     "creep": (0.08, 0.4, "share", "two Maxwell branches beside the walls"),
     "softening": (0.2, 0.6, "share", "walls that soften up to their largest stretch"),
     "gravity": (3, 9, "g", "a heavy head on a tilted base"),
@@ -58,7 +59,7 @@ EFFECTS = {
     "cable_stiffness": (0.1, 0.5, "share", "an elastic cable along one side"),
     "torsion": (0.4, 1.1, "rad", "bellows wound around the axis"),
     "contact": (0.5, 1.0, "rad", "a wall beside the tip, touched at this bend"),
-    "gyro_bias": (0.003, 0.03, "rad/s", "the bias drifts as the sensor warms"),
+    "gyro_bias": (0.015, 0.06, "rad/s", "the bias drifts as the sensor warms"),
     "accel_bias": (0.15, 0.8, "m/s^2", "constant error of the accelerometer"),
     "hard_iron": (3, 40, "uT", "magnetised head"),
     "motor_field": (0.5, 12, "uT", "coils of the motors, which stand still"),
@@ -278,7 +279,10 @@ class Rubber:
         d = unit.draw("creep times")
         self.branches = [[d.uniform(1.5, 5), 0.0], [d.uniform(15, 50), 0.0]]
         self.longest = 0.0
-        self.any = any((self.stiff, self.asym, self.soft, self.creep))
+        # springs whose feet slip: stiffness, threshold, foot
+        folds = unit.of("fold_friction") / 6
+        self.folds = [[4 * folds, 4 * folds * (0.2 + 0.4 * j), 0.0] for j in range(6)] if folds else []
+        self.any = any((self.stiff, self.asym, self.soft, self.creep, self.folds))
 
     def force(self, q, dt):
         """Force against the stretch q, N, beyond k q."""
@@ -292,6 +296,11 @@ class Rubber:
                 tau, z = branch
                 f += 0.5 * self.creep * (q - z)
                 branch[1] = z + (q - z) * dt / tau
+        for fold in self.folds:
+            k, most, foot = fold
+            load = min(max(k * (q - foot), -most), most)
+            fold[2] = q - load / k
+            f += load
         return self.k * f
 
 
