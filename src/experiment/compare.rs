@@ -217,6 +217,15 @@ fn sums(
     (normal, gradient)
 }
 
+/// The solution of the normal equations; 0 where they have none, or nothing is asked.
+fn solved(normal: DMatrix<f64>, gradient: &DVector<f64>) -> DVector<f64> {
+    let zero = || DVector::zeros(gradient.len());
+    if gradient.is_empty() {
+        return zero();
+    }
+    normal.cholesky().map_or_else(zero, |c| c.solve(gradient))
+}
+
 /// A damped step within the ranges.
 fn stepped(
     x: &DVector<f64>,
@@ -228,8 +237,7 @@ fn stepped(
     for i in 0..x.len() {
         damped[(i, i)] += damping * normal[(i, i)] + f64::MIN_POSITIVE;
     }
-    let step = damped.lu().solve(gradient);
-    let step = step.unwrap_or_else(|| DVector::zeros(x.len()));
+    let step = solved(damped, gradient);
     (x - step).map(|x| x.clamp(0.0, 1.0))
 }
 
@@ -255,10 +263,7 @@ impl Blocks {
         let zero = (DMatrix::zeros(n, n), DVector::zeros(n));
         let blocks = self.sums.iter().enumerate().filter(|(b, _)| used(*b));
         let (normal, gradient) = blocks.fold(zero, |(n, g), (_, s)| (n + &s.0, g + &s.1));
-        -normal
-            .lu()
-            .solve(&gradient)
-            .unwrap_or_else(|| DVector::zeros(n))
+        -solved(normal, &gradient)
     }
 
     /// Residuals of each block with the parameters of the other half of the blocks.

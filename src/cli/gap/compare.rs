@@ -180,7 +180,7 @@ fn said(d: &Document) -> (String, bool) {
     let sentence = match (fits, left < d.nominal_deg) {
         (true, _) => "The simulator fits the log",
         (_, true) => "The simulator is nearer to the log than the nominal model, but not all of it",
-        _ => "The simulator does not fit the log: the nominal model is nearer",
+        _ => "The simulator does not fit the log, the nominal model is nearer",
     };
     let mut text = format!(
         "{sentence}: it leaves {left:.2}°, the nominal model {:.2}°, the diagnosed one {:.2}°; noise alone is {floor:.2}°.\n",
