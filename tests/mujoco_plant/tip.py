@@ -59,7 +59,7 @@ EFFECTS = {
     "cable_stiffness": (0.1, 0.5, "share", "an elastic cable along one side"),
     "torsion": (0.4, 1.1, "rad", "bellows wound around the axis"),
     "contact": (0.5, 1.0, "rad", "a wall beside the tip, touched at this bend"),
-    "gyro_bias": (0.015, 0.06, "rad/s", "the bias drifts as the sensor warms"),
+    "gyro_bias": (0.04, 0.09, "rad/s", "the bias drifts as the sensor warms"),
     "accel_bias": (0.15, 0.8, "m/s^2", "constant error of the accelerometer"),
     "hard_iron": (3, 40, "uT", "magnetised head"),
     "motor_field": (0.5, 12, "uT", "coils of the motors, which stand still"),
