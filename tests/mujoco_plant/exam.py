@@ -151,7 +151,7 @@ def main():
 
         cases = [(e, int(s)) for s in args.seeds.split(",") for e in effects]
         count, answers = {}, []
-        print(f"{'truth':<28} {'seed':>4}  {'judged':<6} {'as set':>7} {'recal.':>7} {'left':>6}  said")
+        print(f"{'truth':<28} {'seed':>4}  {'judged':<6} {'as set':>7} {'recal.':>7} {'left':>6} {'prob.':>5}  said")
         with concurrent.futures.ThreadPoolExecutor(args.jobs) as pool:
             for effect, seed, answer in pool.map(ask, cases):
                 truth = {e.partition("=")[0] for e in effect.split("+")} - {"none"}
@@ -161,7 +161,8 @@ def main():
                 count.setdefault(kind, []).append(how)
                 answers.append({"truth": effect, "seed": seed, "lab": not args.field, "judged": how, "answer": answer})
                 g = answer["gap"]
-                print(f"{effect:<28} {seed:>4}  {how:<6} {g['as_configured_deg']:>6.2f}° {g['recalibrated_deg']:>6.2f}° {g['explained_deg']:>5.2f}°  {said(answer['verdict'])}", flush=True)
+                print(f"{effect:<28} {seed:>4}  {how:<6} {g['as_configured_deg']:>6.2f}° {g['recalibrated_deg']:>6.2f}° {g['explained_deg']:>5.2f}° "
+                      f"{answer['verdict'].get('probability', math.nan):>5.2f}  {said(answer['verdict'])}", flush=True)
         for kind, all_of in count.items():
             print(f"{kind}: {all_of.count('right')} right and {all_of.count('group')} in a group of {len(all_of)}")
         if args.json:

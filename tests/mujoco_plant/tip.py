@@ -59,7 +59,7 @@ EFFECTS = {
     "cable_stiffness": (0.1, 0.5, "share", "an elastic cable along one side"),
     "torsion": (0.4, 1.1, "rad", "bellows wound around the axis"),
     "contact": (0.5, 1.0, "rad", "a wall beside the tip, touched at this bend"),
-    "gyro_bias": (0.015, 0.06, "rad/s", "the bias drifts as the sensor warms"),
+    "gyro_bias": (0.04, 0.09, "rad/s", "the bias drifts as the sensor warms"),
     "accel_bias": (0.15, 0.8, "m/s^2", "constant error of the accelerometer"),
     "hard_iron": (3, 40, "uT", "magnetised head"),
     "motor_field": (0.5, 12, "uT", "coils of the motors, which stand still"),
@@ -214,13 +214,12 @@ def model_of(unit):
     routes = "".join(f'<spatial name="{n}"{more}>' + "".join(f'<site site="{s}_{j}"/>' for j in range(DISCS + 1)) + "</spatial>" for n, s, more in tendons)
     motors = "".join(f'<motor tendon="bellow{i}" gear="1"/>' for i in range(3))
     turned = " ".join(f"{x:.12g}" for x in u.base)
-    model = mujoco.MjModel.from_xml_string(f"""<mujoco>
+    return mujoco.MjModel.from_xml_string(f"""<mujoco>
         <compiler angle="radian" autolimits="false" boundmass="0" boundinertia="0"/>
         <option timestep="{PERIOD_S / SUBSTEPS}" gravity="0 0 -9810" integrator="implicitfast" cone="elliptic" iterations="30"/>
         <default><geom contype="0" conaffinity="0" mass="0"/></default>
         <worldbody><body name="base" mocap="true" quat="{turned}">{sites(0)}{wall}{"".join(text)}{close}</body></worldbody>
         <tendon>{routes}</tendon><actuator>{motors}</actuator></mujoco>""")
-    return model
 
 
 class Line:
@@ -325,8 +324,8 @@ class Motors:
     """From counts to pistons, mm."""
 
     def __init__(self, unit):
-        self.queue = deque([(0, 0, 0)] * max(1, round(unit.of("transport_delay") / PERIOD_S) + 1))
-        self.queue = deque(self.queue, maxlen=len(self.queue))
+        length = round(unit.of("transport_delay") / PERIOD_S) + 1
+        self.queue = deque([(0, 0, 0)] * length, maxlen=length)
         d = unit.draw("teeth")
         self.tooth, self.phase = unit.of("gear_periodic"), [d.uniform(-math.pi, math.pi) for _ in range(3)]
         d = unit.draw("weak motor")
@@ -413,9 +412,8 @@ class Plant:
         self.turns = [(d.uniform(30, 170), [x * unit.of("base_motion") for x in direction(d)]) for _ in range(3)]
         self.delayed = deque(maxlen=round(unit.of("sensor_latency") / PERIOD_S) + 1)
         self.n, self.t, self.counts, self.reply = 0, 0.0, (0, 0, 0), None
-        self.q_rest = [0.0] * 3
         mujoco.mj_forward(self.model, self.data)
-        self.q_rest = self.data.ten_length[:3].tolist()
+        self.straight = self.data.ten_length[:3].tolist()
         for _ in range(round(1.5 / PERIOD_S)):
             self.advance([0.0] * 3)
         self.rest = self.in_base()
@@ -424,7 +422,8 @@ class Plant:
         self.places = deque([self.data.site_xpos[self.imu].tolist()] * 3, maxlen=3)
 
     def lengths(self):
-        return [a - b for a, b in zip(self.data.ten_length[:3].tolist(), self.q_rest)]
+        """How much longer each bellow is than in a straight tip, mm."""
+        return [a - b for a, b in zip(self.data.ten_length[:3].tolist(), self.straight)]
 
     def base(self):
         b = self.unit.base
