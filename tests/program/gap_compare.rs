@@ -125,7 +125,10 @@ fn a_simulator_fits_its_own_log_and_a_wrong_stiffness_is_seen_and_found() {
         // the accelerometer of that tip has a bias, which the fit takes for stiffness
         let value = param["value"].as_f64().unwrap();
         assert!((value - 1.0).abs() < 0.01, "{param}");
-        assert!(low <= value && value <= high && high - low < 0.02, "{param}");
+        assert!(
+            low <= value && value <= high && high - low < 0.02,
+            "{param}"
+        );
     }
 }
 

@@ -231,6 +231,7 @@ fn track(
         share,
         &(periodic + rate * observer.dynamics.lag_s),
     );
+    let bend = limited(f, state, &at, &bend);
     let bend = bounded(config, f, state, bend, estimate);
     match path::bellow_motion(config, &state.setpoint, lead_s) {
         Some(motion) => follow(config, f, state, &bend, &motion, estimate, dt_s),
@@ -255,6 +256,8 @@ fn correct(
     let given = bend_of(&there.outputs(&theta));
     let error = state.setpoint.target.bend.0 - believed - disturbed;
     let bend = given + rule::unrotated(error * f.kp, theta[ROTATION]);
+    let at = state.setpoint.bend.at;
+    let bend = limited(f, state, &at, &bend);
     let bend = bounded(config, f, state, bend, estimate);
     let change = bend - given;
     let risk = inverse::risk(&state.observer, &change, f.free_length_mm);
@@ -309,8 +312,8 @@ fn go(
 ) {
     let (choice, aim_mm) = choose(config, f, state, bend, keep, estimate);
     state.rule.length = choice.length;
+    state.feedback = bend - state.setpoint.bend.at;
     let sides = sides(state, &choice);
-    let aim_mm = within_bound(f, state, aim_mm, &sides);
     state.rule.aim_mm = match config.feedforward.as_deref().zip(state.described.as_mut()) {
         None => aim_mm,
         Some((machine, described)) => {
@@ -342,26 +345,16 @@ fn sides(state: &LoopState, choice: &Choice) -> [f64; 3] {
     })
 }
 
-/// Pistons that push to `sides`, mm, with a nominal bend no further from the set-point than the bound of the correction.
-fn within_bound(
+/// The bend of the channels, no further from `at` than the bound of the correction.
+fn limited(
     config: &FeedbackConfig,
     state: &mut LoopState,
-    aim_mm: Vector3<f64>,
-    sides: &[f64; 3],
-) -> Vector3<f64> {
-    let observer = &state.observer;
-    let most = config.integral_max_deg.to_radians();
-    let play_mm = |i: usize| sides[i] * observer.lines[i].k_lambda_mm;
-    let v: [f64; 3] = std::array::from_fn(|i| (aim_mm[i] - play_mm(i)) / observer.mm_per_rad(i));
-    let correction = bend_of(&v) - state.setpoint.bend.at;
-    state.feedback_full = correction.norm() >= most;
-    state.feedback = correction.cap_magnitude(most);
-    if !state.feedback_full {
-        return aim_mm;
-    }
-    let bounded = inverse::outputs(&(state.setpoint.bend.at + state.feedback));
-    let length = v.iter().sum::<f64>() / 3.0;
-    Vector3::from_fn(|i, _| (bounded[i] + length) * observer.mm_per_rad(i) + play_mm(i))
+    at: &Vector2<f64>,
+    bend: &Vector2<f64>,
+) -> Vector2<f64> {
+    let (most, correction) = (config.integral_max_deg.to_radians(), bend - at);
+    state.feedback_full = correction.norm() > most;
+    at + correction.cap_magnitude(most)
 }
 
 fn choose(

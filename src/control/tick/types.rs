@@ -79,8 +79,8 @@ parameters! {
         /// Integral rate: how fast g, what the model does not explain, follows the estimate at rest. A larger value corrects a disturbance
         /// sooner and passes more of the estimate's noise to the pistons.
         ki_1_s: f64 = 23.0, "1/s", 0.1..=1000.0, "23 follows within 45 ms, the noise of a quiet IMU averaged over five samples";
-        /// Limit of the correction, in degrees of bend. A larger value over-drives a lossy line further.
-        integral_max_deg: f64 = 60.0, "deg", 0.0..=180.0, "60 compensates for a line that has lost half of its gain";
+        /// Limit of what is corrected beyond the learned laws, in degrees of bend. A larger value follows what no law explains further.
+        integral_max_deg: f64 = 60.0, "deg", 0.0..=180.0, "60 leaves the bound to the limits of pistons and pressure";
         /// A tip at rest is moved when the error exceeds this many standard deviations of what the move risks. A larger value moves less
         /// often and leaves a larger error.
         caution: f64 = 0.5, "sigma", 0.0..=10.0, "below 1, because the next move corrects what a wrong one leaves";
