@@ -68,25 +68,8 @@ const ACC: [&str; 3] = ["acc_x_m_s2", "acc_y_m_s2", "acc_z_m_s2"];
 const GYR: [&str; 3] = ["gyr_x_rad_s", "gyr_y_rad_s", "gyr_z_rad_s"];
 const MAG: [&str; 3] = ["mag_x_ut", "mag_y_ut", "mag_z_ut"];
 const REFERENCE: [&str; 4] = ["ref_qw", "ref_qx", "ref_qy", "ref_qz"];
-/// Columns that an exported flight log has besides: what the loop made of the samples. A reader of bend logs passes them over.
-pub const LOOP: [&str; 16] = [
-    "setpoint_bend_deg",
-    "setpoint_dir_deg",
-    "setpoint_len_mm",
-    "estimate_bend_deg",
-    "estimate_dir_deg",
-    "estimate_sigma_deg",
-    "belief_bend_deg",
-    "belief_dir_deg",
-    "belief_sigma_deg",
-    "k_epsilon1",
-    "k_epsilon2",
-    "k_epsilon3",
-    "k_lambda1_mm",
-    "k_lambda2_mm",
-    "k_lambda3_mm",
-    "mode",
-];
+/// Beginnings of the columns that an exported flight log has besides: what the loop made of the samples.
+const OF_LOOP: [&str; 5] = ["setpoint_", "estimate_", "belief_", "k_", "mode"];
 const SCHEMA: Schema<'_> = Schema {
     required: &REQUIRED,
     known: &known,
@@ -142,7 +125,7 @@ fn from_table(file: String, table: &Table) -> Result<BendLog, ReadError> {
         ignored: table
             .header()
             .iter()
-            .filter(|h| !known(h) && !LOOP.contains(&h.as_str()))
+            .filter(|h| !known(h) && !OF_LOOP.iter().any(|of_loop| h.starts_with(of_loop)))
             .cloned()
             .collect(),
     })

@@ -1,7 +1,6 @@
 //! `log export`: the samples of a flight log with what the loop made of them, as a bend log or a Parquet table.
 
 use crate::cli::{CommandOutcome, output};
-use crate::log::bend_log::LOOP;
 use crate::log::columns::{self, Column};
 use crate::service::flight::cycle::Cycle;
 use crate::service::flight::read::{Entry, messages};
@@ -14,23 +13,23 @@ use serde_json::{Map, Value, json};
 use std::collections::VecDeque;
 use std::path::Path;
 
-/// Where the status holds the columns [`LOOP`], but for the last one, the mode.
-const PLACES: [&str; LOOP.len() - 1] = [
-    "/setpoint/bend_deg",
-    "/setpoint/dir_deg",
-    "/length_mm",
-    "/estimate/bend_deg",
-    "/estimate/dir_deg",
-    "/sigma_deg",
-    "/belief/bend_deg",
-    "/belief/dir_deg",
-    "/belief_sigma_deg",
-    "/k_epsilon/0",
-    "/k_epsilon/1",
-    "/k_epsilon/2",
-    "/k_lambda_mm/0",
-    "/k_lambda_mm/1",
-    "/k_lambda_mm/2",
+/// Columns beside those of a bend log, and where the status holds their values; the last column is the mode.
+const OF_LOOP: [(&str, &str); 15] = [
+    ("setpoint_bend_deg", "/setpoint/bend_deg"),
+    ("setpoint_dir_deg", "/setpoint/dir_deg"),
+    ("setpoint_len_mm", "/length_mm"),
+    ("estimate_bend_deg", "/estimate/bend_deg"),
+    ("estimate_dir_deg", "/estimate/dir_deg"),
+    ("estimate_sigma_deg", "/sigma_deg"),
+    ("belief_bend_deg", "/belief/bend_deg"),
+    ("belief_dir_deg", "/belief/dir_deg"),
+    ("belief_sigma_deg", "/belief_sigma_deg"),
+    ("k_epsilon1", "/k_epsilon/0"),
+    ("k_epsilon2", "/k_epsilon/1"),
+    ("k_epsilon3", "/k_epsilon/2"),
+    ("k_lambda1_mm", "/k_lambda_mm/0"),
+    ("k_lambda2_mm", "/k_lambda_mm/1"),
+    ("k_lambda3_mm", "/k_lambda_mm/2"),
 ];
 /// Ends of the names of columns with their units.
 const UNITS: [(&str, &str); 8] = [
@@ -98,8 +97,8 @@ impl Rows {
         if self.numbers.is_empty() {
             self.start_ns = unix_ns.saturating_sub((row[0] * 1e9) as u64);
         }
-        let value = |place: &&str| self.status.pointer(place).and_then(Value::as_f64);
-        row.extend(PLACES.iter().map(|place| value(place).unwrap_or(f64::NAN)));
+        let value = |place| self.status.pointer(place).and_then(Value::as_f64);
+        row.extend(OF_LOOP.map(|(_, place)| value(place).unwrap_or(f64::NAN)));
         self.numbers.push(row);
         self.modes
             .push(self.status["mode"].as_str().unwrap_or_default().to_owned());
@@ -151,9 +150,17 @@ impl Rows {
 
 /// Names of the columns.
 fn names() -> Vec<&'static str> {
-    record::HEADER.trim_end().split(',').chain(LOOP).collect()
+    let samples = record::HEADER.trim_end().split(',');
+    samples
+        .chain(OF_LOOP.map(|column| column.0))
+        .chain(["mode"])
+        .collect()
 }
 
+/// Runs the command.
+///
+/// # Errors
+/// A report that names the file.
 pub fn export(path: &Path, csv: Option<&Path>, parquet: Option<&Path>) -> Result<CommandOutcome> {
     output::check(&[("--csv", csv), ("--parquet", parquet)], &[path])?;
     let mut rows = Rows::default();
