@@ -17,7 +17,6 @@ use std::time::{SystemTime, UNIX_EPOCH};
 pub const TOPICS: [&str; 2] = ["/cycles", "/events"];
 /// Name of the metadata in which a log that was made from a damaged one states the damage.
 pub const DAMAGE: &str = "retroflex damage";
-const LAYOUT: &str = "Cycles in the binary format of the Rust crate postcard; src/service/flight/cycle.rs defines them.";
 /// Cycles from one with digests of its fields to the next.
 const FIELDS_EVERY: u64 = 16;
 /// Most cycles of one message.
@@ -72,17 +71,10 @@ impl FlightFile {
             .compression_threads(0);
         let mut writer = options.create(BufWriter::new(file.try_clone()?))?;
         let mut channels = HashMap::new();
-        let mut declare = |topic, name: &str, encoding: &str, schema: &[u8]| {
-            let schema = writer.add_schema(name, encoding, schema)?;
-            channels.insert(
-                topic,
-                writer.add_channel(schema, topic, encoding, &BTreeMap::new())?,
-            );
-            McapResult::Ok(())
-        };
-        declare(TOPICS[0], "retroflex.Cycles", "postcard", LAYOUT.as_bytes())?;
         for (topic, name) in schema::TOPICS {
-            declare(topic, name, ENCODING, &schema::description(topic)?)?;
+            let schema = writer.add_schema(name, ENCODING, &schema::description(topic)?)?;
+            let channel = writer.add_channel(schema, topic, ENCODING, &BTreeMap::new())?;
+            channels.insert(topic, channel);
         }
         let (shown, cycles) = (Channels::default(), Vec::new());
         Ok(Self {
@@ -247,7 +239,7 @@ impl FlightFile {
     /// See [`Self::create`].
     pub fn write_cycles(&mut self, first: u64, cycles: &[Cycle], unix_ns: u64) -> McapResult<()> {
         let message = encode(first, cycles).map_err(io::Error::other)?;
-        self.put(TOPICS[0], unix_ns, &message)
+        self.put(TOPICS[0], unix_ns, &schema::wrap(TOPICS[0], message)?)
     }
 
     /// Closes the chunk: everything so far can be read whatever happens to the program; with `sync` also whatever happens to

@@ -73,15 +73,23 @@ impl Entry {
         let named = |problem: String| {
             format!("channel {topic}: {problem}; was it written by another version of the program?")
         };
-        // the messages of older logs are JSON
+        // the messages of older logs are JSON, and cycles without a schema
         let fields = || match &*message.channel.message_encoding {
             ENCODING => schema::decode(topic, &message.data).map_err(|e| named(e.to_string())),
             _ => serde_json::from_slice(&message.data).map_err(|e| named(e.to_string())),
         };
         Ok(match topic {
-            _ if topic == TOPICS[0] => decode(&message.data)
-                .map(|(n, cycles)| Self::Cycles(n, cycles))
-                .map_err(|e| named(e.to_string()))?,
+            _ if topic == TOPICS[0] => {
+                let exact = match &*message.channel.message_encoding {
+                    ENCODING => {
+                        schema::unwrap(topic, &message.data).map_err(|e| named(e.to_string()))?
+                    }
+                    _ => message.data.to_vec(),
+                };
+                decode(&exact)
+                    .map(|(n, cycles)| Self::Cycles(n, cycles))
+                    .map_err(|e| named(e.to_string()))?
+            }
             _ if topic == TOPICS[1] => {
                 let fields: Value = fields()?;
                 let event: Event = match fields["json"].as_str() {

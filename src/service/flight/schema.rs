@@ -1,11 +1,13 @@
-//! The schemas of the topics for people: protobuf, those of Foxglove where there is one, else of `retroflex.proto`.
+//! The schemas of the topics: protobuf, those of Foxglove where there is one, else of `retroflex.proto`.
 //!
 //! `schemas.bin` describes them; `tests/program/schemas.rs` compiles it. Messages are made from JSON and read as JSON, with the
-//! names of the fields.
+//! names of the fields, but for the cycles, whose message holds bytes.
 
 use prost_reflect::prost::Message;
 use prost_reflect::prost_types::FileDescriptorSet;
-use prost_reflect::{DescriptorPool, DynamicMessage, MessageDescriptor, SerializeOptions};
+use prost_reflect::{
+    DescriptorPool, DynamicMessage, MessageDescriptor, SerializeOptions, Value as Field,
+};
 use serde_json::Value;
 use std::io;
 use std::sync::LazyLock;
@@ -13,7 +15,7 @@ use std::sync::LazyLock;
 /// Encoding of the schemas and of the messages, as MCAP names it.
 pub const ENCODING: &str = "protobuf";
 /// Topics and the names of their schemas. Every file declares all of them.
-pub const TOPICS: [(&str, &str); 11] = [
+pub const TOPICS: [(&str, &str); 12] = [
     ("/angles", "retroflex.Angles"),
     ("/pistons", "retroflex.Pistons"),
     ("/gains", "retroflex.Gains"),
@@ -25,6 +27,7 @@ pub const TOPICS: [(&str, &str); 11] = [
     ("/scene", "foxglove.SceneUpdate"),
     ("/log", "foxglove.Log"),
     ("/events", "retroflex.Event"),
+    ("/cycles", "retroflex.Cycles"),
 ];
 /// Those of the first topics that show fields of the status.
 pub const STATUS: usize = 5;
@@ -104,4 +107,29 @@ pub fn decode(topic: &str, message: &[u8]) -> io::Result<Value> {
         value[field.name()] = Value::Null;
     }
     Ok(value)
+}
+
+/// Number of the field of a message that holds bytes.
+const BYTES: u32 = 1;
+
+/// The message of a topic that holds bytes.
+///
+/// # Errors
+/// The topic has no schema.
+pub fn wrap(topic: &str, bytes: Vec<u8>) -> io::Result<Vec<u8>> {
+    let mut message = DynamicMessage::new(of_topic(topic)?);
+    message.set_field_by_number(BYTES, Field::Bytes(bytes.into()));
+    Ok(message.encode_to_vec())
+}
+
+/// The bytes that a message of a topic holds.
+///
+/// # Errors
+/// What is wrong with the message.
+pub fn unwrap(topic: &str, message: &[u8]) -> io::Result<Vec<u8>> {
+    let message = DynamicMessage::decode(of_topic(topic)?, message).map_err(io::Error::other)?;
+    let bytes = message.get_field_by_number(BYTES);
+    Ok(bytes
+        .and_then(|field| field.as_bytes().map(|bytes| bytes.to_vec()))
+        .unwrap_or_default())
 }
