@@ -1,18 +1,18 @@
 //! What the channels of a flight log for people show.
 
 use crate::estimation::fusion::health::ImuReading;
-use crate::primitives::ImuSample;
+use crate::primitives::{ImuSample, Seconds};
 use crate::service::flight::scene;
 use crate::service::flight::schema::{STATUS, TOPICS, fields};
 use crate::service::status;
-use crate::supervisor::CycleOutput;
+use crate::supervisor::{CycleOutput, Sensed};
 use serde_json::{Value, json};
 use std::collections::HashMap;
 
-/// Highest rate of a channel that shows the status, and how much rarer pose and scene are.
-pub const RATE_HZ: f64 = 200.0;
-const POSE_EVERY: u64 = 4;
-const SCENE_EVERY: u64 = 20;
+/// Highest rate of a channel, and how much rarer pose and scene are.
+pub const RATE_HZ: f64 = 100.0;
+const POSE_EVERY: u64 = 2;
+const SCENE_EVERY: u64 = 10;
 
 /// Topic and fields of a message.
 pub type Shown = (&'static str, Value);
@@ -21,35 +21,43 @@ pub type Shown = (&'static str, Value);
 #[derive(Debug, Default)]
 pub struct Channels {
     shown: [Value; STATUS],
+    samples: [Option<ImuSample>; 2],
     lines: Value,
     changes: Changes,
     calls: u64,
 }
 
-/// The samples of a cycle.
-pub fn samples(output: &CycleOutput) -> impl Iterator<Item = Shown> {
-    let tip = match output.sensed.imu {
-        ImuReading::Sample(sample, _) => Some(sample),
-        _ => None,
-    };
-    let t = output.sensed.t;
-    let message = move |sample: ImuSample| {
-        let mag_ut = sample.mag_ut.as_ref().map(|mag| mag.as_slice());
-        let age_s = ((t.0 - sample.t.0) * 1e6).round() * 1e-6;
-        json!({"gyr_rad_s": sample.gyro_rad_s.as_slice(), "acc_m_s2": sample.acc_m_s2.as_slice(), "mag_ut": mag_ut, "age_s": age_s})
-    };
-    let all = [("/imu", tip), ("/imu/base", output.sensed.base_imu)];
-    all.into_iter()
-        .filter_map(move |(topic, sample)| Some((topic, message(sample?))))
+/// `retroflex.Imu` of a sample.
+fn imu(sample: &ImuSample, t: Seconds) -> Value {
+    let mag_ut = sample.mag_ut.as_ref().map(|mag| mag.as_slice());
+    let age_s = ((t.0 - sample.t.0) * 1e6).round() * 1e-6;
+    json!({"gyr_rad_s": sample.gyro_rad_s.as_slice(), "acc_m_s2": sample.acc_m_s2.as_slice(), "mag_ut": mag_ut, "age_s": age_s})
 }
 
 impl Channels {
-    /// The messages about a cycle, at most [`RATE_HZ`]. What has not changed is not shown again. `unix_ns` is its time.
+    /// Takes the samples of a cycle for the next messages: the newest, with the newest field since the last messages.
+    pub fn take(&mut self, sensed: &Sensed) {
+        let tip = match sensed.imu {
+            ImuReading::Sample(sample, _) => Some(sample),
+            _ => None,
+        };
+        for (newest, sample) in self.samples.iter_mut().zip([tip, sensed.base_imu]) {
+            let Some(sample) = sample else { continue };
+            let mag_ut = sample.mag_ut.or(newest.and_then(|before| before.mag_ut));
+            *newest = Some(ImuSample { mag_ut, ..sample });
+        }
+    }
+
+    /// The messages about a cycle, at most at [`RATE_HZ`]. What has not changed is not shown again. `unix_ns` is its time.
     pub fn messages(&mut self, output: &CycleOutput, unix_ns: u64, step_mm: f64) -> Vec<Shown> {
         let mut status = status::cycle(output, step_mm);
         // the action changes between two samples
         status["sensor"] = status["sensor"]["active"].take();
-        let mut all = Vec::new();
+        let t = output.sensed.t;
+        let samples = ["/imu", "/imu/base"].into_iter().zip(&mut self.samples);
+        let mut all: Vec<Shown> = samples
+            .filter_map(|(topic, newest)| Some((topic, imu(&newest.take()?, t))))
+            .collect();
         for ((topic, _), shown) in TOPICS.iter().zip(&mut self.shown) {
             let values = fields(topic).into_iter().map(|key| {
                 let value = status[&key].take();

@@ -1,6 +1,6 @@
 //! One MCAP file.
 
-use crate::service::flight::channels::{Channels, RATE_HZ, samples};
+use crate::service::flight::channels::{Channels, RATE_HZ};
 use crate::service::flight::cycle::{Cycle, encode};
 use crate::service::flight::schema::{self, ENCODING};
 use crate::service::flight::start::{Event, Logged};
@@ -119,9 +119,7 @@ impl FlightFile {
         for event in events {
             self.event(&event.at(*number), unix_ns)?;
         }
-        for (topic, value) in samples(output) {
-            self.put_fields(topic, unix_ns, value)?;
-        }
+        self.shown.take(&output.sensed);
         if t_s - self.shown_s > 0.98 / RATE_HZ {
             self.shown_s = t_s;
             for (topic, value) in self.shown.messages(output, unix_ns, self.step_mm) {
