@@ -97,7 +97,12 @@ impl Rows {
         if self.numbers.is_empty() {
             self.start_ns = unix_ns.saturating_sub((row[0] * 1e9) as u64);
         }
-        let value = |place| self.status.pointer(place).and_then(Value::as_f64);
+        let value = |place| {
+            self.status
+                .pointer(place)
+                .and_then(Value::as_f64)
+                .map(round)
+        };
         row.extend(OF_LOOP.map(|(_, place)| value(place).unwrap_or(f64::NAN)));
         self.numbers.push(row);
         self.modes
@@ -146,6 +151,11 @@ impl Rows {
         let table: Vec<(&str, Column)> = all.into_iter().enumerate().map(column).collect();
         columns::write(&table, &metadata).into_diagnostic()
     }
+}
+
+/// The status has four digits, which single precision keeps.
+fn round(x: f64) -> f64 {
+    (x * 1e4).round() / 1e4
 }
 
 /// Names of the columns.

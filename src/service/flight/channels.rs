@@ -9,10 +9,10 @@ use crate::supervisor::{CycleOutput, Sensed};
 use serde_json::{Value, json};
 use std::collections::HashMap;
 
-/// Highest rate of a channel, and how much rarer pose and scene are.
+/// Highest rate of a channel, and how much rarer the pose is, and what changes slowly or is large.
 pub const RATE_HZ: f64 = 100.0;
 const POSE_EVERY: u64 = 2;
-const SCENE_EVERY: u64 = 10;
+const SLOW_EVERY: u64 = 10;
 
 /// Topic and fields of a message.
 pub type Shown = (&'static str, Value);
@@ -53,7 +53,7 @@ impl Channels {
         let mut status = status::cycle(output, step_mm);
         // the action changes between two samples
         status["sensor"] = status["sensor"]["active"].take();
-        let t = output.sensed.t;
+        let (t, slow) = (output.sensed.t, self.calls.is_multiple_of(SLOW_EVERY));
         let samples = ["/imu", "/imu/base"].into_iter().zip(&mut self.samples);
         let mut all: Vec<Shown> = samples
             .filter_map(|(topic, newest)| Some((topic, imu(&newest.take()?, t))))
@@ -64,7 +64,7 @@ impl Channels {
                 (key, value)
             });
             let value = Value::Object(values.collect());
-            if *shown != value {
+            if *shown != value && (slow || *topic != "/gains") {
                 shown.clone_from(&value);
                 all.extend(
                     self.changes
@@ -75,18 +75,18 @@ impl Channels {
                 all.push((*topic, value));
             }
         }
-        self.calls += 1;
         let frame = &output.frame;
         if self.calls.is_multiple_of(POSE_EVERY) {
             all.extend(scene::pose(frame, unix_ns).map(|pose| ("/tf", pose)));
         }
-        if self.calls.is_multiple_of(SCENE_EVERY) {
+        if slow {
             let lines = scene::lines(frame, status::commanded(output.mode));
             if let Some(lines) = lines.filter(|lines| *lines != self.lines) {
                 all.push(("/scene", scene::update(&lines, unix_ns)));
                 self.lines = lines;
             }
         }
+        self.calls += 1;
         all
     }
 }
