@@ -5,7 +5,7 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use retroflex::drill::process::Daemon;
 use retroflex::log::bend_log;
-use retroflex::service::flight::cycle::{Cycle, FIELDS, encode};
+use retroflex::service::flight::cycle::{Cycle, FIELDS};
 use retroflex::service::flight::file::FlightFile;
 use retroflex::service::flight::read::{Ending, Entry, messages};
 use retroflex::service::flight::schema;
@@ -346,7 +346,7 @@ fn replays(log: &Path) {
 /// Copies the cycles of a log that `keep` accepts, as `keep` changes them.
 fn rewrite(from: &Path, to: &Path, keep: &mut dyn FnMut(u64, &mut Cycle) -> bool) {
     let mut file = FlightFile::create(to, 0).unwrap();
-    let ending = messages(from, &mut |mut message| {
+    let ending = messages(from, &mut |message| {
         let Entry::Cycles(first, cycles) = Entry::of(&message)? else {
             file.copy(&message).unwrap();
             return Ok(());
@@ -354,8 +354,7 @@ fn rewrite(from: &Path, to: &Path, keep: &mut dyn FnMut(u64, &mut Cycle) -> bool
         let mut run: (u64, Vec<Cycle>) = (first, vec![]);
         let mut put = |run: &(u64, Vec<Cycle>)| {
             if !run.1.is_empty() {
-                message.data = encode(run.0, &run.1).unwrap().into();
-                file.copy(&message).unwrap();
+                file.write_cycles(run.0, &run.1, message.log_time).unwrap();
             }
         };
         for (number, mut cycle) in (first..).zip(cycles) {
