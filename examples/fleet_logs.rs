@@ -15,7 +15,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rayon::prelude::*;
 use retroflex::diagnosis::exam::question::{Content, Question};
 use retroflex::log::bend_log::BendLog;
-use retroflex::service::record::{HEADER, write_row};
+use retroflex::service::record::{HEADER, write_values};
 use retroflex::simulation::plant::effect_names;
 use std::fmt::Write as _;
 use std::fs::{self, File};
@@ -103,7 +103,8 @@ fn write(path: &Path, log: &BendLog) {
         row[1..16].copy_from_slice(vectors.map(<[f64; 3]>::from).as_flattened());
         // as many digits as the sensors have
         row.iter_mut().for_each(|x| *x = (*x * 1e6).round() / 1e6);
-        write_row(&mut text, &row);
+        write_values(&mut text, &row);
+        text.push(b'\n');
     }
     let mut file = GzEncoder::new(
         File::create(path).expect("the folder can be written to"),

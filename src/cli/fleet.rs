@@ -72,7 +72,10 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let survey = Survey::new(&rows);
     let prior = args.prior.as_ref().map(|_| prior(&survey)).transpose()?;
     if let Some(path) = &args.merged {
-        output::write(path, columns::write(&row::table(&rows)).into_diagnostic()?)?;
+        output::write(
+            path,
+            columns::write(&row::table(&rows), &[]).into_diagnostic()?,
+        )?;
     }
     if let (Some(path), Some(prior)) = (&args.prior, &prior) {
         output::write(path, toml::to_string(prior).into_diagnostic()?)?;

@@ -1,8 +1,9 @@
 //! `retroflex log`: what a flight log holds, as a bend log, and a part of it.
 
+mod export;
+
 use crate::cli::replay::flight_of;
 use crate::cli::{CommandOutcome, inputs, output};
-use crate::log::columns::{self, Column};
 use crate::report::chart::{Axis, Chart, Series, Stroke};
 use crate::report::page::Page;
 use crate::report::svg::Ink;
@@ -10,9 +11,9 @@ use crate::service::flight::channels::Changes;
 use crate::service::flight::file::{FlightFile, TOPICS, io_error};
 use crate::service::flight::read::{Entry, messages};
 use crate::service::flight::start::Event;
-use crate::service::record;
+use export::export;
 use mcap::{McapError, Message};
-use miette::{IntoDiagnostic, Result, bail, miette};
+use miette::{Result, bail, miette};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
@@ -32,14 +33,15 @@ pub enum Log {
         #[arg(long, value_name = "FILE")]
         html: Option<PathBuf>,
     },
-    /// Write the samples as a bend log, which `gap diagnose` reads, or as a table for programs that read Parquet.
+    /// Write the samples, with set-point, estimate, belief, gains and mode, as a bend log, which `gap diagnose` reads, or as a table
+    /// for programs that read Parquet.
     Export {
         /// Flight log.
         file: PathBuf,
         /// Bend log to write; `-` is standard output.
         #[arg(long, required_unless_present = "parquet")]
         csv: Option<PathBuf>,
-        /// Parquet file to write, with the columns of a bend log; a missing value is null.
+        /// Parquet file to write, with the same columns; a missing value is null. Its metadata hold the units and the start time.
         #[arg(long)]
         parquet: Option<PathBuf>,
     },
@@ -227,53 +229,6 @@ fn info(path: &Path, json: Option<&Path>, html: Option<&Path>) -> Result<Command
         output::write(html, info.page(path, &facts).html())?;
     }
     output::show(&text, json);
-    Ok(ending.damage.is_empty().into())
-}
-
-fn export(path: &Path, csv: Option<&Path>, parquet: Option<&Path>) -> Result<CommandOutcome> {
-    output::check(&[("--csv", csv), ("--parquet", parquet)], &[path])?;
-    let mut rows = Vec::new();
-    let (mut step_mm, mut rows_of) = (0.0, record::Rows::default());
-    let ending = messages(path, &mut |message| {
-        match Entry::of(&message)? {
-            Entry::Event(event) => {
-                if let Event::Start(header) = *event {
-                    step_mm = header.machine.step_mm;
-                }
-            }
-            Entry::Cycles(_, cycles) => {
-                rows.extend(
-                    cycles
-                        .iter()
-                        .filter_map(|c| rows_of.add(&c.sensed, &c.target, step_mm)),
-                );
-            }
-            Entry::Shown(_) => {}
-        }
-        Ok(())
-    });
-    let ending = ending.map_err(|e| miette!("{e}"))?;
-    if let Some(csv) = csv {
-        let mut log = record::HEADER.as_bytes().to_vec();
-        rows.iter().for_each(|row| record::write_row(&mut log, row));
-        output::write(csv, log)?;
-    }
-    if let Some(path) = parquet {
-        let column = |(k, name)| {
-            (
-                name,
-                Column::Numbers(rows.iter().map(|row| row[k]).collect()),
-            )
-        };
-        let table: Vec<(&str, Column)> = record::HEADER
-            .trim_end()
-            .split(',')
-            .enumerate()
-            .map(column)
-            .collect();
-        output::write(path, columns::write(&table).into_diagnostic()?)?;
-    }
-    eprintln!("{:.3} s; {ending}", rows_of.last_s);
     Ok(ending.damage.is_empty().into())
 }
 

@@ -68,6 +68,8 @@ const ACC: [&str; 3] = ["acc_x_m_s2", "acc_y_m_s2", "acc_z_m_s2"];
 const GYR: [&str; 3] = ["gyr_x_rad_s", "gyr_y_rad_s", "gyr_z_rad_s"];
 const MAG: [&str; 3] = ["mag_x_ut", "mag_y_ut", "mag_z_ut"];
 const REFERENCE: [&str; 4] = ["ref_qw", "ref_qx", "ref_qy", "ref_qz"];
+/// Beginnings of the columns that an exported flight log has besides: what the loop made of the samples.
+const OF_LOOP: [&str; 5] = ["setpoint_", "estimate_", "belief_", "k_", "mode"];
 const SCHEMA: Schema<'_> = Schema {
     required: &REQUIRED,
     known: &known,
@@ -123,7 +125,7 @@ fn from_table(file: String, table: &Table) -> Result<BendLog, ReadError> {
         ignored: table
             .header()
             .iter()
-            .filter(|h| !known(h))
+            .filter(|h| !known(h) && !OF_LOOP.iter().any(|of_loop| h.starts_with(of_loop)))
             .cloned()
             .collect(),
     })

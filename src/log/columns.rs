@@ -3,6 +3,7 @@
 use parquet::basic::{Compression, Type, ZstdLevel};
 use parquet::data_type::{ByteArray, ByteArrayType, DoubleType};
 use parquet::errors::Result;
+use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::writer::SerializedFileWriter;
@@ -24,11 +25,11 @@ pub enum Column {
     Texts(Vec<String>),
 }
 
-/// The file of a table whose columns have these names and equal lengths.
+/// The file of a table whose columns have these names and equal lengths, with metadata by name.
 ///
 /// # Errors
 /// Those of the crate `parquet`.
-pub fn write<N: AsRef<str>>(table: &[(N, Column)]) -> Result<Vec<u8>> {
+pub fn write<N: AsRef<str>>(table: &[(N, Column)], metadata: &[(&str, String)]) -> Result<Vec<u8>> {
     let field = |(name, column): &(N, Column)| match column {
         Column::Numbers(_) => format!("optional double {};", name.as_ref()),
         Column::Texts(_) => format!("required binary {} (STRING);", name.as_ref()),
@@ -38,7 +39,11 @@ pub fn write<N: AsRef<str>>(table: &[(N, Column)]) -> Result<Vec<u8>> {
         table.iter().map(field).collect::<String>()
     ))?;
     let zstd = Compression::ZSTD(ZstdLevel::default());
-    let properties = Arc::new(WriterProperties::builder().set_compression(zstd).build());
+    let entry = |(name, value): &(&str, String)| KeyValue::new((*name).to_owned(), value.clone());
+    let properties = WriterProperties::builder()
+        .set_compression(zstd)
+        .set_key_value_metadata(Some(metadata.iter().map(entry).collect()));
+    let properties = Arc::new(properties.build());
     let mut writer = SerializedFileWriter::new(Vec::new(), Arc::new(schema), properties)?;
     let rows = table.first().map_or(0, |(_, column)| match column {
         Column::Numbers(all) => all.len(),

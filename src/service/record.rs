@@ -161,7 +161,8 @@ impl Recording {
             .rows
             .add(&output.sensed, &output.frame.target, self.step_mm)
         {
-            write_row(&mut self.log, &row);
+            write_values(&mut self.log, &row);
+            self.log.push(b'\n');
         }
         if self.rows.last_s > self.most_s {
             self.reason = Some("it reached service.record_max_s");
@@ -256,17 +257,17 @@ impl Rows {
     }
 }
 
-/// Appends the values of a row to a bend log; a field without a number is empty.
-pub fn write_row(log: &mut Vec<u8>, row: &[f64]) {
+/// Appends the values of a row to a bend log: a field without a number is empty, every other one has a decimal point.
+pub fn write_values(log: &mut Vec<u8>, row: &[f64]) {
     for (k, value) in row.iter().enumerate() {
         // writing to memory does not fail
         let _ = match k {
             0 => write!(log, "{value:.6}"),
-            _ if value.is_finite() => write!(log, ",{value}"),
-            _ => write!(log, ","),
+            _ if !value.is_finite() => write!(log, ","),
+            _ if value.fract() == 0.0 => write!(log, ",{value:.1}"),
+            _ => write!(log, ",{value}"),
         };
     }
-    log.push(b'\n');
 }
 
 /// Creates the folder of a recording, and refuses a disk without room for it.

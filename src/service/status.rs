@@ -85,14 +85,15 @@ pub fn world(guidance: Guidance) -> Option<&'static str> {
     }
 }
 
+/// True if the tip is commanded in this mode; if it is not, it has no target to fall short of.
+pub fn commanded(mode: Mode) -> bool {
+    matches!(mode, Mode::Holding | Mode::Tracking | Mode::Calibrating)
+}
+
 /// The part of the status that one cycle determines.
 pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
     let f = &output.frame;
-    // a tip that is not commanded has no target to fall short of
-    let commanded = matches!(
-        output.mode,
-        Mode::Holding | Mode::Tracking | Mode::Calibrating
-    );
+    let commanded = commanded(output.mode);
     let pose = |b: &Bend| json!({"bend_deg": round(b.beta().to_degrees()), "dir_deg": round(b.delta().to_degrees())});
     json!({
         "t": output.sensed.t.0,

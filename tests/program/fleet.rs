@@ -320,7 +320,7 @@ fn rows_survive_a_table() {
     all[1].refused = "no rows, \"quoted\" °".to_owned();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("rows.parquet");
-    std::fs::write(&path, columns::write(&table(&all)).unwrap()).unwrap();
+    std::fs::write(&path, columns::write(&table(&all), &[]).unwrap()).unwrap();
     assert_eq!(
         rows(&columns::read(std::fs::File::open(&path).unwrap()).unwrap()).unwrap(),
         all

@@ -7,6 +7,7 @@ use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::drill::bench::{Bench, bend};
 use retroflex::estimation::fusion::health::ReadFault;
+use retroflex::log::bend_log;
 use retroflex::supervisor::cycle::order::Order;
 use retroflex::supervisor::machine::Alarm;
 use std::path::Path;
@@ -121,7 +122,8 @@ fn a_replay_with_other_settings_is_a_flight_log() {
     assert!(std::fs::read(&other).unwrap() == before);
 }
 
-/// The table that `log export --parquet` writes holds the values of the bend log that `--csv` writes, and nulls where that is empty.
+/// The table that `log export --parquet` writes holds the values of the bend log that `--csv` writes, nulls where that is empty, and in its
+/// metadata the units and the time of its zero. Numbers in the bend log have a decimal point, and its readers know all of its columns.
 #[test]
 fn a_parquet_table_equals_the_bend_log() {
     let folder = tempfile::tempdir().unwrap();
@@ -141,7 +143,27 @@ fn a_parquet_table_equals_the_bend_log() {
     let mut lines = text.lines();
     let names: Vec<&str> = lines.next().unwrap().split(',').collect();
     let reader = SerializedFileReader::new(std::fs::File::open(&parquet).unwrap()).unwrap();
-    let (mut rows, mut nulls) = (0, 0);
+    let metadata = reader.metadata().file_metadata().key_value_metadata();
+    let known = |key: &str| {
+        let entry = metadata.unwrap().iter().find(|entry| entry.key == key);
+        entry.and_then(|entry| entry.value.clone()).unwrap()
+    };
+    let units: serde_json::Value = serde_json::from_str(&known("units")).unwrap();
+    assert_eq!(
+        [
+            &units["time_s"],
+            &units["gyr_x_rad_s"],
+            &units["estimate_bend_deg"]
+        ],
+        ["s", "rad/s", "°"]
+    );
+    // the flight begins with the epoch
+    assert!(
+        known("start_time").starts_with("1970-01-01T00:00:00"),
+        "{}",
+        known("start_time")
+    );
+    let (mut rows, mut nulls, mut tracking) = (0, 0, 0);
     for row in reader.get_row_iter(None).unwrap() {
         let row = row.unwrap();
         let written: Vec<&str> = lines.next().unwrap().split(',').collect();
@@ -153,6 +175,14 @@ fn a_parquet_table_equals_the_bend_log() {
             assert_eq!(name, known);
             match field {
                 Field::Null => (assert_eq!(text, "", "{name} in row {rows}"), nulls += 1).1,
+                Field::Str(mode) => {
+                    (
+                        assert_eq!(mode, text),
+                        tracking += usize::from(text == "tracking"),
+                    )
+                        .1
+                }
+                Field::Double(_) if !text.contains('.') => panic!("{name} in row {rows}: {text}"),
                 // the time has six digits in the bend log
                 Field::Double(value) if k == 0 => assert_eq!(format!("{value:.6}"), text),
                 Field::Double(value) => {
@@ -166,6 +196,24 @@ fn a_parquet_table_equals_the_bend_log() {
     assert!(rows > 500 && lines.next().is_none(), "{rows} rows");
     // the magnetometer is slower than the other sensors, and no pressure is measured
     assert!(nulls > 3 * rows, "{nulls}");
+    assert!(tracking > 50, "{tracking} rows while the tip moves");
+    assert_eq!(bend_log::read(&csv).unwrap().ignored, Vec::<String>::new());
+    let last = text
+        .lines()
+        .next_back()
+        .unwrap()
+        .split(',')
+        .collect::<Vec<_>>();
+    let value = |name: &str| -> f64 {
+        last[names.iter().position(|n| *n == name).unwrap()]
+            .parse()
+            .unwrap()
+    };
+    assert!(
+        (value("setpoint_bend_deg") - value("estimate_bend_deg")).abs() < 5.0,
+        "{last:?}"
+    );
+    assert!(value("k_epsilon1") > 1.0, "{last:?}");
 }
 
 /// A log with an inverted bit in its middle, or a chunk twice: what can be read is read, the damage is reported with code 1 and stays

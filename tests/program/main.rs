@@ -25,6 +25,7 @@ mod page;
 #[path = "../emulated_pi/mod.rs"]
 mod pi;
 mod replay_golden;
+mod schemas;
 mod service;
 mod shown_commands;
 mod systemd;

@@ -125,7 +125,10 @@ pub fn run(
     let new = open.len();
     diagnose_all(settings, open, &journal)?;
     let rows: Vec<Row> = tasks.into_iter().map(|task| task.row).collect();
-    output::write(table, columns::write(&row::table(&rows)).into_diagnostic()?)?;
+    output::write(
+        table,
+        columns::write(&row::table(&rows), &[]).into_diagnostic()?,
+    )?;
     // the table holds all that it holds
     let _ = fs::remove_file(&journal);
     let refused = rows.iter().filter(|row| !row.refused.is_empty()).count();

@@ -1,78 +1,104 @@
-//! The channels of a flight log that people look at: JSON, with a schema that is taken from the first message.
+//! What the channels of a flight log for people show.
 
-use crate::model::{Geometry, Shape};
+use crate::estimation::fusion::health::ImuReading;
+use crate::primitives::{ImuSample, Seconds};
+use crate::service::flight::scene;
+use crate::service::flight::schema::{STATUS, TOPICS, fields};
 use crate::service::status;
-use crate::supervisor::CycleOutput;
-use serde_json::{Map, Value, json};
+use crate::supervisor::{CycleOutput, Sensed};
+use serde_json::{Value, json};
 use std::collections::HashMap;
 
-/// Topics, the names of their schemas, and the fields of the status that they show, at most [`RATE_HZ`] times a second and only
-/// when one has changed.
-const SHOWN: [(&str, &str, &str); 5] = [
-    (
-        "/angles",
-        "retroflex.Angles",
-        "target setpoint estimate sigma_deg belief belief_sigma_deg residual_deg length_mm",
-    ),
-    ("/pistons", "retroflex.Pistons", "piston_mm pressure_kpa"),
-    (
-        "/gains",
-        "retroflex.Gains",
-        "k_epsilon k_epsilon_sigma k_lambda_mm k_lambda_sigma_mm lag_s delay_s response_error_s periodic_hz",
-    ),
-    ("/mode", "retroflex.Mode", MODE),
-    ("/faults", "retroflex.Faults", FAULTS),
-];
-const MODE: &str = "mode energised at_rest blocked shortfall";
-const FAULTS: &str = "latched fault suspicion sensor alarm emergency_stop base unverified";
+/// Highest rate of a channel, and how much rarer the pose is, and what changes slowly or is large.
+pub const RATE_HZ: f64 = 100.0;
+const POSE_EVERY: u64 = 2;
+const SLOW_EVERY: u64 = 10;
 
-/// Highest rate of a channel.
-pub const RATE_HZ: f64 = 200.0;
+/// Topic and fields of a message.
+pub type Shown = (&'static str, Value);
 
 /// What the channels have shown last.
 #[derive(Debug, Default)]
 pub struct Channels {
-    shown: [Value; SHOWN.len()],
+    shown: [Value; STATUS],
+    samples: [Option<ImuSample>; 2],
+    lines: Value,
+    changes: Changes,
     calls: u64,
 }
 
+/// `retroflex.Imu` of a sample.
+fn imu(sample: &ImuSample, t: Seconds) -> Value {
+    let mag_ut = sample.mag_ut.as_ref().map(|mag| mag.as_slice());
+    let age_s = ((t.0 - sample.t.0) * 1e6).round() * 1e-6;
+    json!({"gyr_rad_s": sample.gyro_rad_s.as_slice(), "acc_m_s2": sample.acc_m_s2.as_slice(), "mag_ut": mag_ut, "age_s": age_s})
+}
+
 impl Channels {
-    /// The messages of a cycle as topic, name of the schema and value. `unix_ns` is its time.
-    pub fn messages(
-        &mut self,
-        output: &CycleOutput,
-        unix_ns: u64,
-        step_mm: f64,
-    ) -> Vec<(&'static str, &'static str, Value)> {
+    /// Takes the samples of a cycle for the next messages: the newest, with the newest field since the last messages.
+    pub fn take(&mut self, sensed: &Sensed) {
+        let tip = match sensed.imu {
+            ImuReading::Sample(sample, _) => Some(sample),
+            _ => None,
+        };
+        for (newest, sample) in self.samples.iter_mut().zip([tip, sensed.base_imu]) {
+            let Some(sample) = sample else { continue };
+            let mag_ut = sample.mag_ut.or(newest.and_then(|before| before.mag_ut));
+            *newest = Some(ImuSample { mag_ut, ..sample });
+        }
+    }
+
+    /// The messages about a cycle, at most at [`RATE_HZ`]. What has not changed is not shown again. `unix_ns` is its time.
+    pub fn messages(&mut self, output: &CycleOutput, unix_ns: u64, step_mm: f64) -> Vec<Shown> {
         let mut status = status::cycle(output, step_mm);
         // the action changes between two samples
         status["sensor"] = status["sensor"]["active"].take();
-        let mut all = Vec::new();
-        for ((topic, schema, keys), shown) in SHOWN.iter().zip(&mut self.shown) {
-            let fields = keys
-                .split(' ')
-                .map(|key| (key.to_owned(), status[key].clone()));
-            let value = Value::Object(fields.collect());
-            if *shown != value {
+        let (t, slow) = (output.sensed.t, self.calls.is_multiple_of(SLOW_EVERY));
+        let samples = ["/imu", "/imu/base"].into_iter().zip(&mut self.samples);
+        let mut all: Vec<Shown> = samples
+            .filter_map(|(topic, newest)| Some((topic, imu(&newest.take()?, t))))
+            .collect();
+        for ((topic, _), shown) in TOPICS.iter().zip(&mut self.shown) {
+            let values = fields(topic).into_iter().map(|key| {
+                let value = status[&key].take();
+                (key, value)
+            });
+            let value = Value::Object(values.collect());
+            if *shown != value && (slow || *topic != "/gains") {
                 shown.clone_from(&value);
-                all.push((*topic, *schema, value));
+                all.extend(
+                    self.changes
+                        .of(&value)
+                        .iter()
+                        .map(|note| ("/log", log(note, unix_ns))),
+                );
+                all.push((*topic, value));
+            }
+        }
+        let frame = &output.frame;
+        if self.calls.is_multiple_of(POSE_EVERY) {
+            all.extend(scene::pose(frame, unix_ns).map(|pose| ("/tf", pose)));
+        }
+        if slow {
+            let lines = scene::lines(frame, status::commanded(output.mode));
+            if let Some(lines) = lines.filter(|lines| *lines != self.lines) {
+                all.push(("/scene", scene::update(&lines, unix_ns)));
+                self.lines = lines;
             }
         }
         self.calls += 1;
-        // 50 poses a second are enough to see the tip move
-        let pose = output.frame.estimate.filter(|_| self.calls.is_multiple_of(4)).map(|e| {
-            let shape = Shape { bend: e.bend, length: output.frame.setpoint.length };
-            let m = (Geometry::default().position(&shape) * 1e3).map(|um| um.round() * 1e-6);
-            let q = e.r_base_tip.quat().coords.map(|x| (x * 1e5).round() * 1e-5);
-            json!({
-                "timestamp": {"sec": unix_ns / 1_000_000_000, "nsec": unix_ns % 1_000_000_000},
-                "parent_frame_id": "base", "child_frame_id": "tip",
-                "translation": {"x": m.x, "y": m.y, "z": m.z}, "rotation": {"x": q.x, "y": q.y, "z": q.z, "w": q.w},
-            })
-        });
-        all.extend(pose.map(|pose| ("/tf", "foxglove.FrameTransform", pose)));
         all
     }
+}
+
+/// `foxglove.Log` of a change.
+fn log(note: &str, unix_ns: u64) -> Value {
+    let level = match note.split(' ').next() {
+        Some("fault") => "ERROR",
+        Some("mode" | "stopped") => "INFO",
+        _ => "WARNING",
+    };
+    json!({"timestamp": scene::timestamp(unix_ns), "level": level, "message": note, "name": "retroflex"})
 }
 
 /// The fields of the status whose changes are events.
@@ -102,27 +128,5 @@ impl Changes {
             }
         }
         notes
-    }
-}
-
-/// A JSON schema that fits a value.
-pub fn schema(value: &Value) -> Value {
-    match value {
-        Value::Object(fields) => {
-            let properties: Map<String, Value> = fields
-                .iter()
-                .map(|(key, value)| (key.clone(), schema(value)))
-                .collect();
-            json!({"type": "object", "properties": properties})
-        }
-        Value::Array(items) => {
-            json!({"type": "array", "items": items.first().map_or(json!({}), schema)})
-        }
-        Value::String(_) => json!({"type": "string"}),
-        Value::Number(n) if n.is_f64() => json!({"type": "number"}),
-        Value::Number(_) => json!({"type": "integer"}),
-        Value::Bool(_) => json!({"type": "boolean"}),
-        // it will have another type later
-        Value::Null => json!({}),
     }
 }

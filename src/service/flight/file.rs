@@ -1,23 +1,22 @@
 //! One MCAP file.
 
-use crate::service::flight::channels::{Channels, RATE_HZ, schema};
+use crate::service::flight::channels::{Channels, RATE_HZ};
 use crate::service::flight::cycle::{Cycle, encode};
+use crate::service::flight::schema::{self, ENCODING};
 use crate::service::flight::start::{Event, Logged};
-use mcap::records::Metadata;
-use mcap::{Attachment, Channel, McapError, McapResult, Message, Schema, WriteOptions, Writer};
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{Attachment, McapError, McapResult, Message, WriteOptions, Writer};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::Path;
-use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Topic of the cycles, and of what a replay starts from or is given later.
 pub const TOPICS: [&str; 2] = ["/cycles", "/events"];
 /// Name of the metadata in which a log that was made from a damaged one states the damage.
 pub const DAMAGE: &str = "retroflex damage";
-const LAYOUT: &str = "Cycles in the binary format of the Rust crate postcard; src/service/flight/cycle.rs defines them.";
 /// Cycles from one with digests of its fields to the next.
 const FIELDS_EVERY: u64 = 16;
 /// Most cycles of one message.
@@ -27,7 +26,8 @@ const CYCLES_MAX: usize = 1000;
 pub struct FlightFile {
     writer: Writer<BufWriter<File>>,
     file: File,
-    channels: HashMap<String, Arc<Channel<'static>>>,
+    /// Numbers of the channels by topic.
+    channels: HashMap<&'static str, u16>,
     shown: Channels,
     /// When the channels were shown last, on the loop's clock, s.
     shown_s: f64,
@@ -69,8 +69,14 @@ impl FlightFile {
             .disable_seeking(true)
             .compression_level(7)
             .compression_threads(0);
-        let writer = options.create(BufWriter::new(file.try_clone()?))?;
-        let (channels, shown, cycles) = (HashMap::new(), Channels::default(), Vec::new());
+        let mut writer = options.create(BufWriter::new(file.try_clone()?))?;
+        let mut channels = HashMap::new();
+        for (topic, name) in schema::TOPICS {
+            let schema = writer.add_schema(name, ENCODING, &schema::description(topic)?)?;
+            let channel = writer.add_channel(schema, topic, ENCODING, &BTreeMap::new())?;
+            channels.insert(topic, channel);
+        }
+        let (shown, cycles) = (Channels::default(), Vec::new());
         Ok(Self {
             writer,
             file,
@@ -113,10 +119,11 @@ impl FlightFile {
         for event in events {
             self.event(&event.at(*number), unix_ns)?;
         }
+        self.shown.take(&output.sensed);
         if t_s - self.shown_s > 0.98 / RATE_HZ {
             self.shown_s = t_s;
-            for (topic, name, value) in self.shown.messages(output, unix_ns, self.step_mm) {
-                self.put_json(topic, name, unix_ns, &value)?;
+            for (topic, value) in self.shown.messages(output, unix_ns, self.step_mm) {
+                self.put_fields(topic, unix_ns, value)?;
             }
         }
         self.cycles
@@ -152,31 +159,29 @@ impl FlightFile {
                 })?;
             }
         }
-        self.put_json(TOPICS[1], "retroflex.Event", unix_ns, &json!(event))
+        let all = json!(event);
+        let kind = all.as_object().and_then(|all| all.keys().next());
+        let fields = json!({"kind": kind, "json": all.to_string()});
+        self.put_fields(TOPICS[1], unix_ns, fields)
     }
 
-    /// Copies a message of another file.
+    /// Copies a message of a channel for people from another file. What it cannot say in the present schema is left out: the poses of
+    /// logs whose messages are JSON.
     ///
     /// # Errors
     /// See [`Self::create`].
     pub fn copy(&mut self, message: &Message<'_>) -> McapResult<()> {
-        let Channel {
-            topic,
-            schema,
-            message_encoding,
-            ..
-        } = &*message.channel;
-        let channel = || match schema.as_deref() {
-            None => Default::default(),
-            Some(s) => [
-                &s.name,
-                &s.encoding,
-                &*String::from_utf8_lossy(&s.data),
-                message_encoding,
-            ]
-            .map(str::to_owned),
+        let topic = &message.channel.topic;
+        let data = match &*message.channel.message_encoding {
+            ENCODING => message.data.to_vec(),
+            _ => match serde_json::from_slice(&message.data)
+                .map(|fields| schema::encode(topic, fields))
+            {
+                Ok(Ok(data)) => data,
+                _ => return Ok(()),
+            },
         };
-        self.put(topic, channel, message.log_time, message.data.to_vec())
+        self.put(topic, message.log_time, &data)
     }
 
     /// States what is missing because the log that this one is made from is damaged.
@@ -194,54 +199,22 @@ impl FlightFile {
         })
     }
 
-    fn put_json(
-        &mut self,
-        topic: &'static str,
-        name: &str,
-        unix_ns: u64,
-        value: &Value,
-    ) -> McapResult<()> {
-        let channel =
-            || [name, "jsonschema", &schema(value).to_string(), "json"].map(str::to_owned);
-        self.put(topic, channel, unix_ns, value.to_string().into())
+    fn put_fields(&mut self, topic: &str, unix_ns: u64, fields: Value) -> McapResult<()> {
+        self.put(topic, unix_ns, &schema::encode(topic, fields)?)
     }
 
-    /// `channel` is name, encoding and text of the schema, and the encoding of the messages.
-    fn put(
-        &mut self,
-        topic: &str,
-        channel: impl FnOnce() -> [String; 4],
-        unix_ns: u64,
-        data: Vec<u8>,
-    ) -> McapResult<()> {
-        let id = u16::try_from(self.channels.len() + 1)
-            .map_err(|_| std::io::Error::other("more topics than a file can hold"))?;
-        let channel = self.channels.entry(topic.to_owned()).or_insert_with(|| {
-            let [name, encoding, text, message_encoding] = channel();
-            let data = text.into_bytes().into();
-            let schema = Some(Arc::new(Schema {
-                id,
-                name,
-                encoding,
-                data,
-            }));
-            let (topic, metadata) = (topic.to_owned(), BTreeMap::new());
-            Arc::new(Channel {
-                id,
-                topic,
-                schema,
-                message_encoding,
-                metadata,
-            })
-        });
-        let channel = Arc::clone(channel);
-        self.writer.write(&Message {
-            channel,
-            sequence: 0,
-            log_time: unix_ns,
-            publish_time: unix_ns,
-            data: data.into(),
-        })
+    fn put(&mut self, topic: &str, unix_ns: u64, data: &[u8]) -> McapResult<()> {
+        let Some(&channel_id) = self.channels.get(topic) else {
+            return Ok(());
+        };
+        let (sequence, log_time, publish_time) = (0, unix_ns, unix_ns);
+        let header = MessageHeader {
+            channel_id,
+            sequence,
+            log_time,
+            publish_time,
+        };
+        self.writer.write_to_known_channel(&header, data)
     }
 
     fn unix_ns(&self, t_s: f64) -> u64 {
@@ -264,8 +237,7 @@ impl FlightFile {
     /// See [`Self::create`].
     pub fn write_cycles(&mut self, first: u64, cycles: &[Cycle], unix_ns: u64) -> McapResult<()> {
         let message = encode(first, cycles).map_err(io::Error::other)?;
-        let channel = || ["retroflex.Cycles", "postcard", LAYOUT, "postcard"].map(str::to_owned);
-        self.put(TOPICS[0], channel, unix_ns, message)
+        self.put(TOPICS[0], unix_ns, &schema::wrap(TOPICS[0], message)?)
     }
 
     /// Closes the chunk: everything so far can be read whatever happens to the program; with `sync` also whatever happens to

@@ -4,6 +4,7 @@
 use crate::log::error::why_unreadable;
 use crate::service::flight::cycle::{Cycle, decode};
 use crate::service::flight::file::{DAMAGE, TOPICS, io_error};
+use crate::service::flight::schema::{self, ENCODING};
 use crate::service::flight::start::Event;
 use mcap::read::{ChannelAccumulator, ChunkReader, parse_record};
 use mcap::records::{ChunkHeader, Record, op};
@@ -58,7 +59,7 @@ pub enum Entry {
     Event(Box<Event>),
     /// Consecutive cycles with the number of the first one.
     Cycles(u64, Vec<Cycle>),
-    /// What a channel for people shows.
+    /// What a channel shows of the status; null of any other channel.
     Shown(Value),
 }
 
@@ -72,20 +73,42 @@ impl Entry {
         let named = |problem: String| {
             format!("channel {topic}: {problem}; was it written by another version of the program?")
         };
-        let json = || serde_json::from_slice(&message.data).map_err(|e| named(e.to_string()));
+        // the messages of older logs are JSON, and cycles without a schema
+        let fields = || match &*message.channel.message_encoding {
+            ENCODING => schema::decode(topic, &message.data).map_err(|e| named(e.to_string())),
+            _ => serde_json::from_slice(&message.data).map_err(|e| named(e.to_string())),
+        };
         Ok(match topic {
-            _ if topic == TOPICS[0] => decode(&message.data)
-                .map(|(n, cycles)| Self::Cycles(n, cycles))
-                .map_err(|e| named(e.to_string()))?,
+            _ if topic == TOPICS[0] => {
+                let exact = match &*message.channel.message_encoding {
+                    ENCODING => {
+                        schema::unwrap(topic, &message.data).map_err(|e| named(e.to_string()))?
+                    }
+                    _ => message.data.to_vec(),
+                };
+                decode(&exact)
+                    .map(|(n, cycles)| Self::Cycles(n, cycles))
+                    .map_err(|e| named(e.to_string()))?
+            }
             _ if topic == TOPICS[1] => {
-                let event: Event =
-                    serde_json::from_value(json()?).map_err(|e| named(e.to_string()))?;
+                let fields: Value = fields()?;
+                let event: Event = match fields["json"].as_str() {
+                    Some(text) => serde_json::from_str(text),
+                    None => serde_json::from_value(fields),
+                }
+                .map_err(|e| named(e.to_string()))?;
                 if !event.is_possible() {
                     return Err(named("an event has a value that no machine has".to_owned()));
                 }
                 Self::Event(Box::new(event))
             }
-            _ => Self::Shown(json()?),
+            _ if schema::TOPICS[..schema::STATUS]
+                .iter()
+                .any(|(name, _)| *name == topic) =>
+            {
+                Self::Shown(fields()?)
+            }
+            _ => Self::Shown(Value::Null),
         })
     }
 }
