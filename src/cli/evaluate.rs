@@ -306,7 +306,11 @@ fn summary(e: &Evaluation) -> String {
         (n, false) => format!("Algorithm 1, NOT converged after {n} passes"),
     };
     // a figure a row, so that the table is narrow
-    let rows = pictures::arm_rows(e);
+    let mut rows = pictures::arm_rows(e);
+    let names = Arm::ALL.into_iter().filter(|arm| e.arm(*arm).is_some());
+    for (row, arm) in rows.iter_mut().zip(names) {
+        arm.name().clone_into(&mut row[0]);
+    }
     let line = |c: usize, title: &str| {
         std::iter::once(title.to_owned())
             .chain(rows.iter().map(|r| r[c].clone()))
@@ -355,6 +359,6 @@ fn summary(e: &Evaluation) -> String {
     });
     let (plant, seed, k_eps, k_lambda) = (&e.plant, e.seed, gains(&e.k_eps), gains(&e.k_lambda_mm));
     format!(
-        "plant {plant}, seed {seed}\n{arms}{foretold}{path}k_ε = {k_eps}   k_λ = {k_lambda} mm   ({origin})\n"
+        "plant {plant}, seed {seed}\n\n{arms}\n{foretold}{path}k_ε = {k_eps}   k_λ = {k_lambda} mm   ({origin})\n"
     )
 }

@@ -236,5 +236,5 @@ fn write_residuals(path: &Path, log: &Observed, compared: &Compared) -> Result<(
             table.push((format!("{}_{axis}_{unit}", q.name()), of(&value)));
         }
     }
-    output::write(path, columns::write(&table).into_diagnostic()?)
+    output::write(path, columns::write(&table, &[]).into_diagnostic()?)
 }
