@@ -126,14 +126,13 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         calibration,
         tip,
     };
-    let (pace, record) = (args.fast, args.record.clone());
     serve(
         claim,
         Setup {
+            pace: args.fast.or(machine.is_simulated().then_some(1.0)),
+            record: args.record.clone(),
             machine,
             config,
-            pace,
-            record,
         },
     )
     .map_err(report)?;

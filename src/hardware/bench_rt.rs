@@ -83,9 +83,8 @@ impl<P: Pins> Pins for NoCurrent<P> {
 }
 
 /// Percentiles in the table.
-const QUANTILES: [(&str, f64); 5] = [
+const QUANTILES: [(&str, f64); 4] = [
     ("50 %", 0.5),
-    ("90 %", 0.9),
     ("99 %", 0.99),
     ("99.9 %", 0.999),
     ("99.99 %", 0.9999),

@@ -120,7 +120,7 @@ pub struct Setup {
     pub machine: Box<dyn Machine>,
     /// The configuration.
     pub config: RunConfig,
-    /// Pace of a simulation beside real time; infinity: as fast as possible. `None`: 1.
+    /// Pace of simulated time beside real time; infinity: as fast as possible. `None`: real time.
     pub pace: Option<f64>,
     /// Record from the first cycle on into this file.
     pub record: Option<PathBuf>,
@@ -151,7 +151,6 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         // from now on both slots say what is known
         store.write(&memory)?;
     }
-    let pace = pace.or_else(|| machine.is_simulated().then_some(1.0));
     let remarks = machine.remarks();
     let notifier = Notifier::from_env();
     let shared = Arc::new(Shared::default());

@@ -100,7 +100,7 @@ mod tests {
             ("other axes", &|rate: Vector3<f64>| {
                 Vector3::new(rate.z, rate.z, rate.x)
             }),
-            ("0.000 times", &|rate: Vector3<f64>| rate * 1e-4),
+            ("is 0.2", &|rate: Vector3<f64>| rate * 0.2),
         ] {
             let said = said(gyro);
             assert!(said.contains(text), "{text}: {said}");

@@ -29,8 +29,8 @@ _NUMERIC = {
 # rows that are converted at a time
 _CHUNK = 4096
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
-# encodings of a flight log's topics; the raw input of the loop has one that only the program reads
-_DECODERS: Dict[str, Callable[[bytes], Any]] = {"json": json.loads}
+# the exact input of the loop, which only the program reads
+_EXACT = "/cycles"
 
 
 def read_log(path: Union[str, "os.PathLike[str]"], *, engine: Optional[str] = None) -> Any:
@@ -190,18 +190,29 @@ def _kept(column: Any) -> Sequence[Any]:
 def _flight_log(file: str, raw: BinaryIO) -> Dict[str, Columns]:
     stream = _package("mcap.stream_reader")
     end_of_file = _package("mcap.exceptions").EndOfFile
+    protobuf = _package("mcap_protobuf.decoder").DecoderFactory()
+    as_dict = _package("google.protobuf.json_format").MessageToDict
     channels: Dict[int, Any] = {}
+    schemas: Dict[int, Any] = {}
     rows: Dict[str, List[Dict[str, Any]]] = {}
     try:
         for record in stream.StreamReader(raw, validate_crcs=True).records:
-            if type(record).__name__ == "Channel":
+            if type(record).__name__ == "Schema":
+                schemas[record.id] = record
+            elif type(record).__name__ == "Channel":
                 channels[record.id] = record
             elif type(record).__name__ == "Message":
                 channel = channels[record.channel_id]
-                decode = _DECODERS.get(channel.message_encoding)
+                decode = protobuf.decoder_for(channel.message_encoding, schemas.get(channel.schema_id))
+                if channel.topic == _EXACT:
+                    continue
                 if decode:
-                    row = {"time_s": record.log_time / 1e9, **_flat(decode(record.data))}
-                    rows.setdefault(channel.topic, []).append(row)
+                    said = as_dict(decode(record.data), preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
+                elif channel.message_encoding == "json":  # a log of an earlier version
+                    said = json.loads(record.data)
+                else:
+                    continue
+                rows.setdefault(channel.topic, []).append({"time_s": record.log_time / 1e9, **_flat(said)})
     except end_of_file:
         warnings.warn(f"{file} was not closed; it is read up to its last whole chunk", stacklevel=3)
     except Exception as problem:  # a reader of damaged bytes fails in any way

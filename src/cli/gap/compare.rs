@@ -4,7 +4,7 @@ use crate::cli::gap::input;
 use crate::cli::{CommandOutcome, inputs, logging, output};
 use crate::diagnosis::chain::Motion;
 use crate::diagnosis::diagnose::{diagnose, goes_with};
-use crate::diagnosis::document::{DependenceEntry, Gap};
+use crate::diagnosis::document::{DependenceEntry, Diagnosis};
 use crate::diagnosis::holdout::CLAIM_DEG;
 use crate::diagnosis::observe::Observed;
 use crate::experiment::compare::{Compared, Knob, compare, drive};
@@ -109,6 +109,20 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     output::check(&results, &read)?;
     let lines = inputs::calibration(args.calib.as_deref())?.lines();
     let log = input::observe(&args.log, &input::rig(args.board.as_deref())?)?;
+    let (name, compared) = simulated(args, &log)?;
+    let diagnosis = diagnose(&log, &catalogue(), &lines, args.seed).document;
+    let document = document(args, &log, name, &compared, &diagnosis);
+    if let Some(path) = &args.residuals {
+        write_residuals(path, &log, &compared)?;
+    }
+    output::json(args.json.as_deref(), &document)?;
+    let (text, good) = said(&document);
+    output::show(&text, args.json.as_deref());
+    Ok(good.into())
+}
+
+/// Name of the simulator, and what it leaves of the log.
+fn simulated(args: &Args, log: &Observed) -> Result<(String, Compared)> {
     let (program, arguments) = inputs::program(&args.plant)?;
     let _logging = logging::start();
     let (bar, mut name) = (
@@ -116,26 +130,29 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         String::new(),
     );
     bar.enable_steady_tick(std::time::Duration::from_millis(200));
-    let mut run = |values: &[f64]| -> std::result::Result<Motion, RigError> {
+    let run = |values: &[f64]| -> std::result::Result<Motion, RigError> {
         let mut arguments = arguments.clone();
         for (knob, value) in args.fit.iter().zip(values) {
             arguments.extend(["--param".to_owned(), format!("{}={value}", knob.name)]);
         }
         let mut link = Link::start(&program, &arguments)?;
         name.clone_from(&link.info().name);
-        let motion = drive(&mut link, &log);
+        let motion = drive(&mut link, log);
         bar.inc(1);
         motion
     };
-    let compared = compare(&log, &args.fit, &mut run).into_diagnostic()?;
+    let compared = compare(log, &args.fit, run).into_diagnostic()?;
     bar.finish_and_clear();
-    let diagnosis = diagnose(&log, &catalogue(), &lines, args.seed).document;
-    let Gap {
-        recalibrated_deg,
-        explained_deg,
-        noise_floor_deg,
-        ..
-    } = diagnosis.gap;
+    Ok((name, compared))
+}
+
+fn document(
+    args: &Args,
+    log: &Observed,
+    name: String,
+    compared: &Compared,
+    diagnosis: &Diagnosis,
+) -> Document {
     let kinds = log.quantities().map(|q| {
         let known = diagnosis.location.kinds.iter().find(|k| k.name == q.name());
         KindEntry {
@@ -150,26 +167,19 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         value: *value,
         ci95: *ci95,
     };
-    let document = Document {
+    Document {
         schema: 1,
         plant: PlantEntry {
             name,
             rmse_deg: log.rms_deg(compared.held_out.energy()),
             kinds: kinds.collect(),
         },
-        nominal_deg: recalibrated_deg,
-        diagnosed_deg: explained_deg,
-        noise_floor_deg,
-        goes_with: goes_with(&log, &compared.held_out),
+        nominal_deg: diagnosis.gap.recalibrated_deg,
+        diagnosed_deg: diagnosis.gap.explained_deg,
+        noise_floor_deg: diagnosis.gap.noise_floor_deg,
+        goes_with: goes_with(log, &compared.held_out),
         params: args.fit.iter().zip(&compared.params).map(param).collect(),
-    };
-    if let Some(path) = &args.residuals {
-        write_residuals(path, &log, &compared)?;
     }
-    output::json(args.json.as_deref(), &document)?;
-    let (text, good) = said(&document);
-    output::show(&text, args.json.as_deref());
-    Ok(good.into())
 }
 
 /// The answer, and whether it is better than no simulator.
