@@ -269,7 +269,12 @@ fn saturation_of_the_feedback_is_reported_and_withdrawn() {
     let mut next = f.runner.supervisor.config().clone();
     // what no law may explain is left to the integral part
     next.tick.refine.enabled = false;
-    next.tick.feedback.as_mut().unwrap().integral_max_deg = 3.0;
+    let feedback = next.tick.feedback.as_mut().unwrap();
+    feedback.integral_max_deg = 6.0;
+    let laws = &mut feedback.observer;
+    (laws.gain_sigma, laws.curve_sigma, laws.ply_sigma) = (0.0, 0.0, 0.0);
+    (laws.creep_sigma, laws.leak_sigma_1_s) = (0.0, 0.0);
+    (laws.rotation_sigma_deg, laws.offset_sigma_deg) = (0.0, 0.0);
     f.runner.supervisor.reload(&mut next);
     f.bend(65.0, 70.0);
     f.run(2.5);
@@ -279,7 +284,7 @@ fn saturation_of_the_feedback_is_reported_and_withdrawn() {
         .plant_mut()
         .inject(InjectedFault::Gain {
             channel: Channel::Two,
-            factor: 0.7,
+            factor: 0.5,
         });
     let t = f.run(5.0);
     assert_eq!(
