@@ -45,12 +45,13 @@ fn diagnosis_of(name: &'static str, n: usize) -> Diagnosis {
 /// Whether the most probable effect is more likely than not, and is `name` or belongs to a stated group with it.
 fn is_recovered(d: &Diagnosis, name: &str) -> bool {
     let top = &d.effects[0];
-    let named = top.name == name
-        || d.verdict
-            .equivalent
-            .iter()
-            .any(|g| g.contains(&name) && g.contains(&top.name));
-    named && top.probability > PROBABLE
+    let group = d.verdict.equivalent.iter().find(|g| g.contains(&name));
+    let named = top.name == name || group.is_some_and(|g| g.contains(&top.name));
+    // effects that the log cannot tell apart share their probability
+    let in_group = |name: &str| group.is_some_and(|g| g.iter().any(|other| *other == name));
+    let of_group = d.effects.iter().filter(|e| in_group(e.name));
+    let shared = of_group.map(|e| e.probability).sum::<f64>();
+    named && shared.max(top.probability) > PROBABLE
 }
 
 #[test]
