@@ -48,8 +48,10 @@ fn is_recovered(d: &Diagnosis, name: &str) -> bool {
     let group = d.verdict.equivalent.iter().find(|g| g.contains(&name));
     let named = top.name == name || group.is_some_and(|g| g.contains(&top.name));
     // effects that the log cannot tell apart share their probability
-    let in_group = |name: &str| group.is_some_and(|g| g.iter().any(|other| *other == name));
-    let of_group = d.effects.iter().filter(|e| in_group(e.name));
+    let of_group = d
+        .effects
+        .iter()
+        .filter(|e| group.is_some_and(|g| g.contains(&e.name)));
     let shared = of_group.map(|e| e.probability).sum::<f64>();
     named && shared.max(top.probability) > PROBABLE
 }
