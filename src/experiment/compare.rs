@@ -280,8 +280,11 @@ impl Blocks {
         left
     }
 
-    /// Half the width of the 95 % interval of a parameter.
+    /// Half the width of the 95 % interval of a parameter; infinite if the parameter changes nothing.
     fn half_width(&self, i: usize) -> f64 {
+        if self.sums.iter().all(|s| s.0[(i, i)] == 0.0) {
+            return f64::INFINITY;
+        }
         let n = self.sums.len() as f64;
         let steps: Vec<f64> = (0..self.sums.len())
             .map(|without| self.step(|b| b != without)[i])

@@ -133,6 +133,24 @@ fn a_simulator_fits_its_own_log_and_a_wrong_stiffness_is_seen_and_found() {
 }
 
 #[test]
+fn a_parameter_that_changes_nothing_is_told() {
+    if Command::new("python3").arg("--version").output().is_err() {
+        println!("skipped: there is no python3");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log.csv");
+    record(&log, &[]);
+    let simulator = format!("exec:{SIMULATOR}");
+    for name in ["stiffnes", "mass"] {
+        let range = format!("{name}=0.5:2");
+        let (code, found, said) = compare(&log, &["--plant", &simulator, "--fit", &range]);
+        assert!(code == 0 && said.contains("changes nothing"), "{said}");
+        assert_eq!(found["params"][0]["ci95"], serde_json::json!([0.5, 2.0]));
+    }
+}
+
+#[test]
 fn what_cannot_be_compared_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     for (arguments, part) in [

@@ -92,6 +92,9 @@ struct ParamEntry {
     name: String,
     value: f64,
     ci95: [f64; 2],
+    /// The interval is the whole range.
+    #[serde(skip)]
+    untold: bool,
 }
 
 /// Compares and writes.
@@ -166,6 +169,7 @@ fn document(
         name: knob.name.clone(),
         value: *value,
         ci95: *ci95,
+        untold: *ci95 == [knob.low, knob.high],
     };
     Document {
         schema: 1,
@@ -198,7 +202,14 @@ fn said(d: &Document) -> (String, bool) {
     );
     for p in &d.params {
         let [low, high] = p.ci95;
-        text += &format!("{} = {:.4}, 95 %: {low:.4} to {high:.4}\n", p.name, p.value);
+        let told = match p.untold {
+            true => ": it changes nothing here; is its name right?",
+            false => "",
+        };
+        text += &format!(
+            "{} = {:.4}, 95 %: {low:.4} to {high:.4}{told}\n",
+            p.name, p.value
+        );
     }
     if !fits {
         for d in &d.goes_with {
