@@ -115,22 +115,23 @@ impl FeedforwardState {
         shape(&chain, &mut self.memory, &at, &self.rest, play_output_mm)
     }
 
+    /// Shape once the play outputs have been held for the horizon.
+    pub fn foresee(&mut self, machine: &DescribedMachine, play_output_mm: &Vector3<f64>) -> Shape {
+        let chain = machine.chain();
+        let at = self.moment(&chain, self.horizon_s);
+        self.trial.clone_from(&self.memory);
+        shape(&chain, &mut self.trial, &at, &self.rest, play_output_mm)
+    }
+
     /// Nominal bellow lengths, mm, whose play outputs give the `wanted` shape, itself given as bellow lengths.
     pub fn invert(&mut self, machine: &DescribedMachine, wanted_mm: &Vector3<f64>) -> Vector3<f64> {
         let chain = machine.chain();
-        let at = self.moment(&chain, self.horizon_s);
         let mut before: Option<(Vector3<f64>, Vector3<f64>)> = None;
         for _ in 0..ROUNDS {
-            self.trial.clone_from(&self.memory);
-            let play_output_mm =
-                Vector3::from_fn(|i, _| chain.lines[i].play_output_mm(self.solution_mm[i]));
-            let reached = chain.geometry.lengths(&shape(
-                &chain,
-                &mut self.trial,
-                &at,
-                &self.rest,
-                &play_output_mm,
-            ));
+            let play_output_mm = machine.play_outputs(&self.solution_mm);
+            let reached = chain
+                .geometry
+                .lengths(&self.foresee(machine, &play_output_mm));
             if let Some((solution, shape)) = before {
                 self.learn_slope(&(self.solution_mm - solution), &(reached - shape));
             }
@@ -170,14 +171,23 @@ impl FeedforwardState {
         machine: &DescribedMachine,
         piston_mm: &Vector3<f64>,
     ) -> Vector3<f64> {
-        let chain = machine.chain();
-        let at = self.moment(&chain, 0.0);
         let mut counted = *piston_mm;
         for _ in 0..DRIVE_ROUNDS {
-            self.trial.clone_from(&self.memory);
-            counted += piston_mm - chain.pistons(&mut self.trial, &at, &counted);
+            counted += piston_mm - self.pistons_at(machine, &counted);
         }
         counted
+    }
+
+    /// True pistons that counted ones would make now.
+    pub fn pistons_at(
+        &mut self,
+        machine: &DescribedMachine,
+        counted_mm: &Vector3<f64>,
+    ) -> Vector3<f64> {
+        let chain = machine.chain();
+        let at = self.moment(&chain, 0.0);
+        self.trial.clone_from(&self.memory);
+        chain.pistons(&mut self.trial, &at, counted_mm)
     }
 
     /// True pistons for counted ones.

@@ -62,6 +62,12 @@ impl DescribedMachine {
         }
     }
 
+    /// Play outputs of nominal bellow lengths, both mm.
+    pub fn play_outputs(&self, bellow_mm: &Vector3<f64>) -> Vector3<f64> {
+        let lines = self.chain().lines;
+        Vector3::from_fn(|i, _| lines[i].play_output_mm(bellow_mm[i]))
+    }
+
     /// The machine without the effects that happen once: they cannot be predicted.
     #[must_use]
     pub fn foreseeable(mut self) -> Self {

@@ -10,7 +10,7 @@ use super::knowledge::{DELAY, Knowledge, LAG, RESIDUAL, State};
 use super::laws::{self, Channels, Columns, LAWS, Theta};
 use crate::control::dynamics::{Dynamics, DynamicsRange};
 use crate::model::{Geometry, Line};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2, Vector3};
 
 /// Ticks of history: 1.2 s at a period of 1 ms.
 const HISTORY: usize = 1200;
@@ -55,8 +55,8 @@ const SIZE_MAX_2: f64 = 0.003;
 pub struct Measured {
     /// Estimated bend, less a periodic disturbance, rad.
     pub bend: Vector2<f64>,
-    /// Standard deviation of the estimate, rad; 0 if it is not known.
-    pub sigma_rad: f64,
+    /// Covariance of the estimate, rad²; zero if it is not known.
+    pub covariance: Matrix2<f64>,
     /// The laws learn too, not g alone.
     pub laws: bool,
 }
@@ -93,7 +93,7 @@ pub struct Observer {
     last_residual: Vector2<f64>,
     residual_rate: f64,
     noise_2: f64,
-    /// Variance of the last measurement, rad².
+    /// Variance of the last measurement without what the estimate doubts, rad².
     pub variance: f64,
     due_s: f64,
     path: f64,
@@ -183,9 +183,11 @@ impl Observer {
         self.known = Knowledge::new(&self.sigma, self.known.residual_size);
     }
 
-    /// The tip, once settled, bends by `bend`, rad: g takes what the laws say otherwise.
-    pub fn believe(&mut self, bend: &Vector2<f64>) {
-        let residual = bend - self.settled_by_laws();
+    /// The tip, once settled, bends by `bend`, rad: g takes what the laws say otherwise, but no more than `sigmas` of its standard
+    /// deviations.
+    pub fn believe(&mut self, bend: &Vector2<f64>, sigmas: f64) {
+        let most = sigmas * self.known.residual_size;
+        let residual = (bend - self.settled_by_laws()).cap_magnitude(most);
         self.known
             .reset_residual(&residual, self.known.residual_size);
     }
@@ -316,7 +318,7 @@ impl Observer {
     pub fn measure(&mut self, config: &ObserverConfig, ki_1_s: f64, measured: &Measured) {
         let &Measured {
             bend,
-            sigma_rad,
+            covariance,
             laws,
         } = measured;
         if self.due_s < PERIOD_S - 1e-9 {
@@ -349,8 +351,10 @@ impl Observer {
         if laws {
             self.variance += timing_2 * same_sign;
         }
-        let doubt = (sigma_rad - SIGMA_RAD).max(0.0);
-        self.variance += doubt * doubt * SAME_SIGN_S[1] / dt_s;
+        let known = covariance.symmetric_eigen();
+        let doubt_2 = known.eigenvalues.map(|variance| {
+            (variance.max(0.0).sqrt() - SIGMA_RAD).max(0.0).powi(2) * SAME_SIGN_S[1] / dt_s
+        });
         let mut rows = [State::zeros(); 2];
         for (axis, row) in rows.iter_mut().enumerate() {
             row.fixed_rows_mut::<LAWS>(0)
@@ -368,16 +372,18 @@ impl Observer {
             }
         }
         for axis in 0..2 {
-            let expected = (self.predicted() + self.residual())[axis];
-            self.known
-                .correct(&rows[axis], bend[axis] - expected, self.variance, laws);
+            let along = known.eigenvectors.column(axis);
+            let row = rows[0] * along[0] + rows[1] * along[1];
+            let innovation = (bend - self.predicted() - self.residual()).dot(&along);
+            let variance = self.variance + doubt_2[axis];
+            self.known.correct(&row, innovation, variance, laws);
         }
         self.take_times();
         self.take_plays();
         let believed = (self.settled_by_laws() + self.residual()).norm();
         if believed.is_nan() || believed > BELIEVED_MAX {
             self.forget();
-            self.believe(&bend);
+            self.believe(&bend, f64::INFINITY);
         }
     }
 
@@ -566,7 +572,7 @@ mod tests {
     fn seen(bend: Vector2<f64>, laws: bool) -> Measured {
         Measured {
             bend,
-            sigma_rad: 0.0,
+            covariance: Matrix2::zeros(),
             laws,
         }
     }

@@ -156,6 +156,11 @@ impl Channels {
         self.around[0][i].slope != self.around[1][i].slope
     }
 
+    /// Outputs of the plays, mm.
+    pub fn play_outputs_mm(&self) -> Vector3<f64> {
+        Vector3::from_fn(|i, _| self.play[i].w_mm)
+    }
+
     /// The nominal bend, rad.
     pub fn nominal(&self) -> Vector2<f64> {
         bend_of(&self.v)

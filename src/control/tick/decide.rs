@@ -19,8 +19,6 @@ const LEAD_SHARE: f64 = 0.35;
 const STREAM_PERIOD_S: f64 = 0.1;
 /// Lag from which a line is slow: twice the time for which a reversal stops the tip, s.
 const SLOW_S: f64 = 0.16;
-/// Time by which the pistons answer a command, s.
-const PISTONS_S: f64 = 0.025;
 /// Time constant with which the offset after a hold decays, s.
 const EASE_S: f64 = 0.15;
 
@@ -224,20 +222,38 @@ fn track(
     // g belongs to where the tip is; at the end of the motion less of it is left
     let to_go = (at - observer.settled_by_laws() - observer.residual()).norm();
     let share = (-to_go / f.observer.residual_path_deg.to_radians()).exp();
-    let (periodic, rate) = state.periodic.at(observer.dynamics.delay_s + PISTONS_S);
-    let bend = rule::needed(
-        observer,
-        &at,
-        share,
-        &(periodic + rate * observer.dynamics.lag_s),
-    );
+    let bend = rule::needed(observer, &at, share, &state.disturbed());
     let bend = limited(f, state, &at, &bend);
     let bend = bounded(config, f, state, bend, estimate);
+    state.feedback = bend - state.setpoint.bend.at;
+    let nominal = through_machine(config, state, &bend);
     match path::bellow_motion(config, &state.setpoint, lead_s) {
-        Some(motion) => follow(config, f, state, &bend, &motion, estimate, dt_s),
-        None => go(config, f, state, &bend, None, estimate),
+        Some(motion) => follow(config, f, state, &nominal, &motion, estimate, dt_s),
+        None => go(config, f, state, &nominal, None, estimate),
     }
     bend
+}
+
+/// The bend of the nominal channels at which a described machine bends by `bend`, less what was learned beside its laws, rad.
+fn through_machine(
+    config: &LoopConfig,
+    state: &mut LoopState,
+    bend: &Vector2<f64>,
+) -> Vector2<f64> {
+    let Some((machine, described)) = config.feedforward.as_deref().zip(state.described.as_mut())
+    else {
+        return *bend;
+    };
+    let observer = &state.observer;
+    let learned = bend_of(&observer.now.outputs(&observer.theta())) - observer.now.nominal();
+    let wanted_mm = config.geometry.lengths(&Shape {
+        bend: Bend(bend - learned),
+        length: Mm(config.geometry.rest_length_mm + state.rule.length * config.geometry.r_mm),
+    });
+    let bellow_mm = described.invert(machine, &wanted_mm);
+    let play_output_mm = machine.play_outputs(&bellow_mm);
+    let v = std::array::from_fn(|i| play_output_mm[i] / observer.mm_per_rad(i));
+    bend_of(&v) + learned
 }
 
 /// The set-point rests: moves if the rule says so.
@@ -248,13 +264,13 @@ fn correct(
     estimate: &Vector2<f64>,
     dt_s: f64,
 ) -> Vector2<f64> {
-    let observer = &state.observer;
-    let (periodic, rate) = state.periodic.at(observer.dynamics.delay_s + PISTONS_S);
-    let disturbed = periodic + rate * observer.dynamics.lag_s;
-    let (believed, there) = observer.at(&state.rule.goal_mm);
-    let theta = observer.theta();
-    let given = bend_of(&there.outputs(&theta));
-    let error = state.setpoint.target.bend.0 - believed - disturbed;
+    let Foreseen {
+        believed,
+        given,
+        nominal,
+    } = foresee(config, state);
+    let theta = state.observer.theta();
+    let error = state.setpoint.target.bend.0 - believed - state.disturbed();
     let bend = given + rule::unrotated(error * f.kp, theta[ROTATION]);
     let at = state.setpoint.bend.at;
     let bend = limited(f, state, &at, &bend);
@@ -274,11 +290,53 @@ fn correct(
     {
         let target = state.setpoint.target.bend.0;
         let length = state.rule.length;
-        go(config, f, state, &bend, Some(length), estimate);
+        state.feedback = bend - at;
+        // a described machine is believed anew in the next tick: the slope of its laws need not be known
+        go(
+            config,
+            f,
+            state,
+            &(nominal + change),
+            Some(length),
+            estimate,
+        );
         state.rule.act(&target);
         return bend;
     }
     given
+}
+
+/// What the pistons cause once they are where they go, rad.
+struct Foreseen {
+    /// The bend of the tip.
+    believed: Vector2<f64>,
+    /// The bend of the channels, and of the nominal channels if a described machine bends by others.
+    given: Vector2<f64>,
+    nominal: Vector2<f64>,
+}
+
+fn foresee(config: &LoopConfig, state: &mut LoopState) -> Foreseen {
+    let (observer, goal_mm) = (&state.observer, &state.rule.goal_mm);
+    let theta = observer.theta();
+    let described = config.feedforward.as_deref().zip(state.described.as_mut());
+    let Some((machine, described)) = described else {
+        let (believed, there) = observer.at(goal_mm);
+        let given = bend_of(&there.outputs(&theta));
+        return Foreseen {
+            believed,
+            given,
+            nominal: given,
+        };
+    };
+    let (by_nominal, there) = observer.at(&described.pistons_at(machine, goal_mm));
+    let bend = described.foresee(machine, &there.play_outputs_mm()).bend.0;
+    let nominal = bend_of(&there.outputs(&theta));
+    let beside = bend - there.nominal();
+    Foreseen {
+        believed: by_nominal + bend - (observer.given() + there.nominal() - observer.now.nominal()),
+        given: nominal + beside,
+        nominal,
+    }
 }
 
 /// The bend, no further from the estimate than an obstruction permits.
@@ -312,37 +370,15 @@ fn go(
 ) {
     let (choice, aim_mm) = choose(config, f, state, bend, keep, estimate);
     state.rule.length = choice.length;
-    state.feedback = bend - state.setpoint.bend.at;
-    let sides = sides(state, &choice);
-    state.rule.aim_mm = match config.feedforward.as_deref().zip(state.described.as_mut()) {
-        None => aim_mm,
-        Some((machine, described)) => {
-            // the machine's laws make the outputs less what was learned beside them
-            let (observer, theta) = (&state.observer, state.observer.theta());
-            let wanted_mm = Vector3::from_fn(|i, _| {
-                let v = observer.now.v[i];
-                (choice.outputs[i] - (observer.now.output(i, v, &theta) - v)) * config.geometry.r_mm
-            });
-            let bellow_mm = described.invert(machine, &wanted_mm);
-            let piston_mm = Vector3::from_fn(|i, _| {
-                let line = &observer.lines[i];
-                let w_mm = line.play_output_mm(bellow_mm[i]);
-                w_mm + sides[i] * line.k_lambda_mm
-            });
-            described.counted(machine, &piston_mm)
-        }
-    };
+    aim(config, state, aim_mm);
 }
 
-/// Side on which each piston pushes after a choice.
-fn sides(state: &LoopState, choice: &Choice) -> [f64; 3] {
-    std::array::from_fn(|i| {
-        if choice.sides[i] == 0.0 {
-            -state.observer.now.play[i].slope
-        } else {
-            choice.sides[i]
-        }
-    })
+/// Aims the pistons, as counted.
+fn aim(config: &LoopConfig, state: &mut LoopState, piston_mm: Vector3<f64>) {
+    let described = config.feedforward.as_deref().zip(state.described.as_mut());
+    state.rule.aim_mm = described.map_or(piston_mm, |(machine, described)| {
+        described.counted(machine, &piston_mm)
+    });
 }
 
 /// The bend of the channels, no further from `at` than the bound of the correction.
@@ -425,5 +461,5 @@ fn follow(
         state.sides[i] = next;
         piston_mm
     });
-    state.rule.aim_mm = piston_mm;
+    aim(config, state, piston_mm);
 }

@@ -121,7 +121,7 @@ fn watch(
         .step(&f.obstruction, moving, &push, answer_s, dt_s);
     if state.obstruction.blocked && !was_blocked {
         // what was learned against the obstruction says nothing about the tip
-        state.return_to_known(&estimate.0);
+        state.return_to_known(&estimate.0, f64::INFINITY);
     }
     let off = error.norm() > f.obstruction.error_deg.to_radians();
     state

@@ -7,6 +7,7 @@ use crate::control::observer::laws::{GAIN, ODD};
 use crate::estimation::fusion::tip::TipEstimate;
 use crate::model::Line;
 use crate::primitives::Steps;
+use nalgebra::Matrix2;
 
 /// Time at rest for which a pose teaches the laws, s: what the estimate has wrong there lasts as long as the pose does.
 const TEACHES_S: f64 = 3.0;
@@ -57,12 +58,13 @@ pub(super) fn learn(
             .periodic
             .step(&f.periodic, &state.unexplained, 2.0 * noise, moved, dt_s);
     }
+    let sway_rad = state.attribute_to_base(dt_s);
     let measured = Measured {
         bend: bend - state.periodic.at(0.0).0,
-        sigma_rad: estimate.sigma_rad.unwrap_or(0.0),
+        covariance: state.fusion.covariance() + Matrix2::identity() * (sway_rad * sway_rad),
         laws,
     };
-    observer.measure(&f.observer, f.ki_1_s, &measured);
+    state.observer.measure(&f.observer, f.ki_1_s, &measured);
     publish(config, state);
 }
 

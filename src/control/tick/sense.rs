@@ -11,6 +11,9 @@ use nalgebra::{Vector2, Vector3};
 /// Time since the last step after which the tip counts as still, s.
 const STILL_AFTER_S: f64 = 0.5;
 
+/// Standard deviations of what no law explains that the last quiet pose is believed to: a base that sways passes through quiet ones.
+const BELIEVED_SIGMAS: f64 = 2.0;
+
 /// Updates the fusion with the samples, the motors' field and whether the pistons rest.
 pub(super) fn estimate(config: &LoopConfig, state: &mut LoopState, input: &Input) {
     let motors = &mut state.motors;
@@ -133,5 +136,5 @@ pub(super) fn watch_base(
 fn return_to_before_the_turn(state: &mut LoopState, played: Vector2<f64>) {
     let quiet = &state.base.quiet;
     let bend = quiet.estimate + played - quiet.played;
-    state.return_to_known(&bend);
+    state.return_to_known(&bend, BELIEVED_SIGMAS);
 }

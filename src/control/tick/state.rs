@@ -15,6 +15,8 @@ use crate::model::{Bend, Line, Shape, SideState};
 use crate::primitives::{Mm, Steps};
 use nalgebra::{Vector2, Vector3};
 
+/// Time by which the pistons answer a command, s.
+const PISTONS_S: f64 = 0.025;
 /// Time for which the pistons of a restart count as having stood, s.
 const SETTLED_S: f64 = 10.0;
 
@@ -36,6 +38,7 @@ pub struct LoopState {
     pub(super) dynamics: DynamicsRange,
     pub(super) bank: DynamicsBank,
     pub(super) before: DynamicsPrior,
+    pub(super) unswayed: Unswayed,
     /// What was known when the set-point left the last pose that nothing obstructed.
     pub(super) known: Known,
     /// The published gains when the set-point last left a pose that nothing obstructed and no line was suspected, and the bend by them as
@@ -68,6 +71,31 @@ pub(super) struct Known {
     laws: Knowledge,
     dynamics: DynamicsRange,
     bank: DynamicsBank,
+}
+
+/// What was known before a sway of the base can have begun that is not noticed yet.
+#[derive(Debug, Clone)]
+pub(super) struct Unswayed {
+    /// At least, and at most, [`UNNOTICED_S`] ago.
+    laws: [Knowledge; 2],
+    age_s: f64,
+    /// The base sways.
+    sways: bool,
+}
+
+/// Time within which a sway is noticed, s: five poses, or twice the memory of what notices it.
+const UNNOTICED_S: f64 = 10.0;
+/// Standard deviations of a sway, which is no noise but has the same sign for seconds, that a measurement of the bend has in it.
+const SWAY_SIGMAS: f64 = 3.0;
+
+impl Unswayed {
+    fn of(laws: Knowledge) -> Self {
+        Self {
+            laws: [laws; 2],
+            age_s: 0.0,
+            sways: false,
+        }
+    }
 }
 
 /// Activity of the motors.
@@ -139,6 +167,7 @@ impl LoopState {
             sides: Default::default(),
             accepted: config.lines,
             shown_by_accepted: Vector2::zeros(),
+            unswayed: Unswayed::of(observer.knowledge()),
             known: Known {
                 laws: observer.knowledge(),
                 dynamics,
@@ -187,7 +216,7 @@ impl LoopState {
         if self.described.is_none() {
             self.lines = lines;
             self.observer = observer(config, lines, &self.dynamics);
-            self.remember();
+            self.begin();
         }
     }
 
@@ -197,6 +226,14 @@ impl LoopState {
             Some(_) => self.observer.given(),
             None => self.observer.played_by(&self.accepted)[0],
         }
+    }
+
+    /// By what the tip will be bent without the pistons when they have answered a command of now, rad. Of what repeats, a base that sways
+    /// may be the cause; that share is not for the pistons to cancel.
+    pub(super) fn disturbed(&self) -> Vector2<f64> {
+        let dynamics = &self.observer.dynamics;
+        let (bend, rate) = self.periodic.at(dynamics.delay_s + PISTONS_S);
+        (bend + rate * dynamics.lag_s) * self.base.watch.share_of_tip()
     }
 
     /// Takes the published gains as what the lines are, each as far as the poses say more than the spread that the calibration states.
@@ -234,10 +271,35 @@ impl LoopState {
         };
     }
 
-    /// Returns to what was remembered; the tip, once settled, bends by `bend`, rad.
-    pub(super) fn return_to_known(&mut self, bend: &Vector2<f64>) {
+    /// What is known now is all there is to return to.
+    fn begin(&mut self) {
+        self.remember();
+        self.unswayed = Unswayed::of(self.observer.knowledge());
+    }
+
+    /// Standard deviation that a sway of the base gives the measured bend, rad. At its beginning, takes back what was learned while it was
+    /// not noticed.
+    pub(super) fn attribute_to_base(&mut self, dt_s: f64) -> f64 {
+        let sway_rad = self.base.watch.sway_mean_square().sqrt();
+        let before = &mut self.unswayed;
+        if sway_rad == 0.0 {
+            before.age_s += dt_s;
+            if before.age_s > UNNOTICED_S {
+                (before.laws, before.age_s) = ([before.laws[1], self.observer.knowledge()], 0.0);
+            }
+        } else if !before.sways {
+            (before.laws[1], before.age_s) = (before.laws[0], 0.0);
+            self.observer.recall(&before.laws[0]);
+            self.observer.believe(&self.observer.settled_by_laws(), 0.0);
+        }
+        before.sways = sway_rad > 0.0;
+        SWAY_SIGMAS * sway_rad
+    }
+
+    /// Returns to what was remembered; the tip, once settled, bends by `bend`, rad, see [`Observer::believe`].
+    pub(super) fn return_to_known(&mut self, bend: &Vector2<f64>, sigmas: f64) {
         self.observer.recall(&self.known.laws);
-        self.observer.believe(bend);
+        self.observer.believe(bend, sigmas);
         (self.dynamics, self.bank) = (self.known.dynamics, self.known.bank.clone());
         self.observer.take_dynamics(&self.dynamics, false);
     }
@@ -271,7 +333,7 @@ impl LoopState {
             length: Mm(length_mm.clamp(0.5 * rest_length_mm, 2.0 * rest_length_mm)),
         });
         self.observer.stand(&f.observer, &piston_mm, given, &at.0);
-        self.remember();
+        self.begin();
         self.accept_lines(config);
         self.shown_by_accepted = self.played();
         self.push_sides();
@@ -291,7 +353,7 @@ impl LoopState {
     /// Removes what was learned from the command, for an open loop.
     pub fn forget_feedback(&mut self) {
         self.observer.forget();
-        self.remember();
+        self.begin();
         (self.feedback, self.feedback_full) = (Vector2::zeros(), false);
         self.saturation = SaturationMonitor::default();
     }

@@ -3,7 +3,7 @@
 use crate::estimation::fusion::base::BaseTurn;
 use crate::model::Bend;
 use crate::primitives::{Base, ImuSample, Rotation, Sensor, Tip, World};
-use nalgebra::{UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
 /// Status of an orientation filter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -71,8 +71,8 @@ pub trait TipEstimator {
     fn bend(&self) -> Bend {
         Bend::nearest(&self.r_base_tip())
     }
-    /// Largest standard deviation of the bend vector, rad; `None` for an estimator without a covariance.
-    fn sigma_rad(&self) -> Option<f64> {
+    /// Covariance of the bend vector, rad²; `None` for an estimator without one.
+    fn covariance(&self) -> Option<Matrix2<f64>> {
         None
     }
     /// Change of the bend by the last correction, beyond the integrated rate, rad; zero where it is not known.

@@ -477,11 +477,8 @@ impl TipEstimator for BendFilter {
         Rotation::assert_frames(mount * base_turn * self.s * mount.inverse())
     }
 
-    fn sigma_rad(&self) -> Option<f64> {
-        let c = self.covariance();
-        // largest eigenvalue of a symmetric 2 × 2 matrix
-        let (mean, half) = ((c[(0, 0)] + c[(1, 1)]) / 2.0, (c[(0, 0)] - c[(1, 1)]) / 2.0);
-        Some((mean + half.hypot(c[(0, 1)])).max(0.0).sqrt())
+    fn covariance(&self) -> Option<Matrix2<f64>> {
+        Some(self.derived.covariance)
     }
 
     fn correction(&self) -> Vector2<f64> {

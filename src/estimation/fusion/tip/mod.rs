@@ -24,7 +24,7 @@ use crate::estimation::fusion::health::{
 };
 use crate::model::Bend;
 use crate::primitives::{Base, ImuSample, Rotation, Seconds, World};
-use nalgebra::Vector3;
+use nalgebra::{Matrix2, Vector3};
 use tracking::Tracker;
 
 #[derive(Debug, Clone)]
@@ -304,6 +304,13 @@ impl Fusion {
     pub fn alignment(&self) -> Option<&Alignment> {
         self.tracker().map(|t| &t.alignment)
     }
+    /// Covariance of the estimated bend, rad²; zero where it is not known.
+    pub fn covariance(&self) -> Matrix2<f64> {
+        self.tracker()
+            .and_then(|t| t.estimator.covariance())
+            .unwrap_or_default()
+    }
+
     /// Rate of the last used sample minus the gyroscope bias, sensor axes, rad/s; `None` if the last reading was not used. The bias is the
     /// present one: an older one makes a gyroscope that warms up a tip that twists.
     pub fn rate_rad_s(&self) -> Option<Vector3<f64>> {

@@ -344,7 +344,10 @@ impl Tracker {
         let mut estimate = TipEstimate {
             r_base_tip: self.estimator.r_base_tip(),
             bend,
-            sigma_rad: self.estimator.sigma_rad(),
+            sigma_rad: self
+                .estimator
+                .covariance()
+                .map(|c| c.symmetric_eigenvalues().max().max(0.0).sqrt()),
             disagrees: self.second.disagrees,
             disagreement_rad: self.second.angle_rad,
         };
