@@ -5,6 +5,7 @@ use super::types::LoopConfig;
 use crate::control::dynamics::{DynamicsPrior, DynamicsRange};
 use crate::control::feedforward::FeedforwardState;
 use crate::control::observer::bank::DynamicsBank;
+use crate::control::observer::laws::LAWS;
 use crate::control::observer::{Knowledge, Observer, Periodic};
 use crate::control::obstruction::ObstructionDetector;
 use crate::control::rule::Rule;
@@ -73,11 +74,14 @@ pub(super) struct Known {
     bank: DynamicsBank,
 }
 
+/// Values and standard deviations of the parameters of the laws.
+type Learned = [[f64; LAWS]; 2];
+
 /// What was known before a sway of the base can have begun that is not noticed yet.
 #[derive(Debug, Clone)]
 pub(super) struct Unswayed {
     /// At least, and at most, [`UNNOTICED_S`] ago.
-    laws: [Knowledge; 2],
+    laws: [Learned; 2],
     age_s: f64,
     /// The base sways.
     sways: bool,
@@ -89,7 +93,7 @@ const UNNOTICED_S: f64 = 10.0;
 const SWAY_SIGMAS: f64 = 3.0;
 
 impl Unswayed {
-    fn of(laws: Knowledge) -> Self {
+    fn of(laws: Learned) -> Self {
         Self {
             laws: [laws; 2],
             age_s: 0.0,
@@ -167,7 +171,7 @@ impl LoopState {
             sides: Default::default(),
             accepted: config.lines,
             shown_by_accepted: Vector2::zeros(),
-            unswayed: Unswayed::of(observer.knowledge()),
+            unswayed: Unswayed::of(observer.learned()),
             known: Known {
                 laws: observer.knowledge(),
                 dynamics,
@@ -274,7 +278,7 @@ impl LoopState {
     /// What is known now is all there is to return to.
     fn begin(&mut self) {
         self.remember();
-        self.unswayed = Unswayed::of(self.observer.knowledge());
+        self.unswayed = Unswayed::of(self.observer.learned());
     }
 
     /// Standard deviation that a sway of the base gives the measured bend, rad. At its beginning, takes back what was learned while it was
@@ -285,11 +289,11 @@ impl LoopState {
         if sway_rad == 0.0 {
             before.age_s += dt_s;
             if before.age_s > UNNOTICED_S {
-                (before.laws, before.age_s) = ([before.laws[1], self.observer.knowledge()], 0.0);
+                (before.laws, before.age_s) = ([before.laws[1], self.observer.learned()], 0.0);
             }
         } else if !before.sways {
             (before.laws[1], before.age_s) = (before.laws[0], 0.0);
-            self.observer.recall(&before.laws[0]);
+            self.observer.assume(&before.laws[0]);
             self.observer.believe(&self.observer.settled_by_laws(), 0.0);
         }
         before.sways = sway_rad > 0.0;

@@ -25,7 +25,6 @@ fn swaying(folder: &tempfile::TempDir, first: u64) -> Vec<(Case, Figures)> {
 
 /// The constants of the estimator were chosen on units 1 to 30.
 #[test]
-#[ignore = "known limitation: the belief of the loop takes a sway for bending; with 10 degrees it errs by 7 to 24, with 3 degrees by 0.7 to 0.9"]
 fn a_sway_without_a_base_imu_costs_little() {
     let Some(folder) = compiled() else { return };
     let measured = swaying(&folder, 31);
