@@ -92,9 +92,9 @@ impl Rule {
         }
     }
 
-    /// Whether to move by `change`, rad, with a move of this risk, rad².
-    pub fn moves(&self, change: &Vector2<f64>, risk: f64, step: f64, caution: f64) -> bool {
-        change.norm_squared() > caution * caution * (risk + step * step + self.slip_2)
+    /// Whether to make a move that removes `gain_2` of the squared error, with this risk; both rad².
+    pub fn moves(&self, gain_2: f64, risk: f64, step: f64, caution: f64) -> bool {
+        gain_2 > caution * caution * (risk + step * step + self.slip_2)
     }
 
     /// Notes a move towards `target`.
@@ -176,7 +176,7 @@ mod tests {
     fn a_tip_that_slips_is_moved_less_and_a_new_target_forgives() {
         let (mut rule, target) = (Rule::default(), Vector2::new(0.5, 0.0));
         let small = Vector2::new(0.004, 0.0);
-        let moves = |rule: &Rule| rule.moves(&small, 0.0, 0.0015, 1.0);
+        let moves = |rule: &Rule| rule.moves(small.norm_squared(), 0.0, 0.0015, 1.0);
         assert!(moves(&rule));
         for _ in 0..40 {
             rule.act(&target);
@@ -190,8 +190,8 @@ mod tests {
     #[test]
     fn a_reversal_must_be_worth_its_risk() {
         let rule = Rule::default();
-        let change = Vector2::new(0.0, 0.01);
-        assert!(rule.moves(&change, 1e-6, 0.0015, 1.0) && !rule.moves(&change, 2e-4, 0.0015, 1.0));
-        assert!(rule.moves(&change, 2e-4, 0.0015, 0.5), "less cautious");
+        let gain_2 = 1e-4;
+        assert!(rule.moves(gain_2, 1e-6, 0.0015, 1.0) && !rule.moves(gain_2, 2e-4, 0.0015, 1.0));
+        assert!(rule.moves(gain_2, 2e-4, 0.0015, 0.5), "less cautious");
     }
 }

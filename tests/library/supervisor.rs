@@ -284,7 +284,7 @@ fn saturation_of_the_feedback_is_reported_and_withdrawn() {
         .plant_mut()
         .inject(InjectedFault::Gain {
             channel: Channel::Two,
-            factor: 0.5,
+            factor: 0.6,
         });
     let t = f.run(5.0);
     assert_eq!(

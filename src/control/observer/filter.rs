@@ -23,6 +23,8 @@ const RESIDUAL_RATE_S: f64 = 0.03;
 const NOISE_S: f64 = 2.0;
 /// Standard deviation of an estimate that is not doubted, rad (0.6°).
 const SIGMA_RAD: f64 = 0.01;
+/// Standard deviations beyond which the estimate is not wrong.
+const DOUBTED_SIGMAS: f64 = 3.0;
 /// Largest square of a change in units of the noise that counts as noise.
 const OUTLIER_2: f64 = 9.0;
 /// Standard deviations by which the largest plausible error of the response time counts for how long a motion is in flight: half of three.
@@ -93,7 +95,7 @@ pub struct Observer {
     last_residual: Vector2<f64>,
     residual_rate: f64,
     noise_2: f64,
-    /// Variance of the last measurement without what the estimate doubts, rad².
+    /// Variance of the last measurement per axis, rad².
     pub variance: f64,
     due_s: f64,
     path: f64,
@@ -352,9 +354,16 @@ impl Observer {
             self.variance += timing_2 * same_sign;
         }
         let known = covariance.symmetric_eigen();
-        let doubt_2 = known.eigenvalues.map(|variance| {
-            (variance.max(0.0).sqrt() - SIGMA_RAD).max(0.0).powi(2) * SAME_SIGN_S[1] / dt_s
+        let innovation = bend - self.predicted() - self.residual();
+        let doubt_2 = Vector2::from_fn(|k, _| {
+            let sigma = known.eigenvalues[k].max(0.0).sqrt();
+            let off = innovation.dot(&known.eigenvectors.column(k))
+                / (DOUBTED_SIGMAS * sigma.max(SIGMA_RAD));
+            let doubted = (sigma - SIGMA_RAD).max(0.0).powi(2) * (1.0 - off * off).max(0.0);
+            doubted * SAME_SIGN_S[1] / dt_s
         });
+        let certain = self.variance;
+        self.variance += doubt_2.mean();
         let mut rows = [State::zeros(); 2];
         for (axis, row) in rows.iter_mut().enumerate() {
             row.fixed_rows_mut::<LAWS>(0)
@@ -375,8 +384,8 @@ impl Observer {
             let along = known.eigenvectors.column(axis);
             let row = rows[0] * along[0] + rows[1] * along[1];
             let innovation = (bend - self.predicted() - self.residual()).dot(&along);
-            let variance = self.variance + doubt_2[axis];
-            self.known.correct(&row, innovation, variance, laws);
+            self.known
+                .correct(&row, innovation, certain + doubt_2[axis], laws);
         }
         self.take_times();
         self.take_plays();

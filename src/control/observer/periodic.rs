@@ -102,8 +102,8 @@ impl Oscillator {
         }
     }
 
-    /// Takes the residual; returns the cost of its innovation, nat.
-    fn correct(&mut self, residual: &Vector2<f64>, variance: f64) -> f64 {
+    /// Takes the residual; returns the cost of its innovation, nat, and whether it was an outlier.
+    fn correct(&mut self, residual: &Vector2<f64>, variance: f64) -> (f64, bool) {
         let mut row = SVector::<f64, STATES>::zeros();
         row[0] = 1.0;
         if self.rate_rad_s > 0.0 {
@@ -112,15 +112,17 @@ impl Oscillator {
         let about = self.covariance * row;
         let expected = row.dot(&about) + variance;
         let gain = about / expected;
-        let mut cost = 0.0;
+        let (mut cost, mut outlier) = (0.0, false);
         for axis in 0..2 {
             let innovation = residual[axis] - row.dot(&self.states[axis]);
             self.states[axis] += gain * innovation;
-            cost += 0.5 * ((innovation * innovation / expected).min(OUTLIER_2) + expected.ln());
+            let normalised_2 = innovation * innovation / expected;
+            outlier |= normalised_2 > OUTLIER_2;
+            cost += 0.5 * (normalised_2.min(OUTLIER_2) + expected.ln());
         }
         self.covariance -= gain * about.transpose();
         self.covariance = (self.covariance + self.covariance.transpose()) * 0.5;
-        cost
+        (cost, outlier)
     }
 
     fn amplitude(&self) -> f64 {
@@ -181,9 +183,21 @@ impl Periodic {
             std::mem::take(&mut self.path),
         );
         let keep = (-dt_s / config.memory_s).exp();
+        let mut jumped = true;
         for one in &mut self.bank {
             one.predict(config, path, dt_s);
-            one.cost = one.cost * keep + INDEPENDENT * one.correct(residual, variance);
+            let (cost, outlier) = one.correct(residual, variance);
+            one.cost = one.cost * keep + INDEPENDENT * cost;
+            jumped &= outlier;
+        }
+        if jumped {
+            // neither a breath nor a drift: what was before says nothing about what follows
+            *self = Self::new(config);
+            for one in &mut self.bank {
+                for axis in 0..2 {
+                    one.states[axis][0] = residual[axis];
+                }
+            }
         }
         let mut best = 1;
         for k in 2..self.bank.len() {

@@ -136,15 +136,11 @@ pub(super) fn command(
         Some(_) if state.base.moved => state.setpoint.bend.at + state.feedback,
         Some(f) => correct(config, f, state, &estimate.0, dt_s),
     };
-    let estimated_mm = config.geometry.lengths(&Shape {
-        bend: estimate,
-        length,
-    });
     let wanted_mm = match state.hold {
         Hold::Holding { stop_mm } => stop_mm,
         _ => state.rule.aim_mm,
     };
-    let (allowed_mm, cut) = config.limits.pistons(&wanted_mm, &estimated_mm);
+    let (allowed_mm, cut) = allowed(config, state, &estimate.0, wanted_mm);
     state.rule.goal_mm = allowed_mm;
     state.targets_mm = match &config.feedback {
         _ if state.hold.is_holding() => allowed_mm,
@@ -283,27 +279,42 @@ fn correct(
         state.periodic.hertz().is_some(),
         dt_s,
     );
-    if !state.hold.is_holding()
-        && state
-            .rule
-            .moves(&change, risk, f.step_deg.to_radians(), f.caution)
-    {
-        let target = state.setpoint.target.bend.0;
-        let length = state.rule.length;
-        state.feedback = bend - at;
-        // a described machine is believed anew in the next tick: the slope of its laws need not be known
-        go(
-            config,
-            f,
-            state,
-            &(nominal + change),
-            Some(length),
-            estimate,
-        );
-        state.rule.act(&target);
-        return bend;
+    let worth = |rule: &rule::Rule, gain_2: f64| {
+        rule.moves(gain_2, risk, f.step_deg.to_radians(), f.caution)
+    };
+    if state.hold.is_holding() || !worth(&state.rule, change.norm_squared()) {
+        return given;
     }
-    given
+    let stays = state.rule;
+    // a described machine is believed anew in the next tick: the slope of its laws need not be known
+    let (wanted, length) = (nominal + change, state.rule.length);
+    go(config, f, state, &wanted, Some(length), estimate);
+    let (allowed_mm, cut) = allowed(config, state, estimate, state.rule.aim_mm);
+    if cut != Cut::None {
+        let left = error - (state.observer.at(&allowed_mm).0 - believed);
+        if !worth(&stays, error.norm_squared() - left.norm_squared()) {
+            state.rule = stays;
+            return given;
+        }
+    }
+    state.feedback = bend - at;
+    let target = state.setpoint.target.bend.0;
+    state.rule.act(&target);
+    bend
+}
+
+/// Pistons within the limits of the actuators.
+fn allowed(
+    config: &LoopConfig,
+    state: &LoopState,
+    estimate: &Vector2<f64>,
+    piston_mm: Vector3<f64>,
+) -> (Vector3<f64>, Cut) {
+    let estimated_mm = config.geometry.lengths(&Shape {
+        bend: Bend(*estimate),
+        length: Mm(state.setpoint.length.at.x),
+    });
+    config.limits.pistons(&piston_mm, &estimated_mm)
 }
 
 /// What the pistons cause once they are where they go, rad.

@@ -60,6 +60,7 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
     let moving = !state.setpoint.has_arrived();
     depart(config, state, moving, input.suspected);
     sense::watch_base(config, state, input, bend);
+    state.attribute_to_base(input.dt_s);
     if !holding && !state.base.moved && !input.idle {
         observe::learn(config, state, &estimate, moving, input.dt_s);
     }

@@ -58,7 +58,7 @@ pub(super) fn learn(
             .periodic
             .step(&f.periodic, &state.unexplained, 2.0 * noise, moved, dt_s);
     }
-    let sway_rad = state.attribute_to_base(dt_s);
+    let sway_rad = state.unswayed.sway_rad;
     let measured = Measured {
         bend: bend - state.periodic.at(0.0).0,
         covariance: state.fusion.covariance() + Matrix2::identity() * (sway_rad * sway_rad),

@@ -83,12 +83,15 @@ pub(super) struct Unswayed {
     /// At least, and at most, [`UNNOTICED_S`] ago.
     laws: [Learned; 2],
     age_s: f64,
-    /// The base sways.
-    sways: bool,
+    /// Time for which the sway has grown, s, and the standard deviation that it gives the measured bend, rad.
+    grew_s: f64,
+    pub(super) sway_rad: f64,
 }
 
 /// Time within which a sway is noticed, s: five poses, or twice the memory of what notices it.
 const UNNOTICED_S: f64 = 10.0;
+/// Longest time for which what one turn of the base leaves grows, s; see [`Watch::sway_grows`].
+const ONE_TURN_S: f64 = 5.0;
 /// Standard deviations of a sway, which is no noise but has the same sign for seconds, that a measurement of the bend has in it.
 const SWAY_SIGMAS: f64 = 3.0;
 
@@ -97,7 +100,8 @@ impl Unswayed {
         Self {
             laws: [laws; 2],
             age_s: 0.0,
-            sways: false,
+            grew_s: 0.0,
+            sway_rad: 0.0,
         }
     }
 }
@@ -281,23 +285,32 @@ impl LoopState {
         self.unswayed = Unswayed::of(self.observer.learned());
     }
 
-    /// Standard deviation that a sway of the base gives the measured bend, rad. At its beginning, takes back what was learned while it was
-    /// not noticed.
-    pub(super) fn attribute_to_base(&mut self, dt_s: f64) -> f64 {
-        let sway_rad = self.base.watch.sway_mean_square().sqrt();
+    /// Asks the watch whether the base sways. Once it does, takes back what was learned while that was not noticed.
+    pub(super) fn attribute_to_base(&mut self, dt_s: f64) {
+        let watch = &self.base.watch;
+        let sway_rad = watch.sway_mean_square().sqrt();
         let before = &mut self.unswayed;
+        before.sway_rad = 0.0;
         if sway_rad == 0.0 {
-            before.age_s += dt_s;
+            (before.age_s, before.grew_s) = (before.age_s + dt_s, 0.0);
             if before.age_s > UNNOTICED_S {
                 (before.laws, before.age_s) = ([before.laws[1], self.observer.learned()], 0.0);
             }
-        } else if !before.sways {
+            return;
+        }
+        let turned = before.grew_s <= ONE_TURN_S;
+        if watch.sway_grows() {
+            before.grew_s += dt_s;
+        }
+        if before.grew_s <= ONE_TURN_S {
+            return;
+        }
+        before.sway_rad = SWAY_SIGMAS * sway_rad;
+        if turned {
             (before.laws[1], before.age_s) = (before.laws[0], 0.0);
             self.observer.assume(&before.laws[0]);
             self.observer.believe(&self.observer.settled_by_laws(), 0.0);
         }
-        before.sways = sway_rad > 0.0;
-        SWAY_SIGMAS * sway_rad
     }
 
     /// Returns to what was remembered; the tip, once settled, bends by `bend`, rad, see [`Observer::believe`].
