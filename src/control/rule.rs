@@ -2,12 +2,13 @@
 //!
 //! The observer believes that the tip, once it has settled at the counted pistons, bends by `b = laws + g`. The proportional part
 //! moves the laws by `kp (target − b)`; the integral part is g itself, which follows what the laws leave at rest with the rate `ki`
-//! ([`super::observer`]). A tip at rest is moved when the error that it would remove exceeds what the move risks,
+//! ([`super::observer`]). A tip at rest is moved when what the move takes off the squared error exceeds what it risks,
 //!
-//! `|Δ|² > caution² (reversal + step² + slip²)`,
+//! `|e|² − |e'|² > caution² (reversal min(1, t_answer / t_rest) + step² + slip²)`,
 //!
-//! because a move crosses gaps whose width is known to a standard deviation, and friction. The variance of the belief is on neither
-//! side: it is the same before and after a move.
+//! because a move crosses gaps whose width is known to a standard deviation, and friction. What a reversal does wrong is seen after
+//! `t_answer`, while an error that has lasted for `t_rest` goes on. `|e'|` is the error within the limits of the actuators. The variance of
+//! the belief is on neither side: it is the same before and after a move.
 
 use crate::control::CalmConfig;
 use crate::control::dynamics::Dynamics;
@@ -85,16 +86,25 @@ impl Rule {
             return;
         };
         *since_s += dt_s;
-        if *since_s > dynamics.delay_s + 3.0 * dynamics.lag_s + ANSWERED_S && !disturbed {
+        if *since_s > answered_s(dynamics) && !disturbed {
             let miss_2 = (estimate - *aim).norm().min(SLIP_MAX).powi(2);
             self.slip_2 += SLIP_GAIN * (miss_2 - self.slip_2);
             self.acted = None;
         }
     }
 
-    /// Whether to make a move that removes `gain_2` of the squared error, with this risk; both rad².
-    pub fn moves(&self, gain_2: f64, risk: f64, step: f64, caution: f64) -> bool {
-        gain_2 > caution * caution * (risk + step * step + self.slip_2)
+    /// Whether to make a move that removes `gain_2` of the squared error, with this risk; both rad². What a reversal does wrong lasts
+    /// until it is answered, and what is not moved lasts on: for as long again, at a guess, as it has.
+    pub fn moves(
+        &self,
+        dynamics: &Dynamics,
+        gain_2: f64,
+        risk: f64,
+        step: f64,
+        caution: f64,
+    ) -> bool {
+        let lasts = (answered_s(dynamics) / self.rests_s.max(f64::MIN_POSITIVE)).min(1.0);
+        gain_2 > caution * caution * (risk * lasts + step * step + self.slip_2)
     }
 
     /// Notes a move towards `target`.
@@ -143,6 +153,11 @@ impl Rule {
     }
 }
 
+/// Time after which a move is answered, s.
+fn answered_s(dynamics: &Dynamics) -> f64 {
+    dynamics.delay_s + 3.0 * dynamics.lag_s + ANSWERED_S
+}
+
 /// Bend of the channels with which the tip is at `at`, rad, while g has the share `share` and a disturbance bends by `disturbed`.
 pub fn needed(
     observer: &Observer,
@@ -176,7 +191,7 @@ mod tests {
     fn a_tip_that_slips_is_moved_less_and_a_new_target_forgives() {
         let (mut rule, target) = (Rule::default(), Vector2::new(0.5, 0.0));
         let small = Vector2::new(0.004, 0.0);
-        let moves = |rule: &Rule| rule.moves(small.norm_squared(), 0.0, 0.0015, 1.0);
+        let moves = |rule: &Rule| rule.moves(&DYNAMICS, small.norm_squared(), 0.0, 0.0015, 1.0);
         assert!(moves(&rule));
         for _ in 0..40 {
             rule.act(&target);
@@ -191,7 +206,13 @@ mod tests {
     fn a_reversal_must_be_worth_its_risk() {
         let rule = Rule::default();
         let gain_2 = 1e-4;
-        assert!(rule.moves(gain_2, 1e-6, 0.0015, 1.0) && !rule.moves(gain_2, 2e-4, 0.0015, 1.0));
-        assert!(rule.moves(gain_2, 2e-4, 0.0015, 0.5), "less cautious");
+        assert!(
+            rule.moves(&DYNAMICS, gain_2, 1e-6, 0.0015, 1.0)
+                && !rule.moves(&DYNAMICS, gain_2, 2e-4, 0.0015, 1.0)
+        );
+        assert!(
+            rule.moves(&DYNAMICS, gain_2, 2e-4, 0.0015, 0.5),
+            "less cautious"
+        );
     }
 }

@@ -353,15 +353,7 @@ impl Observer {
         if laws {
             self.variance += timing_2 * same_sign;
         }
-        let known = covariance.symmetric_eigen();
-        let innovation = bend - self.predicted() - self.residual();
-        let doubt_2 = Vector2::from_fn(|k, _| {
-            let sigma = known.eigenvalues[k].max(0.0).sqrt();
-            let off = innovation.dot(&known.eigenvectors.column(k))
-                / (DOUBTED_SIGMAS * sigma.max(SIGMA_RAD));
-            let doubted = (sigma - SIGMA_RAD).max(0.0).powi(2) * (1.0 - off * off).max(0.0);
-            doubted * SAME_SIGN_S[1] / dt_s
-        });
+        let (axes, doubt_2) = doubt(covariance, &(residual - self.residual()), dt_s);
         let certain = self.variance;
         self.variance += doubt_2.mean();
         let mut rows = [State::zeros(); 2];
@@ -381,7 +373,7 @@ impl Observer {
             }
         }
         for axis in 0..2 {
-            let along = known.eigenvectors.column(axis);
+            let along = axes.column(axis);
             let row = rows[0] * along[0] + rows[1] * along[1];
             let innovation = (bend - self.predicted() - self.residual()).dot(&along);
             self.known
@@ -495,6 +487,24 @@ impl Observer {
     fn sigma_of(&self, k: usize) -> f64 {
         self.known.p[(k, k)].max(0.0).sqrt()
     }
+}
+
+/// Axes along which an estimate with this covariance, rad², is wrong independently, and the noise by which it is doubted along each, rad²:
+/// what it may have wrong, it has wrong for seconds, but not by more than [`DOUBTED_SIGMAS`].
+fn doubt(
+    covariance: Matrix2<f64>,
+    innovation: &Vector2<f64>,
+    dt_s: f64,
+) -> (Matrix2<f64>, Vector2<f64>) {
+    let known = covariance.symmetric_eigen();
+    let doubt_2 = Vector2::from_fn(|k, _| {
+        let sigma = known.eigenvalues[k].max(0.0).sqrt();
+        let most = DOUBTED_SIGMAS * sigma.max(SIGMA_RAD);
+        let off = innovation.dot(&known.eigenvectors.column(k)) / most;
+        let doubted = (sigma - SIGMA_RAD).max(0.0).powi(2) * (1.0 - off * off).max(0.0);
+        doubted * SAME_SIGN_S[1] / dt_s
+    });
+    (known.eigenvectors, doubt_2)
 }
 
 #[cfg(test)]
@@ -622,6 +632,19 @@ mod tests {
             }
         }
         assert_eq!(observer.theta(), laws);
+    }
+
+    #[test]
+    fn an_estimate_is_doubted_along_the_axis_that_it_does_not_know() {
+        let covariance = Matrix2::new(0.05f64.powi(2), 0.0, 0.0, 0.001f64.powi(2));
+        let along = |innovation: Vector2<f64>| {
+            let (axes, doubt_2) = doubt(covariance, &innovation, DT_S);
+            axes * Matrix2::from_diagonal(&doubt_2) * axes.transpose()
+        };
+        let small = along(Vector2::new(0.02, 0.02));
+        assert!(small[(0, 0)] > 0.1 && small[(1, 1)].abs() < 1e-9, "{small}");
+        let large = along(Vector2::new(0.2, 0.0));
+        assert!(large.norm() < 1e-9, "four standard deviations: {large}");
     }
 
     #[test]

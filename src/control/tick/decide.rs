@@ -260,11 +260,8 @@ fn correct(
     estimate: &Vector2<f64>,
     dt_s: f64,
 ) -> Vector2<f64> {
-    let Foreseen {
-        believed,
-        given,
-        nominal,
-    } = foresee(config, state);
+    let seen = foresee(config, state);
+    let (believed, given) = (seen.believed, seen.given);
     let theta = state.observer.theta();
     let error = state.setpoint.target.bend.0 - believed - state.disturbed();
     let bend = given + rule::unrotated(error * f.kp, theta[ROTATION]);
@@ -279,15 +276,15 @@ fn correct(
         state.periodic.hertz().is_some(),
         dt_s,
     );
-    let worth = |rule: &rule::Rule, gain_2: f64| {
-        rule.moves(gain_2, risk, f.step_deg.to_radians(), f.caution)
-    };
+    let (dynamics, step) = (state.observer.dynamics, f.step_deg.to_radians());
+    let worth =
+        |rule: &rule::Rule, gain_2: f64| rule.moves(&dynamics, gain_2, risk, step, f.caution);
     if state.hold.is_holding() || !worth(&state.rule, change.norm_squared()) {
         return given;
     }
     let stays = state.rule;
     // a described machine is believed anew in the next tick: the slope of its laws need not be known
-    let (wanted, length) = (nominal + change, state.rule.length);
+    let (wanted, length) = (seen.nominal + change, state.rule.length);
     go(config, f, state, &wanted, Some(length), estimate);
     let (allowed_mm, cut) = allowed(config, state, estimate, state.rule.aim_mm);
     if cut != Cut::None {
@@ -298,8 +295,7 @@ fn correct(
         }
     }
     state.feedback = bend - at;
-    let target = state.setpoint.target.bend.0;
-    state.rule.act(&target);
+    state.rule.act(&state.setpoint.target.bend.0);
     bend
 }
 
