@@ -169,11 +169,6 @@ impl Watch {
         self.exceeds(config, input)
     }
 
-    /// The model now predicts a bend that differs by `shift`, rad, because its gains are others.
-    pub fn shift(&mut self, shift: &Vector2<f64>) {
-        self.last.iter_mut().for_each(|(model, _)| *model += shift);
-    }
-
     /// Share of the unexplained bend that is due to the tip, see [`Sway::share_of_tip`].
     pub fn share_of_tip(&self) -> f64 {
         self.sway.share_of_tip()
