@@ -196,9 +196,9 @@ impl FeedforwardState {
         machine: &DescribedMachine,
         counted_mm: &Vector3<f64>,
     ) -> Vector3<f64> {
-        let chain = machine.chain();
-        let at = self.moment(&chain, 0.0);
-        chain.pistons(&mut self.memory, &at, counted_mm)
+        let piston_mm = self.pistons_at(machine, counted_mm);
+        std::mem::swap(&mut self.memory, &mut self.trial);
+        piston_mm
     }
 }
 

@@ -78,15 +78,23 @@ fn compare(log: &Path, further: &[&str]) -> (i32, Value, String) {
     )
 }
 
-#[test]
-fn a_simulator_fits_its_own_log_and_a_wrong_stiffness_is_seen_and_found() {
+/// A log of the simulator in a folder of its own; `None`, with the reason printed, without Python.
+fn recorded() -> Option<(tempfile::TempDir, std::path::PathBuf)> {
     if Command::new("python3").arg("--version").output().is_err() {
         println!("skipped: there is no python3");
-        return;
+        return None;
     }
     let folder = tempfile::tempdir().unwrap();
     let log = folder.path().join("log.csv");
     record(&log, &[]);
+    Some((folder, log))
+}
+
+#[test]
+fn a_simulator_fits_its_own_log_and_a_wrong_stiffness_is_seen_and_found() {
+    let Some((folder, log)) = recorded() else {
+        return;
+    };
     let simulator = |more: &str| format!("exec:{SIMULATOR}{more}");
     let residuals = folder.path().join("r.parquet");
     let (code, own, said) = compare(
@@ -134,13 +142,9 @@ fn a_simulator_fits_its_own_log_and_a_wrong_stiffness_is_seen_and_found() {
 
 #[test]
 fn a_parameter_that_changes_nothing_is_told() {
-    if Command::new("python3").arg("--version").output().is_err() {
-        println!("skipped: there is no python3");
+    let Some((_folder, log)) = recorded() else {
         return;
-    }
-    let folder = tempfile::tempdir().unwrap();
-    let log = folder.path().join("log.csv");
-    record(&log, &[]);
+    };
     let simulator = format!("exec:{SIMULATOR}");
     for name in ["stiffnes", "mass"] {
         let range = format!("{name}=0.5:2");

@@ -23,7 +23,7 @@ const RESIDUAL_RATE_S: f64 = 0.03;
 const NOISE_S: f64 = 2.0;
 /// Standard deviation of an estimate that is not doubted, rad (0.6°).
 const SIGMA_RAD: f64 = 0.01;
-/// Standard deviations beyond which the estimate is not wrong.
+/// Innovation in standard deviations of the estimate from which the tip has moved, for certain.
 const DOUBTED_SIGMAS: f64 = 3.0;
 /// Largest square of a change in units of the noise that counts as noise.
 const OUTLIER_2: f64 = 9.0;
@@ -489,8 +489,8 @@ impl Observer {
     }
 }
 
-/// Axes along which an estimate with this covariance, rad², is wrong independently, and the noise by which it is doubted along each, rad²:
-/// what it may have wrong, it has wrong for seconds, but not by more than [`DOUBTED_SIGMAS`].
+/// Principal axes of the covariance of the estimate, rad², and the measurement noise along each, rad². An error of the estimate lasts for
+/// seconds, and an innovation beyond [`DOUBTED_SIGMAS`] is none of it.
 fn doubt(
     covariance: Matrix2<f64>,
     innovation: &Vector2<f64>,

@@ -287,6 +287,31 @@ mod tests {
         }
     }
 
+    /// A jump and a ramp of a second, such as a fault makes, at drawn sizes and times.
+    #[test]
+    fn a_jump_is_no_breath() {
+        let config = PeriodicConfig::default();
+        for seed in 0..20 {
+            let (mut dice, mut periodic) = (StdRng::seed_from_u64(seed), Periodic::new(&config));
+            let (size, at_s) = (
+                0.05 + 0.3 * dice.random::<f64>(),
+                3.0 + 8.0 * dice.random::<f64>(),
+            );
+            let over_s = 0.02;
+            for k in 0..1500 {
+                let t = f64::from(k) * DT_S;
+                let noise =
+                    Vector2::from_fn(|_, _| NOISE_RAD * (dice.random::<f64>() - 0.5) * 3.46);
+                let jump = Vector2::new(1.0, 0.4) * size * ((t - at_s) / over_s).clamp(0.0, 1.0);
+                periodic.step(&config, &(jump + noise), NOISE_RAD * NOISE_RAD, 0.0, DT_S);
+                assert!(
+                    periodic.hertz().is_none(),
+                    "{seed}: {size:.2} rad at {at_s:.1} s, believed at {t:.1} s"
+                );
+            }
+        }
+    }
+
     #[test]
     fn a_wandering_offset_is_no_breath() {
         let alarms = (10..40)

@@ -260,8 +260,8 @@ fn correct(
     estimate: &Vector2<f64>,
     dt_s: f64,
 ) -> Vector2<f64> {
-    let seen = foresee(config, state);
-    let (believed, given) = (seen.believed, seen.given);
+    let foreseen = foresee(config, state);
+    let (believed, given) = (foreseen.believed, foreseen.given);
     let theta = state.observer.theta();
     let error = state.setpoint.target.bend.0 - believed - state.disturbed();
     let bend = given + rule::unrotated(error * f.kp, theta[ROTATION]);
@@ -284,7 +284,7 @@ fn correct(
     }
     let stays = state.rule;
     // a described machine is believed anew in the next tick: the slope of its laws need not be known
-    let (wanted, length) = (seen.nominal + change, state.rule.length);
+    let (wanted, length) = (foreseen.nominal + change, state.rule.length);
     go(config, f, state, &wanted, Some(length), estimate);
     let (allowed_mm, cut) = allowed(config, state, estimate, state.rule.aim_mm);
     if cut != Cut::None {

@@ -58,13 +58,13 @@ pub(super) fn learn(
             .periodic
             .step(&f.periodic, &state.unexplained, 2.0 * noise, moved, dt_s);
     }
-    let sway_rad = state.unswayed.sway_rad;
+    let sway_2 = state.before_base.sway_rad.powi(2);
     let measured = Measured {
         bend: bend - state.periodic.at(0.0).0,
-        covariance: state.fusion.covariance() + Matrix2::identity() * (sway_rad * sway_rad),
+        covariance: state.fusion.covariance() + Matrix2::identity() * sway_2,
         laws,
     };
-    state.observer.measure(&f.observer, f.ki_1_s, &measured);
+    observer.measure(&f.observer, f.ki_1_s, &measured);
     publish(config, state);
 }
 

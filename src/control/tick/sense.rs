@@ -137,4 +137,5 @@ fn return_to_before_the_turn(state: &mut LoopState, played: Vector2<f64>) {
     let quiet = &state.base.quiet;
     let bend = quiet.estimate + played - quiet.played;
     state.return_to_known(&bend, BELIEVED_SIGMAS);
+    state.unlearn(&bend, BELIEVED_SIGMAS);
 }

@@ -39,7 +39,8 @@ pub struct LoopState {
     pub(super) dynamics: DynamicsRange,
     pub(super) bank: DynamicsBank,
     pub(super) before: DynamicsPrior,
-    pub(super) unswayed: Unswayed,
+    /// What to return to when the base moves.
+    pub(super) before_base: BeforeBaseMotion,
     /// What was known when the set-point left the last pose that nothing obstructed.
     pub(super) known: Known,
     /// The published gains when the set-point last left a pose that nothing obstructed and no line was suspected, and the bend by them as
@@ -77,9 +78,9 @@ pub(super) struct Known {
 /// Values and standard deviations of the parameters of the laws.
 type Learned = [[f64; LAWS]; 2];
 
-/// What was known before a sway of the base can have begun that is not noticed yet.
+/// Laws of before a motion of the base that is not noticed yet can have begun.
 #[derive(Debug, Clone)]
-pub(super) struct Unswayed {
+pub(super) struct BeforeBaseMotion {
     /// At least, and at most, [`UNNOTICED_S`] ago.
     laws: [Learned; 2],
     age_s: f64,
@@ -88,14 +89,14 @@ pub(super) struct Unswayed {
     pub(super) sway_rad: f64,
 }
 
-/// Time within which a sway is noticed, s: five poses, or twice the memory of what notices it.
+/// Time within which a motion of the base is noticed, s: twice the memory of [`Watch`].
 const UNNOTICED_S: f64 = 10.0;
 /// Longest time for which what one turn of the base leaves grows, s; see [`Watch::sway_grows`].
 const ONE_TURN_S: f64 = 5.0;
 /// Standard deviations of a sway, which is no noise but has the same sign for seconds, that a measurement of the bend has in it.
 const SWAY_SIGMAS: f64 = 3.0;
 
-impl Unswayed {
+impl BeforeBaseMotion {
     fn of(laws: Learned) -> Self {
         Self {
             laws: [laws; 2],
@@ -175,7 +176,7 @@ impl LoopState {
             sides: Default::default(),
             accepted: config.lines,
             shown_by_accepted: Vector2::zeros(),
-            unswayed: Unswayed::of(observer.learned()),
+            before_base: BeforeBaseMotion::of(observer.learned()),
             known: Known {
                 laws: observer.knowledge(),
                 dynamics,
@@ -282,14 +283,14 @@ impl LoopState {
     /// What is known now is all there is to return to.
     fn begin(&mut self) {
         self.remember();
-        self.unswayed = Unswayed::of(self.observer.learned());
+        self.before_base = BeforeBaseMotion::of(self.observer.learned());
     }
 
     /// Asks the watch whether the base sways. Once it does, takes back what was learned while that was not noticed.
     pub(super) fn attribute_to_base(&mut self, dt_s: f64) {
         let watch = &self.base.watch;
         let sway_rad = watch.sway_mean_square().sqrt();
-        let before = &mut self.unswayed;
+        let before = &mut self.before_base;
         before.sway_rad = 0.0;
         if sway_rad == 0.0 {
             (before.age_s, before.grew_s) = (before.age_s + dt_s, 0.0);
@@ -307,10 +308,18 @@ impl LoopState {
         }
         before.sway_rad = SWAY_SIGMAS * sway_rad;
         if turned {
-            (before.laws[1], before.age_s) = (before.laws[0], 0.0);
-            self.observer.assume(&before.laws[0]);
-            self.observer.believe(&self.observer.settled_by_laws(), 0.0);
+            let by_laws = self.observer.settled_by_laws();
+            self.unlearn(&by_laws, 0.0);
         }
+    }
+
+    /// Returns to the laws of before the base can have begun to move; the tip, once settled, bends by `bend`, rad, see
+    /// [`Observer::believe`].
+    pub(super) fn unlearn(&mut self, bend: &Vector2<f64>, sigmas: f64) {
+        let before = &mut self.before_base;
+        (before.laws[1], before.age_s) = (before.laws[0], 0.0);
+        self.observer.assume(&before.laws[0]);
+        self.observer.believe(bend, sigmas);
     }
 
     /// Returns to what was remembered; the tip, once settled, bends by `bend`, rad, see [`Observer::believe`].

@@ -23,11 +23,11 @@ fn swaying(folder: &tempfile::TempDir, first: u64) -> Vec<(Case, Figures)> {
     )
 }
 
-/// What the base does is not corrected: the loop errs by as much as without a sensor, and a little more.
+/// What the base does is not corrected: the loop errs by as much as without a sensor, and a little more. No constant was chosen on these units.
 #[test]
 fn a_sway_without_a_base_imu_does_not_lead_the_tip_away() {
     let Some(folder) = compiled() else { return };
-    let measured = swaying(&folder, 31);
+    let measured = swaying(&folder, 61);
     let harmed = rows(&measured, |f| f.closed > f.open + 0.5);
     println!("{} of {} above open + 0.5°", harmed.len(), measured.len());
     assert!(
@@ -36,9 +36,9 @@ fn a_sway_without_a_base_imu_does_not_lead_the_tip_away() {
     );
 }
 
-/// The constants of the estimator were chosen on units 1 to 30.
+/// The constants of the estimator were chosen on units 1 to 30, those of the loop on 31 to 55.
 #[test]
-#[ignore = "goal: until a sway of 10 degrees, or of 3 with turns of the base, is noticed it is learned; it costs 0.4 to 2.6 degrees in 8 of 15"]
+#[ignore = "goal: until a sway of 10 degrees, or of 3 with turns of the base, is noticed it is learned; it costs up to 2.4 degrees more than the open loop"]
 fn a_sway_without_a_base_imu_costs_little() {
     let Some(folder) = compiled() else { return };
     let measured = swaying(&folder, 31);
