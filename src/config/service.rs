@@ -125,6 +125,7 @@ impl SafetySection {
             stale_s: self.stale_s,
             late_s: self.late_s.max(3.0 * period_s),
             react_s: config.motion.react_s(),
+            rest_s: config.motion.rest_s(config.drive.step_mm),
             brake_mm_s2: motion.acceleration_max_mm_s2,
             relax_mm_s: self.relax_mm_s,
             on: self.on,

@@ -40,6 +40,19 @@ impl DriveLimits {
     pub fn react_s(&self) -> f64 {
         self.lead_s + self.limits.acceleration_max_mm_s2 / (2.0 * self.limits.jerk_max_mm_s3)
     }
+
+    /// Longest time for which a motion towards a count of the present shows in no step of `step_mm`, s: the queued motion, and
+    /// half a step to and fro, each from rest by the limit of the jerk (d = j t³/6) and then of the acceleration (d = a t²/2).
+    pub fn rest_s(&self, step_mm: f64) -> f64 {
+        let MotionLimits {
+            acceleration_max_mm_s2,
+            jerk_max_mm_s3,
+            ..
+        } = self.limits;
+        let half_step_s =
+            (3.0 * step_mm / jerk_max_mm_s3).cbrt() + (step_mm / acceleration_max_mm_s2).sqrt();
+        self.lead_s + 2.0 * half_step_s
+    }
 }
 
 /// What a drive needs of a step generator: a queue of segments, orders and reports.

@@ -1,6 +1,8 @@
 //! The safety gate: each limit is tested just inside and just outside, so that every change of the gate fails a test
 //! (`.ci/mutants` checks this).
 
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
 use retroflex::primitives::units::Steps;
 use retroflex::supervisor::gate::{
     Following, Gate, GateInput, GateLimits, GateOutput, SafeState, SafeStates, TripCause,
@@ -23,6 +25,7 @@ fn limits() -> GateLimits {
         stale_s: 0.5,
         late_s: 0.05,
         react_s: 0.0,
+        rest_s: 0.0,
         brake_mm_s2: 600.0,
         relax_mm_s: 8.0,
         on: SafeStates::default(),
@@ -1029,10 +1032,12 @@ fn braking_begins_at_the_counted_position_and_speed() {
             "{react_s} s: {last:?} from {:?}",
             counted(119)
         );
-        assert!(
-            !gate.hand_over(&counted(119)) && gate.hand_over(&last),
-            "the machine is still on its way"
-        );
+        assert!(!gate.hand_over(), "the machine is still on its way");
+        gate.pass(&GateInput {
+            counted: last,
+            ..request([0, -900, 0])
+        });
+        assert!(gate.hand_over());
     }
 }
 
@@ -1132,19 +1137,21 @@ fn a_return_that_begins_in_motion_brakes_first_and_can_be_stopped() {
 fn braking_hands_over_once_it_has_come_to_rest_and_all_steps_are_counted() {
     let (mut gate, counts) = moving();
     assert!(
-        !gate.is_braking() && !gate.hand_over(&Steps([counts, 0, 0])),
+        !gate.is_braking() && !gate.hand_over(),
         "a gate that passes does not hand over"
     );
     gate.brake();
     let mut ticks = 0;
     let mut last = Steps([counts, 0, 0]);
-    while !gate.hand_over(&last) {
+    while !gate.hand_over() {
         assert!(gate.is_braking() && gate.is_busy());
         last = gate.pass(&request([0; 3])).steps;
-        assert!(
-            !gate.hand_over(&Steps([last.0[0] - 1, 0, 0])),
-            "a step is not counted yet"
-        );
+        let mut late = gate.gate.clone();
+        late.pass(&GateInput {
+            counted: Steps([last.0[0] - 1, 0, 0]),
+            ..request([0; 3])
+        });
+        assert!(!late.hand_over(), "a step is not counted yet");
         ticks += 1;
         assert!(ticks < 100);
     }
@@ -1159,6 +1166,44 @@ fn braking_hands_over_once_it_has_come_to_rest_and_all_steps_are_counted() {
         next,
         "the controller moves the pistons again"
     );
+}
+
+#[test]
+fn counts_that_a_motion_has_not_reached_yet_are_no_rest() {
+    let mut rng = StdRng::seed_from_u64(5);
+    for _ in 0..50 {
+        let (lead, ordered) = (rng.random_range(5..34), rng.random_range(1..5));
+        for relaxes in [false, true] {
+            let mut gate = Gate::new(
+                &GateLimits {
+                    rest_s: 0.035,
+                    ..limits()
+                },
+                &Steps::default(),
+            );
+            // orders are on their way, and nothing of them is counted
+            for k in 1..=ordered {
+                gate.pass(&request([k, 0, 0]));
+            }
+            if relaxes {
+                gate.relax();
+            } else {
+                gate.brake();
+            }
+            let over = |gate: &mut Gate, counts| {
+                let output = gate.pass(&GateInput {
+                    counted: Steps([counts, 0, 0]),
+                    ..request([0; 3])
+                });
+                gate.hand_over() || output.rested
+            };
+            let still = (0..lead).any(|_| over(&mut gate, 0));
+            let moved = (0..10).any(|_| over(&mut gate, 1));
+            assert!(!still && !moved, "{lead} ticks, relaxes {relaxes}");
+            let rested = (0..100).position(|_| over(&mut gate, 0));
+            assert!(rested.is_some_and(|ticks| ticks >= 34), "{rested:?}");
+        }
+    }
 }
 
 #[test]
@@ -1184,7 +1229,7 @@ fn a_trip_or_another_motion_of_the_gate_cancels_the_hand_over() {
         gate.brake();
         cancel(&mut gate);
         let latched = gate.latched();
-        assert!(!gate.is_braking() && !gate.hand_over(&Steps([40; 3])));
+        assert!(!gate.is_braking() && !gate.hand_over());
         assert_eq!(gate.latched(), latched);
     }
 }

@@ -558,6 +558,46 @@ fn drivers_are_not_armed_again_before_the_brake_has_ended() {
     assert!(!f.turn(None).stopped);
 }
 
+/// The steps of a tip that bends this way, with a reset in one turn, in orders of its own or in those of a calibration.
+fn steps_with_reset_at(turn: Option<u64>, calibrates: bool, direction_deg: f64) -> Vec<Steps> {
+    let mut f = armed();
+    if calibrates {
+        f.order(Order::Calibrate(true));
+    }
+    f.bend(50.0, direction_deg);
+    let steps = |k| {
+        let output = f.turn((turn == Some(k)).then_some(Order::Reset));
+        let faulted = (output.tripped, output.mode == Mode::Faulted);
+        assert_eq!(faulted, (None, false), "turn {k} of {turn:?}");
+        assert!(
+            !matches!(output.answer, Some(Err(_))),
+            "{:?}",
+            output.answer
+        );
+        output.steps
+    };
+    (0..1000).map(steps).collect()
+}
+
+#[test]
+fn a_reset_without_a_fault_leaves_a_moving_tip_alone() {
+    let mut rng = StdRng::seed_from_u64(27);
+    for calibrates in [false, true] {
+        for _ in 0..3 {
+            let direction_deg = rng.random_range(-180.0..180.0);
+            let undisturbed = steps_with_reset_at(None, calibrates, direction_deg);
+            for _ in 0..4 {
+                let turn = rng.random_range(10..900);
+                let steps = steps_with_reset_at(Some(turn), calibrates, direction_deg);
+                assert!(
+                    steps == undisturbed,
+                    "turn {turn}, calibrates {calibrates}, {direction_deg}°"
+                );
+            }
+        }
+    }
+}
+
 #[test]
 fn feedback_returns_however_a_calibration_ends() {
     let mut f = Flight::new(None, None);

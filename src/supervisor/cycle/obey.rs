@@ -68,8 +68,7 @@ impl Supervisor {
 
     fn disarm(&mut self) -> Result<(), Refusal> {
         // a correction of a held pose is a motion too
-        let there = self.last.is_none_or(|sensed| sensed.counted == self.sent);
-        let in_motion = self.mode() != Mode::Holding || !there;
+        let in_motion = self.mode() != Mode::Holding || !self.gate.rests();
         self.take(Event::Disarm)?;
         if in_motion {
             self.gate.brake();
@@ -194,8 +193,7 @@ impl Supervisor {
     fn zero(&mut self, asserted: bool) -> Result<(), Refusal> {
         let mode = self.mode();
         // a step that is still on its way counts too
-        let there = self.last.is_none_or(|sensed| sensed.counted == self.sent);
-        if mode == Mode::Disarmed && !(there && self.sent == Steps::default()) {
+        if mode == Mode::Disarmed && !(self.gate.rests() && self.sent == Steps::default()) {
             return Err(Refusal::NotAtRest);
         }
         if self.gate.latched().is_some() {
@@ -227,6 +225,11 @@ impl Supervisor {
         }
         if self.gate.is_busy() {
             return Err(Refusal::Busy);
+        }
+        if self.leads() {
+            // nothing is latched, and the pistons may be moving
+            self.residual.forget();
+            return Ok(());
         }
         if self.mode() == Mode::Faulted {
             self.take(match self.position {

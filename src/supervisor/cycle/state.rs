@@ -232,7 +232,7 @@ impl Supervisor {
 
     /// True if the pistons are known to be at zero, so that a restart has nothing to check.
     pub fn is_at_rest(&self) -> bool {
-        let there = self.last.is_none_or(|sensed| sensed.counted == self.sent);
+        let there = self.last.is_none() || self.gate.rests();
         self.sent == Steps::default() && there && self.position == Position::Known
     }
 

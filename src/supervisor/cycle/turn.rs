@@ -35,7 +35,7 @@ impl Supervisor {
             .step(&self.state.fusion, &frame, dt_s, input.dt_s);
         self.follow_alignment(&frame);
         let tripped = self.pass_gate(&frame, sensed, dt_s);
-        self.follow_motion(&frame, sensed);
+        self.follow_motion(&frame);
         let suspects = self.monitor_residual(&frame, sensed, input.dt_s);
         CycleOutput {
             frame,
@@ -210,7 +210,7 @@ impl Supervisor {
     }
 
     /// True while the controller, not the gate, moves the pistons.
-    fn leads(&self) -> bool {
+    pub(super) fn leads(&self) -> bool {
         self.mode().moves() && !self.gate.is_braking()
     }
 
@@ -240,9 +240,9 @@ impl Supervisor {
     }
 
     /// The controller takes over after braking; `tracking` ends when the set-point has arrived.
-    fn follow_motion(&mut self, frame: &Frame, sensed: &Sensed) {
+    fn follow_motion(&mut self, frame: &Frame) {
         // after a stop the gate stands until `arm`, so that feedback makes no step either
-        if !(self.stopped && self.mode().moves()) && self.gate.hand_over(&sensed.counted) {
+        if !(self.stopped && self.mode().moves()) && self.gate.hand_over() {
             self.take_over(frame.estimate.map_or(Bend::STRAIGHT, |e| e.bend));
         }
         if self.mode

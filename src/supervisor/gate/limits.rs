@@ -73,6 +73,8 @@ pub struct GateLimits {
     pub late_s: f64,
     /// Time that the machine needs to begin to brake, s.
     pub react_s: f64,
+    /// Time for which the counts must be those sent until the machine certainly rests, s.
+    pub rest_s: f64,
     /// Deceleration of the gate's own motion, mm/s².
     pub brake_mm_s2: f64,
     /// Speed of the return to zero, mm/s.

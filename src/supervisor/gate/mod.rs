@@ -95,6 +95,8 @@ pub struct Gate {
     history: History,
     /// Counts sent last.
     sent: Steps,
+    /// Time for which the machine has counted what was sent, s.
+    agreed_s: f64,
     /// Position of the gate's own motion, mm.
     at_mm: [f64; 3],
     speed_mm_s: [f64; 3],
@@ -111,6 +113,7 @@ impl Gate {
             reported: [false; 3],
             history: History::resting(at, limits.step_mm, limits.tick_s),
             sent: *at,
+            agreed_s: 0.0,
             at_mm: [0.0; 3],
             speed_mm_s: [0.0; 3],
             following: FollowingError::default(),
@@ -137,6 +140,12 @@ impl Gate {
         self.is_returning()
             || self.is_braking()
             || (self.motion == Motion::Standing && self.speed_mm_s != [0.0; 3])
+    }
+
+    /// True once the machine has counted what was sent for longer than a motion that is on its way can hide: right after a
+    /// set-point has changed, the counts are still where they were.
+    pub fn rests(&self) -> bool {
+        self.agreed_s > self.limits.rest_s
     }
 
     /// Clears the latched cause and passes again, with the pistons at rest at these counts.
@@ -168,10 +177,11 @@ impl Gate {
     }
 
     /// Passes again once a [`Gate::brake`] has come to rest and all its steps are counted; true at that moment.
-    pub fn hand_over(&mut self, counted: &Steps) -> bool {
-        let over = self.is_braking() && self.speed_mm_s == [0.0; 3] && *counted == self.sent;
+    pub fn hand_over(&mut self) -> bool {
+        let over = self.is_braking() && self.speed_mm_s == [0.0; 3] && self.rests();
         if over {
-            self.reset(counted);
+            let at = self.sent;
+            self.reset(&at);
         }
         over
     }
@@ -187,6 +197,7 @@ impl Gate {
         }
         self.history
             .push(input.counted, input.dt_s, input.counted_age_s);
+        let before = self.sent;
         let tripped = self.check(input);
         if let Some(cause) = tripped {
             self.latched = Some(self.latched.unwrap_or(cause));
@@ -222,6 +233,10 @@ impl Gate {
                 self.sent = input.counted;
             }
         }
+        self.agreed_s = match input.counted == self.sent && self.sent == before {
+            true => self.agreed_s + input.dt_s.max(0.0),
+            false => 0.0,
+        };
         GateOutput {
             steps: self.sent,
             energise: self.motion != Motion::Released,
@@ -328,7 +343,7 @@ impl Gate {
 
     /// Releases the drivers once all pistons are counted at zero; true at that moment.
     fn arrive(&mut self) -> bool {
-        let there = [self.sent, self.history.newest()] == [Steps::default(); 2];
+        let there = self.sent == Steps::default() && self.rests();
         if there {
             self.speed_mm_s = [0.0; 3];
             self.at_mm = [0.0; 3];
@@ -340,7 +355,9 @@ impl Gate {
     /// The pistons have rested at these counts for as long as the gate remembers.
     fn settle(&mut self, at: &Steps) {
         self.history = History::resting(at, self.limits.step_mm, self.limits.tick_s);
-        self.sent = *at;
+        if self.sent != *at {
+            (self.sent, self.agreed_s) = (*at, 0.0);
+        }
         self.speed_mm_s = [0.0; 3];
         self.following = FollowingError::default();
     }

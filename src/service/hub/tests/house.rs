@@ -93,6 +93,7 @@ pub(super) struct House {
     seen: Arc<Mutex<Seen>>,
     replies: Vec<Replies>,
     folder: tempfile::TempDir,
+    pub(super) seed: u64,
     pub(super) rng: StdRng,
     pub(super) cycles: u64,
     /// Lines that were received, with the number of stops until then.
@@ -188,6 +189,7 @@ impl House {
             seen,
             replies: vec![Box::new(commands), Box::new(reads)],
             folder,
+            seed,
             rng: StdRng::seed_from_u64(seed),
             cycles: 0,
             queues: vec![VecDeque::new(); CLIENTS as usize],
@@ -214,7 +216,8 @@ impl House {
         let (mode, stopped) = (supervisor.mode(), supervisor.is_stopped());
         let seen = self.seen.lock().unwrap().clone();
         *self.visited.entry(mode.name()).or_default() += 1;
-        let at = format!("cycle {}: {} → {mode}", self.cycles, before.0);
+        let (seed, n) = (self.seed, self.cycles);
+        let at = format!("seed {seed}, cycle {n}: {} → {mode}", before.0);
         assert!(may_follow(before.0, mode), "{at}: not in the table");
         assert_eq!(supervisor.latched(), None, "{at}");
         assert!(mode != Mode::Lost, "{at}");
