@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Bends the tip of a running service from Python.
 
-    pip install ./python
+    pip install ./python                      # installed from the Debian package: /usr/share/retroflex/python
     retroflex run &
     python3 examples/client.py
     python3 examples/client.py --socket /tmp/tip.sock --bend 30 --toward 120

@@ -78,6 +78,42 @@ fn everything_that_the_documents_name_exists() {
     assert!(missing.is_empty(), "{}", missing.join("\n"));
 }
 
+/// An example of the Debian package that imports the Python package finds all of it there.
+#[test]
+fn what_a_packaged_example_imports_is_packaged() {
+    let manifest = std::fs::read_to_string(repo("Cargo.toml")).unwrap();
+    let manifest: toml::Table = manifest.parse().unwrap();
+    let assets = manifest["package"]["metadata"]["deb"]["assets"].as_array();
+    let sources: Vec<&str> = assets
+        .unwrap()
+        .iter()
+        .map(|asset| asset[0].as_str().unwrap())
+        .collect();
+    let imports = |file: &&&str| {
+        let text = std::fs::read_to_string(repo(file)).unwrap_or_default();
+        text.lines().any(|line| line == "import retroflex")
+    };
+    if !sources.iter().any(|file| imports(&file)) {
+        return;
+    }
+    let modules = std::fs::read_dir(repo("python/src/retroflex")).unwrap();
+    let modules = modules.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let mut needed: Vec<String> = modules
+        .filter(|name| name.contains('.'))
+        .map(|name| format!("src/retroflex/{name}"))
+        .collect();
+    // the build of the package reads both
+    needed.extend(["pyproject.toml", "README.md"].map(str::to_owned));
+    for file in needed.iter().map(|file| format!("python/{file}")) {
+        let folder = file.rsplit_once('/').unwrap().0;
+        let whole = format!("{folder}/*");
+        let packaged = sources
+            .iter()
+            .any(|source| *source == file || *source == whole);
+        assert!(packaged, "{file} is in no asset of the Debian package");
+    }
+}
+
 #[test]
 fn the_architecture_lists_the_rooms_of_the_library() {
     let lib = std::fs::read_to_string(repo("src/lib.rs")).unwrap();

@@ -146,6 +146,8 @@ fn the_page_is_complete_and_one_file_without_scripts() {
     }
     assert_eq!(html.matches("<svg").count(), html.matches("</svg>").count());
     assert_eq!(html.matches("<figure>").count(), 7);
+    // a picture inside a picture is inverted with it, not once more
+    assert!(html.contains(" figure > svg { filter: invert(1)"));
 }
 
 #[test]
