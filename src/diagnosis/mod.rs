@@ -40,4 +40,3 @@ pub mod search;
 pub mod sense;
 pub mod start;
 pub mod tangent;
-pub mod train;

@@ -1,8 +1,8 @@
 //! Probabilities of what can be said of a log: a set of effects explains it, the nominal model does, or nothing in the catalogue does.
 //!
 //! Each statement has features and a score, their weighted sum; the probabilities are the softmax of the scores (a multinomial logistic
-//! regression). The weights are a [`Head`], fitted by `retroflex gap train` to logs of random machines ([`crate::diagnosis::train`]):
-//! one for a tip ([`crate::diagnosis::features`]), one for other rigs ([`crate::diagnosis::map::features`]).
+//! regression). The weights are a [`Head`], fitted by `examples/gap_train` to logs of random machines: one for a tip
+//! ([`crate::diagnosis::features`]), one for other rigs ([`crate::diagnosis::map::features`]).
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

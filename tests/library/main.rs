@@ -15,6 +15,9 @@ mod fuse_filters;
 mod fuzz;
 mod gap_engine;
 mod gap_report;
+#[path = "../../examples/gap_train/main.rs"]
+#[allow(dead_code, reason = "its tests run here, and nothing calls its `main`")]
+mod gap_train;
 mod gate;
 mod identification;
 mod imu_drivers;

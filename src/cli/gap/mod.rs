@@ -9,7 +9,6 @@ pub mod excite;
 pub mod input;
 pub mod map;
 pub mod rows;
-pub mod train;
 
 use crate::cli::CommandOutcome;
 use miette::Result;
@@ -27,8 +26,6 @@ pub enum Gap {
     Apply(apply::Args),
     /// Design a schedule that separates effects.
     Excite(excite::Args),
-    /// Fit the probabilities of the diagnosis to logs of random units.
-    Train(train::Args),
     /// Test the diagnosis on logs of the built-in plant with hidden labels.
     Exam(exam::Args),
 }
@@ -44,7 +41,6 @@ pub fn run(command: &Gap) -> Result<CommandOutcome> {
         Gap::Compare(args) => compare::run(args),
         Gap::Apply(args) => apply::run(args),
         Gap::Excite(args) => excite::run(args),
-        Gap::Train(args) => train::run(args),
         Gap::Exam(args) => exam::run(args),
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! The nominal model is identified on the log, every operator ([`crate::diagnosis::map::operators`]) is fitted jointly with it, and sets of
 //! them are searched ([`crate::diagnosis::map::search`]) and judged as those of a tip are: by a posterior, whose weights are fitted to random
-//! rigs ([`crate::diagnosis::train::rig`]).
+//! rigs.
 
 use crate::diagnosis::candidates::{Candidates, Scored};
 use crate::diagnosis::decide::decide;

@@ -1,15 +1,15 @@
 //! What training keeps of a log: the true statement and the features of all.
 
-use crate::diagnosis::features::statements;
-use crate::diagnosis::map;
-use crate::diagnosis::observe::Observed;
-use crate::diagnosis::posterior::{Claim, Said as SaidOf, Statement, ranked};
-use crate::diagnosis::refuse::ObserveError;
-use crate::diagnosis::rig::Rig;
-use crate::diagnosis::search::search;
-use crate::diagnosis::train::rig;
-use crate::diagnosis::train::unit::Unit;
-use crate::model::effects::catalogue;
+use super::rig;
+use super::unit::Unit;
+use retroflex::diagnosis::features::statements;
+use retroflex::diagnosis::map;
+use retroflex::diagnosis::observe::Observed;
+use retroflex::diagnosis::posterior::{Claim, Said as SaidOf, Statement, ranked};
+use retroflex::diagnosis::refuse::ObserveError;
+use retroflex::diagnosis::rig::Rig;
+use retroflex::diagnosis::search::search;
+use retroflex::model::effects::catalogue;
 use serde::{Deserialize, Serialize};
 
 /// One statement of a case.

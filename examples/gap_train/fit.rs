@@ -1,8 +1,8 @@
 //! The weights of a [`Head`]: maximum likelihood with a ridge, by Newton's method. The likelihood is concave.
 
-use crate::diagnosis::posterior::{Head, probabilities};
-use crate::diagnosis::train::case::Case;
+use super::case::Case;
 use nalgebra::{DMatrix, DVector};
+use retroflex::diagnosis::posterior::{Head, probabilities};
 
 /// Ridge per log.
 const RIDGE: f64 = 1e-4;
@@ -132,11 +132,11 @@ fn slopes(cases: &[(&Case, usize)], w: &DVector<f64>) -> (DVector<f64>, DMatrix<
 
 #[cfg(test)]
 mod tests {
+    use super::super::case::Said;
     use super::*;
-    use crate::diagnosis::posterior::{Claim, conformal_set};
-    use crate::diagnosis::train::case::Said;
     use rand::rngs::StdRng;
     use rand::{RngExt, SeedableRng};
+    use retroflex::diagnosis::posterior::{Claim, conformal_set};
 
     /// Cases drawn from known weights: a fit finds them, and the sets hold as often as they should.
     #[test]

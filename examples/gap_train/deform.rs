@@ -1,10 +1,10 @@
 //! Laws of training units: those of the catalogue with a random change of form, and random laws that the catalogue lacks.
 
-use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Pose, Stage};
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 use rand::RngExt;
 use rand::rngs::StdRng;
 use rand_distr::StandardNormal;
+use retroflex::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Pose, Stage};
 use std::f64::consts::TAU;
 
 /// Piston travel of about one radian of a form, mm.

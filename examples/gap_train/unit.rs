@@ -1,19 +1,19 @@
 //! Training units: machines with up to three deformed effects, or with a law that the catalogue lacks, alone or beside an effect.
 
-use crate::diagnosis::exam::question::{Recorded, difference_deg};
-use crate::diagnosis::exam::record::record;
-use crate::diagnosis::train::contents;
-use crate::diagnosis::train::deform::{Deformed, Outside};
-use crate::log::bend_log::BendLog;
-use crate::model::effects::{Effect, Param, by_name, catalogue};
-use crate::model::{DescribedMachine, Geometry, Line, RestReadings, nominal_theta};
-use crate::simulation::described::Described;
-use crate::supervisor::MachineError;
+use super::contents;
+use super::deform::{Deformed, Outside};
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::rngs::StdRng;
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_distr::StandardNormal;
+use retroflex::diagnosis::exam::question::{Recorded, difference_deg};
+use retroflex::diagnosis::exam::record::record;
+use retroflex::log::bend_log::BendLog;
+use retroflex::model::effects::{Effect, Param, by_name, catalogue};
+use retroflex::model::{DescribedMachine, Geometry, Line, RestReadings, nominal_theta};
+use retroflex::simulation::described::Described;
+use retroflex::supervisor::MachineError;
 
 /// Microstep, mm.
 const STEP_MM: f64 = 0.01;
@@ -44,8 +44,6 @@ const KEEP_THEIR_FORM: [&str; 3] = ["mount_misalignment", "transport_delay", "se
 pub struct Unit {
     /// Names of the effects that can be claimed of the log; `None` with a law that the catalogue lacks.
     pub names: Option<Vec<&'static str>>,
-    /// Whether a tracker recorded it.
-    pub lab: bool,
     /// The log.
     pub log: BendLog,
     /// Calibration it was driven with.
@@ -115,12 +113,7 @@ pub fn draw(seed: u64) -> Result<Unit, MachineError> {
     if !lab {
         log.reference = None;
     }
-    Ok(Unit {
-        names,
-        lab,
-        log,
-        lines,
-    })
+    Ok(Unit { names, log, lines })
 }
 
 /// An effect of a unit, or a law that the catalogue lacks.

@@ -1,18 +1,18 @@
 //! Random rigs: a nominal model driven by a random input, operators with a random change of form, small imperfections, and laws that no
 //! operator has.
 
-use crate::diagnosis::map::file::{Columns, MapFile, Nominal};
-use crate::diagnosis::map::model::{RESONANT, catalogue};
-use crate::diagnosis::map::operators::{DRIVEN, Drive, Operator};
-use crate::diagnosis::map::regress::{self, Task, variance};
-use crate::diagnosis::map::table::Signals;
-use crate::diagnosis::train::contents;
-use crate::diagnosis::train::deform::{FOREIGN_DEPTH, Form};
-use crate::diagnosis::train::signals::{input, log_uniform, normal, ringing, sum, walk};
+use super::contents;
+use super::deform::{FOREIGN_DEPTH, Form};
+use super::signals::{input, log_uniform, normal, ringing, sum, walk};
 use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
+use retroflex::diagnosis::map::file::{Columns, MapFile, Nominal};
+use retroflex::diagnosis::map::model::{RESONANT, catalogue};
+use retroflex::diagnosis::map::operators::{DRIVEN, Drive, Operator};
+use retroflex::diagnosis::map::regress::{self, Task, variance};
+use retroflex::diagnosis::map::table::Signals;
 use std::f64::consts::TAU;
 
 /// Rows of a log.
@@ -385,8 +385,8 @@ fn recalibrated(y: &[f64], inputs: &[Vec<f64>]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::decide::VerdictKind;
-    use crate::diagnosis::map::diagnose::diagnose;
+    use retroflex::diagnosis::decide::VerdictKind;
+    use retroflex::diagnosis::map::diagnose::diagnose;
 
     #[test]
     fn a_seed_gives_a_rig_and_another_gives_another() {

@@ -1,21 +1,35 @@
-//! `retroflex gap train`: fits the probabilities of the diagnosis to logs of training units.
+//! Fits the probabilities of the diagnosis (`retroflex::diagnosis::posterior`) to logs of random machines:
+//! `cargo run --release --example gap_train -- --cases cases.jsonl --out posterior.toml`.
+//!
+//! Units run the catalogue's laws, each multiplied by a random function of the pistons and the time, with small effects of every kind
+//! beside them, or a random law that the catalogue lacks. The exam (`retroflex::diagnosis::exam`) asks about the built-in plant, which has
+//! laws of its own. With `--map`, random rigs ([`rig`]) train the probabilities of other rigs.
 
-use crate::cli::{CommandOutcome, output};
-use crate::diagnosis::train::case::Case;
-use crate::diagnosis::train::fit::fit;
-use crate::diagnosis::train::unit;
-use crate::diagnosis::{features, map};
+mod case;
+mod deform;
+mod fit;
+mod rig;
+mod signals;
+mod unit;
+
+use case::Case;
+use clap::Parser;
 use miette::{IntoDiagnostic, Result, miette};
+use rand::RngExt;
+use rand::rngs::StdRng;
+use rand::seq::SliceRandom;
 use rayon::prelude::*;
+use retroflex::cli::output;
+use retroflex::diagnosis::{features, map};
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-/// Arguments of `gap train`.
-#[derive(Debug, clap::Args)]
-pub struct Args {
+/// Arguments of the program.
+#[derive(Debug, Parser)]
+struct Args {
     /// File that keeps every finished log; a run that was stopped goes on from it.
     #[arg(long)]
     cases: PathBuf,
@@ -34,10 +48,8 @@ pub struct Args {
 }
 
 /// Records and searches the logs that are missing, and writes the weights.
-///
-/// # Errors
-/// A report that names the file, or the unit that cannot run.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+fn main() -> Result<()> {
+    let args = Args::parse();
     output::check(&[("--out", Some(&args.out))], &[])?;
     let (file, mut cases) = open(&args.cases)?;
     let seeds = args.seed..args.seed.saturating_add(args.logs);
@@ -76,10 +88,10 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     } else {
         &features::HEAD
     };
-    let trained = fit(&cases, head.names.clone());
+    let trained = fit::fit(&cases, head.names.clone());
     let [fitted, check, lost] = trained.logs;
     let head = format!(
-        "# Weights of the posterior (src/diagnosis/posterior.rs), made by\n# retroflex gap train{} --logs {} --seed {}\n\
+        "# Weights of the posterior (src/diagnosis/posterior.rs), made by\n# cargo run --release --example gap_train --{} --logs {} --seed {}\n\
          # {fitted} logs fitted; {check} others checked: the truth has {:.2} on the geometric mean; {lost} logs whose true set the search misses.\n",
         if args.map { " --map" } else { "" },
         args.logs,
@@ -89,7 +101,29 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let text = head + &trained.head.text().into_diagnostic()?;
     output::write(&args.out, text.as_bytes())?;
     output::print(text);
-    Ok(CommandOutcome::Good)
+    Ok(())
+}
+
+/// Share of the laws outside a catalogue that act beside an effect of it.
+const BESIDE: f64 = 0.4;
+
+/// What a training log is to have: effects of a catalogue, and `None` for a law that it lacks. The contents are about as frequent as in an
+/// exam.
+fn contents<T>(mut catalogue: Vec<T>, rng: &mut StdRng) -> Vec<Option<T>> {
+    catalogue.shuffle(rng);
+    let (known, foreign) = match rng.random_range(0..32) {
+        0..13 => (1, false),
+        13..20 => (2, false),
+        20 => (3, false),
+        21..27 => (0, false),
+        _ => (usize::from(rng.random_bool(BESIDE)), true),
+    };
+    catalogue
+        .into_iter()
+        .take(known)
+        .map(Some)
+        .chain(foreign.then_some(None))
+        .collect()
 }
 
 /// Opens the file of the finished logs, which need not exist, and reads it; a last line that was cut off is removed.
