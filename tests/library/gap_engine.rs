@@ -202,7 +202,7 @@ fn equal_logs_give_equal_documents() {
 /// Training machines are made of deformed laws of the catalogue; the exam asks about the built-in plant, whose laws are others.
 #[test]
 fn training_and_exam_share_no_law() {
-    let folder = format!("{}/src/diagnosis/train", env!("CARGO_MANIFEST_DIR"));
+    let folder = format!("{}/examples/gap_train", env!("CARGO_MANIFEST_DIR"));
     let files: Vec<_> = std::fs::read_dir(folder)
         .unwrap()
         .map(|file| file.unwrap().path())

@@ -197,7 +197,10 @@ impl Gate {
         }
         self.history
             .push(input.counted, input.dt_s, input.counted_age_s);
-        let before = self.sent;
+        self.agreed_s = match input.counted == self.sent {
+            true => self.agreed_s + input.dt_s.max(0.0),
+            false => 0.0,
+        };
         let tripped = self.check(input);
         if let Some(cause) = tripped {
             self.latched = Some(self.latched.unwrap_or(cause));
@@ -211,7 +214,7 @@ impl Gate {
         self.reported = [input.emergency_stop, input.alarm, input.overpressure];
         let mut rested = false;
         match self.motion {
-            Motion::Passing => self.sent = input.wanted,
+            Motion::Passing => self.send(input.wanted),
             Motion::Braking | Motion::Standing => self.go(input.dt_s, |_, _| 0.0),
             Motion::Returning => {
                 let GateLimits {
@@ -230,13 +233,9 @@ impl Gate {
             }
             Motion::Released => {
                 self.speed_mm_s = [0.0; 3];
-                self.sent = input.counted;
+                self.send(input.counted);
             }
         }
-        self.agreed_s = match input.counted == self.sent && self.sent == before {
-            true => self.agreed_s + input.dt_s.max(0.0),
-            false => 0.0,
-        };
         GateOutput {
             steps: self.sent,
             energise: self.motion != Motion::Released,
@@ -335,10 +334,15 @@ impl Gate {
             let at_mm = self.at_mm[i] + self.speed_mm_s[i] * dt_s;
             self.at_mm[i] = at_mm.clamp(-self.limits.travel_mm, self.limits.travel_mm);
         }
-        self.sent = Steps(
-            self.at_mm
-                .map(|mm| (mm / self.limits.step_mm).round() as i32),
-        );
+        let step_mm = self.limits.step_mm;
+        self.send(Steps(self.at_mm.map(|mm| (mm / step_mm).round() as i32)));
+    }
+
+    /// Sends these counts. The machine cannot have reached new ones yet.
+    fn send(&mut self, counts: Steps) {
+        if self.sent != counts {
+            (self.sent, self.agreed_s) = (counts, 0.0);
+        }
     }
 
     /// Releases the drivers once all pistons are counted at zero; true at that moment.
@@ -355,9 +359,7 @@ impl Gate {
     /// The pistons have rested at these counts for as long as the gate remembers.
     fn settle(&mut self, at: &Steps) {
         self.history = History::resting(at, self.limits.step_mm, self.limits.tick_s);
-        if self.sent != *at {
-            (self.sent, self.agreed_s) = (*at, 0.0);
-        }
+        self.send(*at);
         self.speed_mm_s = [0.0; 3];
         self.following = FollowingError::default();
     }
