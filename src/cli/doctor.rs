@@ -259,7 +259,7 @@ fn clock() -> Finding {
 }
 
 fn power() -> Finding {
-    let Some(troubles) = supply::troubles() else {
+    let Some(troubles) = supply::troubles(Path::new("/")) else {
         return Finding::pass("power", "no firmware status on this computer");
     };
     let found = match troubles.is_empty() {

@@ -6,6 +6,7 @@ use crate::config::show;
 use crate::config::supervisor::assemble;
 use crate::config::{Board, Calibration, PressureBound, ServiceSection, source};
 use crate::hardware::machine::{Hardware, HardwareError, MachineConfig};
+use crate::service::disk;
 use crate::service::error::ServiceError;
 use crate::service::flight::start::hash;
 use crate::service::notify::Notifier;
@@ -18,7 +19,7 @@ use crate::simulation::lockstep::Lockstep;
 use crate::simulation::sim::Sim;
 use crate::supervisor::Machine;
 use miette::{IntoDiagnostic, Result, bail, miette};
-use std::fs::File;
+use std::fs::{File, OpenOptions};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -205,7 +206,7 @@ fn open_patiently(config: &MachineConfig, opened: &Path) -> Result<Hardware, Har
         let error = match Hardware::open(config) {
             Ok(hardware) => {
                 // without the file, a later failure is waited for too
-                let _ = File::create(opened);
+                let _ = disk::open(OpenOptions::new().write(true).create(true), opened);
                 return Ok(hardware);
             }
             Err(error) => error,

@@ -11,7 +11,7 @@ use crate::config::ServiceSection;
 use crate::estimation::fusion::health::ImuReading;
 use crate::model::Shape;
 use crate::primitives::ImuSample;
-use crate::service::disk::{free_bytes, mib, require_free};
+use crate::service::disk::{create_recording, free_bytes, mib, require_free};
 use crate::service::flight::file::{FlightFile, io_error};
 use crate::service::flight::start::{Event, Logged};
 use crate::supervisor::Sensed;
@@ -336,7 +336,7 @@ struct Output {
 
 impl Output {
     fn create(path: &Path, compressed: bool) -> io::Result<Self> {
-        let file = BufWriter::new(File::create_new(path)?);
+        let file = BufWriter::new(create_recording(path)?);
         let file: Box<dyn Write> = if compressed {
             Box::new(GzEncoder::new(file, Compression::fast()))
         } else {

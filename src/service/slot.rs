@@ -1,9 +1,9 @@
 //! One slot of the memory on the disk: `magic version sequence length crc\n`, JSON, padding up to a fixed size.
 
+use crate::service::disk;
 use crate::service::memory::{Memory, MemoryError};
-use std::fs::{File, OpenOptions};
+use std::fs::OpenOptions;
 use std::io::{self, Read};
-use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
 /// Version of the format.
@@ -45,27 +45,13 @@ fn checksum(head: &str, body: &str) -> u32 {
     crc.sum()
 }
 
-/// Opens a file of the state folder: its owner's alone, never through a link, and nothing but a regular file.
-///
-/// # Errors
-/// The operating system's, or that it is another kind of file.
-pub fn open(options: &mut OpenOptions, path: &Path) -> io::Result<File> {
-    let flags = libc::O_NOFOLLOW | libc::O_NONBLOCK;
-    let file = options.mode(0o600).custom_flags(flags).open(path)?;
-    if file.metadata()?.is_file() {
-        Ok(file)
-    } else {
-        Err(io::Error::other("this is no regular file"))
-    }
-}
-
 /// Sequence number and content of a slot; `None` if there is no such file.
 ///
 /// # Errors
 /// What is wrong with it, as the end of a sentence.
 pub fn read(path: &Path) -> Result<Option<(u64, Memory)>, String> {
     let mut text = Vec::new();
-    let opened = open(OpenOptions::new().read(true), path);
+    let opened = disk::open(OpenOptions::new().read(true), path);
     match opened.and_then(|f| f.take(SIZE as u64 + 1).read_to_end(&mut text)) {
         Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(e) => return Err(e.to_string()),

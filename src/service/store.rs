@@ -10,6 +10,7 @@
 //! in the first), one write apart. Otherwise the newest write may be missing, and the position is unknown. A damaged slot
 //! is renamed and reported.
 
+use crate::service::disk;
 use crate::service::memory::{Memory, MemoryError};
 use crate::service::slot::{self, SIZE};
 use std::fs::{DirBuilder, File, OpenOptions, Permissions};
@@ -71,11 +72,11 @@ impl Store {
         let lock_path = folder.join("lock");
         let (mut read, mut create) = (OpenOptions::new(), OpenOptions::new());
         // opened for reading only, so that the file system can still be remounted read-only
-        let lock = slot::open(read.read(true), &lock_path)
+        let lock = disk::open(read.read(true), &lock_path)
             .or_else(|e| match e.kind() {
                 io::ErrorKind::NotFound => {
-                    slot::open(create.write(true).create_new(true), &lock_path)?;
-                    slot::open(read.read(true), &lock_path)
+                    disk::open(create.write(true).create_new(true), &lock_path)?;
+                    disk::open(read.read(true), &lock_path)
                 }
                 _ => Err(e),
             })
@@ -133,7 +134,7 @@ impl Store {
     fn reserve(&self) -> io::Result<()> {
         for path in NAMES.map(|name| self.folder.join(name)) {
             if std::fs::symlink_metadata(&path).is_err() {
-                let mut file = slot::open(OpenOptions::new().write(true).create_new(true), &path)?;
+                let mut file = disk::open(OpenOptions::new().write(true).create_new(true), &path)?;
                 file.write_all(&vec![b' '; SIZE])?;
                 file.sync_all()?;
             }
@@ -161,7 +162,7 @@ impl Store {
         let slot = slot::compose(sequence, memory)?;
         let put = || -> io::Result<()> {
             let mut options = OpenOptions::new();
-            let mut file = slot::open(options.read(true).write(true).create(true), &path)?;
+            let mut file = disk::open(options.read(true).write(true).create(true), &path)?;
             file.write_all(&slot)?;
             file.set_len(SIZE as u64)?;
             file.sync_data()?;

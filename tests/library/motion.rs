@@ -2,8 +2,11 @@
 //! is exact, and the control path does not allocate.
 
 use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::TestRunner;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
+use retroflex::motion::drive::DriveLimits;
 use retroflex::motion::follow::KEEP_TICKS_MAX;
 use retroflex::motion::plan::{ChannelPlan, Plan, PlanError, PlanFault};
 use retroflex::motion::solver::{Ruckig, Solver};
@@ -620,5 +623,47 @@ fn a_tick_without_a_positive_duration_moves_nothing() {
     let mut m = default_motion();
     for dt in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         assert_eq!(m.tick([5.0; 3], dt).end().map(|s| s.position_mm), [0.0; 3]);
+    }
+}
+
+/// A motion that is on its way can hide in unchanged counts, but for no longer than the drive says.
+#[test]
+fn counts_that_stay_for_the_time_of_rest_stay_for_good() {
+    let (mut rng, mut runner) = (SmallRng::seed_from_u64(24), TestRunner::deterministic());
+    let dt_s = 0.5e-3;
+    for _ in 0..24 {
+        let c = config().new_tree(&mut runner).unwrap().current();
+        let limits = limits(&c);
+        let drive = DriveLimits {
+            limits,
+            lead_s: 0.0,
+        };
+        let step_mm = rng.random_range(0.01..0.1_f64);
+        let rest_s = drive.rest_s(step_mm);
+        let mut motion = Motion::new(&limits);
+        motion.reset([0.0; 3]);
+        let mut longest_s = 0.0_f64;
+        for _ in 0..60 {
+            // a few steps to and fro, or a long way, and the next order at any moment
+            let travel = 0.9 * c.travel_max_mm / step_mm;
+            let far = if rng.random_bool(0.3) { travel } else { 4.0 };
+            let sent = rng.random_range(-far..far).round();
+            let last = rng.random_range(1..400) + if rng.random_bool(0.2) { 40_000 } else { 0 };
+            let mut agreed_s = 0.0;
+            for _ in 0..last {
+                let end = motion.tick([sent * step_mm, 0.0, 0.0], dt_s).end();
+                if (end[0].position_mm / step_mm).round() == sent {
+                    agreed_s += dt_s;
+                } else {
+                    longest_s = longest_s.max(agreed_s);
+                    agreed_s = 0.0;
+                }
+            }
+        }
+        println!("hidden for {longest_s:.4} s, rest {rest_s:.4} s");
+        assert!(
+            longest_s > 0.0 && longest_s < rest_s,
+            "{longest_s} {rest_s} {c:?}"
+        );
     }
 }

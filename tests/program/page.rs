@@ -18,9 +18,9 @@ static ALONE: Mutex<()> = Mutex::new(());
 const STOPPED_MAX_S: f64 = 0.2;
 /// The same under a flood, in which the connection of a page may be refused and made again, s.
 const FLOODED_MAX_S: f64 = 3.0;
-/// Braking distance of a piston that crosses its backlash with 30 mm/s and brakes with 600 mm/s², 0.75 mm at 34 microsteps/mm, and
-/// what it travels until the next cycle, microsteps.
-const BRAKING_MICROSTEPS: i64 = 28;
+/// Braking distance of a piston that crosses its backlash with 30 mm/s and brakes with 600 mm/s², 0.75 mm, and what it travels
+/// until the brake acts (`DriveLimits::react_s`, 14 ms) and the cycle of the status ends, 2 ms: 1.23 mm at 34 microsteps/mm.
+const BRAKING_MICROSTEPS: i64 = 42;
 /// Time after which pistons have braked, s: 0.05 s for 30 mm/s with 600 mm/s², and a status that a loaded computer delays.
 const BRAKED_S: f64 = 0.4;
 /// The same for the command line, whose program must start.

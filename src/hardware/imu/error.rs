@@ -122,12 +122,10 @@ impl ImuError {
                 "another part is fitted: set `imu.chip.part` and `imu.chip.address` to it if it is one of those in docs/hardware.md, else fit one of them"
             }
             Self::ResetToDefaults { .. } => {
-                "its supply dipped: initialise it again and check the 3.3 V supply under motor load"
+                "its supply dipped, and it is set up again: check the 3.3 V supply under motor load"
             }
             Self::Timeout { .. } => "cycle the power of the IMU; if the error persists, replace it",
-            Self::NotReady { .. } => {
-                "initialise it first, and again after every restart of the chip"
-            }
+            Self::NotReady { .. } => "it is set up again: if that does not help, cycle its power",
         }
     }
 

@@ -1,5 +1,6 @@
 //! One MCAP file.
 
+use crate::service::disk::create_recording;
 use crate::service::flight::channels::{Channels, RATE_HZ};
 use crate::service::flight::cycle::{Cycle, encode};
 use crate::service::flight::schema::{self, ENCODING};
@@ -60,7 +61,7 @@ impl FlightFile {
     /// # Errors
     /// The operating system's, as for all that follows.
     pub fn create(path: &Path, zero_unix_ns: u64) -> McapResult<Self> {
-        let file = File::create_new(path)?;
+        let file = create_recording(path)?;
         let library = concat!("retroflex ", env!("CARGO_PKG_VERSION"));
         // a chunk reaches the file as a whole; a higher level saves little and costs more time
         let options = WriteOptions::new()

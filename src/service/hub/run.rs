@@ -6,7 +6,7 @@ use crate::service::error::ServiceError;
 use crate::service::port::{FromPort, Port};
 use crate::service::shared::Watched;
 use crate::supervisor::{CycleOutput, Mode, Order, TripCause};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
@@ -94,7 +94,7 @@ impl Hub {
             return;
         }
         *asked = Some(Instant::now());
-        let troubles = supply::troubles();
+        let troubles = supply::troubles(Path::new("/"));
         for new in troubles
             .iter()
             .flatten()

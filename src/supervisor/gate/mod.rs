@@ -198,7 +198,7 @@ impl Gate {
         self.history
             .push(input.counted, input.dt_s, input.counted_age_s);
         self.agreed_s = match input.counted == self.sent {
-            true => self.agreed_s + input.dt_s.max(0.0),
+            true => self.agreed_s + self.elapsed_s(input.dt_s),
             false => 0.0,
         };
         let tripped = self.check(input);
@@ -307,6 +307,11 @@ impl Gate {
         stale.or(disagree).or(astray).filter(|_| input.armed)
     }
 
+    /// Time that the gate counts for a tick, s: a late one causes no jump and proves no rest.
+    fn elapsed_s(&self, dt_s: f64) -> f64 {
+        dt_s.max(0.0).min(self.limits.tick_s * 2.0)
+    }
+
     /// Changes what determines the counts. The gate's own motion starts with the counted speed, where the machine can begin
     /// to brake.
     fn begin(&mut self, motion: Motion) {
@@ -325,8 +330,7 @@ impl Gate {
 
     /// Moves each piston at the speed that `wanted` states for its position (mm) and the duration of the tick (s).
     fn go(&mut self, dt_s: f64, wanted: impl Fn(f64, f64) -> f64) {
-        // a late tick does not cause a jump
-        let dt_s = dt_s.max(0.0).min(self.limits.tick_s * 2.0);
+        let dt_s = self.elapsed_s(dt_s);
         let change = self.limits.brake_mm_s2 * dt_s;
         for i in 0..3 {
             let v = self.speed_mm_s[i];

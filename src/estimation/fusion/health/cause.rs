@@ -64,7 +64,7 @@ impl HealthCause {
                 "the supply of the IMU dipped: check the 3.3 V at the tip under motor load"
             }
             Self::Frozen => {
-                "the chip responds but no longer converts: initialise it again or cycle its power"
+                "the chip responds but no longer converts, and is set up again: if that does not help, cycle its power"
             }
             Self::NotFinite => {
                 "a value is NaN or infinite: check the plant or the log that supplies it"
@@ -80,7 +80,9 @@ impl HealthCause {
                 "the sample clock jumps: use one monotonic clock for all timestamps"
             }
             Self::MagOverflow => "a strong magnet is near the tip: remove it",
-            Self::MagSilent => "the magnetometer stopped: initialise the IMU again",
+            Self::MagSilent => {
+                "the magnetometer stopped, and is set up again: if that does not help, cycle the power of the IMU"
+            }
             Self::FieldDisturbed => {
                 "iron or a current is near the tip: until it is removed the heading depends on the gyroscope"
             }
