@@ -23,6 +23,8 @@ const VALUES_MAX: usize = 90_000_000;
 /// Longest time between two rows: this, s, or this many times the usual one.
 const STEP_MAX_S: f64 = 86_400.0;
 const STEP_MAX_PERIODS: f64 = 1e4;
+/// A shorter step in the median of all is none.
+const STEP_MIN_PERIODS: f64 = 1e-6;
 /// Most bytes of a text that is read as a whole.
 const TEXT_MAX: u64 = 1 << 20;
 
@@ -437,7 +439,7 @@ impl Table {
                 );
                 return Err(self.refuse(row, name, &t[row].to_string(), &expected));
             }
-            if t[row] <= before_s {
+            if t[row] - before_s <= STEP_MIN_PERIODS * usual_s.max(0.0) {
                 let (file, line, now_s) = (self.file.clone(), self.lines[row], t[row]);
                 let column = name.to_owned();
                 return Err(ReadError::Clock {

@@ -27,8 +27,8 @@ pub fn shown(key: &str) -> String {
     key.split('.').fold(String::new(), |mut out, part| {
         let dot = if out.is_empty() { "" } else { "." };
         // writing to a string cannot fail
-        let _ = match part.parse::<usize>() {
-            Ok(index) => write!(out, "[{}]", index + 1),
+        let _ = match part.parse::<u32>() {
+            Ok(index) => write!(out, "[{}]", u64::from(index) + 1),
             Err(_) => write!(out, "{dot}{part}"),
         };
         out
@@ -86,6 +86,10 @@ impl At<'_> {
                 String::new()
             } else {
                 format!(" {unit}")
+            };
+            let value = match value.abs() {
+                0.0 | 1e-6..1e9 => value.to_string(),
+                _ => format!("{value:e}"),
             };
             let problem = format!(
                 "{value}{unit} is outside {} to {}{unit}",

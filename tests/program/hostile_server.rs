@@ -9,8 +9,9 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Longest time of a command, with the start of a process on a busy computer.
-const COMMAND_MAX: Duration = Duration::from_secs(8);
+/// Longest time of a command, and that of `stop`. Who is late among others on a busy computer is asked again alone.
+const COMMAND_MAX: Duration = Duration::from_secs(3);
+const STOP_MAX: Duration = Duration::from_secs(1);
 
 #[derive(Debug, Clone, Copy)]
 enum Server {
@@ -119,10 +120,21 @@ fn every_command_ends_whatever_listens() {
                 .map(|command| (command, scope.spawn(|| run(command))))
                 .collect();
             for (command, one) in all {
-                let (output, took) = one.join().unwrap();
+                let (output, mut took) = one.join().unwrap();
+                let most = if *command == "stop" {
+                    STOP_MAX
+                } else {
+                    COMMAND_MAX
+                };
+                for _ in 0..3 {
+                    if took < most {
+                        break;
+                    }
+                    took = run(command).1;
+                }
                 let error = String::from_utf8_lossy(&output.stderr);
                 println!("{server:?} {command}: {took:.1?} {error}");
-                assert!(took < COMMAND_MAX, "{server:?} {command}: {took:.1?}");
+                assert!(took < most, "{server:?} {command}: {took:.1?}");
                 assert_eq!(
                     output.status.code(),
                     Some(3),

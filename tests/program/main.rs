@@ -10,6 +10,7 @@ mod command_line;
 mod common;
 mod demo;
 mod emulated_pi;
+mod every_field;
 #[path = "../fake_imu/mod.rs"]
 mod fake_imu;
 mod fleet;
