@@ -4,7 +4,7 @@ use crate::cli::{CommandOutcome, inputs, output};
 use crate::config::{Board, PressureBound};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::{Sensor, slowness};
-use crate::hardware::pins::{self, Backend};
+use crate::hardware::pins;
 use crate::hardware::rt::{self, Grant, RtRequest};
 use crate::hardware::supply;
 use crate::service::disk::free_bytes;
@@ -160,18 +160,10 @@ fn devices(board: &Board) -> Vec<Finding> {
         findings.push(device(&format!("{what}, bus"), &imu.bus, remedy));
         findings.extend(bus_speed(&imu.bus));
     }
-    if let Some(pins) = &board.pins
-        && let Some(path) = pins::device(pins)
-    {
-        let remedy = match pins.backend {
-            Backend::Rppal => {
-                "join the group gpio; if there is no such file, set pins.backend = \"cdev\""
-            }
-            _ => {
-                "join the group gpio; on a Raspberry Pi 5 with an older kernel the header is /dev/gpiochip4"
-            }
-        };
-        findings.push(device("pins", path, remedy));
+    match board.pins.as_ref().map(pins::probe) {
+        Some(Ok(Some(path))) => findings.push(Finding::pass("pins", path)),
+        Some(Err(e)) => findings.push(Finding::fail("pins", e.to_string(), "")),
+        Some(Ok(None)) | None => {}
     }
     let Some(machine) = board.hardware() else {
         return findings;

@@ -98,6 +98,35 @@ fn hardware_that_is_not_there_is_exit_code_3_with_words() {
                 .iter()
                 .for_each(|w| assert!(said.contains(w), "`{w}` is not in: {said}"));
         };
+        // what a jog cannot open, the doctor does not pass
+        let doctor = |board: &str, words: &[&str]| {
+            let said = flat(&run(rig, &["doctor", "--board", board]).1);
+            println!("{said}");
+            assert!(said.contains("FAIL pins"), "{said}");
+            words
+                .iter()
+                .for_each(|w| assert!(said.contains(w), "`{w}` is not in: {said}"));
+        };
+        let chip = "chip = \"/dev/gpiochip0\"";
+        for (label, path, words) in [
+            ("pinctrl-rp1", "/dev/gpiochip0", &["\"pinctrl-rp1\""][..]),
+            (
+                "pinctrl-bcm9",
+                "/dev/gpiochip0",
+                &["\"pinctrl-bcm9\"", "pins.chip_label"],
+            ),
+            ("", "/dev/gpiochip9", &["no GPIO chip at /dev/gpiochip9"]),
+            ("", "/dev/zero", &["/dev/zero is not a GPIO chip"]),
+        ] {
+            let (other, label) = (
+                format!("chip = \"{path}\""),
+                format!("chip_label = \"{label}\""),
+            );
+            let keys = [(chip, other.as_str()), ("chip_label = \"\"", &label)];
+            let board = variant(rig, "linux-gpiochip", &keys);
+            jog(&board, words);
+            doctor(&board, words);
+        }
         rig.world().chip.held.insert(27, "spi0 CS1");
         jog(
             &board,

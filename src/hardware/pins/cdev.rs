@@ -48,22 +48,7 @@ impl<K: Kernel> CdevPins<K> {
     /// # Errors
     /// As [`CdevPins::open`].
     pub fn open_with(kernel: K, path: &str, label: &str, map: LineMap) -> Result<Self, PinError> {
-        let (chip, ChipInfo { lines, label: have }) =
-            kernel.open(path).map_err(|e| open_error(e, path))?;
-        if !have.starts_with(label) {
-            let is_wanted = |path: &String| {
-                let opened = kernel.open(path);
-                opened.is_ok_and(|(_, info)| info.label.starts_with(label))
-            };
-            return Err(PinError::OtherChip {
-                path: path.into(),
-                have,
-                want: label.into(),
-                at: (0..CHIPS_MAX)
-                    .map(|n| format!("/dev/gpiochip{n}"))
-                    .find(is_wanted),
-            });
-        }
+        let (chip, lines) = chip(&kernel, path, label)?;
         let requested = map
             .outputs()
             .iter()
@@ -150,6 +135,35 @@ impl<K: Kernel> Pins for CdevPins<K> {
         let bits = self.kernel.get(lines, mask).map_err(PinError::io("read"))?;
         Ok(self.map.inputs_from(bits))
     }
+}
+
+/// Opens the chip at `path`, whose label begins with `label`. Returns the number of its lines too.
+fn chip<K: Kernel>(kernel: &K, path: &str, label: &str) -> Result<(K::Chip, u32), PinError> {
+    let (chip, ChipInfo { lines, label: have }) =
+        kernel.open(path).map_err(|e| open_error(e, path))?;
+    if have.starts_with(label) {
+        return Ok((chip, lines));
+    }
+    let is_wanted = |path: &String| {
+        let opened = kernel.open(path);
+        opened.is_ok_and(|(_, info)| info.label.starts_with(label))
+    };
+    Err(PinError::OtherChip {
+        path: path.into(),
+        have,
+        want: label.into(),
+        at: (0..CHIPS_MAX)
+            .map(|n| format!("/dev/gpiochip{n}"))
+            .find(is_wanted),
+    })
+}
+
+/// Opens the chip at `path` as [`CdevPins::open`] does, and requests no line.
+///
+/// # Errors
+/// [`PinError`]: no chip, another chip, or no permission.
+pub fn probe(path: &str, label: &str) -> Result<(), PinError> {
+    chip(&Uapi, path, label).map(|_| ())
 }
 
 /// Whether an earlier program left the EN lines driven at the level that energises the drivers.

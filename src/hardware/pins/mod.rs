@@ -47,11 +47,12 @@ pub fn open(config: &PinsConfig, microsteps: u32) -> Result<Box<dyn Pins>, OpenE
         )?)),
         #[cfg(feature = "hw")]
         Backend::Rppal => {
-            let missing = device(config).filter(|path| !std::path::Path::new(path).exists());
+            // without the device, rppal may still reach the registers through /dev/mem
             let opened = rppal::open(map);
-            Ok(Box::new(opened.map_err(|e| match (e, missing) {
-                (e @ PinError::UnknownModel, _) | (e, None) => e,
-                (_, Some(path)) => PinError::NoRegisters(path.to_owned()),
+            Ok(Box::new(opened.map_err(|e| match (e, probe(config)) {
+                (e @ PinError::UnknownModel, _) => e,
+                (_, Err(missing @ PinError::NoRegisters(_))) => missing,
+                (e, _) => e,
             })?))
         }
         #[cfg(not(feature = "hw"))]
@@ -59,18 +60,31 @@ pub fn open(config: &PinsConfig, microsteps: u32) -> Result<Box<dyn Pins>, OpenE
     }
 }
 
-/// The device file that the configured backend opens, if any.
-pub fn device(config: &PinsConfig) -> Option<&str> {
-    match config.backend {
-        Backend::Mock => None,
-        Backend::Cdev => Some(&config.chip),
+/// Opens the device that the configured backend opens, and touches no line. Returns its path, if there is one.
+///
+/// # Errors
+/// [`PinError`]: no device, another chip, or no permission.
+pub fn probe(config: &PinsConfig) -> Result<Option<&str>, PinError> {
+    let path = match config.backend {
+        Backend::Mock => return Ok(None),
+        Backend::Cdev => {
+            cdev::probe(&config.chip, &config.chip_label)?;
+            return Ok(Some(&config.chip));
+        }
         // the registers of the RP1, which holds the header of a Raspberry Pi 5
         Backend::Rppal => {
             let model = std::fs::read_to_string("/proc/device-tree/model").unwrap_or_default();
             let rp1 = model.contains("Raspberry Pi 5") || model.contains("Compute Module 5");
-            Some(if rp1 { "/dev/gpiomem0" } else { "/dev/gpiomem" })
+            if rp1 { "/dev/gpiomem0" } else { "/dev/gpiomem" }
         }
-    }
+    };
+    let opened = std::fs::File::options().read(true).write(true).open(path);
+    opened.map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound => PinError::NoRegisters(path.to_owned()),
+        std::io::ErrorKind::PermissionDenied => PinError::PermissionDenied(path.to_owned()),
+        _ => PinError::io("open")(e),
+    })?;
+    Ok(Some(path))
 }
 
 /// Why [`open`] failed: an invalid board file (exit code 2) or the hardware (exit code 3).
