@@ -1,23 +1,25 @@
 //! `retroflex board`: a file with everything that it leaves out, and whether a board is safe to run.
 
+use crate::cli::output::ResultFile;
 use crate::cli::{CommandOutcome, inputs, output};
-use crate::config::{Calibration, Gains, Header, PressureBound};
-use crate::config::{shipped, show};
+use crate::config::show::whole;
+use crate::config::{Calibration, Gains, Header, PressureBound, shipped};
 use crate::primitives::{Check, Parameters};
 use crate::report::wiring::{self, Device, Wire};
 use miette::{Result, bail};
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 
-/// Boards, gains and calibrations.
-#[derive(Debug, clap::Subcommand)]
-pub enum BoardCommand {
+commands! {
+    /// Boards, gains and calibrations.
+    pub enum BoardCommand;
+
     /// Print a whole file as TOML, with the meaning, unit, default and range of every key.
-    Show(ShowArgs),
+    Show(ShowArgs) => show,
     /// Draw the wiring of a board as SVG.
-    Draw(DrawArgs),
+    Draw(DrawArgs) => draw,
     /// Check a board: its file, and that the pressure stays bounded if the program fails.
-    Check(CheckArgs),
+    Check(CheckArgs) => check,
 }
 
 /// Arguments of `board check`.
@@ -34,7 +36,7 @@ pub struct DrawArgs {
     board: PathBuf,
     /// File of the drawing (`-`: standard output).
     #[arg(long, value_name = "FILE", default_value = "-")]
-    svg: PathBuf,
+    svg: ResultFile,
 }
 
 /// Arguments of `board show`.
@@ -50,23 +52,14 @@ pub struct ShowArgs {
     calib: bool,
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// A report on a file that cannot be used.
-pub fn run(command: &BoardCommand) -> Result<CommandOutcome> {
-    let args = match command {
-        BoardCommand::Show(args) => args,
-        BoardCommand::Check(args) => return check(&args.board),
-        BoardCommand::Draw(args) => return draw(args),
-    };
+fn show(args: &ShowArgs) -> Result<CommandOutcome> {
     let file = args.file.as_deref();
     let text = if args.gains {
         page::<Gains>(file, shipped::GAINS)?
     } else if args.calib {
         page::<Calibration>(file, shipped::PAPER)?
     } else {
-        show::whole(&inputs::board(file)?)
+        whole(&inputs::board(file)?)
     };
     output::print(&text);
     Ok(CommandOutcome::Good)
@@ -74,7 +67,6 @@ pub fn run(command: &BoardCommand) -> Result<CommandOutcome> {
 
 /// Draws the drivers, the IMU and the emergency stop of a board at the lines that it names.
 fn draw(args: &DrawArgs) -> Result<CommandOutcome> {
-    output::check(&[("--svg", Some(&args.svg))], &[&args.board])?;
     let board = inputs::board(Some(&args.board))?;
     let path = args.board.display();
     let Some(pins) = &board.pins else {
@@ -119,8 +111,8 @@ fn draw(args: &DrawArgs) -> Result<CommandOutcome> {
 }
 
 /// Exit code 1 if nothing outside the program bounds the pressure.
-fn check(path: &Path) -> Result<CommandOutcome> {
-    let board = inputs::board(Some(path))?;
+fn check(args: &CheckArgs) -> Result<CommandOutcome> {
+    let board = inputs::board(Some(&args.board))?;
     let bound = PressureBound::of(&board);
     output::print(format!("file      consistent\npressure  {bound}\n"));
     Ok(bound.is_bounded().into())
@@ -131,5 +123,5 @@ fn page<T: DeserializeOwned + Check + Parameters>(
     file: Option<&Path>,
     own: (&str, &str),
 ) -> Result<String> {
-    Ok(show::whole(&inputs::read_or::<T>(file, own)?))
+    Ok(whole(&inputs::read_or::<T>(file, own)?))
 }

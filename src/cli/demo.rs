@@ -1,7 +1,8 @@
 //! `retroflex demo`: the service on the simulated tip, a leak, its diagnosis and its remedy, each step by the command that
 //! a user would type.
 
-use crate::cli::{CommandOutcome, Unreachable, output};
+use crate::cli::output::{self, ResultFile};
+use crate::cli::{CommandOutcome, Unreachable};
 use crate::drill::process::daemon::Daemon;
 use miette::{IntoDiagnostic, Result, miette};
 use serde_json::Value;
@@ -20,7 +21,7 @@ pub const SCHEDULE: &str = include_str!("demo.csv");
 pub struct Args {
     /// Report of the diagnosis, one printable page.
     #[arg(long, value_name = "FILE", default_value = "retroflex-demo.html")]
-    html: PathBuf,
+    html: ResultFile,
 }
 
 /// Runs the command.
@@ -28,7 +29,6 @@ pub struct Args {
 /// # Errors
 /// A report that names the step that failed.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    output::check(&[("--html", Some(&args.html))], &[])?;
     let report = args.html.display();
     let scratch = output::Scratch::new("demo")?;
     let program = std::env::current_exe().into_diagnostic()?;

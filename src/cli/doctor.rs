@@ -1,6 +1,7 @@
 //! `retroflex doctor`: compares this computer with the board file. Each line passes, warns or fails, and names the remedy.
 
-use crate::cli::{CommandOutcome, inputs, output};
+use crate::cli::output::{self, ResultFile};
+use crate::cli::{CommandOutcome, inputs};
 use crate::config::{Board, PressureBound};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::{Sensor, slowness};
@@ -22,7 +23,7 @@ pub struct Args {
     board: Option<PathBuf>,
     /// Write the lines as JSON to this file (`-`: standard output).
     #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
+    json: Option<ResultFile>,
 }
 
 /// Result of one check.
@@ -101,13 +102,10 @@ impl Finding {
 /// # Errors
 /// A report that names what is wrong with the board file.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let files: Vec<&Path> = args.board.iter().map(PathBuf::as_path).collect();
-    output::check(&[("--json", args.json.as_deref())], &files)?;
     let board = inputs::board(args.board.as_deref())?;
     let findings = examine(&board);
-    output::json(args.json.as_deref(), &findings)?;
     let text: String = findings.iter().map(Finding::line).collect();
-    output::show(&text, args.json.as_deref());
+    output::answer(&args.json, &findings, text)?;
     let failed = findings.iter().any(|f| f.verdict == Verdict::Fail);
     Ok(CommandOutcome::from(!failed))
 }

@@ -4,15 +4,39 @@
 
 use crate::config::Calibration;
 use crate::hardware::rt;
-pub use crate::report::table::table;
+use crate::report::table;
+use clap::ArgMatches;
+use comfy_table::{Row, Table};
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, Result, bail, miette};
 use serde::Serialize;
 use signal_hook::iterator::Signals;
 use std::borrow::Cow;
+use std::ffi::OsString;
+use std::fmt;
 use std::io::{Read, Write};
+use std::ops::{Deref, Range};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+
+/// The file of a result, as an option of a command names it; `-` is standard output. Every argument that is a path of another type is
+/// an input. Before a command runs, [`check_arguments`] protects the inputs from its results.
+#[derive(Debug, Clone)]
+pub struct ResultFile(PathBuf);
+
+impl From<OsString> for ResultFile {
+    fn from(path: OsString) -> Self {
+        Self(path.into())
+    }
+}
+
+impl Deref for ResultFile {
+    type Target = Path;
+
+    fn deref(&self) -> &Path {
+        &self.0
+    }
+}
 
 /// A temporary folder, which is removed at the end and on a signal that ends the program.
 pub struct Scratch(pub PathBuf);
@@ -102,13 +126,49 @@ pub fn exit_on_print_failure() {
     }));
 }
 
-/// Prints text for people on standard output, or on standard error if `json` occupies standard output.
-pub fn show(text: &str, json: Option<&Path>) {
-    if json.is_some_and(is_stdout) {
-        eprint!("{text}");
-    } else {
-        print(text);
+/// Prints text for people on standard output, or on standard error if a result occupies standard output.
+pub fn show(text: impl fmt::Display, result: &Option<ResultFile>) {
+    match result.as_deref().is_some_and(is_stdout) {
+        true => eprint!("{text}"),
+        false => print(text.to_string()),
     }
+}
+
+/// A table for the terminal. `header` has the names of the columns between bars; the columns `numbers` are aligned to the right.
+pub fn table<R: Into<Row>>(
+    header: &str,
+    numbers: Range<usize>,
+    rows: impl IntoIterator<Item = R>,
+) -> Table {
+    table::table(&columns(header), numbers, rows)
+}
+
+/// The names of columns between bars.
+pub fn columns(header: &str) -> Vec<&str> {
+    header.split('|').collect()
+}
+
+/// [`check`] of the results and the inputs among the arguments of a command.
+///
+/// # Errors
+/// As for [`check`].
+pub fn check_arguments(mut arguments: &ArgMatches) -> Result<()> {
+    while let Some((_, inner)) = arguments.subcommand() {
+        arguments = inner;
+    }
+    let names = || arguments.ids().map(clap::Id::as_str);
+    let results = names().filter_map(|name| {
+        let file = arguments.try_get_one::<ResultFile>(name).ok()??;
+        Some((format!("--{name}"), file))
+    });
+    let results: Vec<(String, &ResultFile)> = results.collect();
+    let inputs = names().filter_map(|name| arguments.try_get_many::<PathBuf>(name).ok()?);
+    let inputs: Vec<&Path> = inputs.flatten().map(PathBuf::as_path).collect();
+    let results: Vec<_> = results
+        .iter()
+        .map(|(name, file)| (&**name, Some(&***file)))
+        .collect();
+    check(&results, &inputs)
 }
 
 /// Checks, before any work starts, that every result can be written and that none replaces an input.
@@ -231,14 +291,40 @@ fn same_file(a: &Path, b: &Path) -> bool {
     a.is_file() && (a.dev(), a.ino()) == (b.dev(), b.ino())
 }
 
-/// Writes a value as indented JSON, if a path is given.
+/// Writes a result, if its file is named.
+///
+/// # Errors
+/// That of the content, or as [`write()`].
+pub fn write_some<T: AsRef<[u8]>>(
+    file: &Option<ResultFile>,
+    content: impl FnOnce() -> Result<T>,
+) -> Result<()> {
+    file.as_deref()
+        .map_or(Ok(()), |path| write(path, content()?))
+}
+
+/// Writes a value as indented JSON, if a file is named.
 ///
 /// # Errors
 /// As [`write()`].
-pub fn json(path: Option<&Path>, value: &impl Serialize) -> Result<()> {
-    let Some(path) = path else { return Ok(()) };
-    let text = serde_json::to_string_pretty(value).into_diagnostic()?;
-    write(path, &(text + "\n"))
+pub fn json(file: &Option<ResultFile>, value: &impl Serialize) -> Result<()> {
+    write_some(file, || {
+        Ok(serde_json::to_string_pretty(value).into_diagnostic()? + "\n")
+    })
+}
+
+/// The answer of a command: as JSON, if a file is named, and for people.
+///
+/// # Errors
+/// As [`write()`].
+pub fn answer(
+    file: &Option<ResultFile>,
+    value: &impl Serialize,
+    text: impl fmt::Display,
+) -> Result<()> {
+    json(file, value)?;
+    show(text, file);
+    Ok(())
 }
 
 /// Writes a file atomically: to a temporary file in the same folder, which then replaces the old one.

@@ -170,13 +170,6 @@ pub fn aligned(connection: &mut Connection) -> Result<CommandOutcome> {
 /// # Errors
 /// A report with the service's message.
 pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
-    output::check(
-        &[
-            ("--json", args.json.as_deref()),
-            ("--html", args.html.as_deref()),
-        ],
-        &[],
-    )?;
     let mut connection = connect(&args.at)?;
     let action = match (args.accept, args.discard, args.short) {
         (true, ..) => CalibrateAction::Accept,
@@ -184,15 +177,8 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
         (.., true) => CalibrateAction::Short,
         _ => CalibrateAction::Full,
     };
-    if ask(
-        &mut connection,
-        &Request::Calibrate {
-            action,
-            poses: args.poses,
-        },
-    )?
-    .is_none()
-    {
+    let poses = args.poses;
+    if ask(&mut connection, &Request::Calibrate { action, poses })?.is_none() {
         return Ok(NotGoodEnough);
     }
     if args.accept || args.discard {
@@ -220,7 +206,6 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
     bar.finish_and_clear();
     let outcome = outcome?;
     if outcome == Good {
-        output::json(args.json.as_deref(), &last["proposed"])?;
         show_gains(&last, args)?;
         eprintln!(
             "apply them with `retroflex calibrate transmission --accept`, or discard them with `--discard`"
@@ -239,31 +224,20 @@ fn show_gains(s: &Value, args: &TransmissionArgs) -> Result<()> {
         let ([k_now, k], [l_now, l]) = (pair("k_epsilon", i), pair("k_lambda_mm", i));
         [(i + 1).to_string(), k_now, k, l_now, l]
     };
-    let (header, rows) = (
-        [
-            "line",
-            "k_epsilon in use",
-            "proposed",
-            "k_lambda in use, mm",
-            "proposed, mm",
-        ],
-        [0, 1, 2].map(row),
-    );
-    let number = |key: &str| s["proposed"][key].as_f64().unwrap_or(0.0);
-    let dynamics = format!(
-        "lag {:.3} s, dead time {:.3} s",
-        number("lag_s"),
-        number("delay_s")
-    );
-    if let Some(path) = &args.html {
+    let header = "line|k_epsilon in use|proposed|k_lambda in use, mm|proposed, mm";
+    let rows = [0, 1, 2].map(row);
+    let [lag_s, delay_s] =
+        ["lag_s", "delay_s"].map(|key| s["proposed"][key].as_f64().unwrap_or(0.0));
+    let dynamics = format!("lag {lag_s:.3} s, dead time {delay_s:.3} s");
+    output::write_some(&args.html, || {
         let mut page = Page::new("Proposed gains of the transmission");
-        page.table(&header, &rows);
+        page.table(&output::columns(header), &rows);
         page.text(&dynamics);
-        output::write(path, page.html())?;
-    }
-    output::show(
-        &format!("{}\n{dynamics}\n", output::table(&header, 1..5, rows)),
-        args.json.as_deref(),
+        Ok(page.html())
+    })?;
+    let text = format!(
+        "{}\n{dynamics}\n",
+        output::table(header, 1..5, rows.clone())
     );
-    Ok(())
+    output::answer(&args.json, &s["proposed"], text)
 }

@@ -21,7 +21,6 @@ const WIDTH: usize = 80;
 /// # Errors
 /// A report with the service's message.
 pub fn status(args: &StatusArgs) -> Result<CommandOutcome> {
-    output::check(&[("--json", args.json.as_deref())], &[])?;
     let mut connection = connect(&args.at)?;
     let redraw = args.watch && args.json.is_none() && std::io::stdout().is_terminal();
     loop {

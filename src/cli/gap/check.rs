@@ -1,6 +1,7 @@
 //! `retroflex gap check`: a saved model on a fresh log.
 
 use crate::cli::gap::input;
+use crate::cli::output::ResultFile;
 use crate::cli::{CommandOutcome, output};
 use crate::diagnosis::check::{Checked, Judgement, check};
 use crate::model::effects::catalogue;
@@ -14,12 +15,11 @@ pub struct Args {
     model: PathBuf,
     /// Fresh bend log of the same unit.
     log: PathBuf,
-    /// Board file of the machine; default: the machine of the paper.
-    #[arg(long, value_name = "FILE.toml")]
-    board: Option<PathBuf>,
+    #[command(flatten)]
+    machine: input::MachineArgs,
     /// Write the result as JSON.
     #[arg(long)]
-    json: Option<PathBuf>,
+    json: Option<ResultFile>,
 }
 
 /// Checks and writes.
@@ -27,14 +27,10 @@ pub struct Args {
 /// # Errors
 /// A report that names the faulty input.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let mut inputs = vec![args.model.as_path(), args.log.as_path()];
-    inputs.extend(args.board.as_deref());
-    output::check(&[("--json", args.json.as_deref())], &inputs)?;
     let model = input::saved(&args.model)?;
-    let log = input::observe(&args.log, &input::rig(args.board.as_deref())?)?;
+    let log = input::observe(&args.log, &args.machine.rig()?)?;
     let checked = check(&model, &log, &catalogue());
-    output::json(args.json.as_deref(), &checked)?;
-    output::show(&said(&checked), args.json.as_deref());
+    output::answer(&args.json, &checked, said(&checked))?;
     Ok((checked.judgement == Judgement::ThisMachine).into())
 }
 

@@ -1,6 +1,7 @@
 //! `retroflex gap compare`: the user's own simulator beside a log.
 
 use crate::cli::gap::input;
+use crate::cli::output::ResultFile;
 use crate::cli::{CommandOutcome, inputs, logging, output};
 use crate::diagnosis::chain::Motion;
 use crate::diagnosis::diagnose::{diagnose, goes_with};
@@ -15,7 +16,7 @@ use crate::simulation::link::Link;
 use crate::simulation::world::World as _;
 use miette::{IntoDiagnostic, Result};
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Arguments of `gap compare`.
 #[derive(Debug, clap::Args)]
@@ -28,18 +29,14 @@ pub struct Args {
     /// Parameter of the program to be fitted, and its range; the program is started with `--param NAME=VALUE`. May be repeated.
     #[arg(long, value_name = "NAME=LOW:HIGH", value_parser = knob)]
     fit: Vec<Knob>,
-    /// Board file of the machine; default: the machine of the paper.
-    #[arg(long, value_name = "FILE.toml")]
-    board: Option<PathBuf>,
-    /// Calibration the log was driven with.
-    #[arg(long)]
-    calib: Option<PathBuf>,
+    #[command(flatten)]
+    driven: input::DrivenArgs,
     /// Write the result as JSON.
     #[arg(long)]
-    json: Option<PathBuf>,
+    json: Option<ResultFile>,
     /// Write what the simulator leaves of each sensor.
     #[arg(long, value_name = "FILE.parquet")]
-    residuals: Option<PathBuf>,
+    residuals: Option<ResultFile>,
     /// Seed of the block bootstrap of the diagnosis.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -102,25 +99,14 @@ struct ParamEntry {
 /// # Errors
 /// A report that names the faulty input, or says what the program did.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let results = [
-        ("--json", args.json.as_deref()),
-        ("--residuals", args.residuals.as_deref()),
-    ];
-    let mut read = vec![args.log.as_path()];
-    read.extend(args.board.as_deref());
-    read.extend(args.calib.as_deref());
-    output::check(&results, &read)?;
-    let lines = inputs::calibration(args.calib.as_deref())?.lines();
-    let log = input::observe(&args.log, &input::rig(args.board.as_deref())?)?;
+    let lines = args.driven.lines()?;
+    let log = input::observe(&args.log, &args.driven.machine.rig()?)?;
     let (name, compared) = simulated(args, &log)?;
     let diagnosis = diagnose(&log, &catalogue(), &lines, args.seed).document;
     let document = document(args, &log, name, &compared, &diagnosis);
-    if let Some(path) = &args.residuals {
-        write_residuals(path, &log, &compared)?;
-    }
-    output::json(args.json.as_deref(), &document)?;
+    output::write_some(&args.residuals, || residuals(&log, &compared))?;
     let (text, good) = said(&document);
-    output::show(&text, args.json.as_deref());
+    output::answer(&args.json, &document, text)?;
     Ok(good.into())
 }
 
@@ -212,11 +198,10 @@ fn said(d: &Document) -> (String, bool) {
         );
     }
     if !fits {
-        for d in &d.goes_with {
-            let part = d.share * 100.0;
+        for DependenceEntry { name, share, .. } in &d.goes_with {
+            let part = share * 100.0;
             text += &format!(
-                "What remains goes with the {}, which predicts {part:.0} % of it in one sensor.\n",
-                d.name
+                "What remains goes with the {name}, which predicts {part:.0} % of it in one sensor.\n"
             );
         }
     }
@@ -226,16 +211,13 @@ fn said(d: &Document) -> (String, bool) {
             [k.rmse_deg, k.nominal_deg, k.diagnosed_deg].map(|x| format!("{x:.2}{unit}"));
         [k.name.to_owned(), a, b, c]
     };
-    let header = ["left-out RMSE", "simulator", "nominal", "diagnosed"];
-    text += &format!(
-        "{}\n",
-        output::table(&header, 1..4, d.plant.kinds.iter().map(row))
-    );
-    (text, fits || left < d.nominal_deg)
+    let header = "left-out RMSE|simulator|nominal|diagnosed";
+    let table = output::table(header, 1..4, d.plant.kinds.iter().map(row));
+    (format!("{text}{table}\n"), fits || left < d.nominal_deg)
 }
 
 /// A row for each bin: time, counted pistons and, of each sensor, what the simulator leaves, degrees (°/s for the gyroscope).
-fn write_residuals(path: &Path, log: &Observed, compared: &Compared) -> Result<()> {
+fn residuals(log: &Observed, compared: &Compared) -> Result<Vec<u8>> {
     let of =
         |value: &dyn Fn(usize) -> f64| Column::Numbers((0..log.bins.len()).map(value).collect());
     let mut table = vec![("time_s".to_owned(), of(&|k| log.bins[k].t_s))];
@@ -244,11 +226,7 @@ fn write_residuals(path: &Path, log: &Observed, compared: &Compared) -> Result<(
         table.push((format!("piston{}_mm", i + 1), of(&piston)));
     }
     for q in log.quantities() {
-        let unit = if q.name() == "gyroscope" {
-            "deg_s"
-        } else {
-            "deg"
-        };
+        let unit = ["deg", "deg_s"][usize::from(q.name() == "gyroscope")];
         for (i, axis) in ["x", "y", "z"].into_iter().enumerate() {
             let value = |k: usize| match log.bins[k].weight[q] > 0.0 {
                 true => compared.held_out.residual[q][k][i].to_degrees(),
@@ -257,5 +235,5 @@ fn write_residuals(path: &Path, log: &Observed, compared: &Compared) -> Result<(
             table.push((format!("{}_{axis}_{unit}", q.name()), of(&value)));
         }
     }
-    output::write(path, columns::write(&table, &[]).into_diagnostic()?)
+    columns::write(&table, &[]).into_diagnostic()
 }

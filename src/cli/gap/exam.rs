@@ -1,6 +1,7 @@
 //! `retroflex gap exam`: tests the diagnosis on logs of the built-in plant.
 
-use crate::cli::{CommandOutcome, output};
+use crate::cli::CommandOutcome;
+use crate::cli::output::{self, ResultFile};
 use crate::diagnosis::decide::VerdictKind;
 use crate::diagnosis::document::Diagnosis;
 use crate::diagnosis::exam::question::{Question, questions};
@@ -9,14 +10,13 @@ use crate::diagnosis::exam::score::{Count, ExamScore, Method, ReliabilityBin, Ro
 use crate::model::effects::catalogue;
 use miette::{IntoDiagnostic, Result};
 use serde::Serialize;
-use std::path::PathBuf;
 
 /// Arguments of `gap exam`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Write the score and every answer as JSON.
     #[arg(long)]
-    json: Option<PathBuf>,
+    json: Option<ResultFile>,
     /// Seed of units, schedules, effects and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -55,7 +55,6 @@ struct Document<'a> {
 /// # Errors
 /// A report if a file cannot be written.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    output::check(&[("--json", args.json.as_deref())], &[])?;
     let asked: Vec<Question> = questions(args.seed, args.rounds.max(1))
         .into_iter()
         .step_by(args.every.max(1))
@@ -66,13 +65,15 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         answer_all(&asked, Question::draw, &catalogue(), || bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
     let score = score(args.seed, &asked, &answers);
-    output::show(&(summary(&score) + "\n"), args.json.as_deref());
-    output::json(
-        args.json.as_deref(),
+    let text = summary(&score) + "\n";
+    let logs = asked.iter().zip(&answers).map(line).collect();
+    output::answer(
+        &args.json,
         &Document {
             score: &score,
-            logs: asked.iter().zip(&answers).map(line).collect(),
+            logs,
         },
+        text,
     )?;
     Ok(CommandOutcome::Good)
 }
@@ -93,10 +94,9 @@ fn line<'a>((q, a): (&'a Question, &'a Answer)) -> Line<'a> {
 }
 
 fn share(c: &Count) -> String {
-    if c.of == 0 {
-        "–".to_owned()
-    } else {
-        format!("{:.0} % of {}", c.share() * 100.0, c.of)
+    match c.of {
+        0 => "–".to_owned(),
+        of => format!("{:.0} % of {of}", c.share() * 100.0),
     }
 }
 
@@ -116,8 +116,10 @@ pub fn summary(s: &ExamScore) -> String {
 
 /// Table of the diagnosis alone.
 fn own(s: &ExamScore) -> comfy_table::Table {
-    let row = |name: &str, r: &Row| [name.to_owned(), share(&r.lab), share(&r.field)];
-    let percent = |x: f64| format!("{:.0} %", x * 100.0);
+    let both = |name: &str, lab: String, field: String| [name.to_owned(), lab, field];
+    let row = |name: &str, r: &Row| both(name, share(&r.lab), share(&r.field));
+    let all = |name: &str, count: &Count| both(name, share(count), String::new());
+    let [lab, field] = s.fresh_closed.map(|x| format!("{:.0} %", x * 100.0));
     let rows = [
         row("single effect named", &s.diagnosis.single),
         row("stage with the largest share", &s.stage),
@@ -129,59 +131,45 @@ fn own(s: &ExamScore) -> comfy_table::Table {
         row("removed from the catalogue: unknown", &s.left_out),
         row("95 % sets of statements that hold", &s.conformal),
         row("stated intervals that hold", &s.coverage),
-        [
-            "known effects called unknown".to_owned(),
-            share(&s.known_called_unknown),
-            String::new(),
-        ],
-        [
-            "logs with a group of equivalent effects".to_owned(),
-            share(&s.grouped),
-            String::new(),
-        ],
-        [
-            "gap closed on a fresh log, median".to_owned(),
-            percent(s.fresh_closed[0]),
-            percent(s.fresh_closed[1]),
-        ],
+        all("known effects called unknown", &s.known_called_unknown),
+        all("logs with a group of equivalent effects", &s.grouped),
+        both("gap closed on a fresh log, median", lab, field),
     ];
-    output::table(&["", "lab", "field"], 1..3, rows)
+    output::table("|lab|field", 1..3, rows)
 }
 
 /// Table of stated probabilities and frequencies.
 fn reliability(s: &ExamScore) -> comfy_table::Table {
     let row = |what: &str, b: &ReliabilityBin| {
-        let [low, high] = b.ci95;
-        [
-            what.to_owned(),
+        let [low, high] = b.ci95.map(|share| share * 100.0);
+        let (stated, within) = (
             format!("{:.2}", b.stated),
-            share(&b.count),
-            format!("{:.0} to {:.0} %", low * 100.0, high * 100.0),
-        ]
+            format!("{low:.0} to {high:.0} %"),
+        );
+        [what.to_owned(), stated, share(&b.count), within]
     };
     let effects = s.effects.bins.iter().map(|b| row("an effect", b));
-    let rows: Vec<[String; 4]> = effects
-        .chain(s.unknown.bins.iter().map(|b| row("unknown", b)))
-        .collect();
-    output::table(&["statement", "stated", "true", "95 %"], 1..4, rows)
+    let rows = effects.chain(s.unknown.bins.iter().map(|b| row("unknown", b)));
+    output::table("statement|stated|true|95 %", 1..4, rows)
 }
 
 /// Table of the diagnosis beside the other methods.
 fn comparison(s: &ExamScore) -> comfy_table::Table {
     let row = |(name, m): (&str, &Method)| {
+        let (lab, field) = (&m.alarm.lab, &m.alarm.field);
         let alarms = Count {
-            right: m.alarm.lab.right + m.alarm.field.right,
-            of: m.alarm.lab.of + m.alarm.field.of,
+            right: lab.right + field.right,
+            of: lab.of + field.of,
         };
-        [
-            name.to_owned(),
-            share(&m.single.lab),
-            share(&m.single.field),
-            share(&m.pair.lab),
-            share(&m.pair.field),
-            share(&alarms),
-            format!("{:.2}", m.macro_f1),
-        ]
+        let counts = [
+            &m.single.lab,
+            &m.single.field,
+            &m.pair.lab,
+            &m.pair.field,
+            &alarms,
+        ];
+        let (name, f1) = (name.to_owned(), format!("{:.2}", m.macro_f1));
+        [vec![name], counts.map(share).into(), vec![f1]].concat()
     };
     let methods = [
         ("diagnosis", &s.diagnosis),
@@ -189,16 +177,8 @@ fn comparison(s: &ExamScore) -> comfy_table::Table {
         ("sparse regression", &s.sparse),
         ("nearest signature", &s.nearest),
     ];
-    let header = [
-        "method",
-        "single lab",
-        "single field",
-        "pair lab",
-        "pair field",
-        "false alarms",
-        "macro F1",
-    ];
-    output::table(&header, 1..7, methods.map(row))
+    let header = "method|single lab|single field|pair lab|pair field|false alarms|macro F1";
+    output::table(header, 1..7, methods.map(row))
 }
 
 fn mistakes(s: &ExamScore) -> Vec<String> {

@@ -1,6 +1,7 @@
 //! `retroflex gap excite`: designs a schedule that separates effects.
 
 use crate::cli::gap::input;
+use crate::cli::output::ResultFile;
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::diagnosis::confusion::separable;
 use crate::diagnosis::excite::design::{APART, Design, LONGEST_S, Pair, Request, design};
@@ -21,12 +22,11 @@ pub struct Args {
     /// separated first.
     #[arg(long, value_name = "MODEL.toml")]
     like: Option<PathBuf>,
-    /// Board file of the machine; default: the machine of the paper.
-    #[arg(long, value_name = "FILE.toml")]
-    board: Option<PathBuf>,
+    #[command(flatten)]
+    machine: input::MachineArgs,
     /// Schedule to write: rows `bend_deg,dir_deg,len_mm,hold_s,speed_mm_s`.
     #[arg(long, value_name = "SCHEDULE.csv")]
-    out: PathBuf,
+    out: ResultFile,
     /// A tracker (ref_q*) will be recorded too.
     #[arg(long)]
     tracker: bool,
@@ -56,19 +56,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     checker
         .done()
         .map_err(|e| miette!("{}: {}: {}", e.key, e.problem, e.hint))?;
-    let read: Vec<&std::path::Path> = args
-        .like
-        .iter()
-        .chain(&args.board)
-        .map(PathBuf::as_path)
-        .collect();
-    output::check(&[("--out", Some(&args.out))], &read)?;
     let like = args.like.as_deref().map(input::saved).transpose()?;
     let lines = match &like {
         Some(model) => model.with_effects.lines(),
         None => inputs::calibration(None)?.lines(),
     };
-    let machine = Machine::new(input::rig(args.board.as_deref())?, lines);
+    let machine = Machine::new(args.machine.rig()?, lines);
     let bar = output::bar(args.rounds as u64, "{pos} of {len} schedules");
     let request = Request {
         machine,
@@ -80,26 +73,19 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let designed = design(&request, &mut |tried| bar.set_position(tried as u64));
     bar.finish_and_clear();
     output::write(&args.out, csv(&designed.rows))?;
-    output::show(&(summary(args, &designed) + "\n"), Some(&args.out));
+    output::show(summary(args, &designed) + "\n", &Some(args.out.clone()));
     Ok(CommandOutcome::Good)
 }
 
 fn summary(args: &Args, d: &Design) -> String {
     let pairs = d.pairs();
     let within_reach = |p: &&Pair| separable(p.0, p.1, args.tracker);
-    let row = |p: &Pair| {
-        [
-            p.0.to_owned(),
-            p.1.to_owned(),
-            format!("{:.1} σ", p.2),
-            format!("{:.1} σ", p.3),
-        ]
+    let row = |(a, b, here, standard): &Pair| {
+        let [here, standard] = [here, standard].map(|x| format!("{x:.1} σ"));
+        [(*a).to_owned(), (*b).to_owned(), here, standard]
     };
-    let table = output::table(
-        &["nearest pairs", "", "here", "standard"],
-        2..4,
-        pairs.iter().filter(within_reach).take(SHOWN).map(row),
-    );
+    let shown = pairs.iter().filter(within_reach).take(SHOWN);
+    let table = output::table("nearest pairs||here|standard", 2..4, shown.map(row));
     let near = |p: &&Pair| p.2 < APART || !separable(p.0, p.1, args.tracker);
     let lost: Vec<String> = pairs
         .iter()

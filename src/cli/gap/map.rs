@@ -1,11 +1,12 @@
 //! `retroflex gap diagnose --map`: diagnoses a bench log of another rig.
 
 use crate::cli::CommandOutcome;
-use crate::cli::output;
+use crate::cli::gap::input::{file_name, verdict};
+use crate::cli::output::{self, ResultFile};
 use crate::config::source;
 use crate::diagnosis::decide::VerdictKind;
 use crate::diagnosis::map::diagnose::diagnose;
-use crate::diagnosis::map::document::{Document, Entry};
+use crate::diagnosis::map::document::{Document, Entry, Parameter};
 use crate::diagnosis::map::file::MapFile;
 use crate::diagnosis::map::operators::kind;
 use crate::diagnosis::map::table;
@@ -20,82 +21,46 @@ pub fn run(
     log: &Path,
     map: &Path,
     fresh: &[PathBuf],
-    json: Option<&Path>,
+    json: &Option<ResultFile>,
     seed: u64,
 ) -> Result<CommandOutcome> {
     let map: MapFile = source::read(map)?;
     let signals = table::read(log, &map).into_diagnostic()?;
-    let name = |p: &PathBuf| {
-        p.file_name()
-            .map_or_else(String::new, |n| n.to_string_lossy().into_owned())
-    };
-    let others = fresh
-        .iter()
-        .map(|p| table::read(p, &map).map(|s| (name(p), s)).into_diagnostic())
-        .collect::<Result<Vec<_>>>()?;
+    let other = |path| Ok((file_name(path), table::read(path, &map).into_diagnostic()?));
+    let others = fresh.iter().map(other).collect::<Result<Vec<_>>>()?;
     let document = diagnose(&map, &signals, &others, seed);
-    output::json(json, &document)?;
-    output::show(&(summary(&document) + "\n"), json);
+    output::answer(json, &document, summary(&document) + "\n")?;
     Ok(CommandOutcome::Good)
 }
 
 fn summary(d: &Document) -> String {
     let row = |e: &Entry| {
-        let params: Vec<String> = e
-            .params
-            .iter()
-            .map(|p| format!("{} {:.4}", p.name, p.value))
-            .collect();
+        let param = |p: &Parameter| format!("{} {:.4}", p.name, p.value);
+        let [low, high] = e.closed_ci95.map(|share| share * 100.0);
         [
             e.name.clone(),
             format!("{:.2}", e.probability),
             format!("{:.4}", e.rmse_before),
             format!("{:.4}", e.rmse_after),
             format!("{:.0} %", e.closed * 100.0),
-            format!(
-                "{:.0} to {:.0} %",
-                e.closed_ci95[0] * 100.0,
-                e.closed_ci95[1] * 100.0
-            ),
-            params.join(", "),
+            format!("{low:.0} to {high:.0} %"),
+            e.params.iter().map(param).collect::<Vec<_>>().join(", "),
         ]
     };
     let sets = d.set.iter().filter(|_| d.verdict.names.len() > 1);
-    let table = output::table(
-        &[
-            "effect",
-            "probability",
-            "before",
-            "after",
-            "closed",
-            "95 %",
-            "",
-        ],
-        1..6,
-        sets.chain(d.effects.iter().take(6)).map(row),
-    );
-    let names = if d.verdict.names.is_empty() {
-        String::new()
-    } else {
-        format!(": {}", d.verdict.names.join(" and "))
-    };
+    let shown = sets.chain(d.effects.iter().take(6)).map(row);
+    let table = output::table("effect|probability|before|after|closed|95 %|", 1..6, shown);
     let mut out = vec![opening(d)];
     // whether the log can tell anything comes before what it tells
     out.extend(d.notes.iter().map(|n| format!("note: {n}")));
     out.extend([
-        format!("verdict {}{names}", d.verdict.kind.name()),
+        verdict(&d.verdict),
         format!(
             "RMSE {:.4} {} nominal, {:.4} explained, {:.4} noise, on parts of the log that the fit has not seen",
             d.gap.recalibrated, d.unit, d.gap.explained, d.gap.noise_floor
         ),
     ]);
-    out.extend(d.set.first().map(|s| {
-        let [low, high] = s.closed_ci95.map(|c| c * 100.0);
-        format!(
-            "closed {:.0} % of the gap (95 %: {low:.0} to {high:.0} %)",
-            s.closed * 100.0
-        )
-    }));
+    out.extend(closed(d).map(|share| format!("closed {share}")));
     out.push(format!(
         "unknown {:.2}, {:.4} {} above the noise",
         d.unknown.probability, d.unknown.rmse, d.unit
@@ -111,57 +76,42 @@ fn summary(d: &Document) -> String {
     out.join("\n")
 }
 
+/// What the named effects close together.
+fn closed(d: &Document) -> Option<String> {
+    let set = d.set.first()?;
+    let [low, high] = set.closed_ci95.map(|share| 100.0 * share);
+    let share = 100.0 * set.closed;
+    Some(format!(
+        "{share:.0} % of the gap (95 %: {low:.0} to {high:.0} %)"
+    ))
+}
+
 /// The verdict in one sentence: cause, share of the gap, certainty, what to do next.
 fn opening(d: &Document) -> String {
     let sure = format!("probability {:.2}", d.verdict.probability);
-    let one = |name: &&'static str| {
-        let group = d.verdict.equivalent.iter().find(|g| g[0] == *name);
-        group.map_or_else(
-            || (*name).to_owned(),
-            |g| format!("either {}", g.join(" or ")),
-        )
-    };
-    let names = d
-        .verdict
-        .names
-        .iter()
-        .map(one)
-        .collect::<Vec<_>>()
-        .join(" and ");
-    let closed = d.set.first().map_or_else(String::new, |s| {
-        let [low, high] = s.closed_ci95.map(|c| 100.0 * c);
-        format!(
-            "{:.0} % of the gap (95 %: {low:.0} to {high:.0} %)",
-            100.0 * s.closed
-        )
-    });
-    let close = if d.verdict.names.len() > 1 {
-        "close"
-    } else {
-        "closes"
-    };
+    let one =
+        |name: &&'static str| match d.verdict.equivalent.iter().find(|group| group[0] == *name) {
+            Some(group) => format!("either {}", group.join(" or ")),
+            None => (*name).to_owned(),
+        };
+    let names: Vec<String> = d.verdict.names.iter().map(one).collect();
+    let close = if names.len() > 1 { "close" } else { "closes" };
+    let (names, closed) = (names.join(" and "), closed(d).unwrap_or_default());
+    let closing = format!("{names}, which {close} {closed} ({sure})");
     match (d.verdict.kind, d.verdict.equivalent.first()) {
         (VerdictKind::None, _) => format!("No effect ({sure}): the nominal model suffices."),
-        (VerdictKind::Unknown, _) if names.is_empty() => {
-            format!(
-                "Unknown cause ({sure}): no known effect explains what remains; look for what it goes with."
-            )
-        }
-        (VerdictKind::Unknown, _) => {
-            format!(
-                "Unknown cause ({sure}), of which {names} {close} {closed}; look for what the rest goes with."
-            )
-        }
+        (VerdictKind::Unknown, _) if names.is_empty() => format!(
+            "Unknown cause ({sure}): no known effect explains what remains; look for what it goes with."
+        ),
+        (VerdictKind::Unknown, _) => format!(
+            "Unknown cause ({sure}), of which {names} {close} {closed}; look for what the rest goes with."
+        ),
         (VerdictKind::Effects, Some(group)) => {
-            format!(
-                "Cause: {names}, which {close} {closed} ({sure}); record a log that tells them apart: {}.",
-                separated(group)
-            )
+            let motion = separated(group);
+            format!("Cause: {closing}; record a log that tells them apart: {motion}.")
         }
         (VerdictKind::Effects, None) => {
-            format!(
-                "Cause: {names}, which {close} {closed} ({sure}); confirm it with `--fresh` on another log."
-            )
+            format!("Cause: {closing}; confirm it with `--fresh` on another log.")
         }
     }
 }
@@ -182,9 +132,6 @@ fn group(names: &[&str]) -> String {
     let mut kinds: Vec<&str> = names.iter().map(|n| kind(n)).collect();
     kinds.sort_unstable();
     kinds.dedup();
-    format!(
-        "{}: this log cannot separate {}",
-        kinds.join(" or "),
-        names.join(", ")
-    )
+    let (kinds, names) = (kinds.join(" or "), names.join(", "));
+    format!("{kinds}: this log cannot separate {names}")
 }

@@ -1,10 +1,10 @@
 //! Plays the frames of a flight log.
 
 use super::view::{CHART_S, View};
-use crate::cli::log::since;
+use crate::cli::flight;
 use crate::cli::replay::start_of;
 use crate::service::flight::file::TOPICS;
-use crate::service::flight::read::{Entry, messages};
+use crate::service::flight::read::Entry;
 use crate::service::flight::start::Event;
 use crate::service::status;
 use miette::{Result, bail, miette};
@@ -88,16 +88,15 @@ impl Player {
 
 /// The frames that the channels for people hold.
 fn recorded(path: &Path) -> Result<Frames> {
-    let (mut frames, mut now, mut begin_ns) = (Vec::new(), Map::new(), None);
-    let read = messages(path, &mut |message| {
-        let t_s = since(&mut begin_ns, &message);
+    let (mut frames, mut now) = (Vec::new(), Map::new());
+    let read = flight::read(path, &mut |t_s, message| {
         if now.contains_key("mode") && t_s >= PERIOD_S * frames.len() as f64 {
             frames.push((t_s, json!(now).to_string()));
         }
         if message.channel.topic == TOPICS[0] {
             return Ok(());
         }
-        match Entry::of(&message)? {
+        match Entry::of(message)? {
             Entry::Event(event) => {
                 if let Event::Start(header) = *event {
                     let limits = status::limits(&start_of(&header)?.config);
