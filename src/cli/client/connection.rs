@@ -5,6 +5,7 @@ use crate::cli::{CommandOutcome, Unreachable};
 use crate::service::client::{Client as Connection, connect_within};
 use crate::service::paths;
 use crate::service::protocol::{Failure, Request};
+use crate::service::status::Status;
 use crate::supervisor::Refusal;
 use miette::{Context, Report, Result, bail, miette};
 use serde_json::Value;
@@ -142,8 +143,14 @@ pub(super) fn ask(connection: &mut Connection, request: &Request) -> Result<Opti
 }
 
 /// The status of the service.
-pub(super) fn status(connection: &mut Connection) -> Result<Value> {
-    connection.request(&Request::Status {}).map_err(report)
+pub(super) fn status(connection: &mut Connection) -> Result<Status> {
+    let value = connection.request(&Request::Status {}).map_err(report)?;
+    read_status(&value)
+}
+
+/// A status that the service has sent.
+pub(super) fn read_status(value: &Value) -> Result<Status> {
+    Status::of(value).map_err(|e| Unreachable::report("the service", format!("its status: {e}")))
 }
 
 /// The result of a request. A refusal is printed on standard error and yields `None`; every other failure is an error.

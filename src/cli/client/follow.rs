@@ -10,8 +10,10 @@ use crate::model::Bend;
 use crate::report::page::Page;
 use crate::service::client::Client as Connection;
 use crate::service::protocol::{CalibrateAction, Frame, Request};
+use crate::service::status::Status;
+use crate::supervisor::Mode;
 use miette::Result;
-use serde_json::Value;
+use serde_json::json;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -31,7 +33,7 @@ const SAID_EVERY: Duration = Duration::from_secs(5);
 fn poll(
     connection: &mut Connection,
     period_ms: u64,
-    mut done: impl FnMut(&Value) -> Option<CommandOutcome>,
+    mut done: impl FnMut(&Status) -> Option<CommandOutcome>,
 ) -> Result<CommandOutcome> {
     loop {
         sleep(Duration::from_millis(period_ms));
@@ -83,30 +85,23 @@ pub fn settle(
     }
     let (started, bar) = (Instant::now(), output::bar(0, "{msg}"));
     let outcome = poll(connection, 50, |s| {
-        let (mode, target) = (s["mode"].as_str().unwrap_or(""), &s["target"]);
+        let mode = s.mode_name().unwrap_or_default();
         let line = format!(
             "{mode}  estimate {} of {}",
-            pose(&s["estimate"]),
-            pose(target)
+            pose(&s.estimate),
+            pose(&s.target)
         );
-        let degrees = |key: &str| target[key].as_f64().unwrap_or(0.0);
-        let off = Bend::from_deg(degrees("bend_deg"), degrees("dir_deg")).0 - sent_to.0;
+        let off = s.target.unwrap_or_default().bend().0 - sent_to.0;
         let why = match halted(s) {
             Some(why) => why,
             None if off.norm().to_degrees() > SAME_DEG => {
                 format!("another command replaced this one: {line}")
             }
-            None if s["settled"] == true => {
+            None if s.settled => {
                 bar.finish_and_clear();
-                output::print(format!(
-                    "{line}: {}\n",
-                    s["shortfall"].as_str().unwrap_or("settled")
-                ));
-                return Some(if s["blocked"] == true {
-                    NotGoodEnough
-                } else {
-                    Good
-                });
+                let how = s.shortfall.as_deref().unwrap_or("settled");
+                output::print(format!("{line}: {how}\n"));
+                return Some(CommandOutcome::from(!s.blocked));
             }
             None if started.elapsed() < MOVED_MAX => {
                 bar.set_message(line);
@@ -115,9 +110,11 @@ pub fn settle(
             None => format!("mode {mode}"),
         };
         bar.finish_and_clear();
-        let suspicion = s["suspicion"]
-            .as_str()
-            .map_or_else(String::new, |x| format!("; {x}"));
+        let suspicion = s
+            .suspicion
+            .iter()
+            .map(|text| format!("; {text}"))
+            .collect::<String>();
         output::print(format!("not settled: {why}{suspicion}\n"));
         Some(NotGoodEnough)
     });
@@ -150,7 +147,7 @@ pub fn arm(at: &At) -> Result<CommandOutcome> {
 pub fn aligned(connection: &mut Connection) -> Result<CommandOutcome> {
     let (started, mut said) = (Instant::now(), false);
     poll(connection, 100, |s| {
-        if !matches!(s["mode"].as_str(), Some("boot" | "aligning")) {
+        if !matches!(s.mode, Some(Mode::Boot | Mode::Aligning)) {
             return Some(Good);
         }
         if !std::mem::replace(&mut said, true) {
@@ -184,10 +181,11 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
     if args.accept || args.discard {
         return Ok(Good);
     }
-    let (bar, mut said, mut last) = (output::bar(0, "{msg}"), Instant::now(), Value::Null);
+    let (bar, mut said) = (output::bar(0, "{msg}"), Instant::now());
+    let mut last = Status::default();
     let outcome = poll(&mut connection, 200, |s| {
-        if let Some(progress) = s["calibrating"].as_str() {
-            bar.set_message(progress.to_owned());
+        if let Some(progress) = &s.calibrating {
+            bar.set_message(progress.clone());
             // a spinner is seen on a terminal only
             if bar.is_hidden() && said.elapsed() >= SAID_EVERY {
                 said = Instant::now();
@@ -196,7 +194,7 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
             return None;
         }
         bar.finish_and_clear();
-        if let Some(why) = s["calibration_failed"].as_str() {
+        if let Some(why) = &s.calibration_failed {
             output::print(format!("no gains were identified: {why}\n"));
             return Some(NotGoodEnough);
         }
@@ -215,19 +213,22 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
 }
 
 /// Shows the proposed gains beside those in use.
-fn show_gains(s: &Value, args: &TransmissionArgs) -> Result<()> {
-    let pair = |key: &str, i: usize| {
-        [&s[key][i], &s["proposed"][key][i]]
-            .map(|v| v.as_f64().map_or("–".to_owned(), |x| format!("{x:.3}")))
-    };
+fn show_gains(s: &Status, args: &TransmissionArgs) -> Result<()> {
+    let shown = |x: Option<f64>| x.map_or("–".to_owned(), |x| format!("{x:.3}"));
+    let proposed = s.proposed.as_ref();
     let row = |i: usize| {
-        let ([k_now, k], [l_now, l]) = (pair("k_epsilon", i), pair("k_lambda_mm", i));
-        [(i + 1).to_string(), k_now, k, l_now, l]
+        let (k_epsilon, k_lambda) = (s.k_epsilon.map(|k| k[i]), s.k_lambda_mm.map(|k| k[i]));
+        [
+            (i + 1).to_string(),
+            shown(k_epsilon),
+            shown(proposed.map(|gains| gains.k_epsilon[i])),
+            shown(k_lambda),
+            shown(proposed.map(|gains| gains.k_lambda_mm[i])),
+        ]
     };
     let header = "line|k_epsilon in use|proposed|k_lambda in use, mm|proposed, mm";
     let rows = [0, 1, 2].map(row);
-    let [lag_s, delay_s] =
-        ["lag_s", "delay_s"].map(|key| s["proposed"][key].as_f64().unwrap_or(0.0));
+    let (lag_s, delay_s) = proposed.map_or((0.0, 0.0), |gains| (gains.lag_s, gains.delay_s));
     let dynamics = format!("lag {lag_s:.3} s, dead time {delay_s:.3} s");
     output::write_some(&args.html, || {
         let mut page = Page::new("Proposed gains of the transmission");
@@ -239,5 +240,5 @@ fn show_gains(s: &Value, args: &TransmissionArgs) -> Result<()> {
         "{}\n{dynamics}\n",
         output::table(header, 1..5, rows.clone())
     );
-    output::answer(&args.json, &s["proposed"], text)
+    output::answer(&args.json, &json!(proposed), text)
 }

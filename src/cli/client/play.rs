@@ -13,8 +13,10 @@ use crate::log::table::{Schema, Table};
 use crate::model::{Bend, Geometry};
 use crate::service::client::Client as Connection;
 use crate::service::protocol::{Failure, Frame, PathRow, RecordAction, Request};
+use crate::service::status::Status;
+use crate::supervisor::Mode;
 use miette::{IntoDiagnostic, Result, miette};
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::path::Path;
 use std::time::Duration;
 
@@ -37,7 +39,7 @@ pub fn play(args: &PlayArgs) -> Result<CommandOutcome> {
     let schedule = Schedule::read(&args.schedule)?;
     let mut connection = connect(&args.at)?;
     let now = status(&mut connection)?;
-    if now["mode"] != "holding" || now["stopped"] == true {
+    if now.mode != Some(Mode::Holding) || now.stopped {
         eprintln!(
             "refused: the schedule moves the tip, so it must be armed and at a standstill: `retroflex arm` first"
         );
@@ -46,7 +48,7 @@ pub fn play(args: &PlayArgs) -> Result<CommandOutcome> {
     if args.record.is_none() {
         return schedule.run(&mut connection);
     }
-    if now["counted"] != json!([0, 0, 0]) {
+    if now.counted != Some([0; 3]) {
         eprintln!("refused: the log must begin at rest: `retroflex relax`, then `retroflex arm`");
         return Ok(NotGoodEnough);
     }
@@ -63,7 +65,7 @@ pub fn play(args: &PlayArgs) -> Result<CommandOutcome> {
     }
     // after an earlier motion the straight tip is not quite where the first row is
     let rest = Row::rest(AT_REST_S, &Geometry::default());
-    let rested = arrive_and_hold(&mut connection, clock_s(&now), 0.0, &rest)?;
+    let rested = arrive_and_hold(&mut connection, now.t, 0.0, &rest)?;
     let outcome = if rested {
         schedule.run(&mut connection)
     } else {
@@ -91,11 +93,8 @@ impl Schedule {
             known: &|_| false,
             rows_min: 0,
         };
-        let is_path = Table::open(file, &header)
-            .into_diagnostic()?
-            .header()
-            .iter()
-            .any(|name| name == "t_s");
+        let table = Table::open(file, &header).into_diagnostic()?;
+        let is_path = table.header().iter().any(|name| name == "t_s");
         Ok(match is_path {
             true => Self::Path(PathFile::open(file, &Geometry::default()).into_diagnostic()?),
             false => Self::Poses(rows::read(file).into_diagnostic()?),
@@ -113,21 +112,12 @@ impl Schedule {
 /// Has the rows of a path checked, moves to the first one, then follows it.
 fn run_path(connection: &mut Connection, file: &PathFile) -> Result<CommandOutcome> {
     let column = |name: &str| file.table.column(name).unwrap_or_default();
-    let (t_s, bend_deg, dir_deg, len_mm) = (
-        column("t_s"),
-        column("bend_deg"),
-        column("dir_deg"),
-        column("len_mm"),
-    );
-    let rows: Vec<PathRow> = (0..t_s.len())
-        .map(|k| (t_s[k], bend_deg[k], dir_deg[k], len_mm.get(k).copied()))
-        .collect();
+    let [t_s, bend_deg, dir_deg, len_mm] = ["t_s", "bend_deg", "dir_deg", "len_mm"].map(column);
+    let row = |k: usize| (t_s[k], bend_deg[k], dir_deg[k], len_mm.get(k).copied());
+    let rows: Vec<PathRow> = (0..t_s.len()).map(row).collect();
     for chunk in rows.chunks(CHUNK_ROWS) {
-        let request = Request::Path {
-            rows: chunk.to_vec(),
-            more: true,
-        };
-        if checked(file, connection.request(&request))?.is_none() {
+        let (rows, more) = (chunk.to_vec(), true);
+        if checked(file, connection.request(&Request::Path { rows, more }))?.is_none() {
             return Ok(NotGoodEnough);
         }
     }
@@ -139,22 +129,12 @@ fn run_path(connection: &mut Connection, file: &PathFile) -> Result<CommandOutco
         hold_s: AT_FIRST_S,
         ..Row::rest(0.0, &Geometry::default())
     };
-    let request = Request::Bend {
-        bend_deg,
-        dir_deg,
-        length_mm,
-        speed_deg_s: None,
-        frame: Frame::Base,
-    };
-    if ask(connection, &request)?.is_none()
-        || !arrive_and_hold(connection, clock_s(&now), 0.0, &first)?
-    {
+    let request = Request::bend(bend_deg, dir_deg, length_mm);
+    if ask(connection, &request)?.is_none() || !arrive_and_hold(connection, now.t, 0.0, &first)? {
         return Ok(NotGoodEnough);
     }
-    let played = connection.request(&Request::Path {
-        rows: vec![],
-        more: false,
-    });
+    let (rows, more) = (vec![], false);
+    let played = connection.request(&Request::Path { rows, more });
     let Some(answer) = checked(file, played)? else {
         return Ok(NotGoodEnough);
     };
@@ -170,7 +150,7 @@ fn run_path(connection: &mut Connection, file: &PathFile) -> Result<CommandOutco
             eprintln!("the path ended early: {why}");
             return Ok(NotGoodEnough);
         }
-        if s["path"].is_null() && s["mode"] == "holding" {
+        if s.path.is_none() && s.mode == Some(Mode::Holding) {
             return Ok(Good);
         }
     }
@@ -194,16 +174,15 @@ fn checked(file: &PathFile, answer: Result<Value, Failure>) -> Result<Option<Val
 }
 
 /// Why the tip does not move as it is told.
-pub(super) fn halted(s: &Value) -> Option<String> {
-    let mode = s["mode"].as_str().unwrap_or("");
-    if s["stopped"] == true {
-        return Some("stopped".to_owned());
+pub(super) fn halted(s: &Status) -> Option<String> {
+    match s.mode {
+        _ if s.stopped => Some("stopped".to_owned()),
+        Some(Mode::Tracking | Mode::Holding) => None,
+        _ => {
+            let mode = s.mode_name().unwrap_or_default();
+            Some(s.fault.clone().unwrap_or(format!("mode {mode}")))
+        }
     }
-    (mode != "tracking" && mode != "holding").then(|| {
-        s["fault"]
-            .as_str()
-            .map_or(format!("mode {mode}"), str::to_owned)
-    })
 }
 
 fn run_rows(connection: &mut Connection, rows: &[Row]) -> Result<CommandOutcome> {
@@ -220,7 +199,7 @@ fn run_rows(connection: &mut Connection, rows: &[Row]) -> Result<CommandOutcome>
             frame: Frame::Base,
         };
         if ask(connection, &request)?.is_none()
-            || !arrive_and_hold(connection, clock_s(&now), seconds, row)?
+            || !arrive_and_hold(connection, now.t, seconds, row)?
         {
             return Ok(NotGoodEnough);
         }
@@ -232,13 +211,12 @@ fn run_rows(connection: &mut Connection, rows: &[Row]) -> Result<CommandOutcome>
 }
 
 /// Duration of the segment between two rows, s, and the speed of its set-point, °/s (`None` if it does not bend).
-fn segment(from: &Row, to: &Row, status: &Value) -> (f64, Option<f64>) {
+fn segment(from: &Row, to: &Row, status: &Status) -> (f64, Option<f64>) {
     let geometry = Geometry::default();
-    let k_epsilon = |i: usize| status["k_epsilon"][i].as_f64().unwrap_or(K_EPSILON);
+    let k_epsilon = status.k_epsilon.unwrap_or([K_EPSILON; 3]);
     let change = to.lengths(&geometry) - from.lengths(&geometry);
-    let fastest_mm = (0..3)
-        .map(|i| (change[i] * (1.0 + k_epsilon(i))).abs())
-        .fold(0.0, f64::max);
+    let piston_mm = |i: usize| (change[i] * (1.0 + k_epsilon[i])).abs();
+    let fastest_mm = (0..3).map(piston_mm).fold(0.0, f64::max);
     let seconds = fastest_mm / to.speed_mm_s;
     let bend = |r: &Row| Bend::from_deg(r.bend_deg, r.dir_deg).0;
     let bend_deg = (bend(to) - bend(from)).norm().to_degrees();
@@ -268,9 +246,9 @@ fn arrive_and_hold(
             );
             return Ok(false);
         }
-        let now_s = clock_s(&s);
+        let now_s = s.t;
         let on_its_way = now_s - started_s < seconds
-            || (s["mode"] == "tracking" && now_s - started_s < seconds + LATE_MAX_S);
+            || (s.mode == Some(Mode::Tracking) && now_s - started_s < seconds + LATE_MAX_S);
         if arrived_s.is_none() && !on_its_way {
             arrived_s = Some(now_s);
         }
@@ -278,9 +256,4 @@ fn arrive_and_hold(
             return Ok(true);
         }
     }
-}
-
-/// Time of the machine, s.
-fn clock_s(status: &Value) -> f64 {
-    status["t"].as_f64().unwrap_or(0.0)
 }

@@ -182,8 +182,7 @@ impl Steering {
     /// Starts from the present target; says why the tip cannot be steered.
     fn ready(&mut self) -> Result<Option<String>> {
         let s = status(&mut self.connection)?;
-        let degrees = |key: &str| s["target"][key].as_f64().unwrap_or(0.0);
-        self.at = Bend::from_deg(degrees("bend_deg"), degrees("dir_deg")).0;
+        self.at = s.target.unwrap_or_default().bend().0;
         Ok(halted(&s))
     }
 
@@ -212,8 +211,8 @@ impl Steering {
             Err(f) => return Err(report(f)),
         }
         if self.cycles.is_multiple_of(STATUS_EVERY) && self.moving {
-            let s = status(&mut self.connection)?;
-            self.warn(s["shortfall"].as_str().map(str::to_owned));
+            let shortfall = status(&mut self.connection)?.shortfall;
+            self.warn(shortfall);
         }
         Ok(true)
     }

@@ -7,6 +7,7 @@ use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::inputs::within;
 use crate::model::Bend;
 use crate::service::protocol::{Failure, Request};
+use crate::supervisor::Mode;
 use miette::{Result, miette};
 use std::io::{BufRead, Read};
 use std::time::{Duration, Instant};
@@ -46,18 +47,18 @@ pub fn stream(at: &At) -> Result<CommandOutcome> {
             set_point(&line, last).map_err(|why| miette!("{place}: {why}"))?;
         t_s.into_iter()
             .for_each(|t_s| sleep_until(t_s, SENT_AHEAD_S));
-        let answer = connection.request(&Request::Stream {
+        let length_mm = None;
+        let request = Request::Stream {
             bend_deg,
             dir_deg,
-            length_mm: None,
+            length_mm,
             t_s,
+        };
+        let answer = connection.request(&request).map_err(|f| {
+            let message = format!("{place}: {}", f.message);
+            Failure { message, ..f }
         });
-        if answered(answer.map_err(|f| Failure {
-            message: format!("{place}: {}", f.message),
-            ..f
-        }))?
-        .is_none()
-        {
+        if answered(answer)?.is_none() {
             return Ok(NotGoodEnough);
         }
         last = Some((bend_deg, dir_deg, t_s));
@@ -67,7 +68,7 @@ pub fn stream(at: &At) -> Result<CommandOutcome> {
     };
     t_s.into_iter()
         .for_each(|t_s| sleep_until(t_s, END_AHEAD_S));
-    if status(&mut connection)?["mode"] != "tracking" {
+    if status(&mut connection)?.mode != Some(Mode::Tracking) {
         eprintln!(
             "the tip stopped before the end of the stream: by another command, or because of a pause longer than `service.dead_man_s`"
         );
