@@ -2,8 +2,7 @@
 
 use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, manual_motion, output};
-use crate::config::Board;
-use crate::config::{place, source};
+use crate::config::{Board, place, source};
 use crate::supervisor::commission::trial::{self, TrialConfig, TrialError};
 use crate::supervisor::commission::wiring::{TURN_SMALL_RAD, Wiring};
 use miette::{Result, bail, miette};
@@ -35,11 +34,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let (board, mut machine) = manual_motion::open(&args.board, |_| ())?;
     let mut config = TrialConfig::new(board.geometry.law());
     (config.stroke_mm, config.hold_s) = (args.stroke, args.hold);
-    let findings = manual_motion::with_manual_control(machine.as_mut(), |hand| {
-        trial::run(hand, &config, &mut |step| eprintln!("{step}")).map_err(|e| match e {
-            TrialError::Motion(e) => manual_motion::motion_error(e),
-            e => miette!("{e}"),
-        })
+    let report = |e| match e {
+        TrialError::Motion(e) => manual_motion::motion_error(e),
+        e => miette!("{e}"),
+    };
+    let findings = manual_motion::with_manual_control(machine.as_mut(), report, |hand| {
+        trial::run(hand, &config, &mut |step| eprintln!("{step}"))
     })?;
     drop(machine);
     output::print(findings.report());
@@ -86,29 +86,23 @@ fn rewired(text: &str, board: &Board, wiring: &Wiring) -> Result<(String, Vec<St
     };
     for (i, &bellow) in wiring.reaches.iter().enumerate() {
         // the driver that is configured as channel i drives `bellow`
-        let from = &pins.channels[i];
+        let (from, channel) = (&pins.channels[i], format!("pins.channels.{bellow}"));
         if bellow != i {
-            set(
-                format!("pins.channels.{bellow}.step"),
-                from.step.to_string(),
-            )?;
-            set(format!("pins.channels.{bellow}.dir"), from.dir.to_string())?;
+            set(format!("{channel}.step"), from.step.to_string())?;
+            set(format!("{channel}.dir"), from.dir.to_string())?;
         }
         let turned = from.dir_inverted != wiring.inverted[i];
         if turned != pins.channels[bellow].dir_inverted {
-            set(
-                format!("pins.channels.{bellow}.dir_inverted"),
-                turned.to_string(),
-            )?;
+            set(format!("{channel}.dir_inverted"), turned.to_string())?;
         }
     }
     if let (Some(imu), true) = (&board.imu, wiring.turned_rad.abs() >= TURN_SMALL_RAD) {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), wiring.turned_rad);
-        let mount: [f64; 3] = (turn * imu.mount())
-            .scaled_axis()
-            .map(f64::to_degrees)
-            .into();
-        set("imu.mount_deg".to_owned(), format!("{mount:.1?}"))?;
+        let mount_deg = (turn * imu.mount()).scaled_axis().map(f64::to_degrees);
+        set(
+            "imu.mount_deg".to_owned(),
+            format!("{:.1?}", <[f64; 3]>::from(mount_deg)),
+        )?;
     }
     Ok((new, changes))
 }

@@ -15,7 +15,6 @@ use crate::service::start::RunConfig;
 use crate::service::{Claim, Setup, serve};
 use crate::simulation::link::Link;
 use crate::simulation::lockstep::Lockstep;
-use crate::simulation::sim::Sim;
 use crate::supervisor::Machine;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::fs::File;
@@ -74,10 +73,8 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let _logging = logging::start();
     let foreign = args.plant.is_some();
-    let path = args
-        .board
-        .clone()
-        .or_else(|| inputs::own_board().filter(|_| !foreign));
+    let own_board = || inputs::own_board().filter(|_| !foreign);
+    let path = args.board.clone().or_else(own_board);
     let own = Path::new(if foreign { "sim" } else { "demo" });
     let mut board = inputs::board(Some(path.as_deref().unwrap_or(own)))?;
     let shown = path.as_ref().map(|p| p.display().to_string());
@@ -100,8 +97,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let feedforward = inputs::feedforward(given, args.calib.as_deref(), &calibration);
     let described = feedforward
         .as_deref()
-        .map(|path| inputs::described(path, &board))
-        .transpose()?;
+        .map(|path| inputs::described(path, &board));
+    let described = described.transpose()?;
     if let Some(path) = &feedforward {
         texts.push(source::text_of(path)?);
     }
@@ -126,13 +123,15 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         calibration,
         tip,
     };
+    let pace = args.fast.or(machine.is_simulated().then_some(1.0));
+    let record = args.record.clone();
     serve(
         claim,
         Setup {
-            pace: args.fast.or(machine.is_simulated().then_some(1.0)),
-            record: args.record.clone(),
             machine,
             config,
+            pace,
+            record,
         },
     )
     .map_err(report)?;
@@ -164,17 +163,14 @@ fn place(args: &Args, service: &mut ServiceSection) -> Result<()> {
 
 /// Refuses a recording whose files exist already or cannot be written.
 fn check_record(path: &Path, bounds: &ServiceSection) -> Result<()> {
+    let shown = path.display();
     let refused = |e| {
-        miette!(
-            "--record {}: {e}; give a new name in a folder that this user may write to",
-            path.display()
-        )
+        miette!("--record {shown}: {e}; give a new name in a folder that this user may write to")
     };
     make_room(path, bounds).map_err(refused)?;
     for file in [path, &flight_path(path)] {
-        File::create_new(file)
-            .and_then(|_| std::fs::remove_file(file))
-            .map_err(refused)?;
+        let tried = File::create_new(file).and_then(|_| std::fs::remove_file(file));
+        tried.map_err(refused)?;
     }
     Ok(())
 }
@@ -236,13 +232,10 @@ fn open(args: &Args, path: Option<&Path>, board: &Board) -> Result<Box<dyn Machi
         let path = path.unwrap_or(Path::new("the built-in board"));
         let opened = Paths::of(&board.service).control.with_extension("opened");
         let hardware = open_patiently(&config, &opened);
-        return Ok(Box::new(
-            hardware.map_err(|e| manual_motion::hardware_error(path, e))?,
-        ));
+        let refused = |e| manual_motion::hardware_error(path, e);
+        return Ok(Box::new(hardware.map_err(refused)?));
     }
-    let section = board.plant.clone().ok_or_else(|| {
+    manual_motion::simulated(board, args.seed, 1)?.ok_or_else(|| {
         miette!("this board has neither [pins] nor [plant], so there is no machine to run; give --plant, or a board that describes one")
-    })?;
-    let sim = Sim::new(&section.make(), args.seed, 1, section.period_s).into_diagnostic()?;
-    Ok(Box::new(Lockstep::new(sim, &board.drive_limits())))
+    })
 }
