@@ -2,7 +2,7 @@
 //! what they printed.
 
 use crate::cli::output::{self, ResultFile};
-use crate::cli::{CommandOutcome, demo, inputs};
+use crate::cli::{demo, inputs};
 use crate::config::{Board, HomingMethod};
 use crate::drill::process::daemon::Daemon;
 use crate::report::page::Page;
@@ -57,7 +57,7 @@ struct Step {
 ///
 /// # Errors
 /// A report about the input.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<bool> {
     let board = inputs::board(Some(&args.board))?;
     let asks = board.hardware().is_some() && !args.yes;
     if asks && !stdin().is_terminal() {
@@ -118,7 +118,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         "\n{table}\nThe report is {}.\n",
         args.html.display()
     ));
-    Ok(good.into())
+    Ok(good)
 }
 
 /// What the steps have in common.

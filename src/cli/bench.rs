@@ -2,7 +2,7 @@
 
 use crate::cli::inputs::within;
 use crate::cli::output::ResultFile;
-use crate::cli::{CommandOutcome, Unreachable, inputs, manual_motion, output};
+use crate::cli::{Unreachable, inputs, manual_motion, output};
 use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::HardwareError;
@@ -46,7 +46,7 @@ pub struct Rt {
 ///
 /// # Errors
 /// A report that says what is wrong with the input, or that the pins are not available.
-pub fn run(args: &Rt) -> Result<CommandOutcome> {
+pub fn run(args: &Rt) -> Result<bool> {
     let base = RtBenchConfig {
         rate_hz: args.rate,
         duration_s: args.seconds,
@@ -62,7 +62,7 @@ pub fn run(args: &Rt) -> Result<CommandOutcome> {
     };
     output::print(format!("through {through}\n{}\n", bench.table()));
     output::write_some(&args.svg, || Ok(bench.svg()))?;
-    Ok(bench.is_good().into())
+    Ok(bench.is_good())
 }
 
 fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {

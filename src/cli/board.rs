@@ -1,7 +1,7 @@
 //! `retroflex board`: a file with everything that it leaves out, and whether a board is safe to run.
 
 use crate::cli::output::ResultFile;
-use crate::cli::{CommandOutcome, inputs, output};
+use crate::cli::{inputs, output};
 use crate::config::show::whole;
 use crate::config::{Calibration, Gains, Header, PressureBound, shipped};
 use crate::primitives::{Check, Parameters};
@@ -52,7 +52,7 @@ pub struct ShowArgs {
     calib: bool,
 }
 
-fn show(args: &ShowArgs) -> Result<CommandOutcome> {
+fn show(args: &ShowArgs) -> Result<()> {
     let file = args.file.as_deref();
     let text = if args.gains {
         page::<Gains>(file, shipped::GAINS)?
@@ -62,11 +62,11 @@ fn show(args: &ShowArgs) -> Result<CommandOutcome> {
         whole(&inputs::board(file)?)
     };
     output::print(&text);
-    Ok(CommandOutcome::Good)
+    Ok(())
 }
 
 /// Draws the drivers, the IMU and the emergency stop of a board at the lines that it names.
-fn draw(args: &DrawArgs) -> Result<CommandOutcome> {
+fn draw(args: &DrawArgs) -> Result<()> {
     let board = inputs::board(Some(&args.board))?;
     let path = args.board.display();
     let Some(pins) = &board.pins else {
@@ -106,16 +106,15 @@ fn draw(args: &DrawArgs) -> Result<CommandOutcome> {
         });
     }
     let title = format!("Wiring of {}", board.machine.name);
-    output::write(&args.svg, wiring::draw(&title, raspberry, &devices))?;
-    Ok(CommandOutcome::Good)
+    output::write(&args.svg, wiring::draw(&title, raspberry, &devices))
 }
 
 /// Exit code 1 if nothing outside the program bounds the pressure.
-fn check(args: &CheckArgs) -> Result<CommandOutcome> {
+fn check(args: &CheckArgs) -> Result<bool> {
     let board = inputs::board(Some(&args.board))?;
     let bound = PressureBound::of(&board);
     output::print(format!("file      consistent\npressure  {bound}\n"));
-    Ok(bound.is_bounded().into())
+    Ok(bound.is_bounded())
 }
 
 /// A file, or what comes with the program in its place, as the whole of its keys.

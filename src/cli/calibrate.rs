@@ -7,7 +7,7 @@ use crate::cli::client::args::TransmissionArgs;
 use crate::cli::client::follow::transmission;
 use crate::cli::inputs::within;
 use crate::cli::output::ResultFile;
-use crate::cli::{CommandOutcome, output};
+use crate::cli::{Refused, output};
 use crate::estimation::imu_calibration::{
     ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, gyro, mag, motor, mount, still,
 };
@@ -77,7 +77,7 @@ enum Step {
 ///
 /// # Errors
 /// A report that names what is wrong with the input.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<()> {
     let date = args.date.clone().unwrap_or_else(today);
     let source = args.file.as_ref().or(args.live.as_ref());
     let source = source.map_or_else(String::new, |p| p.display().to_string());
@@ -89,19 +89,14 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         None => ImuCalibration::default(),
     };
     let (date, source) = (&*date, &*source);
-    match identify(args, Pedigree { date, source }, &mut calibration)? {
-        Ok(line) => output::print(line + "\n"),
-        Err(refusal) => {
-            eprintln!("refused: {refusal}");
-            return Ok(CommandOutcome::NotGoodEnough);
-        }
-    }
+    let identified = identify(args, Pedigree { date, source }, &mut calibration)?;
+    output::print(identified.map_err(Refused::report)? + "\n");
     let imu = toml::Value::try_from(&calibration).into_diagnostic()?;
     table.insert("imu".to_owned(), imu);
     let text = toml::to_string_pretty(&table).into_diagnostic()?;
     output::write(&args.out, text)?;
     eprintln!("written to {}", args.out.display());
-    Ok(CommandOutcome::Good)
+    Ok(())
 }
 
 /// A day as `--date` gives it.

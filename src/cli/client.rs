@@ -1,6 +1,5 @@
 //! The commands that talk to a running service, one request each.
 
-use crate::cli::CommandOutcome;
 use crate::service::protocol::{RecordAction, Request};
 use args::{Action, BendArgs, PlayArgs, RecordArgs, StatusArgs, SubscribeArgs};
 use connection::{At, ask_and_print, connect};
@@ -82,12 +81,12 @@ pub struct ZeroArgs {
     straight: bool,
 }
 
-fn zero(args: &ZeroArgs) -> Result<CommandOutcome> {
+fn zero(args: &ZeroArgs) -> Result<()> {
     let straight = args.straight;
     send_and_align(&args.at, &Request::Zero { straight })
 }
 
-fn record(args: &RecordArgs) -> Result<CommandOutcome> {
+fn record(args: &RecordArgs) -> Result<()> {
     let (name, owned) = (args.name.clone(), false);
     let request = |action| Request::Record {
         action,
@@ -101,15 +100,13 @@ fn record(args: &RecordArgs) -> Result<CommandOutcome> {
     }
 }
 
-fn send(at: &At, request: &Request) -> Result<CommandOutcome> {
+fn send(at: &At, request: &Request) -> Result<()> {
     ask_and_print(&mut connect(at)?, request)
 }
 
 /// Sends a request that starts an alignment, and waits for its end.
-fn send_and_align(at: &At, request: &Request) -> Result<CommandOutcome> {
+fn send_and_align(at: &At, request: &Request) -> Result<()> {
     let mut connection = connect(at)?;
-    match ask_and_print(&mut connection, request)? {
-        CommandOutcome::Good => follow::aligned(&mut connection),
-        refused => Ok(refused),
-    }
+    ask_and_print(&mut connection, request)?;
+    follow::aligned(&mut connection)
 }

@@ -1,7 +1,7 @@
 //! `retroflex commission`: verifies that the machine is wired as its board file says, and that its lines are tight.
 
 use crate::cli::inputs::within;
-use crate::cli::{CommandOutcome, manual_motion, output};
+use crate::cli::{manual_motion, output};
 use crate::config::{Board, place, source};
 use crate::supervisor::commission::trial::{self, TrialConfig, TrialError};
 use crate::supervisor::commission::wiring::{TURN_SMALL_RAD, Wiring};
@@ -30,7 +30,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A report: bad input, hardware that does not answer, or the reason that ended the procedure.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<bool> {
     let (board, mut machine) = manual_motion::open(&args.board, |_| ())?;
     let mut config = TrialConfig::new(board.geometry.law());
     (config.stroke_mm, config.hold_s) = (args.stroke, args.hold);
@@ -46,7 +46,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if let (true, Some(wiring)) = (args.write, &findings.wiring) {
         write_back(&args.board, &board, wiring)?;
     }
-    Ok(findings.is_good().into())
+    Ok(findings.is_good())
 }
 
 /// Writes the wiring that was found into the board file and keeps everything else as it is.

@@ -1,8 +1,8 @@
 //! `retroflex demo`: the service on the simulated tip, a leak, its diagnosis and its remedy, each step by the command that
 //! a user would type.
 
+use crate::cli::Unreachable;
 use crate::cli::output::{self, ResultFile};
-use crate::cli::{CommandOutcome, Unreachable};
 use crate::drill::process::daemon::Daemon;
 use miette::{IntoDiagnostic, Result, miette};
 use serde_json::Value;
@@ -28,7 +28,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A report that names the step that failed.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<bool> {
     let report = args.html.display();
     let scratch = output::Scratch::new("demo")?;
     let program = std::env::current_exe().into_diagnostic()?;
@@ -51,7 +51,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let found = demo.diagnose(&about, "leaky", Some(leaks), &args.html)?;
     let Some(line) = leaking(&found) else {
         output::print("The diagnosis does not name the leak.\n");
-        return Ok(CommandOutcome::NotGoodEnough);
+        return Ok(false);
     };
     let sealed = Some(leaks).filter(|leak| *leak != line);
     let about = format!("The remedy: line {line} is sealed. The same schedule again.");
@@ -62,7 +62,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     output::print(format!(
         "\nThe leak is {end}. The report of the leaky tip is {report}.\n"
     ));
-    Ok(good.into())
+    Ok(good)
 }
 
 /// The line that leaks according to a diagnosis, from 1.

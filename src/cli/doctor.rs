@@ -1,7 +1,7 @@
 //! `retroflex doctor`: compares this computer with the board file. Each line passes, warns or fails, and names the remedy.
 
+use crate::cli::inputs;
 use crate::cli::output::{self, ResultFile};
-use crate::cli::{CommandOutcome, inputs};
 use crate::config::{Board, PressureBound};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::{Sensor, slowness};
@@ -86,12 +86,12 @@ impl Finding {
 ///
 /// # Errors
 /// A report that names what is wrong with the board file.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<bool> {
     let board = inputs::board(args.board.as_deref())?;
     let findings = examine(&board);
     let text: String = findings.iter().map(Finding::line).collect();
     output::answer(&args.json, &findings, text)?;
-    Ok(findings.iter().all(|f| f.verdict != Fail).into())
+    Ok(findings.iter().all(|f| f.verdict != Fail))
 }
 
 fn pass_or_warn(good: bool) -> Verdict {

@@ -1,8 +1,8 @@
 //! `retroflex drill`: injects every fault; `--soak HOURS` injects them at random for a long time.
 
+use crate::cli::inputs;
 use crate::cli::inputs::within;
 use crate::cli::output::{self, ResultFile};
-use crate::cli::{CommandOutcome, inputs};
 use crate::config::Gains;
 use crate::drill::bench::BenchConfig;
 use crate::drill::process::{self, Harm};
@@ -62,11 +62,11 @@ pub struct Args {
 ///
 /// # Errors
 /// A report about the input.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<bool> {
     let config = simulation()?;
     if let Some(folder) = &args.exercise {
         process::exercise(&config, folder, args.harm).into_diagnostic()?;
-        return Ok(CommandOutcome::Good);
+        return Ok(true);
     }
     if let Some(folder) = &args.recall {
         return recall(folder);
@@ -87,7 +87,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         );
     }
     show(&rows, args)?;
-    Ok(rows.iter().all(|r| r.ok).into())
+    Ok(rows.iter().all(|r| r.ok))
 }
 
 /// The simulated machine of the paper with the paper's calibration.
@@ -111,7 +111,7 @@ fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<Row>> {
         rows.push(fly(config, spec, &allowance).into_diagnostic()?);
         bar.inc(1);
     }
-    bar.finish_and_clear();
+    drop(bar);
     if !args.in_flight && (args.only.is_none() || rows.is_empty()) {
         let program = std::env::current_exe().into_diagnostic()?;
         let scratch = output::Scratch::new("drill")?;
@@ -128,16 +128,16 @@ fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-fn recall(folder: &Path) -> Result<CommandOutcome> {
+fn recall(folder: &Path) -> Result<bool> {
     let (_, recall) = Store::open(folder).into_diagnostic()?;
     let words = |m: Memory| Some(format!("armed {}, steps {:?}", m.armed, m.restart?.steps.0));
     let position = recall.memory.and_then(words);
     let shown = position.as_deref().unwrap_or("nothing");
     println!("recalled {} . {shown}", recall.sequence);
-    Ok(position.is_some().into())
+    Ok(position.is_some())
 }
 
-fn run_soak(args: &Args, config: &BenchConfig, hours: f64) -> Result<CommandOutcome> {
+fn run_soak(args: &Args, config: &BenchConfig, hours: f64) -> Result<bool> {
     eprintln!("seed {}", args.seed);
     let bar = output::bar(1000, "soak {percent} %");
     let mut progress = |h| bar.set_position((1000.0 * h / hours) as u64);
@@ -149,7 +149,7 @@ fn run_soak(args: &Args, config: &BenchConfig, hours: f64) -> Result<CommandOutc
         .clone()
         .unwrap_or_else(|| OsString::from("-").into());
     output::json(&Some(file), &soak)?;
-    Ok(soak.ok.into())
+    Ok(soak.ok)
 }
 
 fn show(rows: &[Row], args: &Args) -> Result<()> {

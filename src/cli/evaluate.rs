@@ -4,7 +4,7 @@ pub mod args;
 mod studies;
 
 use crate::cli::output;
-use crate::cli::{CommandOutcome, gap, inputs, logging};
+use crate::cli::{gap, inputs, logging};
 use crate::config::assemble;
 use crate::config::source;
 use crate::config::{Board, Calibration, PlantSection};
@@ -20,6 +20,7 @@ use crate::simulation::sim::Sim;
 use crate::simulation::world::World;
 use crate::supervisor::MachineError;
 use args::Args;
+use comfy_table::Table;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::Path;
 
@@ -32,7 +33,7 @@ const FOLLOWED_DEG: f64 = 3.0;
 ///
 /// # Errors
 /// A report that says what was wrong with the input or the plant.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<bool> {
     check(args)?;
     let board = inputs::board(args.board.as_deref())?;
     let gains = inputs::gains(args.gains.as_deref())?;
@@ -119,38 +120,31 @@ type Open = Box<dyn Fn(Purpose) -> Result<Box<dyn World>, MachineError>>;
 
 /// The plant that the arms run on, and whether it is a foreign program.
 fn plant(args: &Args, board: &Board) -> Result<(Open, bool)> {
-    let seed = args.seed;
-    if let Some(path) = args.plant.as_deref().and_then(|p| p.strip_prefix("model:")) {
-        let (machine, step_mm) = (
-            inputs::described(Path::new(path), board)?,
-            board.drive.law().step_mm,
-        );
-        let open = move |purpose| -> Result<Box<dyn World>, _> {
-            let (machine, noise) = (
+    let (seed, foreign) = (args.seed, args.plant.as_deref());
+    if let Some(path) = foreign.and_then(|plant| plant.strip_prefix("model:")) {
+        let machine = inputs::described(Path::new(path), board)?;
+        let step_mm = board.drive.law().step_mm;
+        let open: Open = Box::new(move |purpose| {
+            let noise = seed.wrapping_add(noise_of(purpose));
+            Ok(Box::new(Described::new(
                 machine.as_ref().clone(),
-                seed.wrapping_add(noise_of(purpose)),
-            );
-            Ok(Box::new(Described::new(machine, step_mm, noise)))
-        };
-        return Ok((Box::new(open), false));
+                step_mm,
+                noise,
+            )))
+        });
+        return Ok((open, false));
     }
-    if let Some(plant) = &args.plant {
+    if let Some(plant) = foreign {
         let (program, args) = inputs::program(plant)?;
-        let open =
-            move |_| -> Result<Box<dyn World>, _> { Ok(Box::new(Link::start(&program, &args)?)) };
-        return Ok((Box::new(open), true));
+        let open: Open = Box::new(move |_| Ok(Box::new(Link::start(&program, &args)?)));
+        return Ok((open, true));
     }
     let section = built_in(args, board)?;
-    let open = move |purpose| -> Result<Box<dyn World>, _> {
-        let noise = noise_of(purpose);
-        Ok(Box::new(Sim::new(
-            &section.make(),
-            seed,
-            noise,
-            section.period_s,
-        )?))
-    };
-    Ok((Box::new(open), false))
+    let open: Open = Box::new(move |purpose| {
+        let (plant, noise) = (section.make(), noise_of(purpose));
+        Ok(Box::new(Sim::new(&plant, seed, noise, section.period_s)?))
+    });
+    Ok((open, false))
 }
 
 /// The built-in plant of a board.
@@ -173,11 +167,11 @@ fn noise_of(purpose: Purpose) -> u64 {
     }
 }
 
-fn verdict(e: &Evaluation) -> CommandOutcome {
+fn verdict(e: &Evaluation) -> bool {
     let bad = |a: &ArmResult| a.bend_rmse_deg > GOOD_ENOUGH_DEG;
     let lost = |t: &TrackResult| t.rmse_delayed_deg > FOLLOWED_DEG;
     let failed = e.track.as_ref().is_some_and(lost) || e.arm(Arm::Closed).is_some_and(bad);
-    CommandOutcome::from(e.converged && !failed)
+    e.converged && !failed
 }
 
 /// The table of arms and the gains, for people.
@@ -202,35 +196,32 @@ fn summary(e: &Evaluation) -> String {
     };
     let figures = pictures::ARM_COLUMNS.iter().enumerate().skip(1);
     let figures = figures.map(|(c, title)| line(c, title));
-    let arms = match e.arms.len() {
-        0 => String::new(),
-        n => format!(
-            "{}\n",
-            output::table(&line(0, "").join("|"), 1..n + 1, figures)
-        ),
+    let arms = output::table(&line(0, "").join("|"), 1..e.arms.len() + 1, figures);
+    let row = |f: &Foretold| {
+        let figures = [f.machine_deg, f.twin_deg, f.nominal_deg].map(|x| format!("{x:.1}°"));
+        [vec![f.name.clone()], figures.into()].concat()
     };
-    let foretold = match e.foretold.len() {
-        0 => String::new(),
-        _ => {
-            let row = |f: &Foretold| {
-                let figures = [f.machine_deg, f.twin_deg, f.nominal_deg];
-                let [machine, twin, nominal] = figures.map(|x| format!("{x:.1}°"));
-                [f.name.clone(), machine, twin, nominal]
-            };
-            let header = "bend RMSE, open loop|machine|its twin foretells|nominal model foretells";
-            format!(
-                "{}\n",
-                output::table(header, 1..4, e.foretold.iter().map(row))
-            )
+    let header = "bend RMSE, open loop|machine|its twin foretells|nominal model foretells";
+    let foretold = output::table(header, 1..4, e.foretold.iter().map(row));
+    let shown = |some: bool, table: Table| {
+        if some {
+            format!("{table}\n")
+        } else {
+            String::new()
         }
     };
+    let (arms, foretold) = (
+        shown(!e.arms.is_empty(), arms),
+        shown(!e.foretold.is_empty(), foretold),
+    );
     let path = e.track.as_ref().map_or(String::new(), |t| {
         format!(
             "path of {:.1} s: RMSE {:.2}°, 95 % {:.2}°, at most {:.2}°; delay {:.3} s, RMSE after it {:.2}°\n",
             t.duration_s, t.rmse_deg, t.p95_deg, t.max_deg, t.delay_s, t.rmse_delayed_deg
         )
     });
-    let (plant, seed, k_eps, k_lambda) = (&e.plant, e.seed, gains(&e.k_eps), gains(&e.k_lambda_mm));
+    let (k_eps, k_lambda) = (gains(&e.k_eps), gains(&e.k_lambda_mm));
+    let (plant, seed) = (&e.plant, e.seed);
     format!(
         "plant {plant}, seed {seed}\n\n{arms}\n{foretold}{path}k_ε = {k_eps}   k_λ = {k_lambda} mm   ({origin})\n"
     )

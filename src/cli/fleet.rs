@@ -1,6 +1,5 @@
 //! `retroflex fleet`: what the rows of many diagnoses tell about the lots of a fleet and about its next unit.
 
-use crate::cli::CommandOutcome;
 use crate::cli::gap::rows::read;
 use crate::cli::output::{self, ResultFile};
 use crate::config::Calibration;
@@ -44,7 +43,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A report that names the faulty file.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<()> {
     let mut rows: BTreeMap<String, Row> = BTreeMap::new();
     for table in &args.tables {
         for row in read(table)? {
@@ -67,8 +66,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         columns::write(&row::table(&rows), &[]).into_diagnostic()
     })?;
     output::write_some(&args.html, || Ok(page(&survey).html()))?;
-    output::answer(&args.json, &survey, summary(&survey))?;
-    Ok(CommandOutcome::Good)
+    output::answer(&args.json, &survey, summary(&survey))
 }
 
 /// A calibration file of the fleet's gains and their spread.

@@ -1,9 +1,9 @@
 //! The command line as `clap` describes it: commands by task, examples, completions and man pages.
 
-use crate::cli::{CommandOutcome, output};
+use crate::cli::output;
 use clap::Command;
 use clap_complete::Shell;
-use miette::{Result, miette};
+use miette::{Result, bail, miette};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -111,11 +111,11 @@ pub struct CompletionsArgs {
 }
 
 /// Prints a completion script of a command line on standard output.
-pub fn completions(args: &CompletionsArgs, mut command: Command) -> CommandOutcome {
+pub fn completions(args: &CompletionsArgs, mut command: Command) -> Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut command, "retroflex", &mut script);
     output::print(&script);
-    CommandOutcome::Good
+    Ok(())
 }
 
 /// Arguments of `man`.
@@ -129,13 +129,10 @@ pub struct ManArgs {
 ///
 /// # Errors
 /// A report that names the folder.
-pub fn man(args: &ManArgs, command: Command) -> Result<CommandOutcome> {
+pub fn man(args: &ManArgs, command: Command) -> Result<()> {
     let folder = args.folder.display();
     if !args.folder.is_dir() {
-        return Err(miette!(
-            "{folder}: this is no folder; create one and name it"
-        ));
+        bail!("{folder}: this is no folder; create one and name it");
     }
-    clap_mangen::generate_to(command, &args.folder).map_err(|e| miette!("{folder}: {e}"))?;
-    Ok(CommandOutcome::Good)
+    clap_mangen::generate_to(command, &args.folder).map_err(|e| miette!("{folder}: {e}"))
 }

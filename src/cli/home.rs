@@ -1,7 +1,7 @@
 //! `retroflex home`: finds zero with home switches, or with the help of an operator.
 
 use crate::cli::manual_motion::{self, motion_error, with_manual_control, without_sensors};
-use crate::cli::{CommandOutcome, inputs, output};
+use crate::cli::{inputs, output};
 use crate::config::{Board, HomingMethod};
 use crate::primitives::Steps;
 use crate::service::paths::Paths;
@@ -30,7 +30,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A report: bad input, hardware that does not answer, or the reason why zero was not found.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<()> {
     let board = inputs::board(Some(&args.board))?;
     // the lock of the state folder also keeps a service from starting meanwhile
     let memory = board
@@ -54,7 +54,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         store.write(&memory).into_diagnostic()?;
     }
     output::print(&text);
-    Ok(CommandOutcome::Good)
+    Ok(())
 }
 
 fn by_switches(args: &Args, board: &Board) -> Result<String> {

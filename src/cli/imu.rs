@@ -1,7 +1,6 @@
 //! `retroflex imu score`: orientation filters against recordings with a reference.
 
-use crate::cli::output::ResultFile;
-use crate::cli::{CommandOutcome, output};
+use crate::cli::output::{self, ResultFile};
 use crate::estimation::fusion::FilterName;
 use crate::estimation::score::{self, Row, Score};
 use miette::{IntoDiagnostic, Result};
@@ -36,7 +35,7 @@ pub struct ScoreArgs {
 ///
 /// # Errors
 /// A report that names what is wrong with the input.
-pub fn run(args: &ScoreArgs) -> Result<CommandOutcome> {
+pub fn run(args: &ScoreArgs) -> Result<()> {
     let rows = score::run(&args.files, args.filter, args.all).into_diagnostic()?;
     output::answer(&args.json, &rows, table(&rows) + "\n")?;
     for row in rows
@@ -49,7 +48,7 @@ pub fn run(args: &ScoreArgs) -> Result<CommandOutcome> {
             100.0 * row.saturated
         );
     }
-    Ok(CommandOutcome::Good)
+    Ok(())
 }
 
 /// A line for each recording and filter, and the means of several recordings.

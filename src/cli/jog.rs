@@ -2,7 +2,7 @@
 //! end, and pressure would then push the piston.
 
 use crate::cli::inputs::within;
-use crate::cli::{CommandOutcome, manual_motion, output};
+use crate::cli::{manual_motion, output};
 use crate::supervisor::commission::manual_motion::ManualMotion;
 use miette::{Result, bail};
 use std::path::PathBuf;
@@ -42,7 +42,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A report: bad input, hardware that does not answer, or the reason that ended the motion.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<()> {
     if args.stay && args.times != 1 {
         let times = args.times;
         bail!("--stay and --times {times} contradict each other; omit one of them");
@@ -73,5 +73,5 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         out / step_mm,
         back / step_mm
     ));
-    Ok(CommandOutcome::Good)
+    Ok(())
 }

@@ -2,7 +2,6 @@
 
 mod export;
 
-use crate::cli::CommandOutcome;
 use crate::cli::flight::{self, flight_of};
 use crate::cli::inputs::within;
 use crate::cli::output::{self, ResultFile};
@@ -158,7 +157,7 @@ impl Info {
     }
 }
 
-fn info(args: &InfoArgs) -> Result<CommandOutcome> {
+fn info(args: &InfoArgs) -> Result<bool> {
     let (path, mut info) = (flight_of(&args.file)?, Info::default());
     let read = flight::read(&path, &mut |t_s, message| info.take(t_s, message));
     let ending = read.map_err(|e| miette!("{e}"))?;
@@ -191,13 +190,13 @@ fn info(args: &InfoArgs) -> Result<CommandOutcome> {
     info.fact("events", info.events.clone());
     output::write_some(&args.html, || Ok(info.page(&path, &facts).html()))?;
     output::answer(&args.json, &info.facts, text)?;
-    Ok(ending.damage.is_empty().into())
+    Ok(ending.damage.is_empty())
 }
 
 /// Rounding of the times of a log, s.
 const ROUNDING_S: f64 = 1e-6;
 
-fn cut(args: &CutArgs) -> Result<CommandOutcome> {
+fn cut(args: &CutArgs) -> Result<bool> {
     let (path, from_s, to_s) = (flight_of(&args.file)?, args.from, args.to);
     if from_s >= to_s {
         bail!("--from {from_s} --to {to_s}: the part is empty; --to must be later");
@@ -217,7 +216,7 @@ fn cut(args: &CutArgs) -> Result<CommandOutcome> {
     });
     let ending = copied.map_err(|e| miette!("{e}"))?;
     eprintln!("{ending}");
-    Ok(ending.damage.is_empty().into())
+    Ok(ending.damage.is_empty())
 }
 
 /// Copies a part of a log. Returns how the log ends, and the number of cycles in the part.

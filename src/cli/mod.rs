@@ -22,7 +22,7 @@ macro_rules! commands {
             /// A report that says what is wrong with the input, the machine or the service.
             pub fn run(&self) -> miette::Result<$crate::cli::CommandOutcome> {
                 match self {
-                    $(Self::$command(arguments) => $run(arguments),)+
+                    $(Self::$command(arguments) => $run(arguments).map(Into::into),)+
                 }
             }
         }
@@ -57,7 +57,7 @@ pub mod release;
 pub mod replay;
 pub mod run;
 
-pub use outcome::{CommandOutcome, Unreachable};
+pub use outcome::{CommandOutcome, Refused, Unreachable};
 
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser};
 use std::process::ExitCode;
@@ -126,7 +126,7 @@ commands! {
     /// Run a recording through the loop and compare bit for bit.
     Replay(replay::Args) => replay::run,
     /// Print a completion script for a shell.
-    Completions(help::CompletionsArgs) => |args: &_| Ok(help::completions(args, command())),
+    Completions(help::CompletionsArgs) => |args: &_| help::completions(args, command()),
     /// Write the man pages into a folder.
     Man(help::ManArgs) => |args: &_| help::man(args, command()),
 }
@@ -165,6 +165,7 @@ fn exit_code(end: &miette::Result<CommandOutcome>) -> u8 {
     match end {
         Ok(CommandOutcome::Good) => 0,
         Ok(CommandOutcome::NotGoodEnough) => 1,
+        Err(report) if report.chain().any(|e| e.is::<Refused>()) => 1,
         Err(report) if report.chain().any(|e| e.is::<Unreachable>()) => 3,
         Err(_) => 2,
     }

@@ -7,7 +7,7 @@ use crate::hardware::rt;
 use crate::report::table;
 use clap::ArgMatches;
 use comfy_table::{Row, Table};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressFinish, ProgressStyle};
 use miette::{IntoDiagnostic, Result, bail, miette};
 use serde::Serialize;
 use signal_hook::iterator::Signals;
@@ -70,12 +70,13 @@ impl Drop for Scratch {
 }
 
 /// Progress of long work on standard error, shown only on a terminal: a bar if the length is known, else a spinner, followed by
-/// `text` (an `indicatif` template) and the elapsed time.
+/// `text` (an `indicatif` template) and the elapsed time. It vanishes when it is dropped.
 pub fn bar(length: u64, text: &str) -> ProgressBar {
     let (bar, shape) = match length {
         0 => (ProgressBar::new_spinner(), "{spinner}"),
         _ => (ProgressBar::new(length), "{bar:40}"),
     };
+    let bar = bar.with_finish(ProgressFinish::AndClear);
     if let Ok(style) = ProgressStyle::with_template(&format!("{shape} {text} {{elapsed}}")) {
         bar.set_style(style);
     }

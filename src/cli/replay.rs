@@ -2,7 +2,6 @@
 
 pub mod settings;
 
-use crate::cli::CommandOutcome;
 use crate::cli::flight::{self, flight_of};
 use crate::cli::output::{self, ResultFile};
 use crate::config::Gains;
@@ -45,7 +44,7 @@ pub fn start_of(header: &Header) -> Result<Start, String> {
 ///
 /// # Errors
 /// A report that names the defect of the log.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<bool> {
     let path = flight_of(&args.log)?;
     let mut replay = Replay {
         args: args.changes.any().then_some(&args.changes),
@@ -80,7 +79,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         show(&replay.changes, cycles);
     }
     let Some((number, t_s, fields)) = replay.first else {
-        return Ok(ending.damage.is_empty().into());
+        return Ok(ending.damage.is_empty());
     };
     let program = replay.program;
     let fields = match fields.len() {
@@ -90,7 +89,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     println!(
         "the first difference is in cycle {number} at {t_s:.3} s, in {fields}: the software has changed since version {program} wrote the log"
     );
-    Ok(CommandOutcome::NotGoodEnough)
+    Ok(false)
 }
 
 /// The parts of a run up to this one that are there.

@@ -1,7 +1,7 @@
 //! `retroflex run`: the service, in the foreground or under systemd.
 
 use crate::cli::inputs::within;
-use crate::cli::{CommandOutcome, Unreachable, inputs, logging, manual_motion};
+use crate::cli::{Unreachable, inputs, logging, manual_motion};
 use crate::config::show;
 use crate::config::supervisor::assemble;
 use crate::config::{Board, Calibration, PressureBound, ServiceSection, source};
@@ -70,7 +70,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A report about the input, the machine or the system.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<()> {
     let _logging = logging::start();
     let foreign = args.plant.is_some();
     let own_board = || inputs::own_board().filter(|_| !foreign);
@@ -134,8 +134,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             record,
         },
     )
-    .map_err(report)?;
-    Ok(CommandOutcome::Good)
+    .map_err(report)
 }
 
 fn report(error: ServiceError) -> miette::Report {

@@ -167,7 +167,6 @@ pub fn from_bus(bus: &Path, seconds: f64) -> Result<Vec<ImuSample>> {
     let samples = record(sensor.as_mut(), &mut Delay, seconds, &mut |share| {
         bar.set_position((share * 1000.0) as u64)
     });
-    bar.finish_and_clear();
     samples.map(finite)
 }
 

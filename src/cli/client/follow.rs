@@ -4,8 +4,7 @@ use super::args::{BendArgs, TransmissionArgs};
 use super::connection::{At, ask, ask_and_print, connect, status};
 use super::play::halted;
 use super::status::pose;
-use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
-use crate::cli::output;
+use crate::cli::{Refused, output};
 use crate::model::Bend;
 use crate::report::page::Page;
 use crate::service::client::Client as Connection;
@@ -29,62 +28,52 @@ const SAME_DEG: f64 = 0.1;
 /// Period of the lines that report progress where there is no terminal.
 const SAID_EVERY: Duration = Duration::from_secs(5);
 
-/// Polls the status until `done` returns a result, or until the service refuses.
-fn poll(
+/// Polls the status until `done` returns a result.
+fn poll<T>(
     connection: &mut Connection,
     period_ms: u64,
-    mut done: impl FnMut(&Status) -> Option<CommandOutcome>,
-) -> Result<CommandOutcome> {
+    mut done: impl FnMut(&Status) -> Option<T>,
+) -> Result<T> {
     loop {
         sleep(Duration::from_millis(period_ms));
-        if let Some(outcome) = done(&status(connection)?) {
-            return Ok(outcome);
+        if let Some(result) = done(&status(connection)?) {
+            return Ok(result);
         }
     }
 }
 
-/// `bend`, with `--wait` until the tip has settled.
+/// `bend`, with `--wait` until the tip has settled; false if it does not.
 ///
 /// # Errors
 /// A report with the service's message.
-pub fn bend(args: &BendArgs) -> Result<CommandOutcome> {
+pub fn bend(args: &BendArgs) -> Result<bool> {
     let mut connection = connect(&args.at)?;
-    let frame = if args.world {
-        Frame::World
-    } else {
-        Frame::Base
-    };
+    let (bend_deg, dir_deg) = (args.bend, args.toward);
     let request = Request::Bend {
-        bend_deg: args.bend,
-        dir_deg: args.toward,
+        bend_deg,
+        dir_deg,
         length_mm: args.length,
         speed_deg_s: args.speed,
-        frame,
+        frame: if args.world {
+            Frame::World
+        } else {
+            Frame::Base
+        },
     };
     match args.wait {
-        true => settle(
-            &mut connection,
-            &request,
-            Bend::from_deg(args.bend, args.toward),
-        ),
-        false => ask_and_print(&mut connection, &request),
+        true => settle(&mut connection, &request, Bend::from_deg(bend_deg, dir_deg)),
+        false => ask_and_print(&mut connection, &request).map(|()| true),
     }
 }
 
-/// Sends the request of a bend, and waits until the tip has settled there.
+/// Sends the request of a bend, and waits until the tip has settled there; false if it does not.
 ///
 /// # Errors
 /// A report with the service's message.
-pub fn settle(
-    connection: &mut Connection,
-    request: &Request,
-    sent_to: Bend,
-) -> Result<CommandOutcome> {
-    if ask(connection, request)?.is_none() {
-        return Ok(NotGoodEnough);
-    }
+pub fn settle(connection: &mut Connection, request: &Request, sent_to: Bend) -> Result<bool> {
+    ask(connection, request)?;
     let (started, bar) = (Instant::now(), output::bar(0, "{msg}"));
-    let outcome = poll(connection, 50, |s| {
+    let (good, line) = poll(connection, 50, |s| {
         let mode = s.mode_name().unwrap_or_default();
         let line = format!(
             "{mode}  estimate {} of {}",
@@ -98,10 +87,8 @@ pub fn settle(
                 format!("another command replaced this one: {line}")
             }
             None if s.settled => {
-                bar.finish_and_clear();
                 let how = s.shortfall.as_deref().unwrap_or("settled");
-                output::print(format!("{line}: {how}\n"));
-                return Some(CommandOutcome::from(!s.blocked));
+                return Some((!s.blocked, format!("{line}: {how}\n")));
             }
             None if started.elapsed() < MOVED_MAX => {
                 bar.set_message(line);
@@ -109,24 +96,22 @@ pub fn settle(
             }
             None => format!("mode {mode}"),
         };
-        bar.finish_and_clear();
         let suspicion = s
             .suspicion
-            .iter()
-            .map(|text| format!("; {text}"))
-            .collect::<String>();
-        output::print(format!("not settled: {why}{suspicion}\n"));
-        Some(NotGoodEnough)
-    });
-    bar.finish_and_clear();
-    outcome
+            .as_ref()
+            .map_or(String::new(), |text| format!("; {text}"));
+        Some((false, format!("not settled: {why}{suspicion}\n")))
+    })?;
+    drop(bar);
+    output::print(line);
+    Ok(good)
 }
 
 /// `arm`, also right after the start of the service: waits for its socket and for the end of its alignment.
 ///
 /// # Errors
 /// A report with the service's message.
-pub fn arm(at: &At) -> Result<CommandOutcome> {
+pub fn arm(at: &At) -> Result<()> {
     let started = Instant::now();
     let mut connection = loop {
         match connect(at) {
@@ -134,39 +119,38 @@ pub fn arm(at: &At) -> Result<CommandOutcome> {
             reached => break reached?,
         }
     };
-    match aligned(&mut connection)? {
-        Good => ask_and_print(&mut connection, &Request::Arm {}),
-        refused => Ok(refused),
-    }
+    aligned(&mut connection)?;
+    ask_and_print(&mut connection, &Request::Arm {})
 }
 
 /// Waits for the end of an alignment.
 ///
 /// # Errors
-/// A report with the service's message.
-pub fn aligned(connection: &mut Connection) -> Result<CommandOutcome> {
+/// A report with the service's message, or that the tip is not aligned in time.
+pub fn aligned(connection: &mut Connection) -> Result<()> {
     let (started, mut said) = (Instant::now(), false);
-    poll(connection, 100, |s| {
+    let aligned = poll(connection, 100, |s| {
         if !matches!(s.mode, Some(Mode::Boot | Mode::Aligning)) {
-            return Some(Good);
+            return Some(true);
         }
         if !std::mem::replace(&mut said, true) {
             eprintln!(
                 "waiting for the end of the alignment, for which the tip must be still for 2 s"
             );
         }
-        (started.elapsed() > ALIGNED_MAX).then(|| {
-            eprintln!("not aligned after {} s because the tip or the base is not still; the service keeps trying", ALIGNED_MAX.as_secs());
-            NotGoodEnough
-        })
-    })
+        (started.elapsed() > ALIGNED_MAX).then_some(false)
+    })?;
+    match aligned {
+        true => Ok(()),
+        false => Err(Refused(format!("not aligned after {} s because the tip or the base is not still; the service keeps trying", ALIGNED_MAX.as_secs())).into()),
+    }
 }
 
-/// `calibrate transmission`, until the gains are identified.
+/// `calibrate transmission`, until the gains are identified; false if they are not.
 ///
 /// # Errors
 /// A report with the service's message.
-pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
+pub fn transmission(args: &TransmissionArgs) -> Result<bool> {
     let mut connection = connect(&args.at)?;
     let action = match (args.accept, args.discard, args.short) {
         (true, ..) => CalibrateAction::Accept,
@@ -175,41 +159,33 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
         _ => CalibrateAction::Full,
     };
     let poses = args.poses;
-    if ask(&mut connection, &Request::Calibrate { action, poses })?.is_none() {
-        return Ok(NotGoodEnough);
-    }
+    ask(&mut connection, &Request::Calibrate { action, poses })?;
     if args.accept || args.discard {
-        return Ok(Good);
+        return Ok(true);
     }
     let (bar, mut said) = (output::bar(0, "{msg}"), Instant::now());
-    let mut last = Status::default();
-    let outcome = poll(&mut connection, 200, |s| {
-        if let Some(progress) = &s.calibrating {
-            bar.set_message(progress.clone());
-            // a spinner is seen on a terminal only
-            if bar.is_hidden() && said.elapsed() >= SAID_EVERY {
-                said = Instant::now();
-                eprintln!("{progress}");
-            }
-            return None;
+    let last = poll(&mut connection, 200, |s| {
+        let Some(progress) = &s.calibrating else {
+            return Some(s.clone());
+        };
+        bar.set_message(progress.clone());
+        // a spinner is seen on a terminal only
+        if bar.is_hidden() && said.elapsed() >= SAID_EVERY {
+            said = Instant::now();
+            eprintln!("{progress}");
         }
-        bar.finish_and_clear();
-        if let Some(why) = &s.calibration_failed {
-            output::print(format!("no gains were identified: {why}\n"));
-            return Some(NotGoodEnough);
-        }
-        last = s.clone();
-        Some(Good)
-    });
-    bar.finish_and_clear();
-    let outcome = outcome?;
-    if outcome == Good {
-        show_gains(&last, args)?;
-        eprintln!(
-            "apply them with `retroflex calibrate transmission --accept`, or discard them with `--discard`"
-        );
+        None
+    })?;
+    drop(bar);
+    if let Some(why) = &last.calibration_failed {
+        output::print(format!("no gains were identified: {why}\n"));
+        return Ok(false);
     }
-    Ok(outcome)
+    show_gains(&last, args)?;
+    eprintln!(
+        "apply them with `retroflex calibrate transmission --accept`, or discard them with `--discard`"
+    );
+    Ok(true)
 }
 
 /// Shows the proposed gains beside those in use.

@@ -6,7 +6,6 @@ pub mod view;
 
 use super::connection::{At, report, socket};
 use super::keys::{Key, keys};
-use crate::cli::CommandOutcome::{self, Good};
 use crate::cli::flight::flight_of;
 use crate::cli::inputs::within;
 use crate::service::client::Client as Connection;
@@ -60,7 +59,7 @@ enum Source {
 ///
 /// # Errors
 /// A report about a log or a terminal that cannot be used, or a service that cannot be reached.
-pub fn monitor(args: &MonitorArgs) -> Result<CommandOutcome> {
+pub fn monitor(args: &MonitorArgs) -> Result<()> {
     let open = |log: &PathBuf| Player::open(&flight_of(log)?, args.speed);
     let log = args.log.as_ref().map(open).transpose()?;
     if !stdin().is_terminal() || !stdout().is_terminal() {
@@ -81,7 +80,7 @@ pub fn monitor(args: &MonitorArgs) -> Result<CommandOutcome> {
     // a terminal that is gone cannot be restored
     let _ = (terminal.show_cursor(), ratatui::try_restore());
     std::mem::forget(terminal);
-    Ok(Good)
+    Ok(())
 }
 
 /// Draws once and handles the keys until the next frame is due; false if the operator ends the monitor, or the terminal is gone.

@@ -2,7 +2,6 @@
 
 use super::args::{StatusArgs, SubscribeArgs};
 use super::connection::{ask, connect, read_status, report};
-use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::output;
 use crate::service::protocol::Request;
 use crate::service::status::{GrantState, PathState, Pose, Status};
@@ -20,7 +19,7 @@ const WIDTH: usize = 80;
 ///
 /// # Errors
 /// A report with the service's message.
-pub fn status(args: &StatusArgs) -> Result<CommandOutcome> {
+pub fn status(args: &StatusArgs) -> Result<()> {
     let mut connection = connect(&args.at)?;
     let redraw = args.watch && args.json.is_none() && std::io::stdout().is_terminal();
     loop {
@@ -35,7 +34,7 @@ pub fn status(args: &StatusArgs) -> Result<CommandOutcome> {
         let shown = out.write_all(text.as_bytes()).and_then(|()| out.flush());
         // a reader that has closed its end, such as `head`, has seen enough
         if shown.is_err() || !args.watch {
-            return Ok(Good);
+            return Ok(());
         }
         std::thread::sleep(Duration::from_millis(500));
     }
@@ -147,16 +146,14 @@ fn wrapped(text: &str) -> String {
 ///
 /// # Errors
 /// A report with the service's message.
-pub fn subscribe(args: &SubscribeArgs) -> Result<CommandOutcome> {
+pub fn subscribe(args: &SubscribeArgs) -> Result<()> {
     let mut connection = connect(&args.at)?;
-    if ask(&mut connection, &Request::Subscribe { rate_hz: args.rate })?.is_none() {
-        return Ok(NotGoodEnough);
-    }
+    ask(&mut connection, &Request::Subscribe { rate_hz: args.rate })?;
     let mut out = std::io::stdout();
     loop {
         let value = connection.read().map_err(report)?;
         if writeln!(out, "{value}").is_err() {
-            return Ok(Good);
+            return Ok(());
         }
     }
 }

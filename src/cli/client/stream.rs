@@ -1,9 +1,9 @@
 //! `stream`: set-points from standard input, `BEND DIR` or `BEND DIR T` per line.
 
 use super::args::{BEND_DEG, DIR_DEG};
-use super::connection::{At, answered, connect, status};
+use super::connection::{At, connect, report, status};
 use super::follow::settle;
-use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
+use crate::cli::Refused;
 use crate::cli::inputs::within;
 use crate::model::Bend;
 use crate::service::protocol::{Failure, Request};
@@ -29,7 +29,7 @@ type SetPoint = (f64, f64, Option<f64>);
 ///
 /// # Errors
 /// A report that names the line, or with the service's message.
-pub fn stream(at: &At) -> Result<CommandOutcome> {
+pub fn stream(at: &At) -> Result<bool> {
     let mut connection = connect(at)?;
     let (mut began, mut last) = (None, None);
     let mut sleep_until = |t_s: f64, ahead_s: f64| {
@@ -58,27 +58,20 @@ pub fn stream(at: &At) -> Result<CommandOutcome> {
             let message = format!("{place}: {}", f.message);
             Failure { message, ..f }
         });
-        if answered(answer)?.is_none() {
-            return Ok(NotGoodEnough);
-        }
+        answer.map_err(report)?;
         last = Some((bend_deg, dir_deg, t_s));
     }
     let Some((bend_deg, dir_deg, t_s)) = last else {
-        return Ok(Good);
+        return Ok(true);
     };
     t_s.into_iter()
         .for_each(|t_s| sleep_until(t_s, END_AHEAD_S));
     if status(&mut connection)?.mode != Some(Mode::Tracking) {
-        eprintln!(
-            "the tip stopped before the end of the stream: by another command, or because of a pause longer than `service.dead_man_s`"
-        );
-        return Ok(NotGoodEnough);
+        let why = "the tip stopped before the end of the stream: by another command, or because of a pause longer than `service.dead_man_s`";
+        return Err(Refused(why.to_owned()).into());
     }
-    settle(
-        &mut connection,
-        &Request::bend(bend_deg, dir_deg, None),
-        Bend::from_deg(bend_deg, dir_deg),
-    )
+    let request = Request::bend(bend_deg, dir_deg, None);
+    settle(&mut connection, &request, Bend::from_deg(bend_deg, dir_deg))
 }
 
 /// The next line, which is no longer than a set-point can be.

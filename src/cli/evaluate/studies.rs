@@ -1,7 +1,7 @@
 //! `evaluate --sweep` and `evaluate --ablate`: tables, JSON and the drawing of the envelope.
 
 use super::args::Args;
-use crate::cli::{CommandOutcome, inputs, output};
+use crate::cli::{inputs, output};
 use crate::config::{Board, Gains, PlantSection, assemble};
 use crate::experiment::ablation::{self, AblationRow, MECHANISMS};
 use crate::experiment::sweep::{self, CONDITIONS, Condition, Study, SweepRow};
@@ -24,7 +24,7 @@ pub(super) fn run(
     section: &PlantSection,
     board: &Board,
     gains: &Gains,
-) -> Result<CommandOutcome> {
+) -> Result<bool> {
     let units = if args.sweep {
         SWEEP_UNITS
     } else {
@@ -39,11 +39,11 @@ pub(super) fn run(
     };
     match args.sweep {
         true => run_sweep(args, &study),
-        false => run_ablation(args, &study),
+        false => run_ablation(args, &study).map(|()| true),
     }
 }
 
-fn run_sweep(args: &Args, study: &Study) -> Result<CommandOutcome> {
+fn run_sweep(args: &Args, study: &Study) -> Result<bool> {
     let start = Instant::now();
     let only = args.only.as_deref().unwrap_or_default();
     let mut conditions: Vec<Condition> = CONDITIONS.to_vec();
@@ -67,7 +67,7 @@ fn run_sweep(args: &Args, study: &Study) -> Result<CommandOutcome> {
         "{table}\n{failed} of {all} rows fail; {units} units each, {directions} of 12 directions; {with} (in {took_s:.0} s)\n"
     );
     output::answer(&args.json, &result, text)?;
-    Ok(CommandOutcome::from(failed == 0))
+    Ok(failed == 0)
 }
 
 fn sweep_row(r: &SweepRow) -> Vec<String> {
@@ -85,7 +85,7 @@ fn sweep_row(r: &SweepRow) -> Vec<String> {
     row
 }
 
-fn run_ablation(args: &Args, study: &Study) -> Result<CommandOutcome> {
+fn run_ablation(args: &Args, study: &Study) -> Result<()> {
     let bar = output::bar(MECHANISMS.len() as u64 * study.units, "units,");
     let rows = ablation::run(study, &MECHANISMS, &|| bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
@@ -94,8 +94,7 @@ fn run_ablation(args: &Args, study: &Study) -> Result<CommandOutcome> {
     let table = output::table(header, 1..7, rows.iter().map(ablation_row));
     let (units, with) = (study.units, calibration(args));
     let text = format!("{table}\nclosed loop, {units} units, {with}\n");
-    output::answer(&args.json, &result, text)?;
-    Ok(CommandOutcome::Good)
+    output::answer(&args.json, &result, text)
 }
 
 fn ablation_row(r: &AblationRow) -> Vec<String> {

@@ -2,8 +2,7 @@
 
 use crate::cli::calibrate::today;
 use crate::cli::gap::input;
-use crate::cli::output::ResultFile;
-use crate::cli::{CommandOutcome, output};
+use crate::cli::output::{self, ResultFile};
 use crate::config::{Calibration, DynamicsSection, TransmissionSection};
 use crate::diagnosis::remedy::Remedy;
 use crate::diagnosis::saved::SavedModel;
@@ -40,7 +39,7 @@ enum Place {
 ///
 /// # Errors
 /// A report that names the faulty input.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<()> {
     let model = input::saved(&args.model)?;
     let forecast = model
         .forecast
@@ -61,7 +60,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         )?;
     }
     output::print(said(&model, &effects, args) + "\n");
-    Ok(CommandOutcome::Good)
+    Ok(())
 }
 
 /// What becomes of the gains and of each effect, after a sentence that says what the verdict asks for.

@@ -1,8 +1,7 @@
 //! `retroflex gap check`: a saved model on a fresh log.
 
 use crate::cli::gap::input;
-use crate::cli::output::ResultFile;
-use crate::cli::{CommandOutcome, output};
+use crate::cli::output::{self, ResultFile};
 use crate::diagnosis::check::{Checked, Judgement, check};
 use crate::model::effects::catalogue;
 use miette::Result;
@@ -26,12 +25,12 @@ pub struct Args {
 ///
 /// # Errors
 /// A report that names the faulty input.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<bool> {
     let model = input::saved(&args.model)?;
     let log = input::observe(&args.log, &args.machine.rig()?)?;
     let checked = check(&model, &log, &catalogue());
     output::answer(&args.json, &checked, said(&checked))?;
-    Ok((checked.judgement == Judgement::ThisMachine).into())
+    Ok(checked.judgement == Judgement::ThisMachine)
 }
 
 /// The judgement in one sentence, then the figures.

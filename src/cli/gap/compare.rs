@@ -2,7 +2,7 @@
 
 use crate::cli::gap::input;
 use crate::cli::output::ResultFile;
-use crate::cli::{CommandOutcome, inputs, logging, output};
+use crate::cli::{inputs, logging, output};
 use crate::diagnosis::chain::Motion;
 use crate::diagnosis::diagnose::{diagnose, goes_with};
 use crate::diagnosis::document::{DependenceEntry, Diagnosis};
@@ -98,7 +98,7 @@ struct ParamEntry {
 ///
 /// # Errors
 /// A report that names the faulty input, or says what the program did.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<bool> {
     let lines = args.driven.lines()?;
     let log = input::observe(&args.log, &args.driven.machine.rig()?)?;
     let (name, compared) = simulated(args, &log)?;
@@ -107,7 +107,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     output::write_some(&args.residuals, || residuals(&log, &compared))?;
     let (text, good) = said(&document);
     output::answer(&args.json, &document, text)?;
-    Ok(good.into())
+    Ok(good)
 }
 
 /// Name of the simulator, and what it leaves of the log.
@@ -131,7 +131,6 @@ fn simulated(args: &Args, log: &Observed) -> Result<(String, Compared)> {
         motion
     };
     let compared = compare(log, &args.fit, run).into_diagnostic()?;
-    bar.finish_and_clear();
     Ok((name, compared))
 }
 

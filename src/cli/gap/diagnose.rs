@@ -1,6 +1,5 @@
 //! `retroflex gap diagnose`: diagnoses a log, prints the answer and writes it to files.
 
-use crate::cli::CommandOutcome;
 use crate::cli::gap::input::{self, DrivenArgs, file_name, verdict};
 use crate::cli::gap::map;
 use crate::cli::gap::rows::{self, RowsArgs, Settings};
@@ -51,7 +50,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A report that names the faulty input.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<()> {
     if let Some(table) = &args.many.rows {
         let settings = Settings {
             rig: args.driven.machine.rig()?,
@@ -88,7 +87,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         summary(&done.document, args.save.as_deref()) + "\n",
         &args.json,
     );
-    Ok(CommandOutcome::Good)
+    Ok(())
 }
 
 /// Requested files with their contents.

@@ -2,7 +2,7 @@
 
 use crate::cli::gap::input;
 use crate::cli::output::ResultFile;
-use crate::cli::{CommandOutcome, inputs, output};
+use crate::cli::{inputs, output};
 use crate::diagnosis::confusion::separable;
 use crate::diagnosis::excite::design::{APART, Design, LONGEST_S, Pair, Request, design};
 use crate::diagnosis::excite::rows::{Machine, csv};
@@ -50,7 +50,7 @@ impl Check for Args {
 ///
 /// # Errors
 /// A report that names the faulty input.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<()> {
     let mut checker = Checker::default();
     args.check(&mut checker);
     checker
@@ -74,7 +74,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     bar.finish_and_clear();
     output::write(&args.out, csv(&designed.rows))?;
     output::show(summary(args, &designed) + "\n", &Some(args.out.clone()));
-    Ok(CommandOutcome::Good)
+    Ok(())
 }
 
 fn summary(args: &Args, d: &Design) -> String {

@@ -1,6 +1,5 @@
 //! `retroflex gap diagnose --map`: diagnoses a bench log of another rig.
 
-use crate::cli::CommandOutcome;
 use crate::cli::gap::input::{file_name, verdict};
 use crate::cli::output::{self, ResultFile};
 use crate::config::source;
@@ -23,14 +22,13 @@ pub fn run(
     fresh: &[PathBuf],
     json: &Option<ResultFile>,
     seed: u64,
-) -> Result<CommandOutcome> {
+) -> Result<()> {
     let map: MapFile = source::read(map)?;
     let signals = table::read(log, &map).into_diagnostic()?;
     let other = |path| Ok((file_name(path), table::read(path, &map).into_diagnostic()?));
     let others = fresh.iter().map(other).collect::<Result<Vec<_>>>()?;
     let document = diagnose(&map, &signals, &others, seed);
-    output::answer(json, &document, summary(&document) + "\n")?;
-    Ok(CommandOutcome::Good)
+    output::answer(json, &document, summary(&document) + "\n")
 }
 
 fn summary(d: &Document) -> String {

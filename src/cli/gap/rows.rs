@@ -3,7 +3,6 @@
 //! A row is written to a journal as soon as it is known. When the command is given again, after a kill or with new logs, only
 //! logs without a row are diagnosed.
 
-use crate::cli::CommandOutcome;
 use crate::cli::gap::input;
 use crate::cli::output::{self, ResultFile};
 use crate::diagnosis::diagnose::diagnose;
@@ -87,12 +86,7 @@ struct Unit {
 ///
 /// # Errors
 /// A report that names the faulty file. A log that cannot be diagnosed has a row that says why.
-pub fn run(
-    logs: &[PathBuf],
-    settings: &Settings,
-    args: &RowsArgs,
-    table: &Path,
-) -> Result<CommandOutcome> {
+pub fn run(logs: &[PathBuf], settings: &Settings, args: &RowsArgs, table: &Path) -> Result<()> {
     let text = format!(
         "{} {:?} {:?} {}",
         env!("CARGO_PKG_VERSION"),
@@ -128,7 +122,7 @@ pub fn run(
         table.display(),
         rows.len()
     );
-    Ok(CommandOutcome::Good)
+    Ok(())
 }
 
 /// The logs, in the order of their names, with what is known of their units.
@@ -263,7 +257,6 @@ fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Re
             .into_iter()
             .collect::<io::Result<()>>()
     });
-    bar.finish_and_clear();
     done.map_err(failed)
 }
 

@@ -1,6 +1,5 @@
 //! `log export`: the samples of a flight log with what the loop made of them, as a bend log or a Parquet table.
 
-use crate::cli::CommandOutcome;
 use crate::cli::flight::{self, flight_of};
 use crate::cli::output::{self, ResultFile};
 use crate::log::columns::{self, Column};
@@ -178,12 +177,12 @@ fn names() -> Vec<&'static str> {
 ///
 /// # Errors
 /// A report that names the file.
-pub fn export(args: &ExportArgs) -> Result<CommandOutcome> {
+pub fn export(args: &ExportArgs) -> Result<bool> {
     let (path, mut rows) = (flight_of(&args.file)?, Rows::default());
     let read = flight::read(&path, &mut |_, message| rows.take(message));
     let ending = read.map_err(|e| miette!("{e}"))?;
     output::write_some(&args.csv, || Ok(rows.csv()))?;
     output::write_some(&args.parquet, || rows.parquet())?;
     eprintln!("{:.3} s; {ending}", rows.samples.last_s);
-    Ok(ending.damage.is_empty().into())
+    Ok(ending.damage.is_empty())
 }
