@@ -9,7 +9,8 @@ use crate::cli::inputs::within;
 use crate::cli::output::ResultFile;
 use crate::cli::{Refused, output};
 use crate::estimation::imu_calibration::{
-    ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, gyro, mag, motor, mount, still,
+    ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, from_log, gyro, mag, motor,
+    mount, still,
 };
 use crate::log::bend_log;
 use crate::log::table::text;
@@ -135,13 +136,13 @@ fn identify(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Resul
         Step::Gyro => gyro_bias(&read()?, from, into),
         Step::Accel => accel_bias(&read()?, from, into),
         Step::Mag => hard_iron(&read()?, from, into),
-        Step::Motors => motor::fit(&samples::of_motors(&log()?, args.idle_after), from).map(|fit| {
+        Step::Motors => motor::fit(&from_log::of_motors(&log()?, args.idle_after), from).map(|fit| {
             let strongest = fit.field.cos_ut.iter().chain(&fit.field.sin_ut).map(|r| Vector3::from(*r).norm()).fold(0.0, f64::max);
             into.motor_field = Some(fit.field);
             let coverage = 100.0 * fit.coverage.into_iter().fold(1.0, f64::min);
             format!("motor fields up to {strongest:.2} µT, residual {:.2} µT, {coverage:.0} % of the coil cycle covered", fit.residual_ut)
         }),
-        Step::Mount => mount::from_bends(&samples::bends(&log()?)).map(|fit| {
+        Step::Mount => mount::from_bends(&from_log::bends(&log()?)).map(|fit| {
             into.set_mount(&fit, from);
             format!(
                 "sensor rotated by {:.2}° against the tip, ± {}°, from {} bends, {:.2}° out of their plane",

@@ -66,19 +66,12 @@ impl Finding {
     }
 
     fn line(&self) -> String {
-        let Self {
-            what,
-            found,
-            remedy,
-            ..
-        } = self;
         let mark = ["pass", "WARN", "FAIL"][self.verdict as usize];
-        let arrow = if remedy.is_empty() {
-            ""
-        } else {
-            "\n      → "
-        };
-        format!("{mark}  {what:<18} {found}{arrow}{remedy}\n")
+        let line = format!("{mark}  {:<18} {}\n", self.what, self.found);
+        match self.remedy.as_str() {
+            "" => line,
+            remedy => format!("{line}      → {remedy}\n"),
+        }
     }
 }
 
@@ -133,13 +126,8 @@ fn kernel() -> Finding {
 
 fn pressure(board: &Board) -> Finding {
     let bound = PressureBound::of(board);
-    let verdict = pass_or_warn(bound.is_bounded());
-    Finding::new(
-        "pressure",
-        verdict,
-        bound.to_string(),
-        PressureBound::REMEDY,
-    )
+    let (verdict, found) = (pass_or_warn(bound.is_bounded()), bound.to_string());
+    Finding::new("pressure", verdict, found, PressureBound::REMEDY)
 }
 
 /// Buses, GPIO chips and sensors that the board names. Sensors are identified; no output is driven.
@@ -158,11 +146,8 @@ fn devices(board: &Board) -> Vec<Finding> {
             Backend::Rppal => "if there is no such file, set pins.backend = \"cdev\"",
             _ => "on a Raspberry Pi 5 with an older kernel the header is /dev/gpiochip4",
         };
-        findings.push(device(
-            "pins",
-            path,
-            &format!("join the group gpio; {remedy}"),
-        ));
+        let remedy = format!("join the group gpio; {remedy}");
+        findings.push(device("pins", path, &remedy));
     }
     let Some(machine) = board.hardware() else {
         return findings;
@@ -220,12 +205,8 @@ fn real_time(board: &Board) -> Vec<Finding> {
     let (priority, cpu) = (board.service.priority, board.service.cpu);
     let request = RtRequest { priority, cpu };
     let Ok(status) = std::thread::spawn(move || rt::enter(&request).0).join() else {
-        return vec![Finding::new(
-            "real time",
-            Fail,
-            "the test thread panicked",
-            "",
-        )];
+        let found = "the test thread panicked";
+        return vec![Finding::new("real time", Fail, found, "")];
     };
     let line = |(name, grant): (&'static str, Grant)| match grant {
         Grant::NotRequested => None,
@@ -294,12 +275,8 @@ fn folder(what: &str, path: Option<&Path>) -> Finding {
     match std::fs::metadata(path) {
         Ok(m) => {
             let (mode, user, group) = (m.mode() & 0o777, m.uid(), m.gid());
-            Finding::new(
-                what,
-                Pass,
-                format!("{shown} ({mode:o}, {user}:{group})"),
-                "",
-            )
+            let found = format!("{shown} ({mode:o}, {user}:{group})");
+            Finding::new(what, Pass, found, "")
         }
         Err(e) => {
             let remedy = "RuntimeDirectory= of the systemd unit creates it; use --socket when starting by hand";

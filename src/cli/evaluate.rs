@@ -10,7 +10,7 @@ use crate::config::source;
 use crate::config::{Board, Calibration, PlantSection};
 use crate::control::LoopConfig;
 use crate::experiment::arm::ArmResult;
-use crate::experiment::evaluation::{self, Arm, Evaluation, Foretold, Plan, Purpose, Track};
+use crate::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose, Track};
 use crate::experiment::path;
 use crate::experiment::track::TrackResult;
 use crate::report::evaluation as pictures;
@@ -20,7 +20,6 @@ use crate::simulation::sim::Sim;
 use crate::simulation::world::World;
 use crate::supervisor::MachineError;
 use args::Args;
-use comfy_table::Table;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::Path;
 
@@ -73,8 +72,8 @@ pub fn run(args: &Args) -> Result<bool> {
     let result = result.into_diagnostic()?;
     output::write_some(&args.html, || Ok(pictures::html(&result)))?;
     output::write_some(&args.svg, || Ok(pictures::svg(&result)))?;
-    output::answer(&args.json, &result, summary(&result))?;
-    if let Some(warning) = result.track.as_ref().and_then(too_fast) {
+    output::answer(&args.json, &result, pictures::summary(&result))?;
+    if let Some(warning) = result.track.as_ref().and_then(pictures::too_fast) {
         eprintln!("warning: {warning}");
     }
     Ok(verdict(&result))
@@ -101,18 +100,6 @@ fn track(args: &Args, config: &LoopConfig) -> Result<Option<Track>> {
     within.into_diagnostic()?;
     let live = args.live;
     Ok(Some(Track { path, live }))
-}
-
-/// What is to be said of a path that the pistons cannot follow as it is.
-fn too_fast(t: &TrackResult) -> Option<String> {
-    let demand = t.demand;
-    let done = match t.live {
-        true => "a live path is not slowed down, so the tip falls behind",
-        false => "it was driven that much slower",
-    };
-    (demand > 1.0).then(|| {
-        format!("the path asks {demand:.2} times the speed that the pistons can follow; {done}")
-    })
 }
 
 /// Opens the plant that a run drives.
@@ -172,57 +159,4 @@ fn verdict(e: &Evaluation) -> bool {
     let lost = |t: &TrackResult| t.rmse_delayed_deg > FOLLOWED_DEG;
     let failed = e.track.as_ref().is_some_and(lost) || e.arm(Arm::Closed).is_some_and(bad);
     e.converged && !failed
-}
-
-/// The table of arms and the gains, for people.
-fn summary(e: &Evaluation) -> String {
-    let gains = |g: &[f64; 3]| g.map(|x| format!("{x:.2}")).join(", ");
-    let origin = match (e.iterations, e.converged) {
-        (0, _) => "from the calibration file".to_owned(),
-        (n, true) => format!("Algorithm 1, {n} passes"),
-        (n, false) => format!("Algorithm 1, NOT converged after {n} passes"),
-    };
-    // a figure a row, so that the table is narrow
-    let mut rows = pictures::arm_rows(e);
-    let names = Arm::ALL.into_iter().filter(|arm| e.arm(*arm).is_some());
-    for (row, arm) in rows.iter_mut().zip(names) {
-        arm.name().clone_into(&mut row[0]);
-    }
-    let line = |c: usize, title: &str| {
-        let cells = rows.iter().map(|row| row[c].clone());
-        std::iter::once(title.to_owned())
-            .chain(cells)
-            .collect::<Vec<_>>()
-    };
-    let figures = pictures::ARM_COLUMNS.iter().enumerate().skip(1);
-    let figures = figures.map(|(c, title)| line(c, title));
-    let arms = output::table(&line(0, "").join("|"), 1..e.arms.len() + 1, figures);
-    let row = |f: &Foretold| {
-        let figures = [f.machine_deg, f.twin_deg, f.nominal_deg].map(|x| format!("{x:.1}°"));
-        [vec![f.name.clone()], figures.into()].concat()
-    };
-    let header = "bend RMSE, open loop|machine|its twin foretells|nominal model foretells";
-    let foretold = output::table(header, 1..4, e.foretold.iter().map(row));
-    let shown = |some: bool, table: Table| {
-        if some {
-            format!("{table}\n")
-        } else {
-            String::new()
-        }
-    };
-    let (arms, foretold) = (
-        shown(!e.arms.is_empty(), arms),
-        shown(!e.foretold.is_empty(), foretold),
-    );
-    let path = e.track.as_ref().map_or(String::new(), |t| {
-        format!(
-            "path of {:.1} s: RMSE {:.2}°, 95 % {:.2}°, at most {:.2}°; delay {:.3} s, RMSE after it {:.2}°\n",
-            t.duration_s, t.rmse_deg, t.p95_deg, t.max_deg, t.delay_s, t.rmse_delayed_deg
-        )
-    });
-    let (k_eps, k_lambda) = (gains(&e.k_eps), gains(&e.k_lambda_mm));
-    let (plant, seed) = (&e.plant, e.seed);
-    format!(
-        "plant {plant}, seed {seed}\n\n{arms}\n{foretold}{path}k_ε = {k_eps}   k_λ = {k_lambda} mm   ({origin})\n"
-    )
 }

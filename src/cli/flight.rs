@@ -34,13 +34,14 @@ pub fn flight_of(log: &Path) -> Result<PathBuf> {
 pub fn read(
     path: &Path,
     visit: &mut dyn FnMut(f64, &Message<'_>) -> Result<(), String>,
-) -> Result<Ending, String> {
+) -> Result<Ending> {
     let mut begin_ns = None;
-    messages(path, &mut |message| {
+    let read = messages(path, &mut |message| {
         let now_ns = message.log_time;
         let since_ns = now_ns.saturating_sub(*begin_ns.get_or_insert(now_ns));
         visit(since_ns as f64 * 1e-9, &message)
-    })
+    });
+    read.map_err(|e| miette!("{e}"))
 }
 
 /// The message about a log that cannot be written, which `shown` names.
@@ -55,17 +56,16 @@ pub fn unwritable(shown: &str) -> impl Fn(McapError) -> String {
 pub fn write(
     out: &Path,
     shown: &str,
-    work: impl FnOnce(FlightFile) -> Result<(FlightFile, Ending), String>,
-) -> Result<Ending, String> {
-    let failed = unwritable(shown);
-    let file = FlightFile::create(out, 0).map_err(&failed)?;
+    work: impl FnOnce(FlightFile) -> Result<(FlightFile, Ending)>,
+) -> Result<Ending> {
+    let failed = |e| miette!("{}", unwritable(shown)(e));
+    let file = FlightFile::create(out, 0).map_err(failed)?;
     let done = work(file).and_then(|(mut file, ending)| {
-        file.state_damage(&ending.damage).map_err(&failed)?;
-        file.finish().map_err(&failed).map(|()| ending)
+        file.state_damage(&ending.damage).map_err(failed)?;
+        file.finish().map_err(failed).map(|()| ending)
     });
-    if done.is_err() {
+    done.inspect_err(|_| {
         // it holds nothing of use
         let _ = std::fs::remove_file(out);
-    }
-    done
+    })
 }

@@ -14,7 +14,7 @@ use crate::service::flight::read::{Ending, Entry};
 use crate::service::flight::start::Event;
 use export::{ExportArgs, export};
 use mcap::{McapError, Message};
-use miette::{Result, bail, miette};
+use miette::{Result, bail};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 use std::ops::Range;
@@ -159,28 +159,19 @@ impl Info {
 
 fn info(args: &InfoArgs) -> Result<bool> {
     let (path, mut info) = (flight_of(&args.file)?, Info::default());
-    let read = flight::read(&path, &mut |t_s, message| info.take(t_s, message));
-    let ending = read.map_err(|e| miette!("{e}"))?;
+    let ending = flight::read(&path, &mut |t_s, message| info.take(t_s, message))?;
     let begin_s = info.begin_ns.unwrap_or(0) / 1_000_000_000;
     let begins = OffsetDateTime::from_unix_timestamp(begin_s as i64);
-    info.fact(
-        "begins",
-        begins.map_or_else(|_| String::new(), |t| t.to_string()),
-    );
+    info.fact("begins", begins.map_or(String::new(), |t| t.to_string()));
     info.fact("duration_s", (info.duration_s * 1e3).round() / 1e3);
     info.fact("cycles", info.cycles);
     info.fact("ending", ending.to_string());
     let mut text = format!("{}\n", path.display());
-    let shown = |value: &Value| {
-        value
-            .as_str()
-            .map_or_else(|| value.to_string(), str::to_owned)
+    let fact = |(name, value): (&String, &Value)| {
+        let text = value.as_str().map(str::to_owned);
+        [name.clone(), text.unwrap_or_else(|| value.to_string())]
     };
-    let facts = info
-        .facts
-        .iter()
-        .map(|(name, value)| [name.clone(), shown(value)]);
-    let facts: Vec<[String; 2]> = facts.collect();
+    let facts: Vec<[String; 2]> = info.facts.iter().map(fact).collect();
     for [name, value] in &facts {
         text += &format!("  {name}: {value}\n");
     }
@@ -202,19 +193,14 @@ fn cut(args: &CutArgs) -> Result<bool> {
         bail!("--from {from_s} --to {to_s}: the part is empty; --to must be later");
     }
     let shown = args.out.display().to_string();
-    let copied = flight::write(&args.out, &shown, |mut file| {
+    let ending = flight::write(&args.out, &shown, |mut file| {
         let (ending, cycles) = copy(&path, from_s..to_s, &mut file, flight::unwritable(&shown))?;
-        match cycles {
-            0 => {
-                let name = path.display();
-                Err(format!(
-                    "{name}: there is nothing from {from_s} s to {to_s} s"
-                ))
-            }
-            _ => Ok((file, ending)),
+        if cycles == 0 {
+            let name = path.display();
+            bail!("{name}: there is nothing from {from_s} s to {to_s} s");
         }
-    });
-    let ending = copied.map_err(|e| miette!("{e}"))?;
+        Ok((file, ending))
+    })?;
     eprintln!("{ending}");
     Ok(ending.damage.is_empty())
 }
@@ -225,7 +211,7 @@ fn copy(
     part_s: Range<f64>,
     file: &mut FlightFile,
     failed: impl Fn(McapError) -> String,
-) -> Result<(Ending, usize), String> {
+) -> Result<(Ending, usize)> {
     let (mut flushed_s, mut cycles) = (0.0, 0);
     let ending = flight::read(path, &mut |t_s, message| {
         match message.channel.topic.as_str() {

@@ -4,9 +4,8 @@
 
 use crate::config::Calibration;
 use crate::hardware::rt;
-use crate::report::table;
+pub use crate::report::table::{columns, titled as table};
 use clap::ArgMatches;
-use comfy_table::{Row, Table};
 use indicatif::{ProgressBar, ProgressFinish, ProgressStyle};
 use miette::{IntoDiagnostic, Result, bail, miette};
 use serde::Serialize;
@@ -15,7 +14,7 @@ use std::borrow::Cow;
 use std::ffi::OsString;
 use std::fmt;
 use std::io::{Read, Write};
-use std::ops::{Deref, Range};
+use std::ops::Deref;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
@@ -133,20 +132,6 @@ pub fn show(text: impl fmt::Display, result: &Option<ResultFile>) {
         true => eprint!("{text}"),
         false => print(text.to_string()),
     }
-}
-
-/// A table for the terminal. `header` has the names of the columns between bars; the columns `numbers` are aligned to the right.
-pub fn table<R: Into<Row>>(
-    header: &str,
-    numbers: Range<usize>,
-    rows: impl IntoIterator<Item = R>,
-) -> Table {
-    table::table(&columns(header), numbers, rows)
-}
-
-/// The names of columns between bars.
-pub fn columns(header: &str) -> Vec<&str> {
-    header.split('|').collect()
 }
 
 /// [`check`] of the results and the inputs among the arguments of a command.

@@ -50,11 +50,10 @@ pub fn run(args: &Args) -> Result<bool> {
         args: args.changes.any().then_some(&args.changes),
         ..Replay::default()
     };
-    let done = match &args.out {
-        None => replay.read(&path),
-        Some(out) => replay.write(&path, out),
+    let ending = match &args.out {
+        None => replay.read(&path)?,
+        Some(out) => replay.write(&path, out)?,
     };
-    let ending = done.map_err(|e| miette!("{e}"))?;
     let (cycles, different, skipped) = (replay.cycles, replay.different, replay.skipped);
     if cycles == 0 {
         let file = path.display();
@@ -135,7 +134,7 @@ struct Replay<'a> {
 
 impl Replay<'_> {
     /// Replays a log and the parts before it. Returns how it ends, and where any part is damaged.
-    fn read(&mut self, path: &Path) -> Result<Ending, String> {
+    fn read(&mut self, path: &Path) -> Result<Ending> {
         let (mut ending, mut damage) = (Ending::default(), Vec::new());
         for part in parts(path) {
             ending = flight::read(&part, &mut |_, message| match TOPICS
@@ -153,11 +152,14 @@ impl Replay<'_> {
     }
 
     /// As [`Self::read`], and writes what is replayed.
-    fn write(&mut self, path: &Path, out: &Path) -> Result<Ending, String> {
+    fn write(&mut self, path: &Path, out: &Path) -> Result<Ending> {
         flight::write(out, &format!("--out {}", out.display()), |file| {
             self.out = Some(file);
             let ending = self.read(path)?;
-            let file = self.out.take().ok_or("there is nothing to write")?;
+            let file = self
+                .out
+                .take()
+                .ok_or_else(|| miette!("there is nothing to write"))?;
             Ok((file, ending))
         })
     }

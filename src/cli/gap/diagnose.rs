@@ -1,16 +1,17 @@
 //! `retroflex gap diagnose`: diagnoses a log, prints the answer and writes it to files.
 
-use crate::cli::gap::input::{self, DrivenArgs, file_name, verdict};
+use crate::cli::gap::input::{self, DrivenArgs, file_name};
 use crate::cli::gap::map;
 use crate::cli::gap::rows::{self, RowsArgs, Settings};
 use crate::cli::output::{self, ResultFile};
 use crate::diagnosis::diagnose::{Diagnosed, diagnose};
-use crate::diagnosis::document::{Diagnosis, EffectEntry, LogEntry};
+use crate::diagnosis::document::Diagnosis;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::saved::SavedModel;
 use crate::model::effects::catalogue;
+use crate::report::gap::answer::summary;
 use crate::report::gap::evidence::Evidence;
-use crate::report::gap::{page, words};
+use crate::report::gap::page;
 use miette::{IntoDiagnostic, Result, bail};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -144,68 +145,6 @@ fn not_finite(value: &Value, key: &str) -> Option<String> {
             .find_map(|(k, v)| not_finite(v, &format!("{key}{dot}{k}"))),
         _ => None,
     }
-}
-
-/// Number of effects in the table: the probable ones, and at least three.
-fn shown(d: &Diagnosis) -> usize {
-    d.effects
-        .iter()
-        .take_while(|e| e.probability >= 0.01)
-        .count()
-        .clamp(3, 6)
-}
-
-fn summary(d: &Diagnosis, saved: Option<&Path>) -> String {
-    let row = |e: &EffectEntry| {
-        let [low, high] = e.closed_ci95.map(|share| share * 100.0);
-        [
-            e.name.to_owned(),
-            e.stage.to_owned(),
-            format!("{:.2}", e.probability),
-            format!("{:.2}°", e.gap_before_deg),
-            format!("{:.2}°", e.gap_after_deg),
-            format!("{:.0} %", e.closed * 100.0),
-            format!("{low:.0} to {high:.0} %"),
-        ]
-    };
-    let header = "effect|stage|prob.|before|after|closed|95 %";
-    let table = output::table(header, 2..7, d.effects.iter().take(shown(d)).map(row));
-    let mut out = vec![
-        words::opening(d),
-        verdict(&d.verdict),
-        words::headline(d),
-        words::place(d),
-    ];
-    let named = d
-        .effects
-        .iter()
-        .filter(|e| d.verdict.names.contains(&e.name));
-    for e in named {
-        let values: Vec<String> = e.params.iter().map(words::value).collect();
-        out.push(format!("{}: {}", words::plain(e.name), values.join("; ")));
-    }
-    out.extend(words::limits(d));
-    if let several @ [_, _, ..] = d.logs.as_slice() {
-        let row = |l: &LogEntry| {
-            let [before, after] = [l.recalibrated_deg, l.explained_deg].map(|x| format!("{x:.2}°"));
-            [l.file.clone(), before, after]
-        };
-        let rows = several.iter().map(row);
-        out.push(output::table("log|recalibrated|explained", 1..3, rows).to_string());
-    }
-    out.push(table.to_string());
-    let next = |advice: &String| match saved {
-        Some(path) => {
-            let model = path.display().to_string();
-            format!("next: {}", advice.replace("model.toml", &model))
-        }
-        None if advice.contains("gap check") => {
-            format!("next: {advice} `--save model.toml` writes the model.")
-        }
-        None => format!("next: {advice}"),
-    };
-    out.extend(words::next(d).iter().map(next));
-    out.join("\n")
 }
 
 #[cfg(test)]

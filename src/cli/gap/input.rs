@@ -2,7 +2,6 @@
 
 use crate::cli::inputs;
 use crate::config::source;
-use crate::diagnosis::document::VerdictEntry;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::rig::Rig;
 use crate::diagnosis::saved::SavedModel;
@@ -105,13 +104,6 @@ pub fn observe_together(paths: &[PathBuf], rig: &Rig) -> Result<Observed> {
 pub fn file_name(path: &PathBuf) -> String {
     let name = path.file_name().unwrap_or_default();
     name.to_string_lossy().into_owned()
-}
-
-/// A verdict and the effects that it names, in one line.
-pub fn verdict(verdict: &VerdictEntry) -> String {
-    let between = if verdict.names.is_empty() { "" } else { ": " };
-    let names = verdict.names.join(" and ");
-    format!("verdict {}{between}{names}", verdict.kind.name())
 }
 
 /// Reads a saved model and checks its names against the catalogue.

@@ -9,7 +9,7 @@ use crate::service::flight::scene::timestamp;
 use crate::service::flight::start::Event;
 use crate::service::record;
 use mcap::Message;
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{IntoDiagnostic, Result};
 use serde_json::{Map, Value, json};
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -179,8 +179,7 @@ fn names() -> Vec<&'static str> {
 /// A report that names the file.
 pub fn export(args: &ExportArgs) -> Result<bool> {
     let (path, mut rows) = (flight_of(&args.file)?, Rows::default());
-    let read = flight::read(&path, &mut |_, message| rows.take(message));
-    let ending = read.map_err(|e| miette!("{e}"))?;
+    let ending = flight::read(&path, &mut |_, message| rows.take(message))?;
     output::write_some(&args.csv, || Ok(rows.csv()))?;
     output::write_some(&args.parquet, || rows.parquet())?;
     eprintln!("{:.3} s; {ending}", rows.samples.last_s);

@@ -7,7 +7,7 @@ use crate::service::flight::file::TOPICS;
 use crate::service::flight::read::Entry;
 use crate::service::flight::start::Event;
 use crate::service::status;
-use miette::{Result, bail, miette};
+use miette::{Result, bail};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
@@ -89,7 +89,7 @@ impl Player {
 /// The frames that the channels for people hold.
 fn recorded(path: &Path) -> Result<Frames> {
     let (mut frames, mut now) = (Vec::new(), Map::new());
-    let read = flight::read(path, &mut |t_s, message| {
+    flight::read(path, &mut |t_s, message| {
         if now.contains_key("mode") && t_s >= PERIOD_S * frames.len() as f64 {
             frames.push((t_s, json!(now).to_string()));
         }
@@ -97,17 +97,14 @@ fn recorded(path: &Path) -> Result<Frames> {
             return Ok(());
         }
         match Entry::of(message)? {
-            Entry::Event(event) => {
-                if let Event::Start(header) = *event {
-                    let limits = status::limits(&start_of(&header)?.config);
-                    now.insert("limits".to_owned(), limits);
-                }
+            Entry::Event(ref event) if let Event::Start(header) = &**event => {
+                let limits = status::limits(&start_of(header)?.config);
+                now.insert("limits".to_owned(), limits);
             }
             Entry::Shown(Value::Object(fields)) => now.extend(fields),
             _ => {}
         }
         Ok(())
-    });
-    read.map_err(|e| miette!("{e}"))?;
+    })?;
     Ok(frames)
 }
