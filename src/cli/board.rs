@@ -3,12 +3,10 @@
 use crate::cli::output::ResultFile;
 use crate::cli::{inputs, output};
 use crate::config::show::whole;
-use crate::config::{Calibration, Gains, Header, PressureBound, shipped};
-use crate::primitives::{Check, Parameters};
+use crate::config::{Header, PressureBound};
 use crate::report::wiring::{self, Device, Wire};
 use miette::{Result, bail};
-use serde::de::DeserializeOwned;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 commands! {
     /// Boards, gains and calibrations.
@@ -54,14 +52,11 @@ pub struct ShowArgs {
 
 fn show(args: &ShowArgs) -> Result<()> {
     let file = args.file.as_deref();
-    let text = if args.gains {
-        page::<Gains>(file, shipped::GAINS)?
-    } else if args.calib {
-        page::<Calibration>(file, shipped::PAPER)?
-    } else {
-        whole(&inputs::board(file)?)
-    };
-    output::print(&text);
+    output::print(match (args.gains, args.calib) {
+        (true, _) => whole(&inputs::gains(file)?),
+        (_, true) => whole(&inputs::calibration(file)?),
+        _ => whole(&inputs::board(file)?),
+    });
     Ok(())
 }
 
@@ -77,33 +72,25 @@ fn draw(args: &DrawArgs) -> Result<()> {
         |name: &str, position| raspberry.then(|| (name.to_owned(), Wire::Position(position)));
     let uses = pins.uses();
     let mut devices = Vec::new();
+    let mut device = |name, terminals: Vec<_>| devices.push(Device { name, terminals });
     for (i, ground) in [9, 14, 20].into_iter().enumerate() {
         let channel = format!("channels.{i}.");
         let own = uses.iter().filter(|u| u.key.starts_with(&channel));
         let lines = own.map(|u| (u.name.to_uppercase(), Wire::Line(u.pin)));
         let terminals = lines.chain(supply("GND", ground)).collect();
-        devices.push(Device {
-            name: format!("driver of bellow {}", i + 1),
-            terminals,
-        });
+        device(format!("driver of bellow {}", i + 1), terminals);
     }
     if let Some(imu) = &board.imu {
         let bus = imu.bus_lines.into_iter().flatten().zip(["SDA", "SCL"]);
         let bus = bus.map(|(pin, name)| (name.to_owned(), Wire::Line(pin)));
         let power = supply("3.3 V", 1).into_iter();
         let terminals = power.chain(bus).chain(supply("GND", 6)).collect();
-        devices.push(Device {
-            name: format!("IMU at the tip, {}", imu.bus),
-            terminals,
-        });
+        device(format!("IMU at the tip, {}", imu.bus), terminals);
     }
     if let Some(stop) = pins.emergency_stop {
         let contact = [("NC".to_owned(), Wire::Line(stop.pin))];
         let terminals = contact.into_iter().chain(supply("GND", 39)).collect();
-        devices.push(Device {
-            name: "emergency stop".to_owned(),
-            terminals,
-        });
+        device("emergency stop".to_owned(), terminals);
     }
     let title = format!("Wiring of {}", board.machine.name);
     output::write(&args.svg, wiring::draw(&title, raspberry, &devices))
@@ -115,12 +102,4 @@ fn check(args: &CheckArgs) -> Result<bool> {
     let bound = PressureBound::of(&board);
     output::print(format!("file      consistent\npressure  {bound}\n"));
     Ok(bound.is_bounded())
-}
-
-/// A file, or what comes with the program in its place, as the whole of its keys.
-fn page<T: DeserializeOwned + Check + Parameters>(
-    file: Option<&Path>,
-    own: (&str, &str),
-) -> Result<String> {
-    Ok(whole(&inputs::read_or::<T>(file, own)?))
 }

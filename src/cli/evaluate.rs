@@ -5,9 +5,7 @@ mod studies;
 
 use crate::cli::output;
 use crate::cli::{gap, inputs, logging};
-use crate::config::assemble;
-use crate::config::source;
-use crate::config::{Board, Calibration, PlantSection};
+use crate::config::{Board, Calibration, PlantSection, assemble, source};
 use crate::control::LoopConfig;
 use crate::experiment::arm::ArmResult;
 use crate::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose, Track};
@@ -44,11 +42,8 @@ pub fn run(args: &Args) -> Result<bool> {
     let _logging = is_foreign.then(logging::start);
     let identify = calibration.is_none();
     let calibration = calibration.unwrap_or_default();
-    let given = args.feedforward.as_deref();
-    let feedforward = inputs::feedforward(given, args.calib.as_deref(), &calibration);
-    let feedforward = feedforward
-        .map(|path| inputs::described(&path, &board))
-        .transpose()?;
+    let feedforward = inputs::feedforward(&args.feedforward, &args.calib, &calibration, &board)?;
+    let feedforward = feedforward.map(|(_, machine)| machine);
     let config = assemble(&board, &calibration, &gains);
     let track = track(args, &config)?;
     let usual: &[Arm] = if track.is_some() { &[] } else { &Arm::ALL };

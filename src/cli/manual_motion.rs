@@ -12,8 +12,7 @@ use crate::supervisor::Machine;
 use crate::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 /// Reads a board file and opens its machine: the hardware if it has pins, else its plant. `prepare` can adjust the hardware
 /// configuration.
@@ -77,10 +76,7 @@ pub fn with_manual_control<T, E>(
     report: impl FnOnce(E) -> miette::Report,
     work: impl FnOnce(&mut ManualMotion<'_>) -> Result<T, E>,
 ) -> Result<T> {
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in rt::ending_signals() {
-        signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
-    }
+    let stop = inputs::ended()?;
     let simulated = machine.is_simulated();
     let zero_ns = rt::monotonic_ns();
     let mut wait = move |next: Seconds| {

@@ -150,9 +150,9 @@ pub fn check_arguments(mut arguments: &ArgMatches) -> Result<()> {
     let results: Vec<(String, &ResultFile)> = results.collect();
     let inputs = names().filter_map(|name| arguments.try_get_many::<PathBuf>(name).ok()?);
     let inputs: Vec<&Path> = inputs.flatten().map(PathBuf::as_path).collect();
-    let results: Vec<_> = results
+    let results: Vec<(&str, &Path)> = results
         .iter()
-        .map(|(name, file)| (&**name, Some(&***file)))
+        .map(|(name, file)| (&**name, &***file))
         .collect();
     check(&results, &inputs)
 }
@@ -165,11 +165,7 @@ pub fn check_arguments(mut arguments: &ArgMatches) -> Result<()> {
 ///
 /// # Errors
 /// A report that names the option, the file and the obstacle.
-pub fn check(results: &[(&str, Option<&Path>)], inputs: &[&Path]) -> Result<()> {
-    let results = results
-        .iter()
-        .filter_map(|&(option, path)| Some((option, path?)));
-    let results: Vec<(&str, &Path)> = results.collect();
+pub fn check(results: &[(&str, &Path)], inputs: &[&Path]) -> Result<()> {
     for (n, &(option, path)) in results.iter().enumerate() {
         let file = path.display();
         if let Some((other, _)) = results[..n].iter().find(|r| r.1 == path) {
@@ -229,22 +225,19 @@ fn check_kind(option: &str, path: &Path, inputs: &[&Path]) -> Result<()> {
 fn may_replace(option: &str, path: &Path, old: &[u8]) -> bool {
     let table = || {
         std::fs::read_to_string(path)
+            .ok()?
+            .parse::<toml::Table>()
             .ok()
-            .and_then(|text| text.parse::<toml::Table>().ok())
     };
     let has = |key: &str| table().is_some_and(|table| table.contains_key(key));
-    // a file with nothing but `[imu]` is one, too
     let is_calibration = || {
-        table().is_some_and(|mut table| {
-            let gains = || {
-                toml::toml! { k_epsilon = [2.2, 2.2, 2.2]
-                k_lambda_mm = [0.8, 0.8, 0.8] }
-            };
-            table
-                .entry("transmission")
-                .or_insert_with(|| gains().into());
-            table.try_into::<Calibration>().is_ok()
-        })
+        let mut gains = toml::toml! { [transmission]
+            k_epsilon = [2.2, 2.2, 2.2]
+            k_lambda_mm = [0.8, 0.8, 0.8]
+        };
+        // a file with nothing but `[imu]` is one, too
+        gains.extend(table()?);
+        gains.try_into::<Calibration>().ok()
     };
     match (option, path.extension().and_then(|e| e.to_str())) {
         ("--json", _) => matches!(old[0], b'{' | b'['),
@@ -252,7 +245,7 @@ fn may_replace(option: &str, path: &Path, old: &[u8]) -> bool {
         ("--parquet" | "--rows" | "--merged", _) => old.starts_with(b"PAR1"),
         ("--save", _) => has("with_effects"),
         ("--calib" | "--prior", _) | ("--out", Some("toml")) => {
-            is_calibration() || has("conformal")
+            is_calibration().is_some() || has("conformal")
         }
         ("--csv", _) | ("--out", Some("csv")) => {
             old.starts_with(b"\x1f\x8b")
@@ -373,23 +366,22 @@ mod tests {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
-    fn refusal(results: &[(&str, Option<&Path>)], inputs: &[&Path]) -> String {
+    fn refusal(results: &[(&str, &Path)], inputs: &[&Path]) -> String {
         check(results, inputs).unwrap_err().to_string()
     }
 
     #[test]
     fn check_names_the_obstacle() {
         let folder = tempfile::tempdir().unwrap();
-        assert!(refusal(&[("--json", Some(folder.path()))], &[]).contains("is a folder"));
+        assert!(refusal(&[("--json", folder.path())], &[]).contains("is a folder"));
         let lost = folder.path().join("no/r.json");
-        assert!(refusal(&[("--json", Some(&lost))], &[]).contains("does not exist"));
+        assert!(refusal(&[("--json", &lost)], &[]).contains("does not exist"));
         assert!(write(&lost, "").is_err());
         let one = Path::new("r.out");
         assert!(
-            refusal(&[("--json", Some(one)), ("--html", Some(one))], &[])
-                .contains("both --json and --html")
+            refusal(&[("--json", one), ("--html", one)], &[]).contains("both --json and --html")
         );
-        assert!(check(&[("--json", Some(Path::new("-"))), ("--html", None)], &[]).is_ok());
+        assert!(check(&[("--json", Path::new("-"))], &[]).is_ok());
     }
 
     #[test]
@@ -399,15 +391,15 @@ mod tests {
         std::fs::write(&input, "time_s,piston1_mm\n").unwrap();
         std::os::unix::fs::symlink(&input, &link).unwrap();
         for result in [&input, &link] {
-            let text = refusal(&[("--out", Some(result))], &[&input]);
+            let text = refusal(&[("--out", result)], &[&input]);
             assert!(
                 text.contains("would overwrite the input file") && text.contains("a.csv"),
                 "{text}"
             );
         }
-        assert!(refusal(&[("--json", Some(&input))], &[]).contains("another kind"));
+        assert!(refusal(&[("--json", &input)], &[]).contains("another kind"));
         std::fs::write(&old, "[]\n").unwrap();
-        assert!(check(&[("--json", Some(&old))], &[&input]).is_ok());
+        assert!(check(&[("--json", &old)], &[&input]).is_ok());
     }
 
     #[test]

@@ -137,11 +137,13 @@ impl Replay<'_> {
     fn read(&mut self, path: &Path) -> Result<Ending> {
         let (mut ending, mut damage) = (Ending::default(), Vec::new());
         for part in parts(path) {
-            ending = flight::read(&part, &mut |_, message| match TOPICS
-                .contains(&message.channel.topic.as_str())
-            {
-                true => self.take(Entry::of(message)?),
-                false => Ok(()),
+            ending = flight::read(&part, &mut |_, message| {
+                let exact = TOPICS.contains(&message.channel.topic.as_str());
+                if exact {
+                    self.take(Entry::of(message)?)
+                } else {
+                    Ok(())
+                }
             })?;
             damage.extend(ending.damage.drain(..).map(|place| match part == path {
                 true => place,
@@ -156,38 +158,32 @@ impl Replay<'_> {
         flight::write(out, &format!("--out {}", out.display()), |file| {
             self.out = Some(file);
             let ending = self.read(path)?;
-            let file = self
-                .out
-                .take()
-                .ok_or_else(|| miette!("there is nothing to write"))?;
-            Ok((file, ending))
+            let file = self.out.take();
+            Ok((file.ok_or_else(|| miette!("no log is written"))?, ending))
         })
     }
 
     fn take(&mut self, entry: Entry) -> Result<(), String> {
         match entry {
-            Entry::Event(event) => {
-                let written = match *event {
-                    Event::Start(_) => false,
-                    // the other settings stay
-                    Event::Reload { .. } => self.altered.is_none(),
-                    Event::Path(..) => true,
-                };
-                if written && self.out.is_some() {
-                    self.events.push(Arc::new((*event).clone()));
-                }
-                self.event(*event)?;
-            }
+            Entry::Event(event) => self.event(*event),
             Entry::Cycles(first, cycles) => {
                 let mut numbered = (first..).zip(&cycles);
-                numbered.try_for_each(|(number, cycle)| self.turn(number, cycle))?;
+                numbered.try_for_each(|(number, cycle)| self.turn(number, cycle))
             }
-            Entry::Shown(_) => {}
+            Entry::Shown(_) => Ok(()),
         }
-        Ok(())
     }
 
     fn event(&mut self, event: Event) -> Result<(), String> {
+        let written = match event {
+            Event::Start(_) => false,
+            // the other settings stay
+            Event::Reload { .. } => self.altered.is_none(),
+            Event::Path(..) => true,
+        };
+        if written && self.out.is_some() {
+            self.events.push(Arc::new(event.clone()));
+        }
         match event {
             // repeated at the beginning of a part
             Event::Start(header) if self.began == Some(header.cycle) => {}

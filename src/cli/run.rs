@@ -2,9 +2,8 @@
 
 use crate::cli::inputs::within;
 use crate::cli::{Unreachable, inputs, logging, manual_motion};
-use crate::config::show;
 use crate::config::supervisor::assemble;
-use crate::config::{Board, Calibration, PressureBound, ServiceSection, source};
+use crate::config::{Board, Calibration, PressureBound, ServiceSection, show, source};
 use crate::hardware::machine::{Hardware, HardwareError, MachineConfig};
 use crate::service::error::ServiceError;
 use crate::service::flight::start::hash;
@@ -93,13 +92,8 @@ pub fn run(args: &Args) -> Result<()> {
         show::compact(&gains),
         show::compact(&calibration),
     ];
-    let given = args.feedforward.as_deref();
-    let feedforward = inputs::feedforward(given, args.calib.as_deref(), &calibration);
-    let described = feedforward
-        .as_deref()
-        .map(|path| inputs::described(path, &board));
-    let described = described.transpose()?;
-    if let Some(path) = &feedforward {
+    let feedforward = inputs::feedforward(&args.feedforward, &args.calib, &calibration, &board)?;
+    if let Some((path, _)) = &feedforward {
         texts.push(source::text_of(path)?);
     }
     place(args, &mut board.service)?;
@@ -110,8 +104,8 @@ pub fn run(args: &Args) -> Result<()> {
     let claim = Claim::new(&board.service).map_err(report)?;
     let machine = open(args, path.as_deref(), &board)?;
     let mut supervisor = assemble(&board, &calibration, &gains, machine.info());
-    if let Some(described) = described {
-        supervisor.tick = supervisor.tick.fed_forward(described);
+    if let Some((_, machine)) = feedforward {
+        supervisor.tick = supervisor.tick.fed_forward(machine);
     }
     let config = RunConfig {
         supervisor,

@@ -5,20 +5,18 @@ mod law;
 
 use super::connection::{At, ask, connect, report, status};
 use super::play::halted;
-use crate::cli::inputs::within;
+use crate::cli::inputs::{self, within};
 use crate::cli::{Refused, Unreachable};
-use crate::hardware::rt;
 use crate::model::Bend;
 use crate::service::client::Client as Connection;
 use crate::service::protocol::Request;
 use input::{Event, Input};
 use law::{Law, Mode};
-use miette::{IntoDiagnostic, Result};
+use miette::Result;
 use nalgebra::Vector2;
 use std::io::IsTerminal;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 
 /// Period of the set-points, s.
@@ -74,10 +72,7 @@ pub fn steer(args: &SteerArgs) -> Result<()> {
         let why = format!("steering moves the tip, so it must be armed: {why}");
         return Err(Refused::report(why));
     }
-    let ended = Arc::new(AtomicBool::new(false));
-    for signal in rt::ending_signals() {
-        signal_hook::flag::register(signal, Arc::clone(&ended)).into_diagnostic()?;
-    }
+    let ended = inputs::ended()?;
     let (mut stick, mut held, mut since_s) = (Vector2::zeros(), false, PERIOD_S);
     let mut heard = Instant::now();
     loop {

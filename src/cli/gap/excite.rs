@@ -3,17 +3,15 @@
 use crate::cli::gap::input;
 use crate::cli::output::ResultFile;
 use crate::cli::{inputs, output};
-use crate::diagnosis::confusion::separable;
-use crate::diagnosis::excite::design::{APART, Design, LONGEST_S, Pair, Request, design};
+use crate::diagnosis::excite::design::{Request, design};
 use crate::diagnosis::excite::rows::{Machine, csv};
 use crate::primitives::{Check, Checker};
+use crate::report::gap::schedule::summary;
 use miette::{Result, miette};
 use std::path::PathBuf;
 
 /// Schedules evaluated by default.
 const ROUNDS: usize = 240;
-/// Pairs in the table.
-const SHOWN: usize = 8;
 
 /// Arguments of `gap excite`.
 #[derive(Debug, clap::Args)]
@@ -73,40 +71,9 @@ pub fn run(args: &Args) -> Result<()> {
     let designed = design(&request, &mut |tried| bar.set_position(tried as u64));
     bar.finish_and_clear();
     output::write(&args.out, csv(&designed.rows))?;
-    output::show(summary(args, &designed) + "\n", &Some(args.out.clone()));
+    output::show(
+        summary(&args.out, &request, &designed) + "\n",
+        &Some(args.out.clone()),
+    );
     Ok(())
-}
-
-fn summary(args: &Args, d: &Design) -> String {
-    let pairs = d.pairs();
-    let within_reach = |p: &&Pair| separable(p.0, p.1, args.tracker);
-    let row = |(a, b, here, standard): &Pair| {
-        let [here, standard] = [here, standard].map(|x| format!("{x:.1} σ"));
-        [(*a).to_owned(), (*b).to_owned(), here, standard]
-    };
-    let shown = pairs.iter().filter(within_reach).take(SHOWN);
-    let table = output::table("nearest pairs||here|standard", 2..4, shown.map(row));
-    let near = |p: &&Pair| p.2 < APART || !separable(p.0, p.1, args.tracker);
-    let lost: Vec<String> = pairs
-        .iter()
-        .filter(near)
-        .map(|p| format!("{} and {}", p.0, p.1))
-        .collect();
-    let lost = match (lost.is_empty(), args.tracker) {
-        (true, _) => "the schedule separates every pair in question".to_owned(),
-        (false, true) => format!("the schedule does not separate {}", lost.join("; ")),
-        (false, false) => format!(
-            "the schedule does not separate {}\n  a tracker may: record one (ref_q*) and design with --tracker, or mount an IMU on the base (base_*)",
-            lost.join("; ")
-        ),
-    };
-    format!(
-        "{}: {} rows, {:.0} s of at most {LONGEST_S} s; seed {}, {} schedules evaluated\n{table}\n{lost}\n\
-         next: run it after at least 2 s of rest, log it, and run `retroflex gap diagnose` on the log",
-        args.out.display(),
-        d.rows.len(),
-        d.distances.duration_s,
-        args.seed,
-        args.rounds
-    )
 }

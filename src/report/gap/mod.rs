@@ -2,8 +2,10 @@
 //! ranking of the effects, limits of the verdict, and next steps.
 
 pub mod answer;
+pub mod compare;
 pub mod evidence;
 pub mod map;
+pub mod schedule;
 pub mod words;
 
 use crate::diagnosis::decide::VerdictKind;
