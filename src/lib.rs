@@ -15,7 +15,7 @@
 //! | [`simulation`] | the built-in plant and the plant link | child processes |
 //! | [`diagnosis`] | sim-to-real gap: observe, fit, search, score, decide | threads |
 //! | [`experiment`] | the paper's protocol, identification, evaluation, sweep and ablation | threads |
-//! | [`report`] | SVG and HTML | nothing |
+//! | [`report`] | words, tables, SVG and HTML | nothing |
 //! | [`hardware`] | IMU drivers, pins, step thread, clock, real-time set-up | devices |
 //! | [`config`] | TOML in, validated domain types out | files |
 //! | [`service`] | loop thread, hub, sockets, memory, recordings, heartbeat | threads, files, sockets |

@@ -1,7 +1,8 @@
 //! `retroflex accept`: every step from a board file to a tip that bends, each by the command that a user would type, and one report of
 //! what they printed.
 
-use crate::cli::{CommandOutcome, demo, inputs, output};
+use crate::cli::output::{self, ResultFile};
+use crate::cli::{demo, inputs};
 use crate::config::{Board, HomingMethod};
 use crate::drill::process::daemon::Daemon;
 use crate::report::page::Page;
@@ -21,7 +22,7 @@ pub struct Args {
     board: PathBuf,
     /// Report, one printable page.
     #[arg(long, value_name = "FILE", default_value = "retroflex-accept.html")]
-    html: PathBuf,
+    html: ResultFile,
     /// Confirm everything beforehand: the tip hangs free with closed lines, the pistons are at their rest marks, and the emergency stop
     /// is at hand.
     #[arg(long)]
@@ -56,8 +57,7 @@ struct Step {
 ///
 /// # Errors
 /// A report about the input.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
-    output::check(&[("--html", Some(&args.html))], &[&args.board])?;
+pub fn run(args: &Args) -> Result<bool> {
     let board = inputs::board(Some(&args.board))?;
     let asks = board.hardware().is_some() && !args.yes;
     if asks && !stdin().is_terminal() {
@@ -106,19 +106,19 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         ]);
         texts.push((step.name, take(&mut procedure.text)));
     }
-    let header = ["step", "result", "duration"];
-    page.table(&header, &rows);
+    let header = "step|result|duration";
+    page.table(&output::columns(header), &rows);
     for (name, text) in texts {
         page.heading(&name);
         page.output(&text);
     }
     output::write(&args.html, page.html())?;
-    let table = output::table(&header, 2..3, rows);
+    let table = output::table(header, 2..3, rows);
     output::print(format!(
         "\n{table}\nThe report is {}.\n",
         args.html.display()
     ));
-    Ok(good.into())
+    Ok(good)
 }
 
 /// What the steps have in common.

@@ -1,7 +1,8 @@
 //! `retroflex bench rt`: timing of the step thread on this machine.
 
 use crate::cli::inputs::within;
-use crate::cli::{CommandOutcome, Unreachable, inputs, manual_motion, output};
+use crate::cli::output::ResultFile;
+use crate::cli::{Unreachable, inputs, manual_motion, output};
 use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::HardwareError;
@@ -9,15 +10,16 @@ use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{self, MockPins, OpenError, Pins, PinsConfig};
 use crate::hardware::stepper::StartError;
 use crate::motion::StepperConfig;
-use clap::{Args, Subcommand};
+use clap::Args;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::{Path, PathBuf};
 
-/// Measurements of this machine.
-#[derive(Debug, Subcommand)]
-pub enum Bench {
+commands! {
+    /// Measurements of this machine.
+    pub enum Bench;
+
     /// Measure the lateness of the step thread: wake-up, step and interval.
-    Rt(Rt),
+    Rt(Rt) => run,
 }
 
 /// Arguments of `bench rt`.
@@ -37,22 +39,18 @@ pub struct Rt {
     load: usize,
     /// Write the histograms as one SVG drawing (`-`: standard output).
     #[arg(long)]
-    svg: Option<PathBuf>,
+    svg: Option<ResultFile>,
 }
 
 /// Runs the command.
 ///
 /// # Errors
 /// A report that says what is wrong with the input, or that the pins are not available.
-pub fn run(command: &Bench) -> Result<CommandOutcome> {
-    let Bench::Rt(args) = command;
-    let inputs: Vec<&Path> = args.board.iter().map(PathBuf::as_path).collect();
-    output::check(&[("--svg", args.svg.as_deref())], &inputs)?;
-    let (rate_hz, duration_s, load_threads) = (args.rate, args.seconds, args.load);
+pub fn run(args: &Rt) -> Result<bool> {
     let base = RtBenchConfig {
-        rate_hz,
-        duration_s,
-        load_threads,
+        rate_hz: args.rate,
+        duration_s: args.seconds,
+        load_threads: args.load,
         ..RtBenchConfig::default()
     };
     let (bench, through) = match &args.board {
@@ -63,10 +61,8 @@ pub fn run(command: &Bench) -> Result<CommandOutcome> {
         }
     };
     output::print(format!("through {through}\n{}\n", bench.table()));
-    if let Some(path) = &args.svg {
-        output::write(path, bench.svg())?;
-    }
-    Ok(bench.is_good().into())
+    output::write_some(&args.svg, || Ok(bench.svg()))?;
+    Ok(bench.is_good())
 }
 
 fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {

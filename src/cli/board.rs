@@ -1,23 +1,23 @@
 //! `retroflex board`: a file with everything that it leaves out, and whether a board is safe to run.
 
-use crate::cli::{CommandOutcome, inputs, output};
-use crate::config::{Calibration, Gains, Header, PressureBound};
-use crate::config::{shipped, show};
-use crate::primitives::{Check, Parameters};
+use crate::cli::output::ResultFile;
+use crate::cli::{inputs, output};
+use crate::config::show::whole;
+use crate::config::{Header, PressureBound};
 use crate::report::wiring::{self, Device, Wire};
 use miette::{Result, bail};
-use serde::de::DeserializeOwned;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-/// Boards, gains and calibrations.
-#[derive(Debug, clap::Subcommand)]
-pub enum BoardCommand {
+commands! {
+    /// Boards, gains and calibrations.
+    pub enum BoardCommand;
+
     /// Print a whole file as TOML, with the meaning, unit, default and range of every key.
-    Show(ShowArgs),
+    Show(ShowArgs) => show,
     /// Draw the wiring of a board as SVG.
-    Draw(DrawArgs),
+    Draw(DrawArgs) => draw,
     /// Check a board: its file, and that the pressure stays bounded if the program fails.
-    Check(CheckArgs),
+    Check(CheckArgs) => check,
 }
 
 /// Arguments of `board check`.
@@ -34,7 +34,7 @@ pub struct DrawArgs {
     board: PathBuf,
     /// File of the drawing (`-`: standard output).
     #[arg(long, value_name = "FILE", default_value = "-")]
-    svg: PathBuf,
+    svg: ResultFile,
 }
 
 /// Arguments of `board show`.
@@ -50,31 +50,18 @@ pub struct ShowArgs {
     calib: bool,
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// A report on a file that cannot be used.
-pub fn run(command: &BoardCommand) -> Result<CommandOutcome> {
-    let args = match command {
-        BoardCommand::Show(args) => args,
-        BoardCommand::Check(args) => return check(&args.board),
-        BoardCommand::Draw(args) => return draw(args),
-    };
+fn show(args: &ShowArgs) -> Result<()> {
     let file = args.file.as_deref();
-    let text = if args.gains {
-        page::<Gains>(file, shipped::GAINS)?
-    } else if args.calib {
-        page::<Calibration>(file, shipped::PAPER)?
-    } else {
-        show::whole(&inputs::board(file)?)
-    };
-    output::print(&text);
-    Ok(CommandOutcome::Good)
+    output::print(match (args.gains, args.calib) {
+        (true, _) => whole(&inputs::gains(file)?),
+        (_, true) => whole(&inputs::calibration(file)?),
+        _ => whole(&inputs::board(file)?),
+    });
+    Ok(())
 }
 
 /// Draws the drivers, the IMU and the emergency stop of a board at the lines that it names.
-fn draw(args: &DrawArgs) -> Result<CommandOutcome> {
-    output::check(&[("--svg", Some(&args.svg))], &[&args.board])?;
+fn draw(args: &DrawArgs) -> Result<()> {
     let board = inputs::board(Some(&args.board))?;
     let path = args.board.display();
     let Some(pins) = &board.pins else {
@@ -85,51 +72,34 @@ fn draw(args: &DrawArgs) -> Result<CommandOutcome> {
         |name: &str, position| raspberry.then(|| (name.to_owned(), Wire::Position(position)));
     let uses = pins.uses();
     let mut devices = Vec::new();
+    let mut device = |name, terminals: Vec<_>| devices.push(Device { name, terminals });
     for (i, ground) in [9, 14, 20].into_iter().enumerate() {
         let channel = format!("channels.{i}.");
         let own = uses.iter().filter(|u| u.key.starts_with(&channel));
         let lines = own.map(|u| (u.name.to_uppercase(), Wire::Line(u.pin)));
         let terminals = lines.chain(supply("GND", ground)).collect();
-        devices.push(Device {
-            name: format!("driver of bellow {}", i + 1),
-            terminals,
-        });
+        device(format!("driver of bellow {}", i + 1), terminals);
     }
     if let Some(imu) = &board.imu {
         let bus = imu.bus_lines.into_iter().flatten().zip(["SDA", "SCL"]);
         let bus = bus.map(|(pin, name)| (name.to_owned(), Wire::Line(pin)));
         let power = supply("3.3 V", 1).into_iter();
         let terminals = power.chain(bus).chain(supply("GND", 6)).collect();
-        devices.push(Device {
-            name: format!("IMU at the tip, {}", imu.bus),
-            terminals,
-        });
+        device(format!("IMU at the tip, {}", imu.bus), terminals);
     }
     if let Some(stop) = pins.emergency_stop {
         let contact = [("NC".to_owned(), Wire::Line(stop.pin))];
         let terminals = contact.into_iter().chain(supply("GND", 39)).collect();
-        devices.push(Device {
-            name: "emergency stop".to_owned(),
-            terminals,
-        });
+        device("emergency stop".to_owned(), terminals);
     }
     let title = format!("Wiring of {}", board.machine.name);
-    output::write(&args.svg, wiring::draw(&title, raspberry, &devices))?;
-    Ok(CommandOutcome::Good)
+    output::write(&args.svg, wiring::draw(&title, raspberry, &devices))
 }
 
 /// Exit code 1 if nothing outside the program bounds the pressure.
-fn check(path: &Path) -> Result<CommandOutcome> {
-    let board = inputs::board(Some(path))?;
+fn check(args: &CheckArgs) -> Result<bool> {
+    let board = inputs::board(Some(&args.board))?;
     let bound = PressureBound::of(&board);
     output::print(format!("file      consistent\npressure  {bound}\n"));
-    Ok(bound.is_bounded().into())
-}
-
-/// A file, or what comes with the program in its place, as the whole of its keys.
-fn page<T: DeserializeOwned + Check + Parameters>(
-    file: Option<&Path>,
-    own: (&str, &str),
-) -> Result<String> {
-    Ok(show::whole(&inputs::read_or::<T>(file, own)?))
+    Ok(bound.is_bounded())
 }

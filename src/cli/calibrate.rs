@@ -3,10 +3,14 @@
 //! Each step prints its result with a figure of its quality and writes it into the `[imu]` table of a calibration file. If the data do
 //! not suffice, it names the motion that is missing and writes nothing.
 
+use crate::cli::client::args::TransmissionArgs;
+use crate::cli::client::follow::transmission;
 use crate::cli::inputs::within;
-use crate::cli::{CommandOutcome, output};
+use crate::cli::output::ResultFile;
+use crate::cli::{Refused, output};
 use crate::estimation::imu_calibration::{
-    ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, gyro, mag, motor, mount, still,
+    ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, from_log, gyro, mag, motor,
+    mount, still,
 };
 use crate::log::bend_log;
 use crate::log::table::text;
@@ -14,16 +18,19 @@ use crate::primitives::ImuSample;
 use miette::{IntoDiagnostic, Result, miette};
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
+use time::Date;
+use time::format_description::well_known::Iso8601;
 
 pub mod samples;
 
-/// Subcommands of `calibrate`.
-#[derive(Debug, clap::Subcommand)]
-pub enum Calibrate {
+commands! {
+    /// Subcommands of `calibrate`.
+    pub enum Calibrate;
+
     /// Identify an error of the IMU in the tip.
-    Imu(Args),
+    Imu(Args) => run,
     /// Identify the transmission gains on a running service, with Algorithm 1 or its short form.
-    Transmission(crate::cli::client::args::TransmissionArgs),
+    Transmission(TransmissionArgs) => transmission,
 }
 
 /// Arguments of `calibrate imu`.
@@ -43,7 +50,7 @@ pub struct Args {
     seconds: f64,
     /// Calibration file whose `[imu]` table is updated; the other values in it are kept, comments are not.
     #[arg(long, default_value = "calib/imu.toml")]
-    out: PathBuf,
+    out: ResultFile,
     /// Day of the recording, YYYY-MM-DD; the default is today.
     #[arg(long, value_parser = day)]
     date: Option<String>,
@@ -71,19 +78,10 @@ enum Step {
 ///
 /// # Errors
 /// A report that names what is wrong with the input.
-pub fn run(command: &Calibrate) -> Result<CommandOutcome> {
-    let args = match command {
-        Calibrate::Imu(args) => args,
-        Calibrate::Transmission(args) => return crate::cli::client::follow::transmission(args),
-    };
-    let inputs: Vec<&Path> = args.file.iter().map(PathBuf::as_path).collect();
-    output::check(&[("--out", Some(&args.out))], &inputs)?;
+pub fn run(args: &Args) -> Result<()> {
     let date = args.date.clone().unwrap_or_else(today);
-    let source = args
-        .file
-        .as_ref()
-        .or(args.live.as_ref())
-        .map_or_else(String::new, |p| p.display().to_string());
+    let source = args.file.as_ref().or(args.live.as_ref());
+    let source = source.map_or_else(String::new, |p| p.display().to_string());
     let mut table = existing(&args.out)?;
     let mut calibration: ImuCalibration = match table.remove("imu") {
         Some(imu) => imu
@@ -91,50 +89,21 @@ pub fn run(command: &Calibrate) -> Result<CommandOutcome> {
             .map_err(|e| miette!("{}: [imu]: {e}", args.out.display()))?,
         None => ImuCalibration::default(),
     };
-    match identify(
-        args,
-        Pedigree {
-            date: &date,
-            source: &source,
-        },
-        &mut calibration,
-    )? {
-        Ok(line) => output::print(line + "\n"),
-        Err(refusal) => {
-            eprintln!("refused: {refusal}");
-            return Ok(CommandOutcome::NotGoodEnough);
-        }
-    }
-    table.insert(
-        "imu".to_owned(),
-        toml::Value::try_from(&calibration).into_diagnostic()?,
-    );
-    output::write(
-        &args.out,
-        &toml::to_string_pretty(&table).into_diagnostic()?,
-    )?;
+    let (date, source) = (&*date, &*source);
+    let identified = identify(args, Pedigree { date, source }, &mut calibration)?;
+    output::print(identified.map_err(Refused::report)? + "\n");
+    let imu = toml::Value::try_from(&calibration).into_diagnostic()?;
+    table.insert("imu".to_owned(), imu);
+    let text = toml::to_string_pretty(&table).into_diagnostic()?;
+    output::write(&args.out, text)?;
     eprintln!("written to {}", args.out.display());
-    Ok(CommandOutcome::Good)
+    Ok(())
 }
 
 /// A day as `--date` gives it.
 fn day(text: &str) -> std::result::Result<String, String> {
-    let number =
-        |range: std::ops::Range<usize>| text.get(range).and_then(|part| part.parse::<u16>().ok());
-    let month = number(5..7).and_then(|m| time::Month::try_from(u8::try_from(m).ok()?).ok());
-    let known = match (
-        text.len(),
-        number(0..4),
-        month,
-        number(8..10).and_then(|d| u8::try_from(d).ok()),
-    ) {
-        (10, Some(year), Some(month), Some(day)) => {
-            time::Date::from_calendar_date(i32::from(year), month, day).ok()
-        }
-        _ => None,
-    };
-    known
-        .map(|date| date.to_string())
+    let date = Date::parse(text, &Iso8601::DATE).map(|date| date.to_string());
+    date.ok()
         .filter(|date| date == text)
         .ok_or_else(|| "a day is written YYYY-MM-DD, such as 2026-03-31".to_owned())
 }
@@ -164,16 +133,16 @@ fn identify(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Resul
         (None, None) => Ok(Vec::new()),
     };
     Ok(match args.step {
-        Step::Gyro => identify_gyro(&read()?, from, into),
-        Step::Accel => identify_accel(&read()?, from, into),
-        Step::Mag => identify_mag(&read()?, from, into),
-        Step::Motors => motor::fit(&samples::of_motors(&log()?, args.idle_after), from).map(|fit| {
+        Step::Gyro => gyro_bias(&read()?, from, into),
+        Step::Accel => accel_bias(&read()?, from, into),
+        Step::Mag => hard_iron(&read()?, from, into),
+        Step::Motors => motor::fit(&from_log::of_motors(&log()?, args.idle_after), from).map(|fit| {
             let strongest = fit.field.cos_ut.iter().chain(&fit.field.sin_ut).map(|r| Vector3::from(*r).norm()).fold(0.0, f64::max);
             into.motor_field = Some(fit.field);
             let coverage = 100.0 * fit.coverage.into_iter().fold(1.0, f64::min);
             format!("motor fields up to {strongest:.2} µT, residual {:.2} µT, {coverage:.0} % of the coil cycle covered", fit.residual_ut)
         }),
-        Step::Mount => mount::from_bends(&samples::bends(&log()?)).map(|fit| {
+        Step::Mount => mount::from_bends(&from_log::bends(&log()?)).map(|fit| {
             into.set_mount(&fit, from);
             format!(
                 "sensor rotated by {:.2}° against the tip, ± {}°, from {} bends, {:.2}° out of their plane",
@@ -186,35 +155,23 @@ fn identify(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Resul
     })
 }
 
-fn identify_gyro(
-    samples: &[ImuSample],
-    from: Pedigree<'_>,
-    into: &mut ImuCalibration,
-) -> Identified {
+fn gyro_bias(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
     let fit = gyro::at_rest(samples)?;
     into.set_gyro(&fit, from);
-    let (bias, sigma) = (
+    Ok(format!(
+        "gyroscope bias {} °/s, ± {:.4} °/s, from {:.1} s of standstill",
         list(fit.bias_rad_s.map(f64::to_degrees), 3),
         fit.sigma_rad_s.amax().to_degrees(),
-    );
-    Ok(format!(
-        "gyroscope bias {bias} °/s, ± {sigma:.4} °/s, from {:.1} s of standstill",
         fit.duration_s
     ))
 }
 
-fn identify_accel(
-    samples: &[ImuSample],
-    from: Pedigree<'_>,
-    into: &mut ImuCalibration,
-) -> Identified {
+fn accel_bias(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
     let rests = still::rests(samples);
-    let enough = rests.len() >= ELLIPSOID_SAMPLES_MIN;
-    let fit = if enough {
-        accel::ellipsoid(&rests)
-    } else {
-        accel::six_positions(&rests)
-    }?;
+    let fit = match rests.len() >= ELLIPSOID_SAMPLES_MIN {
+        true => accel::ellipsoid(&rests)?,
+        false => accel::six_positions(&rests)?,
+    };
     into.set_accel(&fit, from);
     Ok(format!(
         "accelerometer bias {} m/s², residual {:.4} m/s², {:.0} % of the sphere covered, {} standstills",
@@ -225,11 +182,7 @@ fn identify_accel(
     ))
 }
 
-fn identify_mag(
-    samples: &[ImuSample],
-    from: Pedigree<'_>,
-    into: &mut ImuCalibration,
-) -> Identified {
+fn hard_iron(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
     let readings: Vec<Vector3<f64>> = samples.iter().filter_map(|s| s.mag_ut).collect();
     let fit = mag::ellipsoid(&readings)?;
     into.set_mag(&fit, from);

@@ -1,7 +1,8 @@
 //! `retroflex demo`: the service on the simulated tip, a leak, its diagnosis and its remedy, each step by the command that
 //! a user would type.
 
-use crate::cli::{CommandOutcome, Unreachable, output};
+use crate::cli::Unreachable;
+use crate::cli::output::{self, ResultFile};
 use crate::drill::process::daemon::Daemon;
 use miette::{IntoDiagnostic, Result, miette};
 use serde_json::Value;
@@ -20,15 +21,14 @@ pub const SCHEDULE: &str = include_str!("demo.csv");
 pub struct Args {
     /// Report of the diagnosis, one printable page.
     #[arg(long, value_name = "FILE", default_value = "retroflex-demo.html")]
-    html: PathBuf,
+    html: ResultFile,
 }
 
 /// Runs the command.
 ///
 /// # Errors
 /// A report that names the step that failed.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
-    output::check(&[("--html", Some(&args.html))], &[])?;
+pub fn run(args: &Args) -> Result<bool> {
     let report = args.html.display();
     let scratch = output::Scratch::new("demo")?;
     let program = std::env::current_exe().into_diagnostic()?;
@@ -51,7 +51,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let found = demo.diagnose(&about, "leaky", Some(leaks), &args.html)?;
     let Some(line) = leaking(&found) else {
         output::print("The diagnosis does not name the leak.\n");
-        return Ok(CommandOutcome::NotGoodEnough);
+        return Ok(false);
     };
     let sealed = Some(leaks).filter(|leak| *leak != line);
     let about = format!("The remedy: line {line} is sealed. The same schedule again.");
@@ -62,7 +62,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     output::print(format!(
         "\nThe leak is {end}. The report of the leaky tip is {report}.\n"
     ));
-    Ok(good.into())
+    Ok(good)
 }
 
 /// The line that leaks according to a diagnosis, from 1.

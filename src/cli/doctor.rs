@@ -1,6 +1,7 @@
 //! `retroflex doctor`: compares this computer with the board file. Each line passes, warns or fails, and names the remedy.
 
-use crate::cli::{CommandOutcome, inputs, output};
+use crate::cli::inputs;
+use crate::cli::output::{self, ResultFile};
 use crate::config::{Board, PressureBound};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::{Sensor, slowness};
@@ -14,6 +15,8 @@ use serde::Serialize;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
+use Verdict::{Fail, Pass, Warn};
+
 /// Arguments of `doctor`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -22,7 +25,7 @@ pub struct Args {
     board: Option<PathBuf>,
     /// Write the lines as JSON to this file (`-`: standard output).
     #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
+    json: Option<ResultFile>,
 }
 
 /// Result of one check.
@@ -52,47 +55,23 @@ pub struct Finding {
 
 impl Finding {
     fn new(what: &str, verdict: Verdict, found: impl Into<String>, remedy: &str) -> Self {
+        let (what, found) = (what.to_owned(), found.into());
+        let remedy = if verdict == Pass { "" } else { remedy }.to_owned();
         Self {
-            what: what.to_owned(),
+            what,
             verdict,
-            found: found.into(),
-            remedy: remedy.to_owned(),
-        }
-    }
-
-    fn pass(what: &str, found: impl Into<String>) -> Self {
-        Self::new(what, Verdict::Pass, found, "")
-    }
-
-    fn warn(what: &str, found: impl Into<String>, remedy: &str) -> Self {
-        Self::new(what, Verdict::Warn, found, remedy)
-    }
-
-    fn fail(what: &str, found: impl Into<String>, remedy: &str) -> Self {
-        Self::new(what, Verdict::Fail, found, remedy)
-    }
-
-    /// Passes if `good`, else warns.
-    fn pass_or_warn(good: bool, what: &str, found: impl Into<String>, remedy: &str) -> Self {
-        if good {
-            Self::pass(what, found)
-        } else {
-            Self::warn(what, found, remedy)
+            found,
+            remedy,
         }
     }
 
     fn line(&self) -> String {
-        let mark = match self.verdict {
-            Verdict::Pass => "pass",
-            Verdict::Warn => "WARN",
-            Verdict::Fail => "FAIL",
-        };
-        let remedy = if self.remedy.is_empty() {
-            String::new()
-        } else {
-            format!("\n      → {}", self.remedy)
-        };
-        format!("{mark}  {:<18} {}{remedy}\n", self.what, self.found)
+        let mark = ["pass", "WARN", "FAIL"][self.verdict as usize];
+        let line = format!("{mark}  {:<18} {}\n", self.what, self.found);
+        match self.remedy.as_str() {
+            "" => line,
+            remedy => format!("{line}      → {remedy}\n"),
+        }
     }
 }
 
@@ -100,16 +79,16 @@ impl Finding {
 ///
 /// # Errors
 /// A report that names what is wrong with the board file.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let files: Vec<&Path> = args.board.iter().map(PathBuf::as_path).collect();
-    output::check(&[("--json", args.json.as_deref())], &files)?;
+pub fn run(args: &Args) -> Result<bool> {
     let board = inputs::board(args.board.as_deref())?;
     let findings = examine(&board);
-    output::json(args.json.as_deref(), &findings)?;
     let text: String = findings.iter().map(Finding::line).collect();
-    output::show(&text, args.json.as_deref());
-    let failed = findings.iter().any(|f| f.verdict == Verdict::Fail);
-    Ok(CommandOutcome::from(!failed))
+    output::answer(&args.json, &findings, text)?;
+    Ok(findings.iter().all(|f| f.verdict != Fail))
+}
+
+fn pass_or_warn(good: bool) -> Verdict {
+    if good { Pass } else { Warn }
 }
 
 /// All checks that need no motion.
@@ -132,9 +111,9 @@ fn model() -> Finding {
     let another = "not a Raspberry Pi: use the GPIO character device for the pins";
     let none = "no device tree: only simulations and replays run here";
     match read("/proc/device-tree/model") {
-        Some(model) if model.contains("Raspberry Pi") => Finding::pass("computer", model),
-        Some(model) => Finding::warn("computer", model, another),
-        None => Finding::warn("computer", std::env::consts::ARCH, none),
+        Some(model) if model.contains("Raspberry Pi") => Finding::new("computer", Pass, model, ""),
+        Some(model) => Finding::new("computer", Warn, model, another),
+        None => Finding::new("computer", Warn, std::env::consts::ARCH, none),
     }
 }
 
@@ -142,13 +121,13 @@ fn kernel() -> Finding {
     let release = read("/proc/sys/kernel/osrelease").unwrap_or_default();
     let preempt = read("/sys/kernel/realtime").as_deref() == Some("1") || release.contains("-rt");
     let remedy = "not a PREEMPT_RT kernel: single steps can be late, see `retroflex bench rt`; a step that is too late latches a fault";
-    Finding::pass_or_warn(preempt, "kernel", release, remedy)
+    Finding::new("kernel", pass_or_warn(preempt), release, remedy)
 }
 
 fn pressure(board: &Board) -> Finding {
     let bound = PressureBound::of(board);
-    let (good, remedy) = (bound.is_bounded(), PressureBound::REMEDY);
-    Finding::pass_or_warn(good, "pressure", bound.to_string(), remedy)
+    let (verdict, found) = (pass_or_warn(bound.is_bounded()), bound.to_string());
+    Finding::new("pressure", verdict, found, PressureBound::REMEDY)
 }
 
 /// Buses, GPIO chips and sensors that the board names. Sensors are identified; no output is driven.
@@ -161,8 +140,8 @@ fn devices(board: &Board) -> Vec<Finding> {
         findings.extend(bus_speed(&imu.bus));
     }
     match board.pins.as_ref().map(pins::probe) {
-        Some(Ok(Some(path))) => findings.push(Finding::pass("pins", path)),
-        Some(Err(e)) => findings.push(Finding::fail("pins", e.to_string(), "")),
+        Some(Ok(Some(path))) => findings.push(Finding::new("pins", Pass, path, "")),
+        Some(Err(e)) => findings.push(Finding::new("pins", Fail, e.to_string(), "")),
         Some(Ok(None)) | None => {}
     }
     let Some(machine) = board.hardware() else {
@@ -173,7 +152,7 @@ fn devices(board: &Board) -> Vec<Finding> {
         Err(path) => {
             let remedy = "a running service (`retroflex status` shows its sensors) or another command uses the hardware: the sensors are not touched";
             let found = format!("{} is locked", path.display());
-            findings.push(Finding::warn("sensors", found, remedy));
+            findings.push(Finding::new("sensors", Warn, found, remedy));
             return findings;
         }
     };
@@ -182,19 +161,16 @@ fn devices(board: &Board) -> Vec<Finding> {
         findings.push(match Sensor::start(config) {
             Ok(s) => {
                 let i = s.identity;
-                let found = format!(
-                    "{} at {:#04x}, {:.0} Hz",
-                    i.inertial.part, i.inertial.address, i.rate_hz
-                );
-                match slowness(s.read_s, i.rate_hz) {
-                    Some(slow) => Finding::warn(what, found, &slow),
-                    None => Finding::pass(what, found),
-                }
+                let (part, address) = (i.inertial.part, i.inertial.address);
+                let found = format!("{part} at {address:#04x}, {:.0} Hz", i.rate_hz);
+                let slow = slowness(s.read_s, i.rate_hz);
+                let verdict = pass_or_warn(slow.is_none());
+                Finding::new(what, verdict, found, &slow.unwrap_or_default())
             }
             Err(e) => {
                 let remedy =
                     "check connector, supply, address and part; see [imu] in the board file";
-                Finding::fail(what, e.to_string(), remedy)
+                Finding::new(what, Fail, e.to_string(), remedy)
             }
         });
     }
@@ -203,8 +179,8 @@ fn devices(board: &Board) -> Vec<Finding> {
 
 fn device(what: &str, path: &str, remedy: &str) -> Finding {
     match std::fs::File::options().read(true).write(true).open(path) {
-        Ok(_) => Finding::pass(what, path),
-        Err(e) => Finding::fail(what, format!("{path}: {e}"), remedy),
+        Ok(_) => Finding::new(what, Pass, path, ""),
+        Err(e) => Finding::new(what, Fail, format!("{path}: {e}"), remedy),
     }
 }
 
@@ -214,14 +190,9 @@ fn bus_speed(bus: &str) -> Option<Finding> {
     let path = format!("/sys/class/i2c-adapter/{name}/of_node/clock-frequency");
     let bytes = std::fs::read(path).ok()?;
     let hz = u32::from_be_bytes(bytes.get(..4)?.try_into().ok()?);
-    let found = format!("{} kHz", hz / 1000);
+    let (verdict, found) = (pass_or_warn(hz >= 400_000), format!("{} kHz", hz / 1000));
     let remedy = "set `dtparam=i2c_arm_baudrate=400000` in config.txt and restart";
-    Some(Finding::pass_or_warn(
-        hz >= 400_000,
-        "bus speed",
-        found,
-        remedy,
-    ))
+    Some(Finding::new("bus speed", verdict, found, remedy))
 }
 
 /// What the kernel grants, requested in a temporary thread so that this one keeps its scheduling.
@@ -229,14 +200,15 @@ fn real_time(board: &Board) -> Vec<Finding> {
     let (priority, cpu) = (board.service.priority, board.service.cpu);
     let request = RtRequest { priority, cpu };
     let Ok(status) = std::thread::spawn(move || rt::enter(&request).0).join() else {
-        return vec![Finding::fail("real time", "the test thread panicked", "")];
+        let found = "the test thread panicked";
+        return vec![Finding::new("real time", Fail, found, "")];
     };
     let line = |(name, grant): (&'static str, Grant)| match grant {
         Grant::NotRequested => None,
-        Grant::Granted => Some(Finding::pass(name, "granted")),
+        Grant::Granted => Some(Finding::new(name, Pass, "granted", "")),
         Grant::Denied(d) => {
             let found = format!("{} denied", d.request);
-            Some(Finding::warn(name, found, d.remedy))
+            Some(Finding::new(name, Warn, found, d.remedy))
         }
     };
     status.into_iter().filter_map(line).collect()
@@ -247,21 +219,19 @@ fn clock() -> Finding {
     let source = source.unwrap_or_else(|| "unknown".to_owned());
     let good = ["arch_sys_counter", "tsc", "kvm-clock"].contains(&source.as_str());
     let remedy = "reading the time is slow with this clock source; select another in sysfs";
-    Finding::pass_or_warn(good, "clock", source, remedy)
+    Finding::new("clock", pass_or_warn(good), source, remedy)
 }
 
 fn power() -> Finding {
     let Some(troubles) = supply::troubles(Path::new("/")) else {
-        return Finding::pass("power", "no firmware status on this computer");
+        return Finding::new("power", Pass, "no firmware status on this computer", "");
     };
-    let found = match troubles.is_empty() {
-        true => "no under-voltage, not throttled".to_owned(),
-        false => troubles.join(", "),
+    let (verdict, found) = match troubles.is_empty() {
+        true => (Pass, "no under-voltage, not throttled".to_owned()),
+        false if troubles.contains(&"under-voltage now") => (Fail, troubles.join(", ")),
+        false => (Warn, troubles.join(", ")),
     };
-    match troubles.contains(&"under-voltage now") {
-        true => Finding::fail("power", found, supply::REMEDY),
-        false => Finding::pass_or_warn(troubles.is_empty(), "power", found, supply::REMEDY),
-    }
+    Finding::new("power", verdict, found, supply::REMEDY)
 }
 
 /// Free space for state and recordings: 1 MiB holds the state, 512 MiB about half an hour of recording.
@@ -270,18 +240,18 @@ fn disk(state: &Path) -> Finding {
     let folder = folders.find(|f| f.exists()).unwrap_or(Path::new("/"));
     let remedy = "make sure that this user may write there, and that the card is sound: a file system with errors becomes read-only";
     let Ok(free) = free_bytes(folder) else {
-        return Finding::warn("disk", "free space unknown", remedy);
+        return Finding::new("disk", Warn, "free space unknown", remedy);
     };
     if let Err(e) = tempfile_in(folder) {
         let found = format!("nothing can be written under {}: {e}", folder.display());
-        return Finding::fail("disk", found, remedy);
+        return Finding::new("disk", Fail, found, remedy);
     }
     let found = format!("{} MiB free under {}", free >> 20, folder.display());
     let scarce = "free some space: the state and recordings need it";
     match free >> 20 {
-        0 => Finding::fail("disk", found, scarce),
-        1..512 => Finding::warn("disk", found, "a recording takes 15 MiB per minute"),
-        _ => Finding::pass("disk", found),
+        0 => Finding::new("disk", Fail, found, scarce),
+        1..512 => Finding::new("disk", Warn, found, "a recording takes 15 MiB per minute"),
+        _ => Finding::new("disk", Pass, found, ""),
     }
 }
 
@@ -294,17 +264,18 @@ fn tempfile_in(folder: &Path) -> std::io::Result<()> {
 
 fn folder(what: &str, path: Option<&Path>) -> Finding {
     let Some(path) = path else {
-        return Finding::fail(what, "none", "give the socket's path with its folder");
+        return Finding::new(what, Fail, "none", "give the socket's path with its folder");
     };
     let shown = path.display();
     match std::fs::metadata(path) {
         Ok(m) => {
             let (mode, user, group) = (m.mode() & 0o777, m.uid(), m.gid());
-            Finding::pass(what, format!("{shown} ({mode:o}, {user}:{group})"))
+            let found = format!("{shown} ({mode:o}, {user}:{group})");
+            Finding::new(what, Pass, found, "")
         }
         Err(e) => {
             let remedy = "RuntimeDirectory= of the systemd unit creates it; use --socket when starting by hand";
-            Finding::warn(what, format!("{shown}: {e}"), remedy)
+            Finding::new(what, Warn, format!("{shown}: {e}"), remedy)
         }
     }
 }

@@ -1,7 +1,8 @@
 //! `retroflex drill`: injects every fault; `--soak HOURS` injects them at random for a long time.
 
+use crate::cli::inputs;
 use crate::cli::inputs::within;
-use crate::cli::{CommandOutcome, inputs, output};
+use crate::cli::output::{self, ResultFile};
 use crate::config::Gains;
 use crate::drill::bench::BenchConfig;
 use crate::drill::process::{self, Harm};
@@ -13,6 +14,7 @@ use crate::service::memory::Memory;
 use crate::service::store::Store;
 use miette::{IntoDiagnostic, Result, bail};
 use serde_json::json;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `drill`.
@@ -20,10 +22,10 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// Write the rows as JSON; `-` is standard output.
     #[arg(long)]
-    json: Option<PathBuf>,
+    json: Option<ResultFile>,
     /// Write the rows as a page.
     #[arg(long, value_name = "FILE", conflicts_with = "soak")]
-    html: Option<PathBuf>,
+    html: Option<ResultFile>,
     /// Inject only faults whose name contains this text.
     #[arg(long)]
     only: Option<String>,
@@ -60,47 +62,40 @@ pub struct Args {
 ///
 /// # Errors
 /// A report about the input.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<bool> {
     let config = simulation()?;
     if let Some(folder) = &args.exercise {
         process::exercise(&config, folder, args.harm).into_diagnostic()?;
-        return Ok(CommandOutcome::Good);
+        return Ok(true);
     }
     if let Some(folder) = &args.recall {
         return recall(folder);
     }
-    output::check(
-        &[
-            ("--json", args.json.as_deref()),
-            ("--html", args.html.as_deref()),
-        ],
-        &[],
-    )?;
     if let Some(hours) = args.soak {
         return run_soak(args, &config, hours);
     }
     let rows = rows(args, &config)?;
     if rows.is_empty() {
         let only = args.only.as_deref().unwrap_or("");
-        let names: Vec<&str> = list::specs().iter().map(|s| s.name).collect();
-        let names = names.join(", ");
+        let names = list::specs()
+            .iter()
+            .map(|s| s.name)
+            .collect::<Vec<_>>()
+            .join(", ");
         bail!(
             "--only {only}: no fault has a name that contains this text; in flight there are {names}"
         );
     }
-    output::json(args.json.as_deref(), &json!({ "rows": rows }))?;
     show(&rows, args)?;
-    Ok(rows.iter().all(|r| r.ok).into())
+    Ok(rows.iter().all(|r| r.ok))
 }
 
 /// The simulated machine of the paper with the paper's calibration.
 fn simulation() -> Result<BenchConfig> {
-    let (board, calibration) = (inputs::board(None)?, inputs::calibration(None)?);
-    let gains = Gains::default();
     Ok(BenchConfig {
-        board,
-        calibration,
-        gains,
+        board: inputs::board(None)?,
+        calibration: inputs::calibration(None)?,
+        gains: Gains::default(),
     })
 }
 
@@ -116,7 +111,7 @@ fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<Row>> {
         rows.push(fly(config, spec, &allowance).into_diagnostic()?);
         bar.inc(1);
     }
-    bar.finish_and_clear();
+    drop(bar);
     if !args.in_flight && (args.only.is_none() || rows.is_empty()) {
         let program = std::env::current_exe().into_diagnostic()?;
         let scratch = output::Scratch::new("drill")?;
@@ -133,24 +128,28 @@ fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-fn recall(folder: &Path) -> Result<CommandOutcome> {
+fn recall(folder: &Path) -> Result<bool> {
     let (_, recall) = Store::open(folder).into_diagnostic()?;
     let words = |m: Memory| Some(format!("armed {}, steps {:?}", m.armed, m.restart?.steps.0));
     let position = recall.memory.and_then(words);
     let shown = position.as_deref().unwrap_or("nothing");
     println!("recalled {} . {shown}", recall.sequence);
-    Ok(position.is_some().into())
+    Ok(position.is_some())
 }
 
-fn run_soak(args: &Args, config: &BenchConfig, hours: f64) -> Result<CommandOutcome> {
+fn run_soak(args: &Args, config: &BenchConfig, hours: f64) -> Result<bool> {
     eprintln!("seed {}", args.seed);
     let bar = output::bar(1000, "soak {percent} %");
     let mut progress = |h| bar.set_position((1000.0 * h / hours) as u64);
     let result = soak::run(config, hours, args.seed, &mut progress);
     bar.finish_and_clear();
     let soak = result.into_diagnostic()?;
-    output::json(args.json.as_deref().or(Some(Path::new("-"))), &soak)?;
-    Ok(soak.ok.into())
+    let file = args
+        .json
+        .clone()
+        .unwrap_or_else(|| OsString::from("-").into());
+    output::json(&Some(file), &soak)?;
+    Ok(soak.ok)
 }
 
 fn show(rows: &[Row], args: &Args) -> Result<()> {
@@ -173,22 +172,24 @@ fn show(rows: &[Row], args: &Args) -> Result<()> {
         ]
     };
     let cells: Vec<_> = rows.iter().map(cells).collect();
-    let header = "fault,detected,steps,state,error during,after,ok,message";
-    let header: Vec<&str> = header.split(',').collect();
+    let header = output::columns("fault|detected|steps|state|error during|after|ok|message");
     let failed = rows.iter().filter(|r| !r.ok).count();
     let all = format!("{} faults, {failed} failed", rows.len());
-    if let Some(path) = &args.html {
+    output::write_some(&args.html, || {
         let mut page = Page::new("retroflex drill");
         page.text(&all);
         page.table(&header, &cells);
-        output::write(path, page.html())?;
-    }
+        Ok(page.html())
+    })?;
     let why = rows.iter().zip(&cells).filter(|(r, _)| !r.ok);
     let why: String = why
         .map(|(r, cells)| format!("{}: {}\n", r.fault, cells[7]))
         .collect();
     let narrow = cells.iter().map(|cells| cells[..7].to_vec());
-    let table = output::table(&header[..7], 1..6, narrow);
-    output::show(&format!("{table}\n{why}{all}\n"), args.json.as_deref());
-    Ok(())
+    let table = output::table(&header[..7].join("|"), 1..6, narrow);
+    output::answer(
+        &args.json,
+        &json!({ "rows": rows }),
+        format!("{table}\n{why}{all}\n"),
+    )
 }

@@ -1,88 +1,25 @@
 //! `retroflex evaluate`: the paper's experiment on a plant; `--sweep` and `--ablate`: studies on the built-in plant.
 
+pub mod args;
 mod studies;
 
-use crate::cli::{CommandOutcome, gap, inputs, logging, output};
-use crate::config::assemble;
-use crate::config::source;
-use crate::config::{Board, Calibration, PlantSection};
+use crate::cli::output;
+use crate::cli::{gap, inputs, logging};
+use crate::config::{Board, Calibration, PlantSection, assemble, source};
 use crate::control::LoopConfig;
 use crate::experiment::arm::ArmResult;
-use crate::experiment::evaluation::{self, Arm, Evaluation, Foretold, Plan, Purpose, Track};
+use crate::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose, Track};
 use crate::experiment::path;
 use crate::experiment::track::TrackResult;
-use crate::model::DescribedMachine;
 use crate::report::evaluation as pictures;
 use crate::simulation::described::Described;
 use crate::simulation::link::Link;
 use crate::simulation::sim::Sim;
 use crate::simulation::world::World;
 use crate::supervisor::MachineError;
-use clap::builder::PossibleValue;
+use args::Args;
 use miette::{IntoDiagnostic, Result, bail, miette};
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-
-/// Arguments of `evaluate`.
-#[derive(Debug, clap::Args)]
-pub struct Args {
-    /// Simulator to run on, `exec:PROGRAM ARG…` or `model:MODEL.toml`, the machine that a diagnosis describes; the default is the built-in plant of the board.
-    #[arg(long)]
-    plant: Option<String>,
-    /// Board file; the default is the paper twin.
-    #[arg(long)]
-    board: Option<PathBuf>,
-    /// Calibration file; by default the gains are first identified from zero.
-    #[arg(long)]
-    calib: Option<PathBuf>,
-    /// Gains file.
-    #[arg(long)]
-    gains: Option<PathBuf>,
-    /// Model saved by `gap diagnose --save`, through which the arms `diagnosed` and `closed` are fed forward. Without it,
-    /// `diagnosed` records and diagnoses a log of its own and `closed` uses the nominal model.
-    #[arg(long, value_name = "MODEL.toml", conflicts_with_all = ["sweep", "ablate"])]
-    feedforward: Option<PathBuf>,
-    /// Write the result as JSON to this file (`-`: standard output).
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
-    /// Write the result as one HTML page with charts.
-    #[arg(long)]
-    html: Option<PathBuf>,
-    /// Write the charts as one SVG drawing.
-    #[arg(long)]
-    svg: Option<PathBuf>,
-    /// Arms to run; by default all five, and none with --track.
-    #[arg(long, value_delimiter = ',')]
-    arms: Option<Vec<Arm>>,
-    /// Path to drive in closed loop (CSV: t_s, bend_deg, dir_deg and, if wanted, len_mm), after a move to its first point.
-    #[arg(long, value_name = "FILE")]
-    track: Option<PathBuf>,
-    /// With --track: each point of the path becomes known only at its time, as from a joystick.
-    #[arg(long, requires = "track")]
-    live: bool,
-    /// Seed of the built-in plant; selects the simulated unit and its noise.
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
-    /// Instead of the arms: the closed loop and the best open loop over conditions, with the paper's calibration unless
-    /// another is given; exit code 1 if a row fails.
-    #[arg(long, conflicts_with_all = ["plant", "html", "arms", "ablate", "track"])]
-    sweep: bool,
-    /// With --sweep: only the conditions whose name contains this text.
-    #[arg(long, requires = "sweep", value_name = "TEXT")]
-    only: Option<String>,
-    /// Instead of the arms: the closed loop with each of its mechanisms off in turn.
-    #[arg(long, conflicts_with_all = ["plant", "html", "svg", "arms", "track"])]
-    ablate: bool,
-}
-
-impl clap::ValueEnum for Arm {
-    fn value_variants<'a>() -> &'a [Self] {
-        &Self::ALL
-    }
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(PossibleValue::new(self.name()))
-    }
-}
+use std::path::Path;
 
 /// Closed-loop bend RMSE above which the command exits with 1, degrees.
 const GOOD_ENOUGH_DEG: f64 = 1.5;
@@ -93,41 +30,24 @@ const FOLLOWED_DEG: f64 = 3.0;
 ///
 /// # Errors
 /// A report that says what was wrong with the input or the plant.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<bool> {
     check(args)?;
     let board = inputs::board(args.board.as_deref())?;
     let gains = inputs::gains(args.gains.as_deref())?;
     if args.sweep || args.ablate {
-        let request = studies::Request {
-            sweep: args.sweep,
-            only: args.only.as_deref(),
-            calib: args.calib.as_deref(),
-            json: args.json.as_deref(),
-            svg: args.svg.as_deref(),
-            seed: args.seed,
-        };
-        return studies::run(&request, &built_in(args, &board)?, &board, &gains);
+        return studies::run(args, &built_in(args, &board)?, &board, &gains);
     }
     let calibration: Option<Calibration> = args.calib.as_deref().map(source::read).transpose()?;
-    let plant = Plant::new(args, &board)?;
-    let _logging = matches!(plant, Plant::Foreign { .. }).then(logging::start);
+    let (open, is_foreign) = plant(args, &board)?;
+    let _logging = is_foreign.then(logging::start);
     let identify = calibration.is_none();
     let calibration = calibration.unwrap_or_default();
-    let given = args.feedforward.as_deref();
-    let feedforward = inputs::feedforward(given, args.calib.as_deref(), &calibration);
-    let feedforward = feedforward
-        .map(|path| inputs::described(&path, &board))
-        .transpose()?;
+    let feedforward = inputs::feedforward(&args.feedforward, &args.calib, &calibration, &board)?;
+    let feedforward = feedforward.map(|(_, machine)| machine);
     let config = assemble(&board, &calibration, &gains);
     let track = track(args, &config)?;
-    let usual = || {
-        if track.is_some() {
-            Vec::new()
-        } else {
-            Arm::ALL.to_vec()
-        }
-    };
-    let arms = args.arms.clone().unwrap_or_else(usual);
+    let usual: &[Arm] = if track.is_some() { &[] } else { &Arm::ALL };
+    let arms = args.arms.clone().unwrap_or(usual.to_vec());
     let rig = gap::input::rig(args.board.as_deref())?;
     let plan = Plan {
         identify,
@@ -139,21 +59,16 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         feedforward,
     };
     let bar = output::bar(0, "{msg:<18} {pos} states held,");
-    let result = evaluation::run(&plan, &mut |purpose| plant.open(purpose), &mut |what| {
+    let result = evaluation::run(&plan, &mut |purpose| open(purpose), &mut |what| {
         bar.set_message(what.to_owned());
         bar.inc(1);
     });
     bar.finish_and_clear();
     let result = result.into_diagnostic()?;
-    output::json(args.json.as_deref(), &result)?;
-    if let Some(path) = &args.html {
-        output::write(path, pictures::html(&result))?;
-    }
-    if let Some(path) = &args.svg {
-        output::write(path, pictures::svg(&result))?;
-    }
-    output::show(&summary(&result), args.json.as_deref());
-    if let Some(warning) = result.track.as_ref().and_then(too_fast) {
+    output::write_some(&args.html, || Ok(pictures::html(&result)))?;
+    output::write_some(&args.svg, || Ok(pictures::svg(&result)))?;
+    output::answer(&args.json, &result, pictures::summary(&result))?;
+    if let Some(warning) = result.track.as_ref().and_then(pictures::too_fast) {
         eprintln!("warning: {warning}");
     }
     Ok(verdict(&result))
@@ -167,22 +82,7 @@ fn check(args: &Args) -> Result<()> {
             bail!("--arms names `{}` twice; name each arm once", arm.name());
         }
     }
-    let Args {
-        json,
-        html,
-        svg,
-        board,
-        calib,
-        gains,
-        feedforward,
-        track,
-        ..
-    } = args;
-    let results = [("--json", json), ("--html", html), ("--svg", svg)];
-    let results = results.map(|(option, path)| (option, path.as_deref()));
-    let inputs = [board, calib, gains, feedforward, track].into_iter();
-    let inputs: Vec<&Path> = inputs.filter_map(|p| p.as_deref()).collect();
-    output::check(&results, &inputs)
+    Ok(())
 }
 
 /// The path of `--track`, within the reach of the machine as far as it is known before an identification.
@@ -191,83 +91,42 @@ fn track(args: &Args, config: &LoopConfig) -> Result<Option<Track>> {
         return Ok(None);
     };
     let path = path::PathFile::open(file, &config.geometry).into_diagnostic()?;
-    path.within(&config.limits, &config.geometry, &config.lines)
-        .into_diagnostic()?;
-    Ok(Some(Track {
-        path,
-        live: args.live,
-    }))
+    let within = path.within(&config.limits, &config.geometry, &config.lines);
+    within.into_diagnostic()?;
+    let live = args.live;
+    Ok(Some(Track { path, live }))
 }
 
-/// What is to be said of a path that the pistons cannot follow as it is.
-fn too_fast(t: &TrackResult) -> Option<String> {
-    let demand = t.demand;
-    let done = match t.live {
-        true => "a live path is not slowed down, so the tip falls behind",
-        false => "it was driven that much slower",
-    };
-    (demand > 1.0).then(|| {
-        format!("the path asks {demand:.2} times the speed that the pistons can follow; {done}")
-    })
-}
+/// Opens the plant that a run drives.
+type Open = Box<dyn Fn(Purpose) -> Result<Box<dyn World>, MachineError>>;
 
-/// The plant that the arms run on.
-enum Plant {
-    Foreign {
-        program: String,
-        args: Vec<String>,
-    },
-    BuiltIn {
-        section: Box<PlantSection>,
-        seed: u64,
-    },
-    Described {
-        machine: Arc<DescribedMachine>,
-        step_mm: f64,
-        seed: u64,
-    },
-}
-
-impl Plant {
-    fn new(args: &Args, board: &Board) -> Result<Self> {
-        if let Some(path) = args.plant.as_deref().and_then(|p| p.strip_prefix("model:")) {
-            let machine = inputs::described(Path::new(path), board)?;
-            return Ok(Self::Described {
-                machine,
-                step_mm: board.drive.law().step_mm,
-                seed: args.seed,
-            });
-        }
-        if let Some(plant) = &args.plant {
-            let (program, args) = inputs::program(plant)?;
-            return Ok(Self::Foreign { program, args });
-        }
-        Ok(Self::BuiltIn {
-            section: Box::new(built_in(args, board)?),
-            seed: args.seed,
-        })
-    }
-
-    fn open(&self, purpose: Purpose) -> Result<Box<dyn World>, MachineError> {
-        Ok(match self {
-            Self::Foreign { program, args } => Box::new(Link::start(program, args)?),
-            Self::Described {
-                machine,
-                step_mm,
-                seed,
-            } => Box::new(Described::new(
+/// The plant that the arms run on, and whether it is a foreign program.
+fn plant(args: &Args, board: &Board) -> Result<(Open, bool)> {
+    let (seed, foreign) = (args.seed, args.plant.as_deref());
+    if let Some(path) = foreign.and_then(|plant| plant.strip_prefix("model:")) {
+        let machine = inputs::described(Path::new(path), board)?;
+        let step_mm = board.drive.law().step_mm;
+        let open: Open = Box::new(move |purpose| {
+            let noise = seed.wrapping_add(noise_of(purpose));
+            Ok(Box::new(Described::new(
                 machine.as_ref().clone(),
-                *step_mm,
-                seed.wrapping_add(noise_of(purpose)),
-            )),
-            Self::BuiltIn { section, seed } => Box::new(Sim::new(
-                &section.make(),
-                *seed,
-                noise_of(purpose),
-                section.period_s,
-            )?),
-        })
+                step_mm,
+                noise,
+            )))
+        });
+        return Ok((open, false));
     }
+    if let Some(plant) = foreign {
+        let (program, args) = inputs::program(plant)?;
+        let open: Open = Box::new(move |_| Ok(Box::new(Link::start(&program, &args)?)));
+        return Ok((open, true));
+    }
+    let section = built_in(args, board)?;
+    let open: Open = Box::new(move |purpose| {
+        let (plant, noise) = (section.make(), noise_of(purpose));
+        Ok(Box::new(Sim::new(&plant, seed, noise, section.period_s)?))
+    });
+    Ok((open, false))
 }
 
 /// The built-in plant of a board.
@@ -290,75 +149,9 @@ fn noise_of(purpose: Purpose) -> u64 {
     }
 }
 
-fn verdict(e: &Evaluation) -> CommandOutcome {
+fn verdict(e: &Evaluation) -> bool {
     let bad = |a: &ArmResult| a.bend_rmse_deg > GOOD_ENOUGH_DEG;
     let lost = |t: &TrackResult| t.rmse_delayed_deg > FOLLOWED_DEG;
     let failed = e.track.as_ref().is_some_and(lost) || e.arm(Arm::Closed).is_some_and(bad);
-    CommandOutcome::from(e.converged && !failed)
-}
-
-/// The table of arms and the gains, for people.
-fn summary(e: &Evaluation) -> String {
-    let gains = |g: &[f64; 3]| g.map(|x| format!("{x:.2}")).join(", ");
-    let origin = match (e.iterations, e.converged) {
-        (0, _) => "from the calibration file".to_owned(),
-        (n, true) => format!("Algorithm 1, {n} passes"),
-        (n, false) => format!("Algorithm 1, NOT converged after {n} passes"),
-    };
-    // a figure a row, so that the table is narrow
-    let mut rows = pictures::arm_rows(e);
-    let names = Arm::ALL.into_iter().filter(|arm| e.arm(*arm).is_some());
-    for (row, arm) in rows.iter_mut().zip(names) {
-        arm.name().clone_into(&mut row[0]);
-    }
-    let line = |c: usize, title: &str| {
-        std::iter::once(title.to_owned())
-            .chain(rows.iter().map(|r| r[c].clone()))
-            .collect::<Vec<_>>()
-    };
-    let header = line(0, "");
-    let header: Vec<&str> = header.iter().map(String::as_str).collect();
-    let figures = pictures::ARM_COLUMNS
-        .iter()
-        .enumerate()
-        .skip(1)
-        .map(|(c, title)| line(c, title));
-    let arms = match e.arms.len() {
-        0 => String::new(),
-        _ => format!("{}\n", output::table(&header, 1..header.len(), figures)),
-    };
-    let foretold = match e.foretold.len() {
-        0 => String::new(),
-        _ => {
-            let deg = |x: f64| format!("{x:.1}°");
-            let row = |f: &Foretold| {
-                [
-                    f.name.clone(),
-                    deg(f.machine_deg),
-                    deg(f.twin_deg),
-                    deg(f.nominal_deg),
-                ]
-            };
-            let header = [
-                "bend RMSE, open loop",
-                "machine",
-                "its twin foretells",
-                "nominal model foretells",
-            ];
-            format!(
-                "{}\n",
-                output::table(&header, 1..header.len(), e.foretold.iter().map(row))
-            )
-        }
-    };
-    let path = e.track.as_ref().map_or(String::new(), |t| {
-        format!(
-            "path of {:.1} s: RMSE {:.2}°, 95 % {:.2}°, at most {:.2}°; delay {:.3} s, RMSE after it {:.2}°\n",
-            t.duration_s, t.rmse_deg, t.p95_deg, t.max_deg, t.delay_s, t.rmse_delayed_deg
-        )
-    });
-    let (plant, seed, k_eps, k_lambda) = (&e.plant, e.seed, gains(&e.k_eps), gains(&e.k_lambda_mm));
-    format!(
-        "plant {plant}, seed {seed}\n\n{arms}\n{foretold}{path}k_ε = {k_eps}   k_λ = {k_lambda} mm   ({origin})\n"
-    )
+    e.converged && !failed
 }

@@ -1,6 +1,7 @@
 //! Prints the error that ends a command: one line that says what is wrong, the place in the file where there is one, and
 //! what to do. Lines are not wrapped, so that they can be searched and copied.
 
+use crate::cli::Refused;
 use crate::cli::output::printable;
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use miette::{Report, SourceSpan};
@@ -21,6 +22,9 @@ fn rendered(report: &Report, colour: bool) -> String {
     let causes = report.chain().skip(1).map(|cause| format!(": {cause}"));
     let title: String = std::iter::once(report.to_string()).chain(causes).collect();
     let title = String::from_utf8_lossy(&printable(title.as_bytes())).into_owned();
+    if report.is::<Refused>() {
+        return title;
+    }
     let title = Level::ERROR.primary_title(title);
     let place = quoted(report);
     let mut group = match &place {

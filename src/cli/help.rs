@@ -1,9 +1,15 @@
 //! The command line as `clap` describes it: commands by task, examples, completions and man pages.
 
-use crate::cli::{CommandOutcome, output};
-use clap::Command;
+use crate::cli::output::{self, ResultFile};
+use crate::config::shipped;
+use crate::drill::list;
+use crate::estimation::fusion::FilterName;
+use crate::estimation::fusion::estimator::EstimatorName;
+use clap::builder::PossibleValuesParser;
+use clap::{Arg, Command, ValueHint};
 use clap_complete::Shell;
-use miette::{Result, miette};
+use miette::{Result, bail, miette};
+use std::any::TypeId;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -110,12 +116,48 @@ pub struct CompletionsArgs {
     shell: Shell,
 }
 
+/// Names of the boards of the program.
+fn boards() -> [&'static str; shipped::BOARDS.len()] {
+    shipped::BOARDS.map(|(name, _)| name)
+}
+
 /// Prints a completion script of a command line on standard output.
-pub fn completions(args: &CompletionsArgs, mut command: Command) -> CommandOutcome {
-    let mut script = Vec::new();
+pub fn completions(args: &CompletionsArgs, command: Command) -> Result<()> {
+    let (mut command, mut script) = (completed(command), Vec::new());
     clap_complete::generate(args.shell, &mut command, "retroflex", &mut script);
-    output::print(&script);
-    CommandOutcome::Good
+    let boards = boards().join(" ");
+    let mut script = String::from_utf8_lossy(&script).into_owned();
+    // a board may be a file, too; bash tries files when no name fits
+    script = script.replace(
+        &format!("({boards})"),
+        &format!("{{compadd {boards}; _files}}"),
+    );
+    let in_fish = format!("-f -a \"{}\\t", shipped::BOARDS[0].0);
+    output::print(script.replace(&in_fish, &in_fish.replacen("-f", "-F", 1)));
+    Ok(())
+}
+
+/// A command line, only for completion, in which boards, filters and faults of the drill have their names as values, and the files of
+/// results complete as paths.
+fn completed(command: Command) -> Command {
+    let names = |arg: &Arg, of: &str| -> Option<Vec<&'static str>> {
+        match (arg.get_id().as_str(), of) {
+            ("board", _) => Some(boards().into()),
+            ("filter", "score") => Some(FilterName::ALL.map(FilterName::name).into()),
+            ("filter", _) => Some(EstimatorName::NAMES.into()),
+            ("only", "drill") => Some(list::specs().iter().map(|spec| spec.name).collect()),
+            _ => None,
+        }
+    };
+    let of = command.get_name().to_owned();
+    let complete = |arg: Arg| match names(&arg, &of) {
+        Some(names) => arg.value_parser(PossibleValuesParser::new(names)),
+        None if arg.get_value_parser().type_id() == TypeId::of::<ResultFile>() => {
+            arg.value_hint(ValueHint::AnyPath)
+        }
+        None => arg,
+    };
+    command.mut_args(complete).mut_subcommands(completed)
 }
 
 /// Arguments of `man`.
@@ -129,13 +171,10 @@ pub struct ManArgs {
 ///
 /// # Errors
 /// A report that names the folder.
-pub fn man(args: &ManArgs, command: Command) -> Result<CommandOutcome> {
+pub fn man(args: &ManArgs, command: Command) -> Result<()> {
     let folder = args.folder.display();
     if !args.folder.is_dir() {
-        return Err(miette!(
-            "{folder}: this is no folder; create one and name it"
-        ));
+        bail!("{folder}: this is no folder; create one and name it");
     }
-    clap_mangen::generate_to(command, &args.folder).map_err(|e| miette!("{folder}: {e}"))?;
-    Ok(CommandOutcome::Good)
+    clap_mangen::generate_to(command, &args.folder).map_err(|e| miette!("{folder}: {e}"))
 }

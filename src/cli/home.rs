@@ -1,14 +1,13 @@
 //! `retroflex home`: finds zero with home switches, or with the help of an operator.
 
-use crate::cli::{CommandOutcome, inputs, manual_motion, output};
+use crate::cli::manual_motion::{self, motion_error, with_manual_control, without_sensors};
+use crate::cli::{inputs, output};
 use crate::config::{Board, HomingMethod};
-use crate::control::RestartState;
 use crate::primitives::Steps;
-use crate::service::memory::Memory;
 use crate::service::paths::Paths;
 use crate::service::store::Store;
-use crate::supervisor::commission::homing::{self, HomingConfig};
-use miette::{IntoDiagnostic, Result, miette};
+use crate::supervisor::commission::homing::{self, HomingConfig, HomingError};
+use miette::{IntoDiagnostic, Result, bail, miette};
 use std::io::BufRead;
 use std::path::PathBuf;
 
@@ -31,7 +30,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A report: bad input, hardware that does not answer, or the reason why zero was not found.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<()> {
     let board = inputs::board(Some(&args.board))?;
     // the lock of the state folder also keeps a service from starting meanwhile
     let memory = board
@@ -44,34 +43,25 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         HomingMethod::Operator => by_operator(args)?,
     };
     if let Some((mut store, recall)) = memory {
-        let found = recall.memory.unwrap_or_default();
+        let mut memory = recall.memory.unwrap_or_default();
+        (memory.armed, memory.lost) = (false, false);
         // the switches measure; the operator's word is not verified
-        let unverified = board.homing.method == HomingMethod::Operator;
-        let restart = found.restart.map(|r| RestartState {
-            steps: Steps::default(),
-            bend_rad: [0.0; 2],
-            play_output_mm: [0.0; 3],
-            ..r
-        });
-        store
-            .write(&Memory {
-                armed: false,
-                lost: false,
-                unverified,
-                restart,
-                ..found
-            })
-            .into_diagnostic()?;
+        memory.unverified = board.homing.method == HomingMethod::Operator;
+        if let Some(restart) = &mut memory.restart {
+            restart.steps = Steps::default();
+            (restart.bend_rad, restart.play_output_mm) = ([0.0; 2], [0.0; 3]);
+        }
+        store.write(&memory).into_diagnostic()?;
     }
     output::print(&text);
-    Ok(CommandOutcome::Good)
+    Ok(())
 }
 
 fn by_switches(args: &Args, board: &Board) -> Result<String> {
     if !args.vented {
-        return Err(miette!(
+        bail!(
             "homing drives every piston to the end of its travel: remove the tip or vent its lines, then add --vented"
-        ));
+        );
     }
     let (h, travel_mm) = (board.homing, board.limits.travel_mm);
     let search_max_mm = 2.0 * travel_mm + h.back_off_mm;
@@ -83,24 +73,24 @@ fn by_switches(args: &Args, board: &Board) -> Result<String> {
         search_max_mm,
     };
     let (_, mut machine) = manual_motion::open(&args.board, |c| {
-        (c.imu, c.base_imu) = (None, None);
+        without_sensors(c);
         // the position is still unknown, so the count may exceed the length of the rack
         c.motion.travel_max_mm = search_max_mm + 2.0 * travel_mm;
     })?;
-    let homed = manual_motion::with_manual_control(machine.as_mut(), |hand| {
-        hand.energise(true).map_err(manual_motion::motion_error)?;
-        let homed = homing::with_switches(hand, &config).map_err(|e| match e {
-            homing::HomingError::Motion(e) => manual_motion::motion_error(e),
-            e => miette!("{e}"),
-        })?;
-        hand.energise(false).map_err(manual_motion::motion_error)?;
+    let report = |e| match e {
+        HomingError::Motion(e) => motion_error(e),
+        e => miette!("{e}"),
+    };
+    let homed = with_manual_control(machine.as_mut(), report, |hand| {
+        hand.energise(true)?;
+        let homed = homing::with_switches(hand, &config)?;
+        hand.energise(false)?;
         Ok(homed)
     })?;
-    let row = |v: [f64; 3]| v.map(|x| format!("{x:.3}")).join(", ");
+    let [moved, repeat] =
+        [homed.moved_mm, homed.repeat_mm].map(|mm| mm.map(|x| format!("{x:.3}")).join(", "));
     Ok(format!(
-        "zero found: corrected by {} mm, switches repeat within {} mm; pistons at zero, drivers released\n",
-        row(homed.moved_mm),
-        row(homed.repeat_mm)
+        "zero found: corrected by {moved} mm, switches repeat within {repeat} mm; pistons at zero, drivers released\n"
     ))
 }
 
@@ -113,18 +103,14 @@ fn by_operator(args: &Args) -> Result<String> {
         let mut line = String::new();
         let read = std::io::stdin().lock().read_line(&mut line);
         if read.is_err() || line.trim() != "rest" {
-            return Err(miette!("not confirmed; zero is unchanged"));
+            bail!("not confirmed; zero is unchanged");
         }
     }
-    let (_, mut machine) =
-        manual_motion::open(&args.board, |c| (c.imu, c.base_imu) = (None, None))?;
-    manual_motion::with_manual_control(machine.as_mut(), |hand| {
-        let mut all = || {
-            hand.energise(true)?;
-            hand.stand(0.2, &mut |_| ())?;
-            hand.energise(false)
-        };
-        all().map_err(manual_motion::motion_error)
+    let (_, mut machine) = manual_motion::open(&args.board, without_sensors)?;
+    with_manual_control(machine.as_mut(), motion_error, |hand| {
+        hand.energise(true)?;
+        hand.stand(0.2, &mut |_| ())?;
+        hand.energise(false)
     })?;
     Ok("zero set: pistons at rest as confirmed; the drivers respond and are released\n".to_owned())
 }

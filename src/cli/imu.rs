@@ -1,16 +1,17 @@
 //! `retroflex imu score`: orientation filters against recordings with a reference.
 
-use crate::cli::{CommandOutcome, output};
+use crate::cli::output::{self, ResultFile};
 use crate::estimation::fusion::FilterName;
 use crate::estimation::score::{self, Row, Score};
 use miette::{IntoDiagnostic, Result};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-/// Subcommands of `imu`.
-#[derive(Debug, clap::Subcommand)]
-pub enum Imu {
+commands! {
+    /// Subcommands of `imu`.
+    pub enum Imu;
+
     /// Run filters over recordings and print the RMSE of the rotation, its heading and its inclination.
-    Score(ScoreArgs),
+    Score(ScoreArgs) => run,
 }
 
 /// Arguments of `imu score`.
@@ -27,19 +28,16 @@ pub struct ScoreArgs {
     all: bool,
     /// Write the rows as JSON to this file (`-`: standard output).
     #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
+    json: Option<ResultFile>,
 }
 
 /// Runs a subcommand.
 ///
 /// # Errors
 /// A report that names what is wrong with the input.
-pub fn run(command: &Imu) -> Result<CommandOutcome> {
-    let Imu::Score(args) = command;
-    let inputs: Vec<&Path> = args.files.iter().map(PathBuf::as_path).collect();
-    output::check(&[("--json", args.json.as_deref())], &inputs)?;
+pub fn run(args: &ScoreArgs) -> Result<()> {
     let rows = score::run(&args.files, args.filter, args.all).into_diagnostic()?;
-    output::show(&format!("{}\n", table(&rows)), args.json.as_deref());
+    output::answer(&args.json, &rows, table(&rows) + "\n")?;
     for row in rows
         .iter()
         .filter(|row| row.filter == rows[0].filter && row.saturated > 0.0)
@@ -50,22 +48,14 @@ pub fn run(command: &Imu) -> Result<CommandOutcome> {
             100.0 * row.saturated
         );
     }
-    output::json(args.json.as_deref(), &rows)?;
-    Ok(CommandOutcome::Good)
+    Ok(())
 }
 
 /// A line for each recording and filter, and the means of several recordings.
 fn table(rows: &[Row]) -> String {
     let line = |file: &str, filter: FilterName, s: &Score| {
         let figures = [s.total_deg, s.heading_deg, s.inclination_deg].map(|x| format!("{x:.2}"));
-        let [total, heading, inclination] = figures;
-        [
-            file.to_owned(),
-            filter.to_string(),
-            total,
-            heading,
-            inclination,
-        ]
+        [vec![file.to_owned(), filter.to_string()], figures.into()].concat()
     };
     let mut lines: Vec<_> = rows
         .iter()
@@ -75,6 +65,5 @@ fn table(rows: &[Row]) -> String {
         let means = |filter| Some(line("mean", filter, &score::mean(rows, filter)?));
         lines.extend(FilterName::ALL.into_iter().filter_map(means));
     }
-    let header = ["° RMS", "filter", "total", "heading", "inclination"];
-    output::table(&header, 2..5, lines).to_string()
+    output::table("° RMS|filter|total|heading|inclination", 2..5, lines).to_string()
 }

@@ -1,16 +1,17 @@
 //! Inputs that several commands share: configuration files with their built-in defaults, and foreign plants.
 
-use crate::config::{Board, Calibration, Gains};
-use crate::config::{shipped, source};
+use crate::config::{Board, Calibration, Gains, shipped, source};
 use crate::diagnosis::saved::SavedModel;
+use crate::hardware::rt;
 use crate::model::DescribedMachine;
 use crate::model::effects::catalogue;
 use crate::primitives::Check;
-use miette::{Result, bail, miette};
+use miette::{IntoDiagnostic, Result, bail, miette};
 use serde::de::DeserializeOwned;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 /// A board file, or the board that comes with the program under this name; by default the paper twin.
 ///
@@ -54,10 +55,7 @@ pub fn calibration(path: Option<&Path>) -> Result<Calibration> {
 }
 
 /// A file of any kind, or what comes with the program in its place.
-///
-/// # Errors
-/// A report that names file, line and key.
-pub fn read_or<T: DeserializeOwned + Check>(
+fn read_or<T: DeserializeOwned + Check>(
     path: Option<&Path>,
     (name, built_in): (&str, &str),
 ) -> Result<T> {
@@ -89,17 +87,24 @@ pub fn described(path: &Path, board: &Board) -> Result<Arc<DescribedMachine>> {
     described_by(&path.display().to_string(), source::read(path)?, board)
 }
 
-/// The path of the model for the feedforward: the one on the command line, or the one that the calibration file names.
+/// The model for the feedforward, and its path: the one on the command line, or the one that the calibration file names.
+///
+/// # Errors
+/// As for [`described`].
 pub fn feedforward(
-    given: Option<&Path>,
-    calib: Option<&Path>,
+    given: &Option<PathBuf>,
+    calib: &Option<PathBuf>,
     calibration: &Calibration,
-) -> Option<PathBuf> {
+    board: &Board,
+) -> Result<Option<(PathBuf, Arc<DescribedMachine>)>> {
     let named = Some(&calibration.feedforward).filter(|name| !name.is_empty());
-    let folder = calib.and_then(Path::parent).unwrap_or(Path::new(""));
-    given
-        .map(Path::to_owned)
-        .or_else(|| Some(folder.join(named?)))
+    let folder = calib
+        .as_deref()
+        .and_then(Path::parent)
+        .unwrap_or(Path::new(""));
+    let path = given.clone().or_else(|| Some(folder.join(named?)));
+    path.map(|path| described(&path, board).map(|machine| (path, machine)))
+        .transpose()
 }
 
 /// [`described`] for a model that has been read from `origin`.
@@ -123,6 +128,18 @@ pub fn described_by(
         eprintln!("{origin}: left out, because it happens once: {names}");
     }
     Ok(Arc::new(machine))
+}
+
+/// Becomes true with a signal that ends a process.
+///
+/// # Errors
+/// The operating system's.
+pub fn ended() -> Result<Arc<AtomicBool>> {
+    let ended = Arc::new(AtomicBool::new(false));
+    for signal in rt::ending_signals() {
+        signal_hook::flag::register(signal, Arc::clone(&ended)).into_diagnostic()?;
+    }
+    Ok(ended)
 }
 
 /// Program and arguments of `--plant 'exec:PROGRAM ARG…'`.

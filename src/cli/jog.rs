@@ -2,8 +2,9 @@
 //! end, and pressure would then push the piston.
 
 use crate::cli::inputs::within;
-use crate::cli::{CommandOutcome, manual_motion, output};
-use miette::{Result, miette};
+use crate::cli::{manual_motion, output};
+use crate::supervisor::commission::manual_motion::ManualMotion;
+use miette::{Result, bail};
 use std::path::PathBuf;
 
 /// Longest jog, mm: about a third of the travel.
@@ -41,44 +42,36 @@ pub struct Args {
 ///
 /// # Errors
 /// A report: bad input, hardware that does not answer, or the reason that ended the motion.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<()> {
     if args.stay && args.times != 1 {
-        return Err(miette!(
-            "--stay and --times {} contradict each other; omit one of them",
-            args.times
-        ));
+        let times = args.times;
+        bail!("--stay and --times {times} contradict each other; omit one of them");
     }
-    let (_, mut machine) = manual_motion::open(&args.board, |config| {
-        // the sensors are not needed to turn a motor
-        (config.imu, config.base_imu) = (None, None);
-    })?;
+    let (_, mut machine) = manual_motion::open(&args.board, manual_motion::without_sensors)?;
     let channel = usize::from(args.channel) - 1;
-    let (out, back) = manual_motion::with_manual_control(machine.as_mut(), |hand| {
-        let mut all = || {
-            hand.energise(true)?;
-            let mut target = [0.0; 3];
-            target[channel] = args.mm;
-            let mut out = 0.0;
-            for _ in 0..args.times {
-                hand.go(target, args.speed, &mut |_| false)?;
-                out = hand.stands_mm()[channel];
-                hand.stand(args.hold, &mut |_| ())?;
-                if !args.stay {
-                    hand.go([0.0; 3], args.speed, &mut |_| false)?;
-                }
+    let stroke = |hand: &mut ManualMotion<'_>| {
+        hand.energise(true)?;
+        let (mut target, mut out) = ([0.0; 3], 0.0);
+        target[channel] = args.mm;
+        for _ in 0..args.times {
+            hand.go(target, args.speed, &mut |_| false)?;
+            out = hand.stands_mm()[channel];
+            hand.stand(args.hold, &mut |_| ())?;
+            if !args.stay {
+                hand.go([0.0; 3], args.speed, &mut |_| false)?;
             }
-            hand.energise(false)?;
-            Ok((out, hand.stands_mm()[channel]))
-        };
-        all().map_err(manual_motion::motion_error)
-    })?;
+        }
+        hand.energise(false)?;
+        Ok((out, hand.stands_mm()[channel]))
+    };
+    let report = manual_motion::motion_error;
+    let (out, back) = manual_motion::with_manual_control(machine.as_mut(), report, stroke)?;
     let step_mm = machine.info().step_mm;
-    let text = format!(
+    output::print(format!(
         "channel {}: reached {out:.3} mm ({:.0} steps), now at {back:.3} mm ({:.0} steps), drivers released\n",
         args.channel,
         out / step_mm,
         back / step_mm
-    );
-    output::print(&text);
-    Ok(CommandOutcome::Good)
+    ));
+    Ok(())
 }

@@ -12,8 +12,7 @@ use crate::supervisor::Machine;
 use crate::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 /// Reads a board file and opens its machine: the hardware if it has pins, else its plant. `prepare` can adjust the hardware
 /// configuration.
@@ -30,13 +29,28 @@ pub fn open(
         let machine = Hardware::open(&config).map_err(|e| hardware_error(path, e))?;
         return Ok((board, Box::new(machine)));
     }
-    let Some(plant) = &board.plant else {
+    let Some(machine) = simulated(&board, 0, 0)? else {
         let file = path.display();
         bail!("{file}: there is neither a [pins] nor a [plant] table, so there is nothing to move");
     };
-    let sim = Sim::new(&plant.make(), 0, 0, plant.period_s).into_diagnostic()?;
-    let machine = Lockstep::new(sim, &board.drive_limits());
-    Ok((board, Box::new(machine)))
+    Ok((board, machine))
+}
+
+/// The plant of a board, if it describes one.
+///
+/// # Errors
+/// A report about the plant.
+pub fn simulated(board: &Board, seed: u64, noise: u64) -> Result<Option<Box<dyn Machine>>> {
+    let Some(plant) = &board.plant else {
+        return Ok(None);
+    };
+    let sim = Sim::new(&plant.make(), seed, noise, plant.period_s).into_diagnostic()?;
+    Ok(Some(Box::new(Lockstep::new(sim, &board.drive_limits()))))
+}
+
+/// Leaves out the sensors, which are not needed to turn a motor.
+pub fn without_sensors(config: &mut MachineConfig) {
+    (config.imu, config.base_imu) = (None, None);
 }
 
 /// Converts an error of the hardware into a report with the right exit code.
@@ -56,18 +70,15 @@ pub fn hardware_error(path: &Path, error: HardwareError) -> miette::Report {
 /// motion. The drivers are released when the machine is dropped, whatever the outcome.
 ///
 /// # Errors
-/// The error of `work`.
-pub fn with_manual_control<T>(
+/// `report` of the error of `work`.
+pub fn with_manual_control<T, E>(
     machine: &mut dyn Machine,
-    work: impl FnOnce(&mut ManualMotion<'_>) -> Result<T>,
+    report: impl FnOnce(E) -> miette::Report,
+    work: impl FnOnce(&mut ManualMotion<'_>) -> Result<T, E>,
 ) -> Result<T> {
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in rt::ending_signals() {
-        signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
-    }
+    let stop = inputs::ended()?;
     let simulated = machine.is_simulated();
     let zero_ns = rt::monotonic_ns();
-    let clock = || Seconds((rt::monotonic_ns() - zero_ns) as f64 * 1e-9);
     let mut wait = move |next: Seconds| {
         if stop.load(Ordering::Relaxed) {
             return None;
@@ -76,9 +87,9 @@ pub fn with_manual_control<T>(
             return Some(next);
         }
         rt::sleep_until_ns(zero_ns + (next.0 * 1e9) as u64);
-        Some(clock())
+        Some(Seconds((rt::monotonic_ns() - zero_ns) as f64 * 1e-9))
     };
-    work(&mut ManualMotion::new(machine, &mut wait))
+    work(&mut ManualMotion::new(machine, &mut wait)).map_err(report)
 }
 
 /// Converts the reason that ended a motion into a report; failing pins count as hardware (exit code 3).

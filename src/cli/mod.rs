@@ -3,6 +3,32 @@
 //! 0: done. 1: the run finished and its answer is "not good enough". 2: bad input or usage. 3: hardware or service not
 //! reachable.
 
+/// An enum of commands, each with its arguments and the function that runs it.
+macro_rules! commands {
+    (
+        $(#[$about:meta])* $visible:vis enum $name:ident;
+        $($(#[$help:meta])* $command:ident($arguments:ty) => $run:expr,)+
+    ) => {
+        $(#[$about])*
+        #[derive(Debug, clap::Subcommand)]
+        $visible enum $name {
+            $($(#[$help])* $command($arguments),)+
+        }
+
+        impl $name {
+            /// Runs the command.
+            ///
+            /// # Errors
+            /// A report that says what is wrong with the input, the machine or the service.
+            pub fn run(&self) -> miette::Result<$crate::cli::CommandOutcome> {
+                match self {
+                    $(Self::$command(arguments) => $run(arguments).map(Into::into),)+
+                }
+            }
+        }
+    };
+}
+
 pub mod accept;
 pub mod bench;
 pub mod board;
@@ -15,6 +41,7 @@ pub mod drill;
 pub mod evaluate;
 mod failure;
 pub mod fleet;
+pub mod flight;
 pub mod gap;
 pub mod help;
 pub mod home;
@@ -30,9 +57,9 @@ pub mod release;
 pub mod replay;
 pub mod run;
 
-pub use outcome::{CommandOutcome, Unreachable};
+pub use outcome::{CommandOutcome, Refused, Unreachable};
 
-use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser};
 use std::process::ExitCode;
 
 /// Closed-loop bend control and gap diagnosis for a pneumatic endoscope tip.
@@ -43,62 +70,65 @@ use std::process::ExitCode;
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
+    #[arg(skip)]
+    arguments: ArgMatches,
 }
 
-#[derive(Debug, Subcommand)]
-enum Command {
+commands! {
+    enum Command;
+
     /// Run the paper's experiment: open-loop arms and closed loop.
-    Evaluate(evaluate::Args),
+    Evaluate(evaluate::args::Args) => evaluate::run,
     /// Show the service and a leak of a simulated tip, cause to remedy.
-    Demo(demo::Args),
+    Demo(demo::Args) => demo::run,
     /// Run every step from a board file to a tip that bends.
     ///
     /// What they print becomes one report.
-    Accept(accept::Args),
+    Accept(accept::Args) => accept::run,
     /// Verify wiring and tightness with small guarded moves.
-    Commission(commission::Args),
+    Commission(commission::Args) => commission::run,
     /// Boards, gains and calibrations.
     #[command(subcommand)]
-    Board(board::BoardCommand),
+    Board(board::BoardCommand) => board::BoardCommand::run,
     /// Find the zero position of the pistons.
-    Home(home::Args),
+    Home(home::Args) => home::run,
     /// Move one piston slowly.
-    Jog(jog::Args),
+    Jog(jog::Args) => jog::run,
     /// Measure the timing of this computer.
     #[command(subcommand)]
-    Bench(bench::Bench),
+    Bench(bench::Bench) => bench::Bench::run,
     /// Diagnose the gap between model and machine.
     #[command(subcommand)]
-    Gap(gap::Gap),
+    Gap(gap::Gap) => gap::Gap::run,
     /// Compare the lots of a fleet and predict its next unit.
     ///
     /// Reads the rows of `gap diagnose --rows`.
-    Fleet(fleet::Args),
+    Fleet(fleet::Args) => fleet::run,
     /// Identify errors of the IMU, or the transmission.
     #[command(subcommand)]
-    Calibrate(calibrate::Calibrate),
+    Calibrate(calibrate::Calibrate) => calibrate::Calibrate::run,
     /// Score orientation filters on recordings.
     #[command(subcommand)]
-    Imu(imu::Imu),
+    Imu(imu::Imu) => imu::Imu::run,
     /// Run the control service.
-    Run(run::Args),
+    Run(run::Args) => run::run,
     #[command(flatten)]
-    Client(client::Client),
+    Client(client::Client) => client::Client::run,
     /// Compare this computer and its devices with the board file.
-    Doctor(doctor::Args),
+    Doctor(doctor::Args) => doctor::run,
     /// Inject every fault that the project claims to survive.
-    Drill(drill::Args),
+    Drill(drill::Args) => drill::run,
     /// Take the current away from all drivers.
-    Release(release::Args),
+    Release(release::Args) => release::run,
     /// Show, export and cut flight logs.
     #[command(subcommand)]
-    Log(log::Log),
+    Log(log::Log) => log::Log::run,
     /// Run a recording through the loop and compare bit for bit.
-    Replay(replay::Args),
+    Replay(replay::Args) => replay::run,
     /// Print a completion script for a shell.
-    Completions(help::CompletionsArgs),
+    Completions(help::CompletionsArgs) => |args: &_| help::completions(args, command()),
     /// Write the man pages into a folder.
-    Man(help::ManArgs),
+    Man(help::ManArgs) => |args: &_| help::man(args, command()),
 }
 
 /// The command line as `clap` describes it.
@@ -108,9 +138,10 @@ pub fn command() -> clap::Command {
 
 /// Parses the arguments of the process; prints help or a usage error and exits where that is due.
 pub fn parse() -> Cli {
-    let parsed = command()
-        .try_get_matches()
-        .and_then(|matches| Cli::from_arg_matches(&matches));
+    let parsed = command().try_get_matches().and_then(|arguments| {
+        let cli = Cli::from_arg_matches(&arguments)?;
+        Ok(Cli { arguments, ..cli })
+    });
     parsed.unwrap_or_else(|e| {
         if !e.use_stderr() {
             e.exit();
@@ -123,29 +154,7 @@ pub fn parse() -> Cli {
 /// Runs a command and returns its exit code.
 pub fn run(cli: Cli) -> ExitCode {
     output::exit_on_print_failure();
-    let end = match cli.command {
-        Command::Evaluate(args) => evaluate::run(&args),
-        Command::Demo(args) => demo::run(&args),
-        Command::Accept(args) => accept::run(&args),
-        Command::Commission(args) => commission::run(&args),
-        Command::Board(command) => board::run(&command),
-        Command::Home(args) => home::run(&args),
-        Command::Jog(args) => jog::run(&args),
-        Command::Bench(command) => bench::run(&command),
-        Command::Gap(command) => gap::run(&command),
-        Command::Fleet(args) => fleet::run(&args),
-        Command::Calibrate(command) => calibrate::run(&command),
-        Command::Imu(command) => imu::run(&command),
-        Command::Run(args) => run::run(&args),
-        Command::Client(command) => client::run(&command),
-        Command::Doctor(args) => doctor::run(&args),
-        Command::Drill(args) => drill::run(&args),
-        Command::Release(args) => release::run(&args),
-        Command::Log(command) => log::run(&command),
-        Command::Replay(args) => replay::run(&args),
-        Command::Completions(args) => Ok(help::completions(&args, command())),
-        Command::Man(args) => help::man(&args, command()),
-    };
+    let end = output::check_arguments(&cli.arguments).and_then(|()| cli.command.run());
     if let Err(report) = &end {
         failure::print(report);
     }
@@ -156,6 +165,7 @@ fn exit_code(end: &miette::Result<CommandOutcome>) -> u8 {
     match end {
         Ok(CommandOutcome::Good) => 0,
         Ok(CommandOutcome::NotGoodEnough) => 1,
+        Err(report) if report.chain().any(|e| e.is::<Refused>()) => 1,
         Err(report) if report.chain().any(|e| e.is::<Unreachable>()) => 3,
         Err(_) => 2,
     }

@@ -1,5 +1,7 @@
 //! How a command ends: good, not good enough, or not reachable.
 
+use std::fmt;
+
 /// How a command ended, other than by an error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CommandOutcome {
@@ -7,6 +9,12 @@ pub enum CommandOutcome {
     Good,
     /// The run finished, and its answer is "not good enough".
     NotGoodEnough,
+}
+
+impl From<()> for CommandOutcome {
+    fn from((): ()) -> Self {
+        Self::Good
+    }
 }
 
 impl From<bool> for CommandOutcome {
@@ -35,5 +43,18 @@ impl Unreachable {
     pub fn report(what: &str, why: impl ToString) -> miette::Report {
         let (what, why) = (what.to_owned(), why.to_string());
         Self { what, why }.into()
+    }
+}
+
+/// A "no" that a command says in its own words on standard error: what the service refuses, or a motion that ended early. Anywhere in
+/// the chain of a report it makes the exit code 1.
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+#[error("{0}")]
+pub struct Refused(pub String);
+
+impl Refused {
+    /// The report of what is refused, and why.
+    pub fn report(why: impl fmt::Display) -> miette::Report {
+        Self(format!("refused: {why}")).into()
     }
 }

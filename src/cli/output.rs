@@ -4,15 +4,38 @@
 
 use crate::config::Calibration;
 use crate::hardware::rt;
-pub use crate::report::table::table;
-use indicatif::{ProgressBar, ProgressStyle};
+pub use crate::report::table::{columns, titled as table};
+use clap::ArgMatches;
+use indicatif::{ProgressBar, ProgressFinish, ProgressStyle};
 use miette::{IntoDiagnostic, Result, bail, miette};
 use serde::Serialize;
 use signal_hook::iterator::Signals;
 use std::borrow::Cow;
+use std::ffi::OsString;
+use std::fmt;
 use std::io::{Read, Write};
+use std::ops::Deref;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+
+/// The file of a result, as an option of a command names it; `-` is standard output. Every argument that is a path of another type is
+/// an input. Before a command runs, [`check_arguments`] protects the inputs from its results.
+#[derive(Debug, Clone)]
+pub struct ResultFile(PathBuf);
+
+impl From<OsString> for ResultFile {
+    fn from(path: OsString) -> Self {
+        Self(path.into())
+    }
+}
+
+impl Deref for ResultFile {
+    type Target = Path;
+
+    fn deref(&self) -> &Path {
+        &self.0
+    }
+}
 
 /// A temporary folder, which is removed at the end and on a signal that ends the program.
 pub struct Scratch(pub PathBuf);
@@ -46,12 +69,13 @@ impl Drop for Scratch {
 }
 
 /// Progress of long work on standard error, shown only on a terminal: a bar if the length is known, else a spinner, followed by
-/// `text` (an `indicatif` template) and the elapsed time.
+/// `text` (an `indicatif` template) and the elapsed time. It vanishes when it is dropped.
 pub fn bar(length: u64, text: &str) -> ProgressBar {
     let (bar, shape) = match length {
         0 => (ProgressBar::new_spinner(), "{spinner}"),
         _ => (ProgressBar::new(length), "{bar:40}"),
     };
+    let bar = bar.with_finish(ProgressFinish::AndClear);
     if let Ok(style) = ProgressStyle::with_template(&format!("{shape} {text} {{elapsed}}")) {
         bar.set_style(style);
     }
@@ -102,13 +126,35 @@ pub fn exit_on_print_failure() {
     }));
 }
 
-/// Prints text for people on standard output, or on standard error if `json` occupies standard output.
-pub fn show(text: &str, json: Option<&Path>) {
-    if json.is_some_and(is_stdout) {
-        eprint!("{text}");
-    } else {
-        print(text);
+/// Prints text for people on standard output, or on standard error if a result occupies standard output.
+pub fn show(text: impl fmt::Display, result: &Option<ResultFile>) {
+    match result.as_deref().is_some_and(is_stdout) {
+        true => eprint!("{text}"),
+        false => print(text.to_string()),
     }
+}
+
+/// [`check`] of the results and the inputs among the arguments of a command.
+///
+/// # Errors
+/// As for [`check`].
+pub fn check_arguments(mut arguments: &ArgMatches) -> Result<()> {
+    while let Some((_, inner)) = arguments.subcommand() {
+        arguments = inner;
+    }
+    let names = || arguments.ids().map(clap::Id::as_str);
+    let results = names().filter_map(|name| {
+        let file = arguments.try_get_one::<ResultFile>(name).ok()??;
+        Some((format!("--{name}"), file))
+    });
+    let results: Vec<(String, &ResultFile)> = results.collect();
+    let inputs = names().filter_map(|name| arguments.try_get_many::<PathBuf>(name).ok()?);
+    let inputs: Vec<&Path> = inputs.flatten().map(PathBuf::as_path).collect();
+    let results: Vec<(&str, &Path)> = results
+        .iter()
+        .map(|(name, file)| (&**name, &***file))
+        .collect();
+    check(&results, &inputs)
 }
 
 /// Checks, before any work starts, that every result can be written and that none replaces an input.
@@ -119,11 +165,7 @@ pub fn show(text: &str, json: Option<&Path>) {
 ///
 /// # Errors
 /// A report that names the option, the file and the obstacle.
-pub fn check(results: &[(&str, Option<&Path>)], inputs: &[&Path]) -> Result<()> {
-    let results = results
-        .iter()
-        .filter_map(|&(option, path)| Some((option, path?)));
-    let results: Vec<(&str, &Path)> = results.collect();
+pub fn check(results: &[(&str, &Path)], inputs: &[&Path]) -> Result<()> {
     for (n, &(option, path)) in results.iter().enumerate() {
         let file = path.display();
         if let Some((other, _)) = results[..n].iter().find(|r| r.1 == path) {
@@ -183,22 +225,19 @@ fn check_kind(option: &str, path: &Path, inputs: &[&Path]) -> Result<()> {
 fn may_replace(option: &str, path: &Path, old: &[u8]) -> bool {
     let table = || {
         std::fs::read_to_string(path)
+            .ok()?
+            .parse::<toml::Table>()
             .ok()
-            .and_then(|text| text.parse::<toml::Table>().ok())
     };
     let has = |key: &str| table().is_some_and(|table| table.contains_key(key));
-    // a file with nothing but `[imu]` is one, too
     let is_calibration = || {
-        table().is_some_and(|mut table| {
-            let gains = || {
-                toml::toml! { k_epsilon = [2.2, 2.2, 2.2]
-                k_lambda_mm = [0.8, 0.8, 0.8] }
-            };
-            table
-                .entry("transmission")
-                .or_insert_with(|| gains().into());
-            table.try_into::<Calibration>().is_ok()
-        })
+        let mut gains = toml::toml! { [transmission]
+            k_epsilon = [2.2, 2.2, 2.2]
+            k_lambda_mm = [0.8, 0.8, 0.8]
+        };
+        // a file with nothing but `[imu]` is one, too
+        gains.extend(table()?);
+        gains.try_into::<Calibration>().ok()
     };
     match (option, path.extension().and_then(|e| e.to_str())) {
         ("--json", _) => matches!(old[0], b'{' | b'['),
@@ -206,7 +245,7 @@ fn may_replace(option: &str, path: &Path, old: &[u8]) -> bool {
         ("--parquet" | "--rows" | "--merged", _) => old.starts_with(b"PAR1"),
         ("--save", _) => has("with_effects"),
         ("--calib" | "--prior", _) | ("--out", Some("toml")) => {
-            is_calibration() || has("conformal")
+            is_calibration().is_some() || has("conformal")
         }
         ("--csv", _) | ("--out", Some("csv")) => {
             old.starts_with(b"\x1f\x8b")
@@ -231,14 +270,40 @@ fn same_file(a: &Path, b: &Path) -> bool {
     a.is_file() && (a.dev(), a.ino()) == (b.dev(), b.ino())
 }
 
-/// Writes a value as indented JSON, if a path is given.
+/// Writes a result, if its file is named.
+///
+/// # Errors
+/// That of the content, or as [`write()`].
+pub fn write_some<T: AsRef<[u8]>>(
+    file: &Option<ResultFile>,
+    content: impl FnOnce() -> Result<T>,
+) -> Result<()> {
+    file.as_deref()
+        .map_or(Ok(()), |path| write(path, content()?))
+}
+
+/// Writes a value as indented JSON, if a file is named.
 ///
 /// # Errors
 /// As [`write()`].
-pub fn json(path: Option<&Path>, value: &impl Serialize) -> Result<()> {
-    let Some(path) = path else { return Ok(()) };
-    let text = serde_json::to_string_pretty(value).into_diagnostic()?;
-    write(path, &(text + "\n"))
+pub fn json(file: &Option<ResultFile>, value: &impl Serialize) -> Result<()> {
+    write_some(file, || {
+        Ok(serde_json::to_string_pretty(value).into_diagnostic()? + "\n")
+    })
+}
+
+/// The answer of a command: as JSON, if a file is named, and for people.
+///
+/// # Errors
+/// As [`write()`].
+pub fn answer(
+    file: &Option<ResultFile>,
+    value: &impl Serialize,
+    text: impl fmt::Display,
+) -> Result<()> {
+    json(file, value)?;
+    show(text, file);
+    Ok(())
 }
 
 /// Writes a file atomically: to a temporary file in the same folder, which then replaces the old one.
@@ -301,23 +366,22 @@ mod tests {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
-    fn refusal(results: &[(&str, Option<&Path>)], inputs: &[&Path]) -> String {
+    fn refusal(results: &[(&str, &Path)], inputs: &[&Path]) -> String {
         check(results, inputs).unwrap_err().to_string()
     }
 
     #[test]
     fn check_names_the_obstacle() {
         let folder = tempfile::tempdir().unwrap();
-        assert!(refusal(&[("--json", Some(folder.path()))], &[]).contains("is a folder"));
+        assert!(refusal(&[("--json", folder.path())], &[]).contains("is a folder"));
         let lost = folder.path().join("no/r.json");
-        assert!(refusal(&[("--json", Some(&lost))], &[]).contains("does not exist"));
+        assert!(refusal(&[("--json", &lost)], &[]).contains("does not exist"));
         assert!(write(&lost, "").is_err());
         let one = Path::new("r.out");
         assert!(
-            refusal(&[("--json", Some(one)), ("--html", Some(one))], &[])
-                .contains("both --json and --html")
+            refusal(&[("--json", one), ("--html", one)], &[]).contains("both --json and --html")
         );
-        assert!(check(&[("--json", Some(Path::new("-"))), ("--html", None)], &[]).is_ok());
+        assert!(check(&[("--json", Path::new("-"))], &[]).is_ok());
     }
 
     #[test]
@@ -327,15 +391,15 @@ mod tests {
         std::fs::write(&input, "time_s,piston1_mm\n").unwrap();
         std::os::unix::fs::symlink(&input, &link).unwrap();
         for result in [&input, &link] {
-            let text = refusal(&[("--out", Some(result))], &[&input]);
+            let text = refusal(&[("--out", result)], &[&input]);
             assert!(
                 text.contains("would overwrite the input file") && text.contains("a.csv"),
                 "{text}"
             );
         }
-        assert!(refusal(&[("--json", Some(&input))], &[]).contains("another kind"));
+        assert!(refusal(&[("--json", &input)], &[]).contains("another kind"));
         std::fs::write(&old, "[]\n").unwrap();
-        assert!(check(&[("--json", Some(&old))], &[&input]).is_ok());
+        assert!(check(&[("--json", &old)], &[&input]).is_ok());
     }
 
     #[test]

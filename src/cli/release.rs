@@ -1,7 +1,7 @@
 //! `retroflex release`: takes the current away from all drivers. The unit `retroflex-release.service` runs it when the
 //! service has failed for good, because the drivers otherwise stay energised with nobody in control.
 
-use crate::cli::{CommandOutcome, inputs, manual_motion, output};
+use crate::cli::{inputs, manual_motion, output};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::HardwareError;
 use crate::hardware::pins::{self, OpenError, PinError};
@@ -26,7 +26,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A report: bad input, or lines that cannot be opened or do not follow.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<()> {
     let board = inputs::board(Some(&args.board))?;
     let Some(config) = &board.pins else {
         return Err(miette!(
@@ -52,5 +52,5 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         let _ = sd_notify::notify(&[sd_notify::NotifyState::Ready]);
         let _ = signals.forever().next();
     }
-    Ok(CommandOutcome::Good)
+    Ok(())
 }

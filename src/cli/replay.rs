@@ -2,20 +2,17 @@
 
 pub mod settings;
 
-use crate::cli::{CommandOutcome, output};
+use crate::cli::flight::{self, flight_of};
+use crate::cli::output::{self, ResultFile};
 use crate::config::Gains;
-use crate::control::LoopConfig;
-use crate::log::error::why_unreadable;
 use crate::model::Line;
 use crate::service::flight::cycle::Cycle;
-use crate::service::flight::file::{FlightFile, TOPICS, io_error};
+use crate::service::flight::file::{FlightFile, TOPICS};
 use crate::service::flight::log::{part_path, run_and_part};
-use crate::service::flight::read::{Ending, Entry, messages};
+use crate::service::flight::read::{Ending, Entry};
 use crate::service::flight::start::{Event, Header, Logged, hash};
-use crate::service::record::flight_path;
 use crate::service::start::{Start, with_gains};
 use crate::supervisor::{CycleOutput, Supervisor, SupervisorConfig};
-use mcap::McapError;
 use miette::{Result, bail, miette};
 use nalgebra::Vector2;
 use settings::{Settings, SettingsArgs, text};
@@ -32,14 +29,14 @@ pub struct Args {
     changes: SettingsArgs,
     /// Write what is replayed, with the other settings if there are any, as a flight log, which `monitor` shows; it must not exist.
     #[arg(long, value_name = "FILE.mcap")]
-    out: Option<PathBuf>,
+    out: Option<ResultFile>,
 }
 
 /// What the supervisor of a log started from.
 ///
 /// # Errors
 /// What is wrong with the configuration in the log.
-pub fn start_of(header: &Header) -> std::result::Result<Start, String> {
+pub fn start_of(header: &Header) -> Result<Start, String> {
     Ok(Start::of(header, Settings::of(header)?.config(header)))
 }
 
@@ -47,34 +44,26 @@ pub fn start_of(header: &Header) -> std::result::Result<Start, String> {
 ///
 /// # Errors
 /// A report that names the defect of the log.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<bool> {
     let path = flight_of(&args.log)?;
-    output::check(&[("--out", args.out.as_deref())], &[&path])?;
     let mut replay = Replay {
         args: args.changes.any().then_some(&args.changes),
         ..Replay::default()
     };
-    let done = match &args.out {
-        None => replay.read(&path),
-        Some(out) => replay.write(&path, out),
+    let ending = match &args.out {
+        None => replay.read(&path)?,
+        Some(out) => replay.write(&path, out)?,
     };
-    let ending = done.map_err(|e| miette!("{e}"))?;
-    let Replay {
-        cycles,
-        different,
-        skipped,
-        ..
-    } = replay;
+    let (cycles, different, skipped) = (replay.cycles, replay.different, replay.skipped);
     if cycles == 0 {
         let file = path.display();
         bail!(
             "{file}: cannot be replayed, because it does not begin with the start of a supervisor: the part before is missing"
         );
     }
-    let shown = if ending == Ending::COMPLETE {
-        String::new()
-    } else {
-        format!("; {ending}")
+    let shown = match ending == Ending::COMPLETE {
+        true => String::new(),
+        false => format!("; {ending}"),
     };
     println!("{cycles} cycles replayed, {different} differ{shown}");
     for (before, t_s, lost) in &replay.gaps {
@@ -89,9 +78,9 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         show(&replay.changes, cycles);
     }
     let Some((number, t_s, fields)) = replay.first else {
-        return Ok(ending.damage.is_empty().into());
+        return Ok(ending.damage.is_empty());
     };
-    let program = replay.header.as_ref().map_or("", |header| &header.program);
+    let program = replay.program;
     let fields = match fields.len() {
         0 => "a field without a digest".to_owned(),
         _ => fields.join(", "),
@@ -99,26 +88,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     println!(
         "the first difference is in cycle {number} at {t_s:.3} s, in {fields}: the software has changed since version {program} wrote the log"
     );
-    Ok(CommandOutcome::NotGoodEnough)
-}
-
-/// The flight log of a path: the file itself, or the one beside a bend log.
-///
-/// # Errors
-/// A report about a file that does not exist.
-pub fn flight_of(log: &Path) -> Result<PathBuf> {
-    if log.is_dir() || !log.exists() {
-        let why = why_unreadable(log, &std::io::ErrorKind::NotFound.into());
-        bail!("{}: {why}", log.display());
-    }
-    let flight = flight_path(log);
-    let is_bend_log = log.extension().is_some_and(|e| e == "csv" || e == "gz");
-    let why = "there is no such file; a bend log has a flight log beside it only if it was recorded with `retroflex run --record LOG`, or with `retroflex record start` while disarmed at rest";
-    match flight.exists() {
-        true => Ok(flight),
-        false if is_bend_log => Err(miette!("{}: {why}", flight.display())),
-        false => Ok(log.to_owned()),
-    }
+    Ok(false)
 }
 
 /// The parts of a run up to this one that are there.
@@ -139,8 +109,9 @@ const CHUNK: u64 = 500;
 struct Replay<'a> {
     /// Settings to speculate with.
     args: Option<&'a SettingsArgs>,
-    /// The start of the present supervisor.
-    header: Option<Header>,
+    /// Number of the first cycle of the present supervisor, and the version of the program that wrote the log.
+    began: Option<u64>,
+    program: String,
     machine: Option<(Settings, SupervisorConfig)>,
     /// `None` after a gap.
     supervisor: Option<Supervisor>,
@@ -163,76 +134,59 @@ struct Replay<'a> {
 
 impl Replay<'_> {
     /// Replays a log and the parts before it. Returns how it ends, and where any part is damaged.
-    fn read(&mut self, path: &Path) -> std::result::Result<Ending, String> {
+    fn read(&mut self, path: &Path) -> Result<Ending> {
         let (mut ending, mut damage) = (Ending::default(), Vec::new());
         for part in parts(path) {
-            ending = messages(&part, &mut |message| match TOPICS
-                .contains(&message.channel.topic.as_str())
-            {
-                true => self.take(Entry::of(&message)?),
-                false => Ok(()),
+            ending = flight::read(&part, &mut |_, message| {
+                let exact = TOPICS.contains(&message.channel.topic.as_str());
+                if exact {
+                    self.take(Entry::of(message)?)
+                } else {
+                    Ok(())
+                }
             })?;
-            let file = if part == path {
-                String::new()
-            } else {
-                format!("{}: ", part.display())
-            };
-            damage.extend(ending.damage.drain(..).map(|place| file.clone() + &place));
+            damage.extend(ending.damage.drain(..).map(|place| match part == path {
+                true => place,
+                false => format!("{}: {place}", part.display()),
+            }));
         }
         Ok(Ending { damage, ..ending })
     }
 
     /// As [`Self::read`], and writes what is replayed.
-    fn write(&mut self, path: &Path, out: &Path) -> std::result::Result<Ending, String> {
-        let failed = |e: McapError| format!("--out {}: {}", out.display(), io_error(e));
-        self.out = Some(FlightFile::create(out, 0).map_err(failed)?);
-        let written = self.read(path).and_then(|ending| {
-            let Some(mut file) = self.out.take() else {
-                return Ok(ending);
-            };
-            file.state_damage(&ending.damage)
-                .and_then(|()| file.finish())
-                .map_err(failed)
-                .map(|()| ending)
-        });
-        written.inspect_err(|_| {
-            // it holds nothing of use
-            let _ = std::fs::remove_file(out);
+    fn write(&mut self, path: &Path, out: &Path) -> Result<Ending> {
+        flight::write(out, &format!("--out {}", out.display()), |file| {
+            self.out = Some(file);
+            let ending = self.read(path)?;
+            let file = self.out.take();
+            Ok((file.ok_or_else(|| miette!("no log is written"))?, ending))
         })
     }
 
-    fn take(&mut self, entry: Entry) -> std::result::Result<(), String> {
+    fn take(&mut self, entry: Entry) -> Result<(), String> {
         match entry {
-            Entry::Event(event) => {
-                let written = match *event {
-                    Event::Start(_) => false,
-                    // the other settings stay
-                    Event::Reload { .. } => self.altered.is_none(),
-                    Event::Path(..) => true,
-                };
-                if written && self.out.is_some() {
-                    self.events.push(Arc::new((*event).clone()));
-                }
-                self.event(*event)?;
-            }
+            Entry::Event(event) => self.event(*event),
             Entry::Cycles(first, cycles) => {
-                (first..)
-                    .zip(&cycles)
-                    .try_for_each(|(number, cycle)| self.turn(number, cycle))?;
+                let mut numbered = (first..).zip(&cycles);
+                numbered.try_for_each(|(number, cycle)| self.turn(number, cycle))
             }
-            Entry::Shown(_) => {}
+            Entry::Shown(_) => Ok(()),
         }
-        Ok(())
     }
 
-    fn event(&mut self, event: Event) -> std::result::Result<(), String> {
+    fn event(&mut self, event: Event) -> Result<(), String> {
+        let written = match event {
+            Event::Start(_) => false,
+            // the other settings stay
+            Event::Reload { .. } => self.altered.is_none(),
+            Event::Path(..) => true,
+        };
+        if written && self.out.is_some() {
+            self.events.push(Arc::new(event.clone()));
+        }
         match event {
             // repeated at the beginning of a part
-            Event::Start(header)
-                if self
-                    .header
-                    .as_ref()
-                    .is_some_and(|known| known.cycle == header.cycle) => {}
+            Event::Start(header) if self.began == Some(header.cycle) => {}
             Event::Start(header) => self.start(header)?,
             Event::Reload { gains, lines } => self.reload(&gains, lines)?,
             Event::Path(t_s, rows) => {
@@ -245,29 +199,24 @@ impl Replay<'_> {
         Ok(())
     }
 
-    fn start(&mut self, header: Header) -> std::result::Result<(), String> {
+    fn start(&mut self, header: Header) -> Result<(), String> {
         let settings = Settings::of(&header)?;
         let start = Start::of(&header, settings.config(&header));
-        let mut used = (settings.clone(), start.config.clone());
+        let (mut used, mut config) = (settings.clone(), start.config.clone());
         if let Some(args) = self.args {
-            let settings = settings.clone().changed(args).map_err(|e| e.to_string())?;
-            let config = settings.config(&header);
-            self.altered = Some(
-                Start {
-                    config: config.clone(),
-                    ..start.clone()
-                }
-                .supervisor(),
-            );
-            used = (settings, config);
+            used = used.changed(args).map_err(|e| e.to_string())?;
+            config = used.config(&header);
+            let altered = Start {
+                config: config.clone(),
+                ..start.clone()
+            };
+            self.altered = Some(altered.supervisor());
         }
         if self.out.is_some() {
-            self.events.push(Arc::new(Event::Start(
-                self.header_of(&header, &used.0, &used.1)?,
-            )));
+            let header = self.header_of(&header, &used, &config)?;
+            self.events.push(Arc::new(Event::Start(header)));
         }
-        self.next = header.cycle;
-        self.header = Some(header);
+        (self.next, self.began, self.program) = (header.cycle, Some(header.cycle), header.program);
         self.machine = Some((settings, start.config.clone()));
         self.supervisor = Some(start.supervisor());
         Ok(())
@@ -279,39 +228,30 @@ impl Replay<'_> {
         read: &Header,
         settings: &Settings,
         config: &SupervisorConfig,
-    ) -> std::result::Result<Header, String> {
+    ) -> Result<Header, String> {
         let texts = settings.texts(read, self.args).map_err(|e| e.to_string())?;
-        let (program, config_hash) = (
-            env!("CARGO_PKG_VERSION").to_owned(),
-            hash(texts.iter().map(String::as_str)),
-        );
-        let LoopConfig {
-            lines, dynamics, ..
-        } = config.tick;
         Ok(Header {
-            program,
-            config_hash,
+            program: env!("CARGO_PKG_VERSION").to_owned(),
+            config_hash: hash(texts.iter().map(String::as_str)),
             texts,
-            lines,
-            dynamics,
+            lines: config.tick.lines,
+            dynamics: config.tick.dynamics,
             ..read.clone()
         })
     }
 
-    fn reload(&mut self, gains: &str, lines: [Line; 3]) -> std::result::Result<(), String> {
-        let (Some(supervisor), Some((settings, config))) =
-            (&mut self.supervisor, &mut self.machine)
-        else {
-            return Ok(());
-        };
-        let gains: Gains = text(gains)?;
-        config.tick.lines = lines;
-        *config = with_gains(config, &settings.board, &settings.calibration, &gains);
-        supervisor.reload(&mut config.clone());
+    fn reload(&mut self, gains: &str, lines: [Line; 3]) -> Result<(), String> {
+        let machine = (&mut self.supervisor, &mut self.machine);
+        if let (Some(supervisor), Some((settings, config))) = machine {
+            let gains: Gains = text(gains)?;
+            config.tick.lines = lines;
+            *config = with_gains(config, &settings.board, &settings.calibration, &gains);
+            supervisor.reload(&mut config.clone());
+        }
         Ok(())
     }
 
-    fn turn(&mut self, number: u64, cycle: &Cycle) -> std::result::Result<(), String> {
+    fn turn(&mut self, number: u64, cycle: &Cycle) -> Result<(), String> {
         let t_s = cycle.sensed.t.0;
         if number < self.next {
             // a copy
@@ -343,19 +283,18 @@ impl Replay<'_> {
         let Some(file) = &mut self.out else {
             return Ok(());
         };
-        let written = file.write(&Logged {
+        let failed = flight::unwritable("--out");
+        let events = take(&mut self.events);
+        file.write(&Logged {
             number,
-            events: take(&mut self.events),
+            events,
             output,
-        });
-        let flushed = written.and_then(|()| {
-            if number.is_multiple_of(CHUNK) {
-                file.flush(false)
-            } else {
-                Ok(())
-            }
-        });
-        flushed.map_err(|e| format!("--out: {}", io_error(e)))
+        })
+        .map_err(&failed)?;
+        match number.is_multiple_of(CHUNK) {
+            true => file.flush(false).map_err(&failed),
+            false => Ok(()),
+        }
     }
 }
 
@@ -375,13 +314,8 @@ fn compare(changes: &mut [Change], t_s: f64, run: &CycleOutput, other: &CycleOut
     let setpoint = a.setpoint.bend.0 - b.setpoint.bend.0;
     let estimates = a.estimate.zip(b.estimate);
     let estimate = estimates.map_or(Vector2::zeros(), |(a, b)| a.bend.0 - b.bend.0);
-    let angles = [
-        setpoint,
-        estimate,
-        a.predicted - b.predicted,
-        a.feedback - b.feedback,
-    ];
-    let angles = angles.map(|v| v.norm().to_degrees());
+    let (predicted, feedback) = (a.predicted - b.predicted, a.feedback - b.feedback);
+    let angles = [setpoint, estimate, predicted, feedback].map(|v| v.norm().to_degrees());
     let pistons = (a.piston_target_mm - b.piston_target_mm).amax();
     let all = angles.into_iter().chain([pistons]);
     for ((squares, largest, at_s), x) in changes.iter_mut().zip(all) {
@@ -401,9 +335,9 @@ fn show(changes: &[Change], cycles: u64) {
         let [rms, largest] = [rms, *largest].map(|x| format!("{x:.4}"));
         vec![(*name).to_owned(), rms, largest, format!("{at_s:.3}")]
     };
-    let header = ["difference", "RMS", "largest", "at, s"];
+    let rows = QUANTITIES.iter().zip(changes).map(row);
     println!(
         "{}",
-        output::table(&header, 1..4, QUANTITIES.iter().zip(changes).map(row))
+        output::table("difference|RMS|largest|at, s", 1..4, rows)
     );
 }

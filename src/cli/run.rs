@@ -1,10 +1,9 @@
 //! `retroflex run`: the service, in the foreground or under systemd.
 
 use crate::cli::inputs::within;
-use crate::cli::{CommandOutcome, Unreachable, inputs, logging, manual_motion};
-use crate::config::show;
+use crate::cli::{Unreachable, inputs, logging, manual_motion};
 use crate::config::supervisor::assemble;
-use crate::config::{Board, Calibration, PressureBound, ServiceSection, source};
+use crate::config::{Board, Calibration, PressureBound, ServiceSection, show, source};
 use crate::hardware::machine::{Hardware, HardwareError, MachineConfig};
 use crate::service::disk;
 use crate::service::error::ServiceError;
@@ -16,7 +15,6 @@ use crate::service::start::RunConfig;
 use crate::service::{Claim, Setup, serve};
 use crate::simulation::link::Link;
 use crate::simulation::lockstep::Lockstep;
-use crate::simulation::sim::Sim;
 use crate::supervisor::Machine;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::fs::{File, OpenOptions};
@@ -72,13 +70,11 @@ pub struct Args {
 ///
 /// # Errors
 /// A report about the input, the machine or the system.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
+pub fn run(args: &Args) -> Result<()> {
     let _logging = logging::start();
     let foreign = args.plant.is_some();
-    let path = args
-        .board
-        .clone()
-        .or_else(|| inputs::own_board().filter(|_| !foreign));
+    let own_board = || inputs::own_board().filter(|_| !foreign);
+    let path = args.board.clone().or_else(own_board);
     let own = Path::new(if foreign { "sim" } else { "demo" });
     let mut board = inputs::board(Some(path.as_deref().unwrap_or(own)))?;
     let shown = path.as_ref().map(|p| p.display().to_string());
@@ -97,13 +93,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         show::compact(&gains),
         show::compact(&calibration),
     ];
-    let given = args.feedforward.as_deref();
-    let feedforward = inputs::feedforward(given, args.calib.as_deref(), &calibration);
-    let described = feedforward
-        .as_deref()
-        .map(|path| inputs::described(path, &board))
-        .transpose()?;
-    if let Some(path) = &feedforward {
+    let feedforward = inputs::feedforward(&args.feedforward, &args.calib, &calibration, &board)?;
+    if let Some((path, _)) = &feedforward {
         texts.push(source::text_of(path)?);
     }
     place(args, &mut board.service)?;
@@ -114,8 +105,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let claim = Claim::new(&board.service).map_err(report)?;
     let machine = open(args, path.as_deref(), &board)?;
     let mut supervisor = assemble(&board, &calibration, &gains, machine.info());
-    if let Some(described) = described {
-        supervisor.tick = supervisor.tick.fed_forward(described);
+    if let Some((_, machine)) = feedforward {
+        supervisor.tick = supervisor.tick.fed_forward(machine);
     }
     let config = RunConfig {
         supervisor,
@@ -127,17 +118,18 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         calibration,
         tip,
     };
+    let pace = args.fast.or(machine.is_simulated().then_some(1.0));
+    let record = args.record.clone();
     serve(
         claim,
         Setup {
-            pace: args.fast.or(machine.is_simulated().then_some(1.0)),
-            record: args.record.clone(),
             machine,
             config,
+            pace,
+            record,
         },
     )
-    .map_err(report)?;
-    Ok(CommandOutcome::Good)
+    .map_err(report)
 }
 
 fn report(error: ServiceError) -> miette::Report {
@@ -165,17 +157,14 @@ fn place(args: &Args, service: &mut ServiceSection) -> Result<()> {
 
 /// Refuses a recording whose files exist already or cannot be written.
 fn check_record(path: &Path, bounds: &ServiceSection) -> Result<()> {
+    let shown = path.display();
     let refused = |e| {
-        miette!(
-            "--record {}: {e}; give a new name in a folder that this user may write to",
-            path.display()
-        )
+        miette!("--record {shown}: {e}; give a new name in a folder that this user may write to")
     };
     make_room(path, bounds).map_err(refused)?;
     for file in [path, &flight_path(path)] {
-        File::create_new(file)
-            .and_then(|_| std::fs::remove_file(file))
-            .map_err(refused)?;
+        let tried = File::create_new(file).and_then(|_| std::fs::remove_file(file));
+        tried.map_err(refused)?;
     }
     Ok(())
 }
@@ -237,13 +226,10 @@ fn open(args: &Args, path: Option<&Path>, board: &Board) -> Result<Box<dyn Machi
         let path = path.unwrap_or(Path::new("the built-in board"));
         let opened = Paths::of(&board.service).control.with_extension("opened");
         let hardware = open_patiently(&config, &opened);
-        return Ok(Box::new(
-            hardware.map_err(|e| manual_motion::hardware_error(path, e))?,
-        ));
+        let refused = |e| manual_motion::hardware_error(path, e);
+        return Ok(Box::new(hardware.map_err(refused)?));
     }
-    let section = board.plant.clone().ok_or_else(|| {
+    manual_motion::simulated(board, args.seed, 1)?.ok_or_else(|| {
         miette!("this board has neither [pins] nor [plant], so there is no machine to run; give --plant, or a board that describes one")
-    })?;
-    let sim = Sim::new(&section.make(), args.seed, 1, section.period_s).into_diagnostic()?;
-    Ok(Box::new(Lockstep::new(sim, &board.drive_limits())))
+    })
 }

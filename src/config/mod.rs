@@ -12,6 +12,7 @@ pub mod place;
 pub mod power;
 pub mod pressure_bound;
 mod relations;
+pub mod rewired;
 pub mod sections;
 pub mod service;
 pub mod shipped;

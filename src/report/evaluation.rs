@@ -5,11 +5,14 @@
 //! dashed, because backlash separates them.
 
 use crate::experiment::arm::{ArmResult, Held};
-use crate::experiment::evaluation::{Arm, ChannelFigures, Evaluation};
+use crate::experiment::evaluation::{Arm, ChannelFigures, Evaluation, Foretold};
 use crate::experiment::schedule::{ANGLES_DEG, HOLD_S};
+use crate::experiment::track::TrackResult;
 use crate::report::chart::{Axis, Chart, Series, Stroke, sheet};
 use crate::report::page::Page;
 use crate::report::svg::Ink;
+use crate::report::table::titled;
+use comfy_table::Table;
 
 /// Bend RMSE of the open-loop arms on the paper's prototype, degrees.
 const PAPER_RMSE_DEG: [(Arm, f64); 3] = [
@@ -19,7 +22,7 @@ const PAPER_RMSE_DEG: [(Arm, f64); 3] = [
 ];
 
 /// Columns of [`arm_rows`].
-pub const ARM_COLUMNS: [&str; 12] = [
+const ARM_COLUMNS: [&str; 12] = [
     "arm",
     "bend RMSE",
     "paper",
@@ -240,7 +243,7 @@ pub fn settle(s: f64) -> String {
 }
 
 /// One row for each arm that ran, with the columns [`ARM_COLUMNS`].
-pub fn arm_rows(e: &Evaluation) -> Vec<Vec<String>> {
+fn arm_rows(e: &Evaluation) -> Vec<Vec<String>> {
     let deg = |x: f64| format!("{x:.2}°");
     let row = |arm: Arm| {
         let a = e.arm(arm)?;
@@ -278,4 +281,69 @@ fn gain_rows(e: &Evaluation) -> Vec<Vec<String>> {
         ]
     };
     (0..3).map(row).collect()
+}
+
+/// The table of arms and the gains, for people.
+pub fn summary(e: &Evaluation) -> String {
+    let gains = |g: &[f64; 3]| g.map(|x| format!("{x:.2}")).join(", ");
+    let origin = match (e.iterations, e.converged) {
+        (0, _) => "from the calibration file".to_owned(),
+        (n, true) => format!("Algorithm 1, {n} passes"),
+        (n, false) => format!("Algorithm 1, NOT converged after {n} passes"),
+    };
+    // a figure a row, so that the table is narrow
+    let mut rows = arm_rows(e);
+    let names = Arm::ALL.into_iter().filter(|arm| e.arm(*arm).is_some());
+    for (row, arm) in rows.iter_mut().zip(names) {
+        arm.name().clone_into(&mut row[0]);
+    }
+    let line = |c: usize, title: &str| {
+        let cells = rows.iter().map(|row| row[c].clone());
+        std::iter::once(title.to_owned())
+            .chain(cells)
+            .collect::<Vec<_>>()
+    };
+    let figures = ARM_COLUMNS.iter().enumerate().skip(1);
+    let figures = figures.map(|(c, title)| line(c, title));
+    let arms = titled(&line(0, "").join("|"), 1..e.arms.len() + 1, figures);
+    let row = |f: &Foretold| {
+        let figures = [f.machine_deg, f.twin_deg, f.nominal_deg].map(|x| format!("{x:.1}°"));
+        [vec![f.name.clone()], figures.into()].concat()
+    };
+    let header = "bend RMSE, open loop|machine|its twin foretells|nominal model foretells";
+    let foretold = titled(header, 1..4, e.foretold.iter().map(row));
+    let shown = |some: bool, table: Table| {
+        if some {
+            format!("{table}\n")
+        } else {
+            String::new()
+        }
+    };
+    let (arms, foretold) = (
+        shown(!e.arms.is_empty(), arms),
+        shown(!e.foretold.is_empty(), foretold),
+    );
+    let path = e.track.as_ref().map_or(String::new(), |t| {
+        format!(
+            "path of {:.1} s: RMSE {:.2}°, 95 % {:.2}°, at most {:.2}°; delay {:.3} s, RMSE after it {:.2}°\n",
+            t.duration_s, t.rmse_deg, t.p95_deg, t.max_deg, t.delay_s, t.rmse_delayed_deg
+        )
+    });
+    let (k_eps, k_lambda) = (gains(&e.k_eps), gains(&e.k_lambda_mm));
+    let (plant, seed) = (&e.plant, e.seed);
+    format!(
+        "plant {plant}, seed {seed}\n\n{arms}\n{foretold}{path}k_ε = {k_eps}   k_λ = {k_lambda} mm   ({origin})\n"
+    )
+}
+
+/// What is to be said of a path that the pistons cannot follow as it is.
+pub fn too_fast(t: &TrackResult) -> Option<String> {
+    let demand = t.demand;
+    let done = match t.live {
+        true => "a live path is not slowed down, so the tip falls behind",
+        false => "it was driven that much slower",
+    };
+    (demand > 1.0).then(|| {
+        format!("the path asks {demand:.2} times the speed that the pistons can follow; {done}")
+    })
 }

@@ -1,8 +1,10 @@
-//! Reports for people: charts as SVG, pages as single HTML files without scripts.
+//! Reports for people: answers in words and tables, charts as SVG, pages as single HTML files without scripts.
 
 pub mod bars;
 pub mod chart;
 pub mod evaluation;
+pub mod exam;
+pub mod fleet;
 pub mod gap;
 pub mod page;
 pub mod polar;

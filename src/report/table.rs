@@ -33,3 +33,17 @@ pub fn table<R: Into<Row>>(
     }
     table
 }
+
+/// The names of columns between bars.
+pub fn columns(header: &str) -> Vec<&str> {
+    header.split('|').collect()
+}
+
+/// A [`table`] whose header has the names of the columns between bars.
+pub fn titled<R: Into<Row>>(
+    header: &str,
+    numbers: Range<usize>,
+    rows: impl IntoIterator<Item = R>,
+) -> Table {
+    table(&columns(header), numbers, rows)
+}

@@ -3,9 +3,11 @@
 use crate::control::Frame;
 use crate::control::saturation::Saturation;
 use crate::model::Bend;
+use crate::service::memory::LearnedGains;
 use crate::service::protocol::VERSION;
 use crate::supervisor::{CycleOutput, Guidance, Mode, SupervisorConfig, TripCause};
-use serde_json::{Value, json};
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value, json};
 
 /// What tripped, and the remedy.
 pub fn trip_message(cause: TripCause) -> &'static str {
@@ -94,7 +96,10 @@ pub fn commanded(mode: Mode) -> bool {
 pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
     let f = &output.frame;
     let commanded = commanded(output.mode);
-    let pose = |b: &Bend| json!({"bend_deg": round(b.beta().to_degrees()), "dir_deg": round(b.delta().to_degrees())});
+    let pose = |b: &Bend| Pose {
+        bend_deg: round(b.beta().to_degrees()),
+        dir_deg: round(b.delta().to_degrees()),
+    };
     json!({
         "t": output.sensed.t.0,
         "mode": output.mode.name(),
@@ -148,6 +153,193 @@ pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
     })
 }
 
+/// A status as its readers know it: the command line, of a running service or of a flight log, which shows a part of it. The names are
+/// those of [`cycle`] and of the hub.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Status {
+    /// Time of the loop, s.
+    pub t: f64,
+    /// Mode of the supervisor.
+    pub mode: Option<Mode>,
+    /// Bend that was asked for, while the tip is commanded.
+    pub target: Option<Pose>,
+    /// Bend that the loop tracks.
+    pub setpoint: Option<Pose>,
+    /// Estimated bend.
+    pub estimate: Option<Pose>,
+    /// Length of the set-point, mm.
+    pub length_mm: Option<f64>,
+    /// Counted positions of the pistons, mm.
+    pub piston_mm: Option<[f64; 3]>,
+    /// Counted steps.
+    pub counted: Option<[i64; 3]>,
+    /// The drivers are energised.
+    pub energised: bool,
+    /// The tip is at its target.
+    pub settled: bool,
+    /// The tip cannot get nearer to its target.
+    pub blocked: bool,
+    /// A stop is latched.
+    pub stopped: bool,
+    /// The operator has stated the zero, and no measurement has confirmed it.
+    pub unverified: bool,
+    /// Why the tip cannot get nearer to its target.
+    pub shortfall: Option<String>,
+    /// What is known about a base that turned.
+    pub base: Option<String>,
+    /// What is said of an orientation in the world that the tip keeps.
+    pub world: Option<String>,
+    /// What the residual monitor suspects.
+    pub suspicion: Option<String>,
+    /// Alarm of the step generator.
+    pub alarm: Option<String>,
+    /// Latched fault with its remedy.
+    pub fault: Option<String>,
+    /// Why the position is lost.
+    pub lost: Option<String>,
+    /// Progress of a calibration.
+    pub calibrating: Option<String>,
+    /// Why the last calibration identified no gains.
+    pub calibration_failed: Option<String>,
+    /// Source of the gains in use.
+    pub calibration: Option<String>,
+    /// Identity of the mounted tip.
+    pub tip: Option<String>,
+    /// How the last recording ended.
+    pub recording_ended: Option<String>,
+    /// The present recording.
+    pub recording: RecordingState,
+    /// The flight log.
+    pub flight_log: FlightLogState,
+    /// The memory of the position.
+    pub memory: MemoryState,
+    /// Extension gains k_ε in use.
+    pub k_epsilon: Option<[f64; 3]>,
+    /// Half-widths k_λ in use, mm.
+    pub k_lambda_mm: Option<[f64; 3]>,
+    /// Lag in use, s.
+    pub lag_s: Option<f64>,
+    /// Dead time in use, s.
+    pub delay_s: Option<f64>,
+    /// Limits of pistons and gains.
+    pub limits: Option<Limits>,
+    /// Gains that wait for `calibrate transmission --accept`.
+    pub proposed: Option<LearnedGains>,
+    /// The path that is followed.
+    pub path: Option<PathState>,
+    /// Cycles of the loop, those that were late, their largest lateness in µs, and frames that were lost.
+    pub cycles: Option<u64>,
+    /// See [`Self::cycles`].
+    pub late_cycles: u64,
+    /// See [`Self::cycles`].
+    pub max_lateness_us: u64,
+    /// See [`Self::cycles`].
+    pub lost_frames: u64,
+    /// Troubles of the supply.
+    pub power: Vec<String>,
+    /// Remarks on the hardware.
+    pub remarks: Vec<String>,
+    /// What the kernel grants for real time.
+    pub real_time: Vec<GrantState>,
+    /// Conditions of the sensor; a flight log lists their names alone.
+    pub sensor: Value,
+}
+
+/// A bend of the status.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+pub struct Pose {
+    /// Bend angle β, degrees.
+    pub bend_deg: f64,
+    /// Bend direction δ, degrees.
+    pub dir_deg: f64,
+}
+
+impl Pose {
+    /// The bend vector.
+    pub fn bend(&self) -> Bend {
+        Bend::from_deg(self.bend_deg, self.dir_deg)
+    }
+}
+
+/// See [`Status::recording`].
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub struct RecordingState {
+    /// Its file.
+    pub path: Option<String>,
+}
+
+/// See [`Status::flight_log`].
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub struct FlightLogState {
+    /// Why it is not written.
+    pub problem: Option<String>,
+}
+
+/// See [`Status::memory`].
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub struct MemoryState {
+    /// Why it cannot be written.
+    pub error: Option<String>,
+}
+
+/// How far a path has come.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub struct PathState {
+    /// Time in the path, s.
+    pub at_s: f64,
+    /// Duration of the path, s.
+    pub duration_s: f64,
+    /// How many times slower than given it is played.
+    pub time_scale: f64,
+}
+
+/// Limits of pistons and gains.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Limits {
+    /// Travel of the pistons either way, mm.
+    pub travel_mm: f64,
+    /// Least and largest k_ε that the loop may learn.
+    pub k_epsilon: [[f64; 2]; 3],
+    /// Least and largest k_λ that the loop may learn, mm.
+    pub k_lambda_mm: [[f64; 2]; 3],
+}
+
+/// What the kernel grants.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct GrantState {
+    /// What was requested.
+    pub what: String,
+    /// Whether it was granted.
+    pub grant: String,
+}
+
+impl Status {
+    /// Reads a status; null means that there is nothing to say.
+    ///
+    /// # Errors
+    /// A field of another type, as another version of the service might send.
+    pub fn of(value: &Value) -> Result<Self, serde_json::Error> {
+        let fields = value.as_object().into_iter().flatten();
+        let said = fields.filter(|(_, value)| !value.is_null());
+        let said: Map<String, Value> = said
+            .map(|(key, value)| (key.clone(), value.clone()))
+            .collect();
+        Self::deserialize(Value::Object(said))
+    }
+
+    /// Name of the mode.
+    pub fn mode_name(&self) -> Option<&'static str> {
+        self.mode.map(Mode::name)
+    }
+
+    /// What to do about the conditions of the sensor.
+    pub fn advice(&self) -> impl Iterator<Item = &str> {
+        let advice = self.sensor["advice"].as_array().into_iter().flatten();
+        advice.filter_map(Value::as_str)
+    }
+}
+
 /// The line that a subscriber receives.
 pub fn frame_line(output: &CycleOutput, step_mm: f64) -> String {
     let mut value = cycle(output, step_mm);
@@ -163,9 +355,32 @@ pub fn limits(config: &SupervisorConfig) -> Value {
         .lines
         .map(|line| config.tick.refine.bounds(&line));
     let [k_epsilon, k_lambda_mm] = [0, 1].map(|n| bounds.map(|of| of[n].map(round)));
-    json!({"travel_mm": config.tick.limits.travel_mm, "k_epsilon": k_epsilon, "k_lambda_mm": k_lambda_mm})
+    let travel_mm = config.tick.limits.travel_mm;
+    json!(Limits {
+        travel_mm,
+        k_epsilon,
+        k_lambda_mm
+    })
 }
 
 fn round(x: f64) -> f64 {
     (x * 1e4).round() / 1e4
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_and_a_service_that_says_less_are_read() {
+        let status = Status::of(
+            &json!({"mode": "holding", "recording": null, "sensor": ["mag_disturbed"], "new": 1}),
+        );
+        let status = status.unwrap();
+        assert_eq!(
+            (status.mode, status.advice().count()),
+            (Some(Mode::Holding), 0)
+        );
+        assert!(Status::of(&json!({"mode": 3})).is_err());
+    }
 }

@@ -521,6 +521,16 @@ fn help_is_grouped_by_task_and_shells_complete() {
     for shell in ["bash", "zsh", "fish"] {
         let (code, script, _) = retroflex(&["completions", shell]);
         assert!(code == 0 && script.contains("evaluate"), "{shell}");
+        // boards, filters and faults complete by name, and a board as a file, too
+        for name in ["pi-zero2w", "vqf-long", "i2c_nack"] {
+            assert!(script.contains(name), "{shell}: {name}");
+        }
+        let files = match shell {
+            "zsh" => script.contains("{compadd sim") && script.contains("; _files}"),
+            "fish" => script.contains("-r -F -a \"sim\\t"),
+            _ => script.contains("-o default"),
+        };
+        assert!(files, "{shell}");
     }
 }
 

@@ -169,7 +169,7 @@ fn a_recorded_flight_is_shown() {
     }
     assert!(view.now["limits"]["k_epsilon"][2][1].as_f64().unwrap() > 1.0);
     assert!(
-        view.bend("estimate").unwrap().beta() > 0.2 && view.error_deg().unwrap() < 15.0,
+        view.status.estimate.unwrap().bend().beta() > 0.2 && view.error_deg().unwrap() < 15.0,
         "{}",
         view.now
     );

@@ -140,6 +140,48 @@ fn every_shown_command_is_understood() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+#[test]
+fn every_example_of_the_help_is_understood_and_names_what_exists() {
+    fn examples(command: &clap::Command, into: &mut Vec<String>) {
+        let text = command.get_after_help().map(ToString::to_string);
+        let text = text.unwrap_or_default();
+        let lines = text.lines().map(str::trim);
+        into.extend(
+            lines
+                .filter(|l| l.starts_with("retroflex "))
+                .map(str::to_owned),
+        );
+        command
+            .get_subcommands()
+            .for_each(|inner| examples(inner, into));
+    }
+    let mut all = Vec::new();
+    examples(&retroflex::cli::command(), &mut all);
+    assert!(all.len() > 60, "{}", all.len());
+    let faults = retroflex::drill::list::specs();
+    let boards = retroflex::config::shipped::BOARDS;
+    for line in &all {
+        let words = shlex::split(line).unwrap();
+        if let Err(e) = retroflex::cli::command().try_get_matches_from(&words) {
+            panic!("{line}: {e}");
+        }
+        let value = |option: &str| {
+            let at = words.iter().position(|word| word == option)?;
+            words.get(at + 1).cloned()
+        };
+        if let Some(text) = value("--only").filter(|_| words[1] == "drill") {
+            assert!(
+                faults.iter().any(|fault| fault.name.contains(&text)),
+                "{line}"
+            );
+        }
+        if let Some(board) = value("--board") {
+            let named = boards.iter().any(|(name, _)| *name == board);
+            assert!(named || repo(&board).exists(), "{line}");
+        }
+    }
+}
+
 /// A text as a pattern: numbers may differ, spaces and the ends of lines do not count.
 fn alike(printed: &str, expected: &str) -> bool {
     let plain = |text: &str| {

@@ -1,22 +1,15 @@
 //! Data for the IMU calibration: samples of a recording or a live sensor, and what a bend log adds to them.
 
 use crate::cli::output;
-use crate::estimation::fusion::health;
-use crate::estimation::fusion::tip::{FuseConfig, Fusion, FusionInput};
-use crate::estimation::imu_calibration::{motor, mount, still};
+use crate::estimation::imu_calibration::from_log;
 use crate::hardware::imu::Imu;
-use crate::log::bend_log::{self, BendLog};
+use crate::log::bend_log;
 use crate::log::error::ReadError;
 use crate::log::recording;
-use crate::model::Drive;
-use crate::primitives::{ImuSample, Seconds, Steps};
+use crate::primitives::{ImuSample, Seconds};
 use embedded_hal::delay::DelayNs;
 use miette::{IntoDiagnostic, Result, miette};
-use nalgebra::Vector3;
 use std::path::Path;
-
-/// A tip counts as still this long after the last step of any motor, s: longer than its slowest lag.
-const STILL_AFTER_S: f64 = 0.5;
 
 /// The samples of a bend log or an IMU recording; lost samples are omitted.
 ///
@@ -24,7 +17,7 @@ const STILL_AFTER_S: f64 = 0.5;
 /// A report that names file, line and column.
 pub fn from_file(file: &Path) -> Result<Vec<ImuSample>> {
     let all = match bend_log::read(file) {
-        Ok(log) => log_samples(&log),
+        Ok(log) => from_log::samples(&log),
         // without bend-log columns the file may be an IMU recording
         Err(ReadError::Missing { .. }) => recording::read(file)
             .into_diagnostic()?
@@ -39,83 +32,6 @@ pub fn from_file(file: &Path) -> Result<Vec<ImuSample>> {
 
 fn finite(samples: Vec<ImuSample>) -> Vec<ImuSample> {
     samples.into_iter().filter(ImuSample::is_finite).collect()
-}
-
-fn log_samples(log: &BendLog) -> Vec<ImuSample> {
-    let Some(imu) = &log.imu else {
-        return Vec::new();
-    };
-    imu.samples(&log.t_s).collect()
-}
-
-/// Magnetometer readings in the base frame with the motors' step counts. The tip orientation is estimated without the
-/// magnetometer.
-pub fn of_motors(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
-    let mut config = FuseConfig::default();
-    config.bend.use_mag = false;
-    let (drive, mut fusion) = (Drive::default(), Fusion::default());
-    let (mut last, mut moved_s, mut out) = (Steps::default(), [f64::NEG_INFINITY; 3], Vec::new());
-    for (k, sample) in log_samples(log).iter().enumerate() {
-        let steps = drive.steps(&log.piston_mm[k]);
-        for (moved, (now, before)) in moved_s.iter_mut().zip(steps.0.iter().zip(last.0)) {
-            if *now != before {
-                *moved = sample.t.0;
-            }
-        }
-        last = steps;
-        let still = moved_s.iter().all(|m| sample.t.0 - m > STILL_AFTER_S);
-        let input = FusionInput {
-            now: sample.t,
-            tip: health::ImuReading::from_world(Some(*sample)),
-            base: None,
-            coils_ut: Vector3::zeros(),
-            still,
-        };
-        fusion.update(&config, &input);
-        if let (Some(estimate), Some(mag)) = (fusion.estimate(), sample.mag_ut) {
-            let energised = moved_s.map(|m| sample.t.0 - m < idle_after_s);
-            out.push(motor::MotorSample {
-                mag_ut: estimate.r_base_tip.apply(&mag),
-                counts: steps.0,
-                energised,
-            });
-        }
-    }
-    out
-}
-
-/// Rotations between two held poses in the same bending plane.
-pub fn bends(log: &BendLog) -> Vec<mount::BendTurn> {
-    let samples = log_samples(log);
-    let Some(bias) = samples
-        .get(..)
-        .map(still::rests)
-        .and_then(|r| r.first().map(|r| r.gyro_rad_s))
-    else {
-        return Vec::new();
-    };
-    let changes: Vec<usize> = (1..samples.len())
-        .filter(|&k| log.command.get(k) != log.command.get(k - 1))
-        .collect();
-    let ends = changes.iter().skip(1).copied().chain([samples.len()]);
-    let turn = |(&from, to): (&usize, usize)| {
-        let (before, after) = (log.command[from - 1], log.command[from]);
-        let direction_rad = plane(&before, &after)?.to_radians();
-        let lost = samples[from..to].iter().any(|s| !s.is_finite());
-        (!lost).then(|| mount::BendTurn {
-            turn_rad: mount::turn_of(&samples[from..to], &bias),
-            direction_rad: Some(direction_rad),
-        })
-    };
-    changes.iter().zip(ends).filter_map(turn).collect()
-}
-
-/// Direction, degrees, in which the bend increases from one command to the next, if both lie in one plane.
-fn plane(before: &Vector3<f64>, after: &Vector3<f64>) -> Option<f64> {
-    let one_plane = before.x == 0.0 || after.x == 0.0 || (before.y - after.y).abs() < 1e-6;
-    let grows = after.x > before.x;
-    let direction = if grows { after.y } else { before.y + 180.0 };
-    (one_plane && direction.is_finite() && after.x != before.x).then_some(direction)
 }
 
 /// Reads a sensor for a given time; failed readings are omitted. `progress` receives the fraction done.
@@ -167,7 +83,6 @@ pub fn from_bus(bus: &Path, seconds: f64) -> Result<Vec<ImuSample>> {
     let samples = record(sensor.as_mut(), &mut Delay, seconds, &mut |share| {
         bar.set_position((share * 1000.0) as u64)
     });
-    bar.finish_and_clear();
     samples.map(finite)
 }
 
@@ -189,6 +104,7 @@ mod tests {
     use crate::estimation::imu_calibration::gyro;
     use crate::hardware::imu::fake::{FakeBus, FakeIcm20948, Motion};
     use crate::hardware::imu::icm20948::{self, Icm20948};
+    use nalgebra::Vector3;
 
     #[test]
     fn a_live_chip_is_read_through_its_driver() {
@@ -207,14 +123,5 @@ mod tests {
         assert!((fit.bias_rad_s - bias).amax() < 1e-3, "{}", fit.bias_rad_s);
         bus.machine().stuck = true;
         assert!(record(&mut chip, &mut bus.delay(), 1.0, &mut |_| ()).is_err());
-    }
-
-    #[test]
-    fn a_plane_has_the_direction_of_growing_bend() {
-        let v = |bend: f64, dir: f64| Vector3::new(bend, dir, 20.0);
-        assert_eq!(plane(&v(0.0, 0.0), &v(30.0, 120.0)), Some(120.0));
-        assert_eq!(plane(&v(30.0, 120.0), &v(0.0, 0.0)), Some(300.0));
-        assert_eq!(plane(&v(60.0, 90.0), &v(30.0, 90.0)), Some(270.0));
-        assert_eq!(plane(&v(60.0, 90.0), &v(30.0, 120.0)), None);
     }
 }

@@ -2,6 +2,7 @@
 
 use super::connection::At;
 use crate::cli::inputs::within;
+use crate::cli::output::ResultFile;
 use crate::service::protocol::POSES;
 use clap::builder::TypedValueParser;
 use std::ops::RangeInclusive;
@@ -44,7 +45,7 @@ pub struct StatusArgs {
     pub(super) at: At,
     /// Write the state as JSON to this file; without a name, or with `-`, to standard output.
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-")]
-    pub(super) json: Option<PathBuf>,
+    pub(super) json: Option<ResultFile>,
     /// Repeat twice a second.
     #[arg(long)]
     pub(super) watch: bool,
@@ -113,8 +114,8 @@ pub struct TransmissionArgs {
     pub(super) discard: bool,
     /// Write the proposed calibration as JSON to this file (`-`: standard output).
     #[arg(long, value_name = "FILE")]
-    pub(super) json: Option<PathBuf>,
+    pub(super) json: Option<ResultFile>,
     /// Write the proposed calibration as a page.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["accept", "discard"])]
-    pub(super) html: Option<PathBuf>,
+    pub(super) html: Option<ResultFile>,
 }

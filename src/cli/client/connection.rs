@@ -1,10 +1,11 @@
 //! The connection of a command to the service.
 
 use crate::cli::output::print;
-use crate::cli::{CommandOutcome, Unreachable};
+use crate::cli::{Refused, Unreachable};
 use crate::service::client::{Client as Connection, connect_within};
 use crate::service::paths;
 use crate::service::protocol::{Failure, Request};
+use crate::service::status::Status;
 use crate::supervisor::Refusal;
 use miette::{Context, Report, Result, bail, miette};
 use serde_json::Value;
@@ -39,10 +40,9 @@ impl At {
         let mut live = paths::sockets();
         live.retain(|path| listens(path));
         if live.is_empty() {
-            vec![paths::default_socket()]
-        } else {
-            live
+            live.push(paths::default_socket());
         }
+        live
     }
 }
 
@@ -57,6 +57,7 @@ fn listens(path: &Path) -> bool {
 /// A failure of the service as a report.
 pub(super) fn report(f: Failure) -> Report {
     match f.code {
+        1 => Refused::report(f.message),
         3 => Unreachable::report("the service", f.message),
         _ => miette!("{}", f.message),
     }
@@ -85,7 +86,7 @@ pub(super) fn connect(at: &At) -> Result<Connection> {
 }
 
 /// Stops the tip, that of every service if none is named, all at the same time.
-pub(super) fn stop(at: &At) -> Result<CommandOutcome> {
+pub(super) fn stop(at: &At) -> Result<bool> {
     let sockets = at.sockets();
     let answers: Vec<Result<Value, Failure>> = std::thread::scope(|scope| {
         let each = sockets.iter();
@@ -96,22 +97,21 @@ pub(super) fn stop(at: &At) -> Result<CommandOutcome> {
             let message = "the command failed".to_owned();
             Err(Failure { code: 3, message })
         };
-        all.into_iter()
-            .map(|one| one.join().unwrap_or_else(failed))
-            .collect()
+        let joined = all.into_iter().map(|one| one.join().unwrap_or_else(failed));
+        joined.collect()
     });
-    let (mut outcome, mut unconfirmed) = (CommandOutcome::Good, Vec::new());
+    let (mut good, mut unconfirmed) = (true, Vec::new());
     for (socket, answer) in sockets.iter().zip(answers) {
         match answer {
             Ok(value) => {
                 if sockets.len() > 1 {
                     print(format!("{}: stopped\n", socket.display()));
                 }
-                printed(Some(value));
+                print_result(&value);
             }
             Err(f) if f.code == 1 => {
                 eprintln!("refused: {}", f.message);
-                outcome = CommandOutcome::NotGoodEnough;
+                good = false;
             }
             // a message about the connection begins with its socket
             Err(f) if f.message.starts_with(&*socket.to_string_lossy()) => {
@@ -121,62 +121,49 @@ pub(super) fn stop(at: &At) -> Result<CommandOutcome> {
         }
     }
     if unconfirmed.is_empty() {
-        return Ok(outcome);
+        return Ok(good);
     }
     Err(Unreachable::report("the service", unconfirmed.join("; ")))
         .wrap_err("the stop is not confirmed: if the tip moves, cut the power of its motors")
 }
 
-/// Sends a request. A refusal is printed on standard error and yields `None`; every other failure is an error.
-/// While the drivers energise or the pistons brake, it is sent again.
-pub(super) fn ask(connection: &mut Connection, request: &Request) -> Result<Option<Value>> {
+/// Sends a request. While the drivers energise or the pistons brake, it is sent again.
+pub(super) fn ask(connection: &mut Connection, request: &Request) -> Result<Value> {
     let (started, busy) = (Instant::now(), Refusal::Busy.to_string());
     loop {
         match connection.request(request) {
             Err(f) if f.message == busy && started.elapsed() < BUSY_MAX => {
                 std::thread::sleep(BUSY_MAX / 20);
             }
-            result => return answered(result),
+            result => return result.map_err(report),
         }
     }
 }
 
 /// The status of the service.
-pub(super) fn status(connection: &mut Connection) -> Result<Value> {
-    connection.request(&Request::Status {}).map_err(report)
+pub(super) fn status(connection: &mut Connection) -> Result<Status> {
+    let value = connection.request(&Request::Status {}).map_err(report)?;
+    read_status(&value)
 }
 
-/// The result of a request. A refusal is printed on standard error and yields `None`; every other failure is an error.
-pub(super) fn answered(result: Result<Value, Failure>) -> Result<Option<Value>> {
-    match result {
-        Ok(value) => Ok(Some(value)),
-        Err(f) if f.code == 1 => {
-            eprintln!("refused: {}", f.message);
-            Ok(None)
-        }
-        Err(f) => Err(report(f)),
-    }
+/// A status that the service has sent.
+pub(super) fn read_status(value: &Value) -> Result<Status> {
+    Status::of(value).map_err(|e| Unreachable::report("the service", format!("its status: {e}")))
 }
 
 /// Sends a request and prints its result, unless that is empty.
-pub(super) fn ask_and_print(
-    connection: &mut Connection,
-    request: &Request,
-) -> Result<CommandOutcome> {
-    Ok(printed(ask(connection, request)?))
+pub(super) fn ask_and_print(connection: &mut Connection, request: &Request) -> Result<()> {
+    print_result(&ask(connection, request)?);
+    Ok(())
 }
 
-fn printed(result: Option<Value>) -> CommandOutcome {
-    let Some(value) = result else {
-        return CommandOutcome::NotGoodEnough;
-    };
+fn print_result(value: &Value) {
     if let Some(remark) = value["remark"].as_str() {
         eprintln!("note: {remark}");
     }
     if value.as_object().is_some_and(|map| !map.is_empty()) {
-        print(words(&value));
+        print(words(value));
     }
-    CommandOutcome::Good
 }
 
 /// A result in words: the recording or the gains file that it names.
@@ -185,11 +172,8 @@ pub(super) fn words(value: &Value) -> String {
     match (file, value["rows"].as_u64(), value["gains"].as_str()) {
         (Some(path), None, _) => format!("recording {path}\n"),
         (Some(path), Some(rows), _) => {
-            let replay = if value["replayable"] == true {
-                ", can be replayed"
-            } else {
-                ""
-            };
+            let replayable = value["replayable"] == true;
+            let replay = if replayable { ", can be replayed" } else { "" };
             format!("{path}: {rows} rows{replay}\n")
         }
         (None, _, Some(gains)) => format!("{gains} is in use\n"),

@@ -4,14 +4,15 @@ use super::args::{BendArgs, TransmissionArgs};
 use super::connection::{At, ask, ask_and_print, connect, status};
 use super::play::halted;
 use super::status::pose;
-use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
-use crate::cli::output;
+use crate::cli::{Refused, output};
 use crate::model::Bend;
 use crate::report::page::Page;
 use crate::service::client::Client as Connection;
 use crate::service::protocol::{CalibrateAction, Frame, Request};
+use crate::service::status::Status;
+use crate::supervisor::Mode;
 use miette::Result;
-use serde_json::Value;
+use serde_json::json;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -27,86 +28,67 @@ const SAME_DEG: f64 = 0.1;
 /// Period of the lines that report progress where there is no terminal.
 const SAID_EVERY: Duration = Duration::from_secs(5);
 
-/// Polls the status until `done` returns a result, or until the service refuses.
-fn poll(
+/// Polls the status until `done` returns a result.
+fn poll<T>(
     connection: &mut Connection,
     period_ms: u64,
-    mut done: impl FnMut(&Value) -> Option<CommandOutcome>,
-) -> Result<CommandOutcome> {
+    mut done: impl FnMut(&Status) -> Option<T>,
+) -> Result<T> {
     loop {
         sleep(Duration::from_millis(period_ms));
-        if let Some(outcome) = done(&status(connection)?) {
-            return Ok(outcome);
+        if let Some(result) = done(&status(connection)?) {
+            return Ok(result);
         }
     }
 }
 
-/// `bend`, with `--wait` until the tip has settled.
+/// `bend`, with `--wait` until the tip has settled; false if it does not.
 ///
 /// # Errors
 /// A report with the service's message.
-pub fn bend(args: &BendArgs) -> Result<CommandOutcome> {
+pub fn bend(args: &BendArgs) -> Result<bool> {
     let mut connection = connect(&args.at)?;
-    let frame = if args.world {
-        Frame::World
-    } else {
-        Frame::Base
-    };
+    let (bend_deg, dir_deg) = (args.bend, args.toward);
     let request = Request::Bend {
-        bend_deg: args.bend,
-        dir_deg: args.toward,
+        bend_deg,
+        dir_deg,
         length_mm: args.length,
         speed_deg_s: args.speed,
-        frame,
+        frame: if args.world {
+            Frame::World
+        } else {
+            Frame::Base
+        },
     };
     match args.wait {
-        true => settle(
-            &mut connection,
-            &request,
-            Bend::from_deg(args.bend, args.toward),
-        ),
-        false => ask_and_print(&mut connection, &request),
+        true => settle(&mut connection, &request, Bend::from_deg(bend_deg, dir_deg)),
+        false => ask_and_print(&mut connection, &request).map(|()| true),
     }
 }
 
-/// Sends the request of a bend, and waits until the tip has settled there.
+/// Sends the request of a bend, and waits until the tip has settled there; false if it does not.
 ///
 /// # Errors
 /// A report with the service's message.
-pub fn settle(
-    connection: &mut Connection,
-    request: &Request,
-    sent_to: Bend,
-) -> Result<CommandOutcome> {
-    if ask(connection, request)?.is_none() {
-        return Ok(NotGoodEnough);
-    }
+pub fn settle(connection: &mut Connection, request: &Request, sent_to: Bend) -> Result<bool> {
+    ask(connection, request)?;
     let (started, bar) = (Instant::now(), output::bar(0, "{msg}"));
-    let outcome = poll(connection, 50, |s| {
-        let (mode, target) = (s["mode"].as_str().unwrap_or(""), &s["target"]);
+    let (good, line) = poll(connection, 50, |s| {
+        let mode = s.mode_name().unwrap_or_default();
         let line = format!(
             "{mode}  estimate {} of {}",
-            pose(&s["estimate"]),
-            pose(target)
+            pose(&s.estimate),
+            pose(&s.target)
         );
-        let degrees = |key: &str| target[key].as_f64().unwrap_or(0.0);
-        let off = Bend::from_deg(degrees("bend_deg"), degrees("dir_deg")).0 - sent_to.0;
+        let off = s.target.unwrap_or_default().bend().0 - sent_to.0;
         let why = match halted(s) {
             Some(why) => why,
             None if off.norm().to_degrees() > SAME_DEG => {
                 format!("another command replaced this one: {line}")
             }
-            None if s["settled"] == true => {
-                bar.finish_and_clear();
-                output::print(format!(
-                    "{line}: {}\n",
-                    s["shortfall"].as_str().unwrap_or("settled")
-                ));
-                return Some(if s["blocked"] == true {
-                    NotGoodEnough
-                } else {
-                    Good
-                });
+            None if s.settled => {
+                let how = s.shortfall.as_deref().unwrap_or("settled");
+                return Some((!s.blocked, format!("{line}: {how}\n")));
             }
             None if started.elapsed() < MOVED_MAX => {
                 bar.set_message(line);
@@ -114,22 +96,22 @@ pub fn settle(
             }
             None => format!("mode {mode}"),
         };
-        bar.finish_and_clear();
-        let suspicion = s["suspicion"]
-            .as_str()
-            .map_or_else(String::new, |x| format!("; {x}"));
-        output::print(format!("not settled: {why}{suspicion}\n"));
-        Some(NotGoodEnough)
-    });
-    bar.finish_and_clear();
-    outcome
+        let suspicion = s
+            .suspicion
+            .as_ref()
+            .map_or(String::new(), |text| format!("; {text}"));
+        Some((false, format!("not settled: {why}{suspicion}\n")))
+    })?;
+    drop(bar);
+    output::print(line);
+    Ok(good)
 }
 
 /// `arm`, also right after the start of the service: waits for its socket and for the end of its alignment.
 ///
 /// # Errors
 /// A report with the service's message.
-pub fn arm(at: &At) -> Result<CommandOutcome> {
+pub fn arm(at: &At) -> Result<()> {
     let started = Instant::now();
     let mut connection = loop {
         match connect(at) {
@@ -137,46 +119,38 @@ pub fn arm(at: &At) -> Result<CommandOutcome> {
             reached => break reached?,
         }
     };
-    match aligned(&mut connection)? {
-        Good => ask_and_print(&mut connection, &Request::Arm {}),
-        refused => Ok(refused),
-    }
+    aligned(&mut connection)?;
+    ask_and_print(&mut connection, &Request::Arm {})
 }
 
 /// Waits for the end of an alignment.
 ///
 /// # Errors
-/// A report with the service's message.
-pub fn aligned(connection: &mut Connection) -> Result<CommandOutcome> {
+/// A report with the service's message, or that the tip is not aligned in time.
+pub fn aligned(connection: &mut Connection) -> Result<()> {
     let (started, mut said) = (Instant::now(), false);
-    poll(connection, 100, |s| {
-        if !matches!(s["mode"].as_str(), Some("boot" | "aligning")) {
-            return Some(Good);
+    let aligned = poll(connection, 100, |s| {
+        if !matches!(s.mode, Some(Mode::Boot | Mode::Aligning)) {
+            return Some(true);
         }
         if !std::mem::replace(&mut said, true) {
             eprintln!(
                 "waiting for the end of the alignment, for which the tip must be still for 2 s"
             );
         }
-        (started.elapsed() > ALIGNED_MAX).then(|| {
-            eprintln!("not aligned after {} s because the tip or the base is not still; the service keeps trying", ALIGNED_MAX.as_secs());
-            NotGoodEnough
-        })
-    })
+        (started.elapsed() > ALIGNED_MAX).then_some(false)
+    })?;
+    match aligned {
+        true => Ok(()),
+        false => Err(Refused(format!("not aligned after {} s because the tip or the base is not still; the service keeps trying", ALIGNED_MAX.as_secs())).into()),
+    }
 }
 
-/// `calibrate transmission`, until the gains are identified.
+/// `calibrate transmission`, until the gains are identified; false if they are not.
 ///
 /// # Errors
 /// A report with the service's message.
-pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
-    output::check(
-        &[
-            ("--json", args.json.as_deref()),
-            ("--html", args.html.as_deref()),
-        ],
-        &[],
-    )?;
+pub fn transmission(args: &TransmissionArgs) -> Result<bool> {
     let mut connection = connect(&args.at)?;
     let action = match (args.accept, args.discard, args.short) {
         (true, ..) => CalibrateAction::Accept,
@@ -184,86 +158,63 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
         (.., true) => CalibrateAction::Short,
         _ => CalibrateAction::Full,
     };
-    if ask(
-        &mut connection,
-        &Request::Calibrate {
-            action,
-            poses: args.poses,
-        },
-    )?
-    .is_none()
-    {
-        return Ok(NotGoodEnough);
-    }
+    let poses = args.poses;
+    ask(&mut connection, &Request::Calibrate { action, poses })?;
     if args.accept || args.discard {
-        return Ok(Good);
+        return Ok(true);
     }
-    let (bar, mut said, mut last) = (output::bar(0, "{msg}"), Instant::now(), Value::Null);
-    let outcome = poll(&mut connection, 200, |s| {
-        if let Some(progress) = s["calibrating"].as_str() {
-            bar.set_message(progress.to_owned());
-            // a spinner is seen on a terminal only
-            if bar.is_hidden() && said.elapsed() >= SAID_EVERY {
-                said = Instant::now();
-                eprintln!("{progress}");
-            }
-            return None;
+    let (bar, mut said) = (output::bar(0, "{msg}"), Instant::now());
+    let last = poll(&mut connection, 200, |s| {
+        let Some(progress) = &s.calibrating else {
+            return Some(s.clone());
+        };
+        bar.set_message(progress.clone());
+        // a spinner is seen on a terminal only
+        if bar.is_hidden() && said.elapsed() >= SAID_EVERY {
+            said = Instant::now();
+            eprintln!("{progress}");
         }
-        bar.finish_and_clear();
-        if let Some(why) = s["calibration_failed"].as_str() {
-            output::print(format!("no gains were identified: {why}\n"));
-            return Some(NotGoodEnough);
-        }
-        last = s.clone();
-        Some(Good)
-    });
-    bar.finish_and_clear();
-    let outcome = outcome?;
-    if outcome == Good {
-        output::json(args.json.as_deref(), &last["proposed"])?;
-        show_gains(&last, args)?;
-        eprintln!(
-            "apply them with `retroflex calibrate transmission --accept`, or discard them with `--discard`"
-        );
+        None
+    })?;
+    drop(bar);
+    if let Some(why) = &last.calibration_failed {
+        output::print(format!("no gains were identified: {why}\n"));
+        return Ok(false);
     }
-    Ok(outcome)
+    show_gains(&last, args)?;
+    eprintln!(
+        "apply them with `retroflex calibrate transmission --accept`, or discard them with `--discard`"
+    );
+    Ok(true)
 }
 
 /// Shows the proposed gains beside those in use.
-fn show_gains(s: &Value, args: &TransmissionArgs) -> Result<()> {
-    let pair = |key: &str, i: usize| {
-        [&s[key][i], &s["proposed"][key][i]]
-            .map(|v| v.as_f64().map_or("–".to_owned(), |x| format!("{x:.3}")))
-    };
+fn show_gains(s: &Status, args: &TransmissionArgs) -> Result<()> {
+    let shown = |x: Option<f64>| x.map_or("–".to_owned(), |x| format!("{x:.3}"));
+    let proposed = s.proposed.as_ref();
     let row = |i: usize| {
-        let ([k_now, k], [l_now, l]) = (pair("k_epsilon", i), pair("k_lambda_mm", i));
-        [(i + 1).to_string(), k_now, k, l_now, l]
-    };
-    let (header, rows) = (
+        let (k_epsilon, k_lambda) = (s.k_epsilon.map(|k| k[i]), s.k_lambda_mm.map(|k| k[i]));
         [
-            "line",
-            "k_epsilon in use",
-            "proposed",
-            "k_lambda in use, mm",
-            "proposed, mm",
-        ],
-        [0, 1, 2].map(row),
-    );
-    let number = |key: &str| s["proposed"][key].as_f64().unwrap_or(0.0);
-    let dynamics = format!(
-        "lag {:.3} s, dead time {:.3} s",
-        number("lag_s"),
-        number("delay_s")
-    );
-    if let Some(path) = &args.html {
+            (i + 1).to_string(),
+            shown(k_epsilon),
+            shown(proposed.map(|gains| gains.k_epsilon[i])),
+            shown(k_lambda),
+            shown(proposed.map(|gains| gains.k_lambda_mm[i])),
+        ]
+    };
+    let header = "line|k_epsilon in use|proposed|k_lambda in use, mm|proposed, mm";
+    let rows = [0, 1, 2].map(row);
+    let (lag_s, delay_s) = proposed.map_or((0.0, 0.0), |gains| (gains.lag_s, gains.delay_s));
+    let dynamics = format!("lag {lag_s:.3} s, dead time {delay_s:.3} s");
+    output::write_some(&args.html, || {
         let mut page = Page::new("Proposed gains of the transmission");
-        page.table(&header, &rows);
+        page.table(&output::columns(header), &rows);
         page.text(&dynamics);
-        output::write(path, page.html())?;
-    }
-    output::show(
-        &format!("{}\n{dynamics}\n", output::table(&header, 1..5, rows)),
-        args.json.as_deref(),
+        Ok(page.html())
+    })?;
+    let text = format!(
+        "{}\n{dynamics}\n",
+        output::table(header, 1..5, rows.clone())
     );
-    Ok(())
+    output::answer(&args.json, &json!(proposed), text)
 }

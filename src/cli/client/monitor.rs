@@ -6,22 +6,18 @@ pub mod view;
 
 use super::connection::{At, report, socket};
 use super::keys::{Key, keys};
-use crate::cli::CommandOutcome::{self, Good};
-use crate::cli::inputs::within;
-use crate::cli::replay::flight_of;
+use crate::cli::flight::flight_of;
+use crate::cli::inputs::{self, within};
 use crate::service::client::Client as Connection;
 use crate::service::paths;
 use crate::service::protocol::{Failure, Request};
 use miette::{IntoDiagnostic, Result, bail};
 use player::Player;
 use ratatui::DefaultTerminal;
-
 use serde_json::Value;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::io::{IsTerminal, Read, stdin, stdout};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
@@ -51,44 +47,44 @@ pub struct MonitorArgs {
 }
 
 /// Where the frames come from.
-enum Source {
-    Live(Live),
-    Log(Player),
+trait Source {
+    /// Shows what has come since the last frame.
+    fn update(&mut self, view: &mut View);
+
+    /// Acts on a key.
+    fn key(&mut self, key: Key);
 }
 
 /// Shows the state until the operator ends it.
 ///
 /// # Errors
 /// A report about a log or a terminal that cannot be used, or a service that cannot be reached.
-pub fn monitor(args: &MonitorArgs) -> Result<CommandOutcome> {
+pub fn monitor(args: &MonitorArgs) -> Result<()> {
     let open = |log: &PathBuf| Player::open(&flight_of(log)?, args.speed);
     let log = args.log.as_ref().map(open).transpose()?;
     if !stdin().is_terminal() || !stdout().is_terminal() {
         bail!("the monitor needs a terminal; elsewhere, use `retroflex status --watch`");
     }
-    let mut source = match log {
-        Some(player) => Source::Log(player),
-        None => Source::Live(Live::start(socket(&args.at)?)?),
+    let mut source: Box<dyn Source> = match log {
+        Some(player) => Box::new(player),
+        None => Box::new(Live::start(socket(&args.at)?)?),
     };
-    let ended = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
-        signal_hook::flag::register(signal, Arc::clone(&ended)).into_diagnostic()?;
-    }
+    let ended = inputs::ended()?;
     // this also restores the terminal after a panic
     let mut terminal = ratatui::try_init().into_diagnostic()?;
     let (keys, mut view) = (pressed(), View::default());
-    while !ended.load(Relaxed) && show(&mut terminal, &keys, &mut source, &mut view) {}
+    while !ended.load(Relaxed) && show(&mut terminal, &keys, &mut *source, &mut view) {}
     // a terminal that is gone cannot be restored
     let _ = (terminal.show_cursor(), ratatui::try_restore());
     std::mem::forget(terminal);
-    Ok(Good)
+    Ok(())
 }
 
 /// Draws once and handles the keys until the next frame is due; false if the operator ends the monitor, or the terminal is gone.
 fn show(
     terminal: &mut DefaultTerminal,
     keys: &Receiver<Key>,
-    source: &mut Source,
+    source: &mut dyn Source,
     view: &mut View,
 ) -> bool {
     let due = Instant::now() + PERIOD;
@@ -110,30 +106,25 @@ fn pressed() -> Receiver<Key> {
     spawn(move || {
         let mut bytes = [0; 4096];
         while let Ok(n @ 1..) = stdin().lock().read(&mut bytes) {
-            keys(&bytes[..n])
-                .into_iter()
-                .for_each(|key| _ = send.send(key));
+            for key in keys(&bytes[..n]) {
+                // the monitor may have ended
+                let _ = send.send(key);
+            }
         }
     });
     pressed
 }
 
-impl Source {
+impl Source for Player {
     fn update(&mut self, view: &mut View) {
-        match self {
-            Self::Live(live) => live.update(view),
-            Self::Log(player) => player.advance(PERIOD.as_secs_f64(), view),
-        }
+        self.advance(PERIOD.as_secs_f64(), view);
     }
 
     fn key(&mut self, key: Key) {
-        match (self, key) {
-            (Self::Live(live), Key::Char('h')) => live.order(Request::Hold {}),
-            (Self::Live(live), Key::Char('s')) => live.order(Request::Stop {}),
-            (Self::Live(live), Key::Char('r')) => live.order(Request::Relax {}),
-            (Self::Log(player), Key::Char(' ')) => player.paused = !player.paused,
-            (Self::Log(player), Key::Left) => player.seek(-SEEK_S),
-            (Self::Log(player), Key::Right) => player.seek(SEEK_S),
+        match key {
+            Key::Char(' ') => self.paused = !self.paused,
+            Key::Left => self.seek(-SEEK_S),
+            Key::Right => self.seek(SEEK_S),
             _ => {}
         }
     }
@@ -167,6 +158,22 @@ impl Live {
         })
     }
 
+    /// Sends a command from a thread of its own, so that a service that does not answer does not delay the screen.
+    fn order(&self, request: Request) {
+        let (socket, send) = (self.socket.clone(), self.send.clone());
+        spawn(move || {
+            let answer = match request {
+                Request::Stop {} => Connection::stop(&socket),
+                _ => Connection::connect(&socket).and_then(|mut to| to.request(&request)),
+            };
+            let became = answer.map_or_else(|failure| failure.message, |_| "accepted".to_owned());
+            // the monitor may have ended
+            let _ = send.send(Err(format!("{}: {became}", request.name())));
+        });
+    }
+}
+
+impl Source for Live {
     fn update(&mut self, view: &mut View) {
         view.source = format!("live, {}", self.socket.display());
         view.keys = "h hold   s stop   r relax   q quit";
@@ -183,18 +190,13 @@ impl Live {
         view.silent_s = Some(silent_s).filter(|silent_s| *silent_s > SILENT_S);
     }
 
-    /// Sends a command from a thread of its own, so that a service that does not answer does not delay the screen.
-    fn order(&self, request: Request) {
-        let (socket, send) = (self.socket.clone(), self.send.clone());
-        spawn(move || {
-            let answer = match request {
-                Request::Stop {} => Connection::stop(&socket),
-                _ => Connection::connect(&socket).and_then(|mut to| to.request(&request)),
-            };
-            let became = answer.map_or_else(|failure| failure.message, |_| "accepted".to_owned());
-            // the monitor may have ended
-            let _ = send.send(Err(format!("{}: {became}", request.name())));
-        });
+    fn key(&mut self, key: Key) {
+        match key {
+            Key::Char('h') => self.order(Request::Hold {}),
+            Key::Char('s') => self.order(Request::Stop {}),
+            Key::Char('r') => self.order(Request::Relax {}),
+            _ => {}
+        }
     }
 }
 
@@ -203,11 +205,11 @@ fn read(socket: &Path, to: &Sender<News>) -> std::result::Result<(), Failure> {
     // also the time between two attempts to reach a lost service
     sleep(PERIOD);
     let mut connection = Connection::connect(socket)?;
-    while to
-        .send(Ok(connection.request(&Request::Status {})?))
-        .is_ok()
-    {
+    loop {
+        let status = connection.request(&Request::Status {})?;
+        if to.send(Ok(status)).is_err() {
+            return Ok(());
+        }
         sleep(PERIOD);
     }
-    Ok(())
 }

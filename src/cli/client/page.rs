@@ -10,7 +10,6 @@ mod site;
 mod source;
 
 use super::connection::{At, socket};
-use crate::cli::CommandOutcome;
 use crate::cli::output::print;
 use crate::log::error::why_unreadable;
 use hyper::body::Bytes;
@@ -45,7 +44,7 @@ pub struct PageArgs {
 ///
 /// # Errors
 /// A report about the address or the token.
-pub fn page(args: &PageArgs) -> Result<CommandOutcome> {
+pub fn page(args: &PageArgs) -> Result<()> {
     let (listen, socket) = (args.listen, socket(&args.at)?);
     let token = args.token_file.as_deref().map(token).transpose()?;
     if token.is_none() && !listen.ip().is_loopback() {
@@ -81,7 +80,7 @@ pub fn page(args: &PageArgs) -> Result<CommandOutcome> {
         },
     )
     .into_diagnostic()?;
-    Ok(CommandOutcome::Good)
+    Ok(())
 }
 
 /// The token of a file, which is created if there is none.

@@ -4,17 +4,18 @@
 //! move by (1 + k_ε) Δq (Eq. 16), and all arrive at the same time.
 
 use super::args::PlayArgs;
-use super::connection::{answered, ask, connect, status, words};
-use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
-use crate::cli::output;
+use super::connection::{ask, connect, report, status, words};
+use crate::cli::{Refused, output};
 use crate::diagnosis::excite::rows::{self, Row};
 use crate::experiment::path::PathFile;
 use crate::log::table::{Schema, Table};
 use crate::model::{Bend, Geometry};
 use crate::service::client::Client as Connection;
 use crate::service::protocol::{Failure, Frame, PathRow, RecordAction, Request};
+use crate::service::status::Status;
+use crate::supervisor::Mode;
 use miette::{IntoDiagnostic, Result, miette};
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::path::Path;
 use std::time::Duration;
 
@@ -33,46 +34,40 @@ const K_EPSILON: f64 = 2.2;
 ///
 /// # Errors
 /// A schedule that cannot be read, or a report with the service's message.
-pub fn play(args: &PlayArgs) -> Result<CommandOutcome> {
+pub fn play(args: &PlayArgs) -> Result<()> {
     let schedule = Schedule::read(&args.schedule)?;
     let mut connection = connect(&args.at)?;
     let now = status(&mut connection)?;
-    if now["mode"] != "holding" || now["stopped"] == true {
-        eprintln!(
-            "refused: the schedule moves the tip, so it must be armed and at a standstill: `retroflex arm` first"
-        );
-        return Ok(NotGoodEnough);
+    if now.mode != Some(Mode::Holding) || now.stopped {
+        return Err(Refused::report(
+            "the schedule moves the tip, so it must be armed and at a standstill: `retroflex arm` first",
+        ));
     }
     if args.record.is_none() {
         return schedule.run(&mut connection);
     }
-    if now["counted"] != json!([0, 0, 0]) {
-        eprintln!("refused: the log must begin at rest: `retroflex relax`, then `retroflex arm`");
-        return Ok(NotGoodEnough);
+    if now.counted != Some([0; 3]) {
+        return Err(Refused::report(
+            "the log must begin at rest: `retroflex relax`, then `retroflex arm`",
+        ));
     }
     let request = |action| Request::Record {
         action,
         name: args.record.clone(),
         owned: true,
     };
-    let Some(started) = ask(&mut connection, &request(RecordAction::Start))? else {
-        return Ok(NotGoodEnough);
-    };
+    let started = ask(&mut connection, &request(RecordAction::Start))?;
     if let Some(remark) = started["remark"].as_str() {
         eprintln!("note: {remark}; `retroflex zero` first measures against the present attitude");
     }
     // after an earlier motion the straight tip is not quite where the first row is
     let rest = Row::rest(AT_REST_S, &Geometry::default());
-    let rested = arrive_and_hold(&mut connection, clock_s(&now), 0.0, &rest)?;
-    let outcome = if rested {
-        schedule.run(&mut connection)
-    } else {
-        Ok(NotGoodEnough)
-    };
-    if let Some(recorded) = ask(&mut connection, &request(RecordAction::Stop))? {
-        output::print(words(&recorded));
-    }
-    outcome
+    let rested = arrive_and_hold(&mut connection, now.t, 0.0, &rest);
+    let outcome = rested.and_then(|()| schedule.run(&mut connection));
+    let recorded = ask(&mut connection, &request(RecordAction::Stop));
+    outcome?;
+    output::print(words(&recorded?));
+    Ok(())
 }
 
 /// What is played.
@@ -91,18 +86,15 @@ impl Schedule {
             known: &|_| false,
             rows_min: 0,
         };
-        let is_path = Table::open(file, &header)
-            .into_diagnostic()?
-            .header()
-            .iter()
-            .any(|name| name == "t_s");
+        let table = Table::open(file, &header).into_diagnostic()?;
+        let is_path = table.header().iter().any(|name| name == "t_s");
         Ok(match is_path {
             true => Self::Path(PathFile::open(file, &Geometry::default()).into_diagnostic()?),
             false => Self::Poses(rows::read(file).into_diagnostic()?),
         })
     }
 
-    fn run(&self, connection: &mut Connection) -> Result<CommandOutcome> {
+    fn run(&self, connection: &mut Connection) -> Result<()> {
         match self {
             Self::Poses(rows) => run_rows(connection, rows),
             Self::Path(file) => run_path(connection, file),
@@ -111,25 +103,14 @@ impl Schedule {
 }
 
 /// Has the rows of a path checked, moves to the first one, then follows it.
-fn run_path(connection: &mut Connection, file: &PathFile) -> Result<CommandOutcome> {
+fn run_path(connection: &mut Connection, file: &PathFile) -> Result<()> {
     let column = |name: &str| file.table.column(name).unwrap_or_default();
-    let (t_s, bend_deg, dir_deg, len_mm) = (
-        column("t_s"),
-        column("bend_deg"),
-        column("dir_deg"),
-        column("len_mm"),
-    );
-    let rows: Vec<PathRow> = (0..t_s.len())
-        .map(|k| (t_s[k], bend_deg[k], dir_deg[k], len_mm.get(k).copied()))
-        .collect();
+    let [t_s, bend_deg, dir_deg, len_mm] = ["t_s", "bend_deg", "dir_deg", "len_mm"].map(column);
+    let row = |k: usize| (t_s[k], bend_deg[k], dir_deg[k], len_mm.get(k).copied());
+    let rows: Vec<PathRow> = (0..t_s.len()).map(row).collect();
     for chunk in rows.chunks(CHUNK_ROWS) {
-        let request = Request::Path {
-            rows: chunk.to_vec(),
-            more: true,
-        };
-        if checked(file, connection.request(&request))?.is_none() {
-            return Ok(NotGoodEnough);
-        }
+        let (rows, more) = (chunk.to_vec(), true);
+        checked(file, connection.request(&Request::Path { rows, more }))?;
     }
     let now = status(connection)?;
     let (_, bend_deg, dir_deg, length_mm) = rows[0];
@@ -139,25 +120,11 @@ fn run_path(connection: &mut Connection, file: &PathFile) -> Result<CommandOutco
         hold_s: AT_FIRST_S,
         ..Row::rest(0.0, &Geometry::default())
     };
-    let request = Request::Bend {
-        bend_deg,
-        dir_deg,
-        length_mm,
-        speed_deg_s: None,
-        frame: Frame::Base,
-    };
-    if ask(connection, &request)?.is_none()
-        || !arrive_and_hold(connection, clock_s(&now), 0.0, &first)?
-    {
-        return Ok(NotGoodEnough);
-    }
-    let played = connection.request(&Request::Path {
-        rows: vec![],
-        more: false,
-    });
-    let Some(answer) = checked(file, played)? else {
-        return Ok(NotGoodEnough);
-    };
+    let request = Request::bend(bend_deg, dir_deg, length_mm);
+    ask(connection, &request)?;
+    arrive_and_hold(connection, now.t, 0.0, &first)?;
+    let (rows, more) = (vec![], false);
+    let answer = checked(file, connection.request(&Request::Path { rows, more }))?;
     if let Some(slower) = answer["time_scale"].as_f64().filter(|scale| *scale > 1.0) {
         eprintln!(
             "note: the path asks {slower:.2} times the speed that the pistons can follow; it is played that much slower"
@@ -167,20 +134,19 @@ fn run_path(connection: &mut Connection, file: &PathFile) -> Result<CommandOutco
         std::thread::sleep(Duration::from_millis(20));
         let s = status(connection)?;
         if let Some(why) = halted(&s) {
-            eprintln!("the path ended early: {why}");
-            return Ok(NotGoodEnough);
+            return Err(Refused(format!("the path ended early: {why}")).into());
         }
-        if s["path"].is_null() && s["mode"] == "holding" {
-            return Ok(Good);
+        if s.path.is_none() && s.mode == Some(Mode::Holding) {
+            return Ok(());
         }
     }
 }
 
 /// The answer to rows of a path. The refusal of one is an error that names file, line and column.
-fn checked(file: &PathFile, answer: Result<Value, Failure>) -> Result<Option<Value>> {
+fn checked(file: &PathFile, answer: Result<Value, Failure>) -> Result<Value> {
     let message = match answer {
         Err(Failure { code: 2, message }) => message,
-        other => return answered(other),
+        other => return other.map_err(report),
     };
     let row = message
         .strip_prefix("row ")
@@ -194,19 +160,18 @@ fn checked(file: &PathFile, answer: Result<Value, Failure>) -> Result<Option<Val
 }
 
 /// Why the tip does not move as it is told.
-pub(super) fn halted(s: &Value) -> Option<String> {
-    let mode = s["mode"].as_str().unwrap_or("");
-    if s["stopped"] == true {
-        return Some("stopped".to_owned());
+pub(super) fn halted(s: &Status) -> Option<String> {
+    match s.mode {
+        _ if s.stopped => Some("stopped".to_owned()),
+        Some(Mode::Tracking | Mode::Holding) => None,
+        _ => {
+            let mode = s.mode_name().unwrap_or_default();
+            Some(s.fault.clone().unwrap_or(format!("mode {mode}")))
+        }
     }
-    (mode != "tracking" && mode != "holding").then(|| {
-        s["fault"]
-            .as_str()
-            .map_or(format!("mode {mode}"), str::to_owned)
-    })
 }
 
-fn run_rows(connection: &mut Connection, rows: &[Row]) -> Result<CommandOutcome> {
+fn run_rows(connection: &mut Connection, rows: &[Row]) -> Result<()> {
     let bar = output::bar(rows.len() as u64, "row {pos} of {len}");
     let mut before = Row::rest(0.0, &Geometry::default());
     for row in rows {
@@ -219,26 +184,21 @@ fn run_rows(connection: &mut Connection, rows: &[Row]) -> Result<CommandOutcome>
             speed_deg_s,
             frame: Frame::Base,
         };
-        if ask(connection, &request)?.is_none()
-            || !arrive_and_hold(connection, clock_s(&now), seconds, row)?
-        {
-            return Ok(NotGoodEnough);
-        }
+        ask(connection, &request)?;
+        arrive_and_hold(connection, now.t, seconds, row)?;
         before = *row;
         bar.inc(1);
     }
-    bar.finish_and_clear();
-    Ok(Good)
+    Ok(())
 }
 
 /// Duration of the segment between two rows, s, and the speed of its set-point, °/s (`None` if it does not bend).
-fn segment(from: &Row, to: &Row, status: &Value) -> (f64, Option<f64>) {
+fn segment(from: &Row, to: &Row, status: &Status) -> (f64, Option<f64>) {
     let geometry = Geometry::default();
-    let k_epsilon = |i: usize| status["k_epsilon"][i].as_f64().unwrap_or(K_EPSILON);
+    let k_epsilon = status.k_epsilon.unwrap_or([K_EPSILON; 3]);
     let change = to.lengths(&geometry) - from.lengths(&geometry);
-    let fastest_mm = (0..3)
-        .map(|i| (change[i] * (1.0 + k_epsilon(i))).abs())
-        .fold(0.0, f64::max);
+    let piston_mm = |i: usize| (change[i] * (1.0 + k_epsilon[i])).abs();
+    let fastest_mm = (0..3).map(piston_mm).fold(0.0, f64::max);
     let seconds = fastest_mm / to.speed_mm_s;
     let bend = |r: &Row| Bend::from_deg(r.bend_deg, r.dir_deg).0;
     let bend_deg = (bend(to) - bend(from)).norm().to_degrees();
@@ -249,38 +209,33 @@ fn segment(from: &Row, to: &Row, status: &Value) -> (f64, Option<f64>) {
     )
 }
 
-/// Waits for the end of the segment and of the hold, on the clock of the machine, which a simulation may run faster; false if
+/// Waits for the end of the segment and of the hold, on the clock of the machine, which a simulation may run faster. It is an error if
 /// the service stops moving.
 fn arrive_and_hold(
     connection: &mut Connection,
     started_s: f64,
     seconds: f64,
     row: &Row,
-) -> Result<bool> {
+) -> Result<()> {
     let mut arrived_s: Option<f64> = None;
     loop {
         std::thread::sleep(Duration::from_millis(5));
         let s = status(connection)?;
         if let Some(why) = halted(&s) {
-            eprintln!(
-                "the schedule ended at bend {}° toward {}°: {why}",
-                row.bend_deg, row.dir_deg
-            );
-            return Ok(false);
+            let Row {
+                bend_deg, dir_deg, ..
+            } = row;
+            let text = format!("the schedule ended at bend {bend_deg}° toward {dir_deg}°: {why}");
+            return Err(Refused(text).into());
         }
-        let now_s = clock_s(&s);
+        let now_s = s.t;
         let on_its_way = now_s - started_s < seconds
-            || (s["mode"] == "tracking" && now_s - started_s < seconds + LATE_MAX_S);
+            || (s.mode == Some(Mode::Tracking) && now_s - started_s < seconds + LATE_MAX_S);
         if arrived_s.is_none() && !on_its_way {
             arrived_s = Some(now_s);
         }
         if arrived_s.is_some_and(|at_s| now_s - at_s >= row.hold_s) {
-            return Ok(true);
+            return Ok(());
         }
     }
-}
-
-/// Time of the machine, s.
-fn clock_s(status: &Value) -> f64 {
-    status["t"].as_f64().unwrap_or(0.0)
 }

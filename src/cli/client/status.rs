@@ -1,12 +1,11 @@
 //! `status` and `subscribe`.
 
 use super::args::{StatusArgs, SubscribeArgs};
-use super::connection::{self, ask, connect, report};
-use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
+use super::connection::{ask, connect, read_status, report};
 use crate::cli::output;
 use crate::service::protocol::Request;
+use crate::service::status::{GrantState, PathState, Pose, Status};
 use miette::Result;
-use serde_json::Value;
 use std::io::{IsTerminal, Write};
 use std::path::Path;
 use std::time::Duration;
@@ -20,129 +19,111 @@ const WIDTH: usize = 80;
 ///
 /// # Errors
 /// A report with the service's message.
-pub fn status(args: &StatusArgs) -> Result<CommandOutcome> {
-    output::check(&[("--json", args.json.as_deref())], &[])?;
+pub fn status(args: &StatusArgs) -> Result<()> {
     let mut connection = connect(&args.at)?;
     let redraw = args.watch && args.json.is_none() && std::io::stdout().is_terminal();
     loop {
-        let s = connection::status(&mut connection)?;
+        let value = connection.request(&Request::Status {}).map_err(report)?;
         let text = match args.json.as_deref() {
-            Some(path) if path == Path::new("-") => format!("{s}\n"),
-            Some(path) => output::write(path, format!("{s}\n")).map(|()| String::new())?,
-            None if redraw => format!("{CLEAR}{}", readable(&s)),
-            None => readable(&s),
+            Some(path) if path == Path::new("-") => format!("{value}\n"),
+            Some(path) => output::write(path, format!("{value}\n")).map(|()| String::new())?,
+            None if redraw => format!("{CLEAR}{}", readable(&read_status(&value)?)),
+            None => readable(&read_status(&value)?),
         };
         let mut out = std::io::stdout();
+        let shown = out.write_all(text.as_bytes()).and_then(|()| out.flush());
         // a reader that has closed its end, such as `head`, has seen enough
-        if out
-            .write_all(text.as_bytes())
-            .and_then(|()| out.flush())
-            .is_err()
-            || !args.watch
-        {
-            return Ok(Good);
+        if shown.is_err() || !args.watch {
+            return Ok(());
         }
         std::thread::sleep(Duration::from_millis(500));
     }
 }
 
-fn number(v: &Value) -> f64 {
-    v.as_f64().unwrap_or(0.0)
-}
-
 /// A bend of the status in words.
-pub(super) fn pose(v: &Value) -> String {
-    let (bend, dir) = (number(&v["bend_deg"]), number(&v["dir_deg"]));
+pub(super) fn pose(pose: &Option<Pose>) -> String {
+    let Some(Pose { bend_deg, dir_deg }) = *pose else {
+        return "–".to_owned();
+    };
     // the same direction, by one name
-    let dir = if dir < -179.5 { 180.0 } else { dir };
-    if v.is_null() {
-        "–".to_owned()
-    } else {
-        format!("{bend:.1}° at {dir:.0}°")
-    }
+    let dir_deg = if dir_deg < -179.5 { 180.0 } else { dir_deg };
+    format!("{bend_deg:.1}° at {dir_deg:.0}°")
 }
 
-fn readable(s: &Value) -> String {
+fn readable(s: &Status) -> String {
     let line = |(name, value): &(&str, String)| format!("{name:<10}{}\n", wrapped(value));
     rows(s).iter().map(line).collect()
 }
 
 /// How far a path has come.
-fn path(path: &Value) -> Option<String> {
-    let (at_s, of_s) = (path["at_s"].as_f64()?, path["duration_s"].as_f64()?);
-    let slower = path["time_scale"].as_f64().filter(|scale| *scale > 1.0);
-    let slower = slower.map_or_else(String::new, |x| format!(", {x:.2} times slower than given"));
-    Some(format!("{at_s:.1} s of {of_s:.1} s{slower}"))
+fn path(path: &PathState) -> String {
+    let PathState {
+        at_s,
+        duration_s,
+        time_scale,
+    } = path;
+    let slower = match *time_scale > 1.0 {
+        true => format!(", {time_scale:.2} times slower than given"),
+        false => String::new(),
+    };
+    format!("{at_s:.1} s of {duration_s:.1} s{slower}")
 }
 
-/// What a status says, as name and text. The recorded status of a log lacks some of it.
-pub(super) fn rows(s: &Value) -> Vec<(&'static str, String)> {
-    let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
-    let list = |v: &Value| v.as_array().cloned().unwrap_or_default();
-    let pistons = list(&s["piston_mm"]);
-    let pistons: Vec<String> = pistons
-        .iter()
-        .map(|p| format!("{:.2}", number(p)))
-        .collect();
-    let words = |key: &str, text: &'static str| if s[key] == true { text } else { "" };
-    let energised = words("energised", ", energised");
-    let stopped = words("stopped", ", stopped until `retroflex arm`");
-    let (estimate, target) = (pose(&s["estimate"]), pose(&s["target"]));
+/// What a status says, as name and text.
+pub(super) fn rows(s: &Status) -> Vec<(&'static str, String)> {
+    let when = |holds: bool, words: &'static str| if holds { words } else { "" };
+    let energised = when(s.energised, ", energised");
+    let stopped = when(s.stopped, ", stopped until `retroflex arm`");
+    let pistons = s.piston_mm.iter().flatten().map(|mm| format!("{mm:.2}"));
+    let (estimate, target) = (pose(&s.estimate), pose(&s.target));
     let mut rows = vec![
-        ("mode", text(&s["mode"]) + energised + stopped),
+        (
+            "mode",
+            [s.mode_name().unwrap_or("null"), energised, stopped].concat(),
+        ),
         ("estimate", format!("{estimate}   target {target}")),
-        ("pistons", pistons.join("  ") + " mm"),
+        ("pistons", pistons.collect::<Vec<_>>().join("  ") + " mm"),
     ];
-    if let [tip @ Value::String(_), calibration @ Value::String(_)] =
-        ["tip", "calibration"].map(|key| &s[key])
-    {
-        rows.push((
-            "tip",
-            format!("{}   calibration {}", text(tip), text(calibration)),
-        ));
+    if let (Some(tip), Some(calibration)) = (&s.tip, &s.calibration) {
+        rows.push(("tip", format!("{tip}   calibration {calibration}")));
     }
-    if let [cycles @ Value::Number(_), late, most, lost] =
-        ["cycles", "late_cycles", "max_lateness_us", "lost_frames"].map(|key| &s[key])
-    {
-        rows.push((
-            "loop",
-            format!("{cycles} cycles, {late} late, at most {most} µs, {lost} frames lost"),
-        ));
+    if let Some(cycles) = s.cycles {
+        let (late, most, lost) = (s.late_cycles, s.max_lateness_us, s.lost_frames);
+        let text = format!("{cycles} cycles, {late} late, at most {most} µs, {lost} frames lost");
+        rows.push(("loop", text));
     }
     let optional = [
-        ("fault", &s["fault"]),
-        ("lost", &s["lost"]),
-        ("limit", &s["shortfall"]),
-        ("base", &s["base"]),
-        ("world", &s["world"]),
-        ("suspected", &s["suspicion"]),
-        ("alarm", &s["alarm"]),
-        ("running", &s["calibrating"]),
-        ("recording", &s["recording"]["path"]),
-        ("recorded", &s["recording_ended"]),
-        ("log", &s["flight_log"]["problem"]),
-        ("memory", &s["memory"]["error"]),
+        ("fault", &s.fault),
+        ("lost", &s.lost),
+        ("limit", &s.shortfall),
+        ("base", &s.base),
+        ("world", &s.world),
+        ("suspected", &s.suspicion),
+        ("alarm", &s.alarm),
+        ("running", &s.calibrating),
+        ("recording", &s.recording.path),
+        ("recorded", &s.recording_ended),
+        ("log", &s.flight_log.problem),
+        ("memory", &s.memory.error),
     ];
-    let present = optional.iter().filter(|(_, v)| !v.is_null());
-    rows.extend(present.map(|(name, v)| (*name, text(v))));
-    rows.extend(path(&s["path"]).map(|path| ("path", path)));
-    if s["unverified"] == true {
-        let stated = "stated by the operator; no measurement has confirmed it";
-        rows.push(("zero", stated.to_owned()));
-    }
     rows.extend(
-        list(&s["power"])
-            .iter()
-            .map(|trouble| ("power", text(trouble))),
+        optional
+            .into_iter()
+            .filter_map(|(name, text)| Some((name, text.clone()?))),
     );
-    let advice = list(&s["sensor"]["advice"]);
-    rows.extend(advice.iter().map(|advice| ("sensor", text(advice))));
-    let slow = list(&s["remarks"]).into_iter().map(|r| text(&r));
-    rows.extend(slow.filter(|r| r.contains("slow bus")).map(|r| ("note", r)));
-    let granted = |g: &Value| format!("{}: {}", text(&g["what"]), text(&g["grant"]));
-    let requested = list(&s["real_time"]).into_iter();
-    let requested = requested.filter(|g| g["grant"] != "not requested" && g["grant"] != "granted");
-    rows.extend(requested.map(|g| ("real time", granted(&g))));
+    rows.extend(s.path.as_ref().map(|state| ("path", path(state))));
+    let stated = "stated by the operator; no measurement has confirmed it";
+    rows.extend(s.unverified.then(|| ("zero", stated.to_owned())));
+    rows.extend(s.power.iter().map(|trouble| ("power", trouble.clone())));
+    rows.extend(s.advice().map(|advice| ("sensor", advice.to_owned())));
+    let slow = s
+        .remarks
+        .iter()
+        .filter(|remark| remark.contains("slow bus"));
+    rows.extend(slow.map(|remark| ("note", remark.clone())));
+    let denied = |g: &&GrantState| g.grant != "not requested" && g.grant != "granted";
+    let denied = s.real_time.iter().filter(denied);
+    rows.extend(denied.map(|g| ("real time", format!("{}: {}", g.what, g.grant))));
     rows
 }
 
@@ -165,16 +146,14 @@ fn wrapped(text: &str) -> String {
 ///
 /// # Errors
 /// A report with the service's message.
-pub fn subscribe(args: &SubscribeArgs) -> Result<CommandOutcome> {
+pub fn subscribe(args: &SubscribeArgs) -> Result<()> {
     let mut connection = connect(&args.at)?;
-    if ask(&mut connection, &Request::Subscribe { rate_hz: args.rate })?.is_none() {
-        return Ok(NotGoodEnough);
-    }
+    ask(&mut connection, &Request::Subscribe { rate_hz: args.rate })?;
     let mut out = std::io::stdout();
     loop {
         let value = connection.read().map_err(report)?;
         if writeln!(out, "{value}").is_err() {
-            return Ok(Good);
+            return Ok(());
         }
     }
 }

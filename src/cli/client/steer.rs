@@ -5,21 +5,18 @@ mod law;
 
 use super::connection::{At, ask, connect, report, status};
 use super::play::halted;
-use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
-use crate::cli::Unreachable;
-use crate::cli::inputs::within;
-use crate::hardware::rt;
+use crate::cli::inputs::{self, within};
+use crate::cli::{Refused, Unreachable};
 use crate::model::Bend;
 use crate::service::client::Client as Connection;
 use crate::service::protocol::Request;
 use input::{Event, Input};
 use law::{Law, Mode};
-use miette::{IntoDiagnostic, Result};
+use miette::Result;
 use nalgebra::Vector2;
 use std::io::IsTerminal;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 
 /// Period of the set-points, s.
@@ -68,17 +65,14 @@ pub struct SteerArgs {
 ///
 /// # Errors
 /// A report about the input, or with the service's message; a device that is gone counts as unreachable.
-pub fn steer(args: &SteerArgs) -> Result<CommandOutcome> {
+pub fn steer(args: &SteerArgs) -> Result<()> {
     let input = open(args)?;
     let mut steering = Steering::new(args, connect(&args.at)?);
     if let Some(why) = steering.ready()? {
-        eprintln!("refused: steering moves the tip, so it must be armed: {why}");
-        return Ok(NotGoodEnough);
+        let why = format!("steering moves the tip, so it must be armed: {why}");
+        return Err(Refused::report(why));
     }
-    let ended = Arc::new(AtomicBool::new(false));
-    for signal in rt::ending_signals() {
-        signal_hook::flag::register(signal, Arc::clone(&ended)).into_diagnostic()?;
-    }
+    let ended = inputs::ended()?;
     let (mut stick, mut held, mut since_s) = (Vector2::zeros(), false, PERIOD_S);
     let mut heard = Instant::now();
     loop {
@@ -91,10 +85,8 @@ pub fn steer(args: &SteerArgs) -> Result<CommandOutcome> {
                 Event::End => ended.store(true, Relaxed),
                 Event::Gone(why) => {
                     steering.release()?;
-                    return Err(Unreachable::report(
-                        "the joystick",
-                        format!("{why}: holding"),
-                    ));
+                    let why = format!("{why}: holding");
+                    return Err(Unreachable::report("the joystick", why));
                 }
             }
         }
@@ -111,11 +103,11 @@ pub fn steer(args: &SteerArgs) -> Result<CommandOutcome> {
         let over = ended.load(Relaxed);
         if !held || over {
             steering.release()?;
-        } else if !steering.step(&stick, since_s)? {
-            return Ok(NotGoodEnough);
+        } else {
+            steering.step(&stick, since_s)?;
         }
         if over {
-            return Ok(Good);
+            return Ok(());
         }
         since_s = steering.wait();
     }
@@ -126,12 +118,10 @@ fn open(args: &SteerArgs) -> Result<Input> {
         return Input::table(file);
     }
     if let Some(device) = args.device.clone().or_else(input::first_joystick) {
-        eprintln!(
-            "{}: hold {} and move the stick",
-            device.display(),
-            args.button
-                .map_or("any button".to_owned(), |b| format!("button {b}"))
-        );
+        let button = args
+            .button
+            .map_or("any button".to_owned(), |b| format!("button {b}"));
+        eprintln!("{}: hold {button} and move the stick", device.display());
         let silence = Duration::from_secs_f64(args.silence);
         return Input::joystick(&device, args.button, silence);
     }
@@ -182,13 +172,12 @@ impl Steering {
     /// Starts from the present target; says why the tip cannot be steered.
     fn ready(&mut self) -> Result<Option<String>> {
         let s = status(&mut self.connection)?;
-        let degrees = |key: &str| s["target"][key].as_f64().unwrap_or(0.0);
-        self.at = Bend::from_deg(degrees("bend_deg"), degrees("dir_deg")).0;
+        self.at = s.target.unwrap_or_default().bend().0;
         Ok(halted(&s))
     }
 
-    /// One set-point; false if the service no longer moves. A pause of this process or of the service is not made up for.
-    fn step(&mut self, stick: &Vector2<f64>, since_s: f64) -> Result<bool> {
+    /// One set-point. It is an error if the service no longer moves. A pause of this process or of the service is not made up for.
+    fn step(&mut self, stick: &Vector2<f64>, since_s: f64) -> Result<()> {
         let next = self.law.next(&self.at, stick, since_s);
         let bend = Bend(next);
         let (bend_deg, dir_deg) = (bend.beta().to_degrees(), bend.delta().to_degrees());
@@ -202,8 +191,7 @@ impl Steering {
             Ok(_) => (self.at, self.moving) = (next, true),
             Err(f) if f.code == 1 => {
                 if let Some(why) = halted(&status(&mut self.connection)?) {
-                    eprintln!("steering ended: {why}");
-                    return Ok(false);
+                    return Err(Refused(format!("steering ended: {why}")).into());
                 }
                 if self.released.is_none_or(|at| at.elapsed() > BRAKES) {
                     self.warn(Some(f.message));
@@ -212,10 +200,10 @@ impl Steering {
             Err(f) => return Err(report(f)),
         }
         if self.cycles.is_multiple_of(STATUS_EVERY) && self.moving {
-            let s = status(&mut self.connection)?;
-            self.warn(s["shortfall"].as_str().map(str::to_owned));
+            let shortfall = status(&mut self.connection)?.shortfall;
+            self.warn(shortfall);
         }
-        Ok(true)
+        Ok(())
     }
 
     /// The tip holds where it is.

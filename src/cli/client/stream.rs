@@ -1,12 +1,13 @@
 //! `stream`: set-points from standard input, `BEND DIR` or `BEND DIR T` per line.
 
 use super::args::{BEND_DEG, DIR_DEG};
-use super::connection::{At, answered, connect, status};
+use super::connection::{At, connect, report, status};
 use super::follow::settle;
-use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
+use crate::cli::Refused;
 use crate::cli::inputs::within;
 use crate::model::Bend;
 use crate::service::protocol::{Failure, Request};
+use crate::supervisor::Mode;
 use miette::{Result, miette};
 use std::io::{BufRead, Read};
 use std::time::{Duration, Instant};
@@ -28,7 +29,7 @@ type SetPoint = (f64, f64, Option<f64>);
 ///
 /// # Errors
 /// A report that names the line, or with the service's message.
-pub fn stream(at: &At) -> Result<CommandOutcome> {
+pub fn stream(at: &At) -> Result<bool> {
     let mut connection = connect(at)?;
     let (mut began, mut last) = (None, None);
     let mut sleep_until = |t_s: f64, ahead_s: f64| {
@@ -46,38 +47,31 @@ pub fn stream(at: &At) -> Result<CommandOutcome> {
             set_point(&line, last).map_err(|why| miette!("{place}: {why}"))?;
         t_s.into_iter()
             .for_each(|t_s| sleep_until(t_s, SENT_AHEAD_S));
-        let answer = connection.request(&Request::Stream {
+        let length_mm = None;
+        let request = Request::Stream {
             bend_deg,
             dir_deg,
-            length_mm: None,
+            length_mm,
             t_s,
+        };
+        let answer = connection.request(&request).map_err(|f| {
+            let message = format!("{place}: {}", f.message);
+            Failure { message, ..f }
         });
-        if answered(answer.map_err(|f| Failure {
-            message: format!("{place}: {}", f.message),
-            ..f
-        }))?
-        .is_none()
-        {
-            return Ok(NotGoodEnough);
-        }
+        answer.map_err(report)?;
         last = Some((bend_deg, dir_deg, t_s));
     }
     let Some((bend_deg, dir_deg, t_s)) = last else {
-        return Ok(Good);
+        return Ok(true);
     };
     t_s.into_iter()
         .for_each(|t_s| sleep_until(t_s, END_AHEAD_S));
-    if status(&mut connection)?["mode"] != "tracking" {
-        eprintln!(
-            "the tip stopped before the end of the stream: by another command, or because of a pause longer than `service.dead_man_s`"
-        );
-        return Ok(NotGoodEnough);
+    if status(&mut connection)?.mode != Some(Mode::Tracking) {
+        let why = "the tip stopped before the end of the stream: by another command, or because of a pause longer than `service.dead_man_s`";
+        return Err(Refused(why.to_owned()).into());
     }
-    settle(
-        &mut connection,
-        &Request::bend(bend_deg, dir_deg, None),
-        Bend::from_deg(bend_deg, dir_deg),
-    )
+    let request = Request::bend(bend_deg, dir_deg, None);
+    settle(&mut connection, &request, Bend::from_deg(bend_deg, dir_deg))
 }
 
 /// The next line, which is no longer than a set-point can be.

@@ -2,7 +2,7 @@
 
 use crate::cli::calibrate::today;
 use crate::cli::gap::input;
-use crate::cli::{CommandOutcome, output};
+use crate::cli::output::{self, ResultFile};
 use crate::config::{Calibration, DynamicsSection, TransmissionSection};
 use crate::diagnosis::remedy::Remedy;
 use crate::diagnosis::saved::SavedModel;
@@ -24,7 +24,7 @@ pub struct Args {
     model: PathBuf,
     /// Calibration file to write; without it, the command only says what it would hold.
     #[arg(long, value_name = "OUT.toml")]
-    calib: Option<PathBuf>,
+    calib: Option<ResultFile>,
 }
 
 /// Where an effect goes.
@@ -39,8 +39,7 @@ enum Place {
 ///
 /// # Errors
 /// A report that names the faulty input.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
-    output::check(&[("--calib", args.calib.as_deref())], &[&args.model])?;
+pub fn run(args: &Args) -> Result<()> {
     let model = input::saved(&args.model)?;
     let forecast = model
         .forecast
@@ -54,12 +53,14 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         }
     }
     if let Some(path) = &args.calib {
-        let text =
-            toml::to_string_pretty(&calibration(&model, &args.model, path)?).into_diagnostic()?;
-        output::write(path, &text)?;
+        let calibration = calibration(&model, &args.model, path)?;
+        output::write(
+            path,
+            toml::to_string_pretty(&calibration).into_diagnostic()?,
+        )?;
     }
-    output::show(&(said(&model, &effects, args) + "\n"), None);
-    Ok(CommandOutcome::Good)
+    output::print(said(&model, &effects, args) + "\n");
+    Ok(())
 }
 
 /// What becomes of the gains and of each effect, after a sentence that says what the verdict asks for.
@@ -74,11 +75,8 @@ fn said(model: &SavedModel, effects: &[Box<dyn Effect>], args: &Args) -> String 
     } else {
         format!("The verdict asks for this: {}.", verdict.join("; "))
     }];
-    out.extend(
-        args.calib
-            .as_ref()
-            .map(|p| format!("written to {}", p.display())),
-    );
+    let calib = args.calib.as_deref();
+    out.extend(calib.map(|path| format!("written to {}", path.display())));
     out.push(format!(
         "calibration: k_epsilon and k_lambda as re-identified on {}",
         model.source

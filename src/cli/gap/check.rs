@@ -1,7 +1,7 @@
 //! `retroflex gap check`: a saved model on a fresh log.
 
 use crate::cli::gap::input;
-use crate::cli::{CommandOutcome, output};
+use crate::cli::output::{self, ResultFile};
 use crate::diagnosis::check::{Checked, Judgement, check};
 use crate::model::effects::catalogue;
 use miette::Result;
@@ -14,28 +14,23 @@ pub struct Args {
     model: PathBuf,
     /// Fresh bend log of the same unit.
     log: PathBuf,
-    /// Board file of the machine; default: the machine of the paper.
-    #[arg(long, value_name = "FILE.toml")]
-    board: Option<PathBuf>,
+    #[command(flatten)]
+    machine: input::MachineArgs,
     /// Write the result as JSON.
     #[arg(long)]
-    json: Option<PathBuf>,
+    json: Option<ResultFile>,
 }
 
 /// Checks and writes.
 ///
 /// # Errors
 /// A report that names the faulty input.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let mut inputs = vec![args.model.as_path(), args.log.as_path()];
-    inputs.extend(args.board.as_deref());
-    output::check(&[("--json", args.json.as_deref())], &inputs)?;
+pub fn run(args: &Args) -> Result<bool> {
     let model = input::saved(&args.model)?;
-    let log = input::observe(&args.log, &input::rig(args.board.as_deref())?)?;
+    let log = input::observe(&args.log, &args.machine.rig()?)?;
     let checked = check(&model, &log, &catalogue());
-    output::json(args.json.as_deref(), &checked)?;
-    output::show(&said(&checked), args.json.as_deref());
-    Ok((checked.judgement == Judgement::ThisMachine).into())
+    output::answer(&args.json, &checked, said(&checked))?;
+    Ok(checked.judgement == Judgement::ThisMachine)
 }
 
 /// The judgement in one sentence, then the figures.

@@ -1,21 +1,20 @@
 //! `retroflex gap compare`: the user's own simulator beside a log.
 
 use crate::cli::gap::input;
-use crate::cli::{CommandOutcome, inputs, logging, output};
+use crate::cli::output::ResultFile;
+use crate::cli::{inputs, logging, output};
 use crate::diagnosis::chain::Motion;
-use crate::diagnosis::diagnose::{diagnose, goes_with};
-use crate::diagnosis::document::{DependenceEntry, Diagnosis};
-use crate::diagnosis::holdout::CLAIM_DEG;
+use crate::diagnosis::diagnose::diagnose;
 use crate::diagnosis::observe::Observed;
 use crate::experiment::compare::{Compared, Knob, compare, drive};
 use crate::experiment::rig::RigError;
 use crate::log::columns::{self, Column};
 use crate::model::effects::catalogue;
+use crate::report::gap::compare::{document, said};
 use crate::simulation::link::Link;
 use crate::simulation::world::World as _;
 use miette::{IntoDiagnostic, Result};
-use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Arguments of `gap compare`.
 #[derive(Debug, clap::Args)]
@@ -28,18 +27,14 @@ pub struct Args {
     /// Parameter of the program to be fitted, and its range; the program is started with `--param NAME=VALUE`. May be repeated.
     #[arg(long, value_name = "NAME=LOW:HIGH", value_parser = knob)]
     fit: Vec<Knob>,
-    /// Board file of the machine; default: the machine of the paper.
-    #[arg(long, value_name = "FILE.toml")]
-    board: Option<PathBuf>,
-    /// Calibration the log was driven with.
-    #[arg(long)]
-    calib: Option<PathBuf>,
+    #[command(flatten)]
+    driven: input::DrivenArgs,
     /// Write the result as JSON.
     #[arg(long)]
-    json: Option<PathBuf>,
+    json: Option<ResultFile>,
     /// Write what the simulator leaves of each sensor.
     #[arg(long, value_name = "FILE.parquet")]
-    residuals: Option<PathBuf>,
+    residuals: Option<ResultFile>,
     /// Seed of the block bootstrap of the diagnosis.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -61,67 +56,20 @@ fn knob(text: &str) -> std::result::Result<Knob, String> {
     parsed().ok_or("expected NAME=LOW:HIGH with LOW below HIGH, for example stiffness=0.5:2".into())
 }
 
-#[derive(Serialize)]
-struct Document {
-    schema: u32,
-    plant: PlantEntry,
-    nominal_deg: f64,
-    diagnosed_deg: f64,
-    noise_floor_deg: f64,
-    goes_with: Vec<DependenceEntry>,
-    params: Vec<ParamEntry>,
-}
-
-#[derive(Serialize)]
-struct PlantEntry {
-    name: String,
-    rmse_deg: f64,
-    kinds: Vec<KindEntry>,
-}
-
-#[derive(Serialize)]
-struct KindEntry {
-    name: &'static str,
-    rmse_deg: f64,
-    nominal_deg: f64,
-    diagnosed_deg: f64,
-}
-
-#[derive(Serialize)]
-struct ParamEntry {
-    name: String,
-    value: f64,
-    ci95: [f64; 2],
-    /// The interval is the whole range.
-    #[serde(skip)]
-    untold: bool,
-}
-
 /// Compares and writes.
 ///
 /// # Errors
 /// A report that names the faulty input, or says what the program did.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let results = [
-        ("--json", args.json.as_deref()),
-        ("--residuals", args.residuals.as_deref()),
-    ];
-    let mut read = vec![args.log.as_path()];
-    read.extend(args.board.as_deref());
-    read.extend(args.calib.as_deref());
-    output::check(&results, &read)?;
-    let lines = inputs::calibration(args.calib.as_deref())?.lines();
-    let log = input::observe(&args.log, &input::rig(args.board.as_deref())?)?;
+pub fn run(args: &Args) -> Result<bool> {
+    let lines = args.driven.lines()?;
+    let log = input::observe(&args.log, &args.driven.machine.rig()?)?;
     let (name, compared) = simulated(args, &log)?;
     let diagnosis = diagnose(&log, &catalogue(), &lines, args.seed).document;
-    let document = document(args, &log, name, &compared, &diagnosis);
-    if let Some(path) = &args.residuals {
-        write_residuals(path, &log, &compared)?;
-    }
-    output::json(args.json.as_deref(), &document)?;
+    let document = document(&args.fit, &log, name, &compared, &diagnosis);
+    output::write_some(&args.residuals, || residuals(&log, &compared))?;
     let (text, good) = said(&document);
-    output::show(&text, args.json.as_deref());
-    Ok(good.into())
+    output::answer(&args.json, &document, text)?;
+    Ok(good)
 }
 
 /// Name of the simulator, and what it leaves of the log.
@@ -145,97 +93,11 @@ fn simulated(args: &Args, log: &Observed) -> Result<(String, Compared)> {
         motion
     };
     let compared = compare(log, &args.fit, run).into_diagnostic()?;
-    bar.finish_and_clear();
     Ok((name, compared))
 }
 
-fn document(
-    args: &Args,
-    log: &Observed,
-    name: String,
-    compared: &Compared,
-    diagnosis: &Diagnosis,
-) -> Document {
-    let kinds = log.quantities().map(|q| {
-        let known = diagnosis.location.kinds.iter().find(|k| k.name == q.name());
-        KindEntry {
-            name: q.name(),
-            rmse_deg: compared.held_out.rmse_deg[q],
-            nominal_deg: known.map_or(0.0, |k| k.rmse_deg),
-            diagnosed_deg: known.map_or(0.0, |k| k.explained_deg),
-        }
-    });
-    let param = |(knob, (value, ci95)): (&Knob, &(f64, [f64; 2]))| ParamEntry {
-        name: knob.name.clone(),
-        value: *value,
-        ci95: *ci95,
-        untold: *ci95 == [knob.low, knob.high],
-    };
-    Document {
-        schema: 1,
-        plant: PlantEntry {
-            name,
-            rmse_deg: log.rms_deg(compared.held_out.energy()),
-            kinds: kinds.collect(),
-        },
-        nominal_deg: diagnosis.gap.recalibrated_deg,
-        diagnosed_deg: diagnosis.gap.explained_deg,
-        noise_floor_deg: diagnosis.gap.noise_floor_deg,
-        goes_with: goes_with(log, &compared.held_out),
-        params: args.fit.iter().zip(&compared.params).map(param).collect(),
-    }
-}
-
-/// The answer, and whether it is better than no simulator.
-fn said(d: &Document) -> (String, bool) {
-    let (left, floor) = (d.plant.rmse_deg, d.noise_floor_deg);
-    let within = |k: &KindEntry| k.rmse_deg - k.diagnosed_deg < CLAIM_DEG;
-    let fits = left - floor < CLAIM_DEG && d.plant.kinds.iter().all(within);
-    let sentence = match (fits, left < d.nominal_deg) {
-        (true, _) => "The simulator fits the log",
-        (_, true) => "The simulator is nearer to the log than the nominal model, but not all of it",
-        _ => "The simulator does not fit the log, the nominal model is nearer",
-    };
-    let mut text = format!(
-        "{sentence}: it leaves {left:.2}°, the nominal model {:.2}°, the diagnosed one {:.2}°; noise alone is {floor:.2}°.\n",
-        d.nominal_deg, d.diagnosed_deg
-    );
-    for p in &d.params {
-        let [low, high] = p.ci95;
-        let told = match p.untold {
-            true => ": it changes nothing here; is its name right?",
-            false => "",
-        };
-        text += &format!(
-            "{} = {:.4}, 95 %: {low:.4} to {high:.4}{told}\n",
-            p.name, p.value
-        );
-    }
-    if !fits {
-        for d in &d.goes_with {
-            let part = d.share * 100.0;
-            text += &format!(
-                "What remains goes with the {}, which predicts {part:.0} % of it in one sensor.\n",
-                d.name
-            );
-        }
-    }
-    let row = |k: &KindEntry| {
-        let unit = if k.name == "gyroscope" { "°/s" } else { "°" };
-        let [a, b, c] =
-            [k.rmse_deg, k.nominal_deg, k.diagnosed_deg].map(|x| format!("{x:.2}{unit}"));
-        [k.name.to_owned(), a, b, c]
-    };
-    let header = ["left-out RMSE", "simulator", "nominal", "diagnosed"];
-    text += &format!(
-        "{}\n",
-        output::table(&header, 1..4, d.plant.kinds.iter().map(row))
-    );
-    (text, fits || left < d.nominal_deg)
-}
-
 /// A row for each bin: time, counted pistons and, of each sensor, what the simulator leaves, degrees (°/s for the gyroscope).
-fn write_residuals(path: &Path, log: &Observed, compared: &Compared) -> Result<()> {
+fn residuals(log: &Observed, compared: &Compared) -> Result<Vec<u8>> {
     let of =
         |value: &dyn Fn(usize) -> f64| Column::Numbers((0..log.bins.len()).map(value).collect());
     let mut table = vec![("time_s".to_owned(), of(&|k| log.bins[k].t_s))];
@@ -244,11 +106,7 @@ fn write_residuals(path: &Path, log: &Observed, compared: &Compared) -> Result<(
         table.push((format!("piston{}_mm", i + 1), of(&piston)));
     }
     for q in log.quantities() {
-        let unit = if q.name() == "gyroscope" {
-            "deg_s"
-        } else {
-            "deg"
-        };
+        let unit = ["deg", "deg_s"][usize::from(q.name() == "gyroscope")];
         for (i, axis) in ["x", "y", "z"].into_iter().enumerate() {
             let value = |k: usize| match log.bins[k].weight[q] > 0.0 {
                 true => compared.held_out.residual[q][k][i].to_degrees(),
@@ -257,5 +115,5 @@ fn write_residuals(path: &Path, log: &Observed, compared: &Compared) -> Result<(
             table.push((format!("{}_{axis}_{unit}", q.name()), of(&value)));
         }
     }
-    output::write(path, columns::write(&table, &[]).into_diagnostic()?)
+    columns::write(&table, &[]).into_diagnostic()
 }

@@ -1,22 +1,22 @@
 //! `retroflex gap exam`: tests the diagnosis on logs of the built-in plant.
 
-use crate::cli::{CommandOutcome, output};
+use crate::cli::output::{self, ResultFile};
 use crate::diagnosis::decide::VerdictKind;
 use crate::diagnosis::document::Diagnosis;
 use crate::diagnosis::exam::question::{Question, questions};
 use crate::diagnosis::exam::run::{Answer, run as answer_all};
-use crate::diagnosis::exam::score::{Count, ExamScore, Method, ReliabilityBin, Row, score};
+use crate::diagnosis::exam::score::{ExamScore, score};
 use crate::model::effects::catalogue;
+use crate::report::exam::summary;
 use miette::{IntoDiagnostic, Result};
 use serde::Serialize;
-use std::path::PathBuf;
 
 /// Arguments of `gap exam`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Write the score and every answer as JSON.
     #[arg(long)]
-    json: Option<PathBuf>,
+    json: Option<ResultFile>,
     /// Seed of units, schedules, effects and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -54,8 +54,7 @@ struct Document<'a> {
 ///
 /// # Errors
 /// A report if a file cannot be written.
-pub fn run(args: &Args) -> Result<CommandOutcome> {
-    output::check(&[("--json", args.json.as_deref())], &[])?;
+pub fn run(args: &Args) -> Result<()> {
     let asked: Vec<Question> = questions(args.seed, args.rounds.max(1))
         .into_iter()
         .step_by(args.every.max(1))
@@ -66,15 +65,16 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         answer_all(&asked, Question::draw, &catalogue(), || bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
     let score = score(args.seed, &asked, &answers);
-    output::show(&(summary(&score) + "\n"), args.json.as_deref());
-    output::json(
-        args.json.as_deref(),
+    let text = summary(&score) + "\n";
+    let logs = asked.iter().zip(&answers).map(line).collect();
+    output::answer(
+        &args.json,
         &Document {
             score: &score,
-            logs: asked.iter().zip(&answers).map(line).collect(),
+            logs,
         },
-    )?;
-    Ok(CommandOutcome::Good)
+        text,
+    )
 }
 
 fn line<'a>((q, a): (&'a Question, &'a Answer)) -> Line<'a> {
@@ -90,126 +90,4 @@ fn line<'a>((q, a): (&'a Question, &'a Answer)) -> Line<'a> {
         nearest: &a.others[2],
         diagnosis: &a.diagnosis,
     }
-}
-
-fn share(c: &Count) -> String {
-    if c.of == 0 {
-        "–".to_owned()
-    } else {
-        format!("{:.0} % of {}", c.share() * 100.0, c.of)
-    }
-}
-
-/// The score for people.
-pub fn summary(s: &ExamScore) -> String {
-    format!(
-        "{}\n{}\ncalibration error: effects {:.3}, unknown {:.3}; a 95 % set has {:.1} statements\n{}\nanswers that differ from the truth:\n{}",
-        own(s),
-        reliability(s),
-        s.effects.error,
-        s.unknown.error,
-        s.conformal_size,
-        comparison(s),
-        mistakes(s).join("\n")
-    )
-}
-
-/// Table of the diagnosis alone.
-fn own(s: &ExamScore) -> comfy_table::Table {
-    let row = |name: &str, r: &Row| [name.to_owned(), share(&r.lab), share(&r.field)];
-    let percent = |x: f64| format!("{:.0} %", x * 100.0);
-    let rows = [
-        row("single effect named", &s.diagnosis.single),
-        row("stage with the largest share", &s.stage),
-        row("both of two named, nothing else", &s.diagnosis.pair),
-        row("three of three named, nothing else", &s.diagnosis.triple),
-        row("effect-free logs with a claim", &s.diagnosis.alarm),
-        row("outside the catalogue: unknown", &s.outside),
-        row("of them, not too small to be claimed", &s.outside_visible),
-        row("removed from the catalogue: unknown", &s.left_out),
-        row("95 % sets of statements that hold", &s.conformal),
-        row("stated intervals that hold", &s.coverage),
-        [
-            "known effects called unknown".to_owned(),
-            share(&s.known_called_unknown),
-            String::new(),
-        ],
-        [
-            "logs with a group of equivalent effects".to_owned(),
-            share(&s.grouped),
-            String::new(),
-        ],
-        [
-            "gap closed on a fresh log, median".to_owned(),
-            percent(s.fresh_closed[0]),
-            percent(s.fresh_closed[1]),
-        ],
-    ];
-    output::table(&["", "lab", "field"], 1..3, rows)
-}
-
-/// Table of stated probabilities and frequencies.
-fn reliability(s: &ExamScore) -> comfy_table::Table {
-    let row = |what: &str, b: &ReliabilityBin| {
-        let [low, high] = b.ci95;
-        [
-            what.to_owned(),
-            format!("{:.2}", b.stated),
-            share(&b.count),
-            format!("{:.0} to {:.0} %", low * 100.0, high * 100.0),
-        ]
-    };
-    let effects = s.effects.bins.iter().map(|b| row("an effect", b));
-    let rows: Vec<[String; 4]> = effects
-        .chain(s.unknown.bins.iter().map(|b| row("unknown", b)))
-        .collect();
-    output::table(&["statement", "stated", "true", "95 %"], 1..4, rows)
-}
-
-/// Table of the diagnosis beside the other methods.
-fn comparison(s: &ExamScore) -> comfy_table::Table {
-    let row = |(name, m): (&str, &Method)| {
-        let alarms = Count {
-            right: m.alarm.lab.right + m.alarm.field.right,
-            of: m.alarm.lab.of + m.alarm.field.of,
-        };
-        [
-            name.to_owned(),
-            share(&m.single.lab),
-            share(&m.single.field),
-            share(&m.pair.lab),
-            share(&m.pair.field),
-            share(&alarms),
-            format!("{:.2}", m.macro_f1),
-        ]
-    };
-    let methods = [
-        ("diagnosis", &s.diagnosis),
-        ("in-sample BIC", &s.bic),
-        ("sparse regression", &s.sparse),
-        ("nearest signature", &s.nearest),
-    ];
-    let header = [
-        "method",
-        "single lab",
-        "single field",
-        "pair lab",
-        "pair field",
-        "false alarms",
-        "macro F1",
-    ];
-    output::table(&header, 1..7, methods.map(row))
-}
-
-fn mistakes(s: &ExamScore) -> Vec<String> {
-    let wrong = |truth: &str, answer: &str| {
-        answer != truth && !(answer == "unknown" && truth.starts_with("unknown"))
-    };
-    let all = s
-        .confusion
-        .iter()
-        .flat_map(|(truth, answers)| answers.iter().map(move |(answer, n)| (truth, answer, n)));
-    all.filter(|(truth, answer, _)| wrong(truth, answer))
-        .map(|(truth, answer, n)| format!("  {truth} → {answer} ({n})"))
-        .collect()
 }

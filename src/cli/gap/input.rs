@@ -6,9 +6,49 @@ use crate::diagnosis::observe::Observed;
 use crate::diagnosis::rig::Rig;
 use crate::diagnosis::saved::SavedModel;
 use crate::log::{bend_log, plausibility};
+use crate::model::Line;
 use crate::model::effects::catalogue;
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::{Path, PathBuf};
+
+/// The machine that a log was recorded on.
+#[derive(Debug, clap::Args)]
+pub struct MachineArgs {
+    /// Board file of the machine; default: the machine of the paper.
+    #[arg(long, value_name = "FILE.toml")]
+    board: Option<PathBuf>,
+}
+
+impl MachineArgs {
+    /// [`rig`] of the board file.
+    ///
+    /// # Errors
+    /// As for [`rig`].
+    pub fn rig(&self) -> Result<Rig> {
+        rig(self.board.as_deref())
+    }
+}
+
+/// A machine, and what it was driven with while a log was recorded.
+#[derive(Debug, clap::Args)]
+pub struct DrivenArgs {
+    /// The machine.
+    #[command(flatten)]
+    pub machine: MachineArgs,
+    /// Calibration the log was driven with.
+    #[arg(long)]
+    calib: Option<PathBuf>,
+}
+
+impl DrivenArgs {
+    /// The gains of the calibration.
+    ///
+    /// # Errors
+    /// A report that names file and key.
+    pub fn lines(&self) -> Result<[Line; 3]> {
+        inputs::calibration(self.calib.as_deref()).map(|calibration| calibration.lines())
+    }
+}
 
 /// The machine of a board file; by default the paper twin. A board file has no gains, so the priors are the paper's.
 ///
@@ -35,11 +75,8 @@ pub fn observe(path: &Path, rig: &Rig) -> Result<Observed> {
     plausibility::check(&log, &rig.geometry, &[rig.prior; 3]).into_diagnostic()?;
     let observed = Observed::new(&log, rig).map_err(|e| miette!("{}: {e}", path.display()))?;
     if !log.ignored.is_empty() {
-        eprintln!(
-            "warning: {}: unknown columns ignored: {}",
-            path.display(),
-            log.ignored.join(", ")
-        );
+        let (file, columns) = (path.display(), log.ignored.join(", "));
+        eprintln!("warning: {file}: unknown columns ignored: {columns}");
     }
     Ok(observed)
 }
@@ -52,10 +89,7 @@ pub fn observe_together(paths: &[PathBuf], rig: &Rig) -> Result<Observed> {
     let mut all: Option<Observed> = None;
     for (n, path) in paths.iter().enumerate() {
         if paths[..n].contains(path) {
-            return Err(miette!(
-                "{}: given twice; a log counts once",
-                path.display()
-            ));
+            bail!("{}: given twice; a log counts once", path.display());
         }
         let next = observe(path, rig)?;
         match &mut all {
@@ -64,6 +98,12 @@ pub fn observe_together(paths: &[PathBuf], rig: &Rig) -> Result<Observed> {
         }
     }
     all.ok_or_else(|| miette!("no log is given"))
+}
+
+/// The name of a file without its folder.
+pub fn file_name(path: &PathBuf) -> String {
+    let name = path.file_name().unwrap_or_default();
+    name.to_string_lossy().into_owned()
 }
 
 /// Reads a saved model and checks its names against the catalogue.

@@ -4,7 +4,7 @@
 //! logs without a row are diagnosed.
 
 use crate::cli::gap::input;
-use crate::cli::{CommandOutcome, output};
+use crate::cli::output::{self, ResultFile};
 use crate::diagnosis::diagnose::diagnose;
 use crate::diagnosis::fleet::row::{self, Row};
 use crate::diagnosis::rig::Rig;
@@ -18,9 +18,9 @@ use rayon::ThreadPoolBuilder;
 use serde::Deserialize;
 use std::collections::HashMap;
 use std::fs::{self, File, OpenOptions};
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::{Mutex, PoisonError};
 use std::thread;
 
 /// A part of many logs: `K/N`, the K-th of N. The path of a log in its folder alone decides to which part it belongs.
@@ -52,7 +52,7 @@ pub struct RowsArgs {
     /// Diagnose each log alone, and every log in a LOG that is a folder, and write a row of each as a Parquet table. Rows that
     /// the table has already are kept, also after a kill.
     #[arg(long, value_name = "ROWS.parquet", conflicts_with_all = ["map", "json", "html", "save"])]
-    pub rows: Option<PathBuf>,
+    pub rows: Option<ResultFile>,
     /// With --rows: diagnose only the K-th of N parts of the logs.
     #[arg(long, value_name = "K/N", requires = "rows")]
     shard: Option<Shard>,
@@ -86,20 +86,7 @@ struct Unit {
 ///
 /// # Errors
 /// A report that names the faulty file. A log that cannot be diagnosed has a row that says why.
-pub fn run(
-    logs: &[PathBuf],
-    settings: &Settings,
-    args: &RowsArgs,
-    table: &Path,
-) -> Result<CommandOutcome> {
-    output::check(
-        &[("--rows", Some(table))],
-        &logs
-            .iter()
-            .chain(&args.units)
-            .map(PathBuf::as_path)
-            .collect::<Vec<_>>(),
-    )?;
+pub fn run(logs: &[PathBuf], settings: &Settings, args: &RowsArgs, table: &Path) -> Result<()> {
     let text = format!(
         "{} {:?} {:?} {}",
         env!("CARGO_PKG_VERSION"),
@@ -125,10 +112,8 @@ pub fn run(
     let new = open.len();
     diagnose_all(settings, open, &journal)?;
     let rows: Vec<Row> = tasks.into_iter().map(|task| task.row).collect();
-    output::write(
-        table,
-        columns::write(&row::table(&rows), &[]).into_diagnostic()?,
-    )?;
+    let content = columns::write(&row::table(&rows), &[]).into_diagnostic()?;
+    output::write(table, content)?;
     // the table holds all that it holds
     let _ = fs::remove_file(&journal);
     let refused = rows.iter().filter(|row| !row.refused.is_empty()).count();
@@ -137,45 +122,31 @@ pub fn run(
         table.display(),
         rows.len()
     );
-    Ok(CommandOutcome::Good)
+    Ok(())
 }
 
 /// The logs, in the order of their names, with what is known of their units.
 fn tasks(logs: &[PathBuf], args: &RowsArgs) -> Result<Vec<Task>> {
     let mut tasks = Vec::new();
     for path in logs {
-        let folder = if path.is_dir() {
-            path
-        } else {
-            path.parent().unwrap_or(path)
-        };
-        collect(path, folder, &mut tasks)?;
+        let parent = path.parent().filter(|_| !path.is_dir());
+        collect(path, parent.unwrap_or(path), &mut tasks)?;
     }
     tasks.sort_by(|a, b| a.row.log.cmp(&b.row.log));
-    if let Some([a, b]) = tasks
-        .windows(2)
-        .find(|two| two[0].row.log == two[1].row.log)
-    {
-        bail!(
-            "{:?} and {:?} have the same name; give the folder that holds both",
-            a.path,
-            b.path
-        );
+    let mut pairs = tasks.windows(2);
+    if let Some([a, b]) = pairs.find(|two| two[0].row.log == two[1].row.log) {
+        let (a, b) = (&a.path, &b.path);
+        bail!("{a:?} and {b:?} have the same name; give the folder that holds both");
     }
     if let Some(units) = &args.units {
         let file = units.display();
         let mut reader = csv::Reader::from_path(units).map_err(|e| miette!("{file}: {e}"))?;
         for record in reader.deserialize() {
-            let Unit {
-                log,
-                unit,
-                lot,
-                date,
-            } = record.map_err(|e| miette!("{file}: {e}"))?;
-            let task = tasks.binary_search_by(|task| task.row.log.cmp(&log));
-            let row =
-                &mut tasks[task.map_err(|_| miette!("{file}: {log}: there is no such log"))?].row;
-            (row.unit, row.lot, row.date) = (unit, lot, date);
+            let known: Unit = record.map_err(|e| miette!("{file}: {e}"))?;
+            let Some(task) = tasks.iter_mut().find(|task| task.row.log == known.log) else {
+                bail!("{file}: {}: there is no such log", known.log);
+            };
+            (task.row.unit, task.row.lot, task.row.date) = (known.unit, known.lot, known.date);
         }
     }
     if let Some(Shard(k, n)) = args.shard {
@@ -202,44 +173,33 @@ fn collect(path: &Path, folder: &Path, into: &mut Vec<Task>) -> Result<()> {
         }
         return Ok(());
     }
-    let log = path
-        .strip_prefix(folder)
-        .unwrap_or(path)
-        .to_string_lossy()
-        .into_owned();
-    if let Some(unit) = log
-        .strip_suffix(".csv.gz")
-        .or_else(|| log.strip_suffix(".csv"))
-    {
+    let log = path.strip_prefix(folder).unwrap_or(path).to_string_lossy();
+    let plain = log.strip_suffix(".gz").unwrap_or(&log);
+    if let Some(unit) = plain.strip_suffix(".csv") {
         let (lot, unit) = unit.rsplit_once('/').unwrap_or(("", unit));
+        let [unit, lot, log] = [unit, lot, &log].map(str::to_owned);
         let row = Row {
-            unit: unit.to_owned(),
-            lot: lot.to_owned(),
-            log: log.clone(),
+            unit,
+            lot,
+            log,
             ..Row::default()
         };
-        into.push(Task {
-            path: path.to_owned(),
-            row,
-        });
+        let path = path.to_owned();
+        into.push(Task { path, row });
     }
     Ok(())
 }
 
 /// Rows of an earlier run, by log: those of its table, and those of its journal if it did not end.
 fn known(table: &Path, journal: &Path) -> Result<HashMap<String, Row>> {
-    let mut rows = if table.is_file() {
-        read(table)?
-    } else {
-        Vec::new()
-    };
-    let lines = fs::read(journal).unwrap_or_default();
+    let mut rows = Vec::new();
+    if table.is_file() {
+        rows = read(table)?;
+    }
+    let text = fs::read(journal).unwrap_or_default();
+    let lines = text.split(|b| *b == b'\n');
     // a row that was being written as the run ended is no row
-    rows.extend(
-        lines
-            .split(|b| *b == b'\n')
-            .filter_map(|line| serde_json::from_slice::<Row>(line).ok()),
-    );
+    rows.extend(lines.filter_map(|line| serde_json::from_slice::<Row>(line).ok()));
     Ok(rows.into_iter().map(|row| (row.log.clone(), row)).collect())
 }
 
@@ -253,17 +213,17 @@ pub fn read(table: &Path) -> Result<Vec<Row>> {
     let open = File::open(table).map_err(|e| miette!("{file}: {}", why_unreadable(table, &e)))?;
     let columns = columns::read(open).map_err(|e| other(&e.to_string()))?;
     let rows = row::rows(&columns).map_err(|e| other(&e.to_string()))?;
-    if rows.iter().any(|row| row.log.is_empty()) {
-        Err(other("it has no column `log`"))
-    } else {
-        Ok(rows)
+    match rows.iter().any(|row| row.log.is_empty()) {
+        true => Err(other("it has no column `log`")),
+        false => Ok(rows),
     }
 }
 
 /// Fills in the rows, one log a core at a time.
 fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Result<()> {
-    let failed = |e: std::io::Error| miette!("{}: {e}", journal.display());
-    let mut file = OpenOptions::new()
+    let failed = |e: io::Error| miette!("{}: {e}", journal.display());
+    let mut options = OpenOptions::new();
+    let mut file = options
         .create(true)
         .append(true)
         .open(journal)
@@ -272,13 +232,12 @@ fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Re
     file.write_all(b"\n").map_err(failed)?;
     let bar = output::bar(open.len() as u64, "{pos} of {len} logs, {eta} left,");
     let open = Mutex::new(open.into_iter());
-    let work = || -> std::io::Result<()> {
+    let next = || open.lock().unwrap_or_else(PoisonError::into_inner).next();
+    let work = || -> io::Result<()> {
         // cores share logs out, not the parts of one log: that scales better and holds few logs in memory
-        let pool = ThreadPoolBuilder::new()
-            .num_threads(1)
-            .build()
-            .map_err(std::io::Error::other)?;
-        while let Some(task) = next(&open) {
+        let pool = ThreadPoolBuilder::new().num_threads(1).build();
+        let pool = pool.map_err(io::Error::other)?;
+        while let Some(task) = next() {
             pool.install(|| diagnose_one(settings, task));
             let line = serde_json::to_string(&task.row)? + "\n";
             // one call appends one row
@@ -288,45 +247,27 @@ fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Re
         }
         Ok(())
     };
-    let results: Vec<_> = thread::scope(|scope| {
-        let workers: Vec<_> = (0..rayon::current_num_threads())
-            .map(|_| scope.spawn(work))
-            .collect();
-        workers
+    let done = thread::scope(|scope| {
+        let cores = 0..rayon::current_num_threads();
+        let workers: Vec<_> = cores.map(|_| scope.spawn(work)).collect();
+        let defect = |_| Err(io::Error::other("a diagnosis failed"));
+        let ends = workers.into_iter().map(|w| w.join().unwrap_or_else(defect));
+        // all end before the first error counts
+        ends.collect::<Vec<_>>()
             .into_iter()
-            .map(|w| {
-                w.join()
-                    .unwrap_or_else(|_| Err(std::io::Error::other("a diagnosis failed")))
-            })
-            .collect()
+            .collect::<io::Result<()>>()
     });
-    bar.finish_and_clear();
-    results
-        .into_iter()
-        .collect::<std::io::Result<Vec<()>>>()
-        .map_err(failed)?;
-    Ok(())
-}
-
-fn next<'a>(open: &Mutex<std::vec::IntoIter<&'a mut Task>>) -> Option<&'a mut Task> {
-    open.lock()
-        .unwrap_or_else(std::sync::PoisonError::into_inner)
-        .next()
+    done.map_err(failed)
 }
 
 fn diagnose_one(settings: &Settings, task: &mut Task) {
-    match input::observe(&task.path, &settings.rig) {
-        Ok(log) => task.row.tell(&diagnose(
-            &log,
-            &catalogue(),
-            &settings.lines,
-            settings.seed,
-        )),
+    let Settings { rig, lines, seed } = settings;
+    match input::observe(&task.path, rig) {
+        Ok(log) => task.row.tell(&diagnose(&log, &catalogue(), lines, *seed)),
         // where the folder lies does not matter
         Err(e) => {
-            task.row.refused = e
-                .to_string()
-                .replace(&task.path.display().to_string(), &task.row.log)
+            let path = task.path.display().to_string();
+            task.row.refused = e.to_string().replace(&path, &task.row.log);
         }
     }
 }

@@ -1,17 +1,31 @@
 //! `log export`: the samples of a flight log with what the loop made of them, as a bend log or a Parquet table.
 
-use crate::cli::{CommandOutcome, output};
+use crate::cli::flight::{self, flight_of};
+use crate::cli::output::{self, ResultFile};
 use crate::log::columns::{self, Column};
 use crate::service::flight::cycle::Cycle;
-use crate::service::flight::read::{Entry, messages};
+use crate::service::flight::read::Entry;
 use crate::service::flight::scene::timestamp;
 use crate::service::flight::start::Event;
 use crate::service::record;
 use mcap::Message;
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{IntoDiagnostic, Result};
 use serde_json::{Map, Value, json};
 use std::collections::VecDeque;
-use std::path::Path;
+use std::path::PathBuf;
+
+/// Arguments of `log export`.
+#[derive(Debug, clap::Args)]
+pub struct ExportArgs {
+    /// Flight log.
+    file: PathBuf,
+    /// Bend log to write; `-` is standard output.
+    #[arg(long, required_unless_present = "parquet")]
+    csv: Option<ResultFile>,
+    /// Parquet file to write, with the same columns; a missing value is null. Its metadata hold the units and the start time.
+    #[arg(long)]
+    parquet: Option<ResultFile>,
+}
 
 /// Columns beside those of a bend log, and where the status holds their values; the last column is the mode.
 const OF_LOOP: [(&str, &str); 15] = [
@@ -61,7 +75,7 @@ struct Rows {
 }
 
 impl Rows {
-    fn take(&mut self, message: &Message<'_>) -> std::result::Result<(), String> {
+    fn take(&mut self, message: &Message<'_>) -> Result<(), String> {
         match Entry::of(message)? {
             Entry::Event(event) => {
                 if let Event::Start(header) = *event {
@@ -82,10 +96,8 @@ impl Rows {
     }
 
     fn add(&mut self, cycle: &Cycle, unix_ns: u64) {
-        while let Some((_, fields)) = self
-            .later
-            .pop_front_if(|next| next.0 <= unix_ns + ROUNDING_NS)
-        {
+        let due = |next: &mut (u64, _)| next.0 <= unix_ns + ROUNDING_NS;
+        while let Some((_, fields)) = self.later.pop_front_if(due) {
             match &mut self.status {
                 Value::Object(status) => status.extend(fields),
                 none => *none = Value::Object(fields),
@@ -105,8 +117,8 @@ impl Rows {
         };
         row.extend(OF_LOOP.map(|(_, place)| value(place).unwrap_or(f64::NAN)));
         self.numbers.push(row);
-        self.modes
-            .push(self.status["mode"].as_str().unwrap_or_default().to_owned());
+        let mode = self.status["mode"].as_str().unwrap_or_default();
+        self.modes.push(mode.to_owned());
     }
 
     fn csv(&self) -> Vec<u8> {
@@ -123,30 +135,24 @@ impl Rows {
     /// The table, with the units of its columns and the time of its zero.
     fn parquet(&self) -> Result<Vec<u8>> {
         let all = names();
-        let units: Map<String, Value> = all
-            .iter()
-            .filter_map(|name| {
-                let (_, unit) = UNITS.iter().find(|(end, _)| name.ends_with(end))?;
-                Some(((*name).to_owned(), json!(unit)))
-            })
-            .collect();
+        let unit = |name: &&str| {
+            let (_, unit) = UNITS.iter().find(|(end, _)| name.ends_with(end))?;
+            Some(((*name).to_owned(), json!(unit)))
+        };
+        let units: Map<String, Value> = all.iter().filter_map(unit).collect();
         let start = timestamp(self.start_ns);
         let metadata = [
             ("start_time", start.as_str().unwrap_or_default().to_owned()),
             ("units", json!(units).to_string()),
             ("program", format!("retroflex {}", self.program)),
         ];
-        let numbers = |k: usize| Column::Numbers(self.numbers.iter().map(|row| row[k]).collect());
         let mode = all.len() - 1;
-        let column = |(k, name)| {
-            (
+        let column = |(k, name)| match k == mode {
+            true => (name, Column::Texts(self.modes.clone())),
+            false => (
                 name,
-                if k == mode {
-                    Column::Texts(self.modes.clone())
-                } else {
-                    numbers(k)
-                },
-            )
+                Column::Numbers(self.numbers.iter().map(|row| row[k]).collect()),
+            ),
         };
         let table: Vec<(&str, Column)> = all.into_iter().enumerate().map(column).collect();
         columns::write(&table, &metadata).into_diagnostic()
@@ -171,16 +177,11 @@ fn names() -> Vec<&'static str> {
 ///
 /// # Errors
 /// A report that names the file.
-pub fn export(path: &Path, csv: Option<&Path>, parquet: Option<&Path>) -> Result<CommandOutcome> {
-    output::check(&[("--csv", csv), ("--parquet", parquet)], &[path])?;
-    let mut rows = Rows::default();
-    let ending = messages(path, &mut |message| rows.take(&message)).map_err(|e| miette!("{e}"))?;
-    if let Some(csv) = csv {
-        output::write(csv, rows.csv())?;
-    }
-    if let Some(path) = parquet {
-        output::write(path, rows.parquet()?)?;
-    }
+pub fn export(args: &ExportArgs) -> Result<bool> {
+    let (path, mut rows) = (flight_of(&args.file)?, Rows::default());
+    let ending = flight::read(&path, &mut |_, message| rows.take(message))?;
+    output::write_some(&args.csv, || Ok(rows.csv()))?;
+    output::write_some(&args.parquet, || rows.parquet())?;
     eprintln!("{:.3} s; {ending}", rows.samples.last_s);
-    Ok(ending.damage.is_empty().into())
+    Ok(ending.damage.is_empty())
 }

@@ -16,6 +16,7 @@
 pub mod accel;
 mod ellipsoid;
 mod entry;
+pub mod from_log;
 pub mod gyro;
 pub mod mag;
 pub mod motor;

@@ -1,7 +1,11 @@
 //! A diagnosis as one page: verdict in words, location of the gap in bend and time, measured and predicted signals,
 //! ranking of the effects, limits of the verdict, and next steps.
 
+pub mod answer;
+pub mod compare;
 pub mod evidence;
+pub mod map;
+pub mod schedule;
 pub mod words;
 
 use crate::diagnosis::decide::VerdictKind;

@@ -1,7 +1,9 @@
 //! A diagnosis in words.
 
 use crate::diagnosis::decide::VerdictKind;
-use crate::diagnosis::document::{Diagnosis, EffectEntry, ParamValue, StatementEntry};
+use crate::diagnosis::document::{
+    Diagnosis, EffectEntry, ParamValue, StatementEntry, VerdictEntry,
+};
 use crate::diagnosis::remedy::Remedy;
 use crate::model::effects::by_name;
 
@@ -296,6 +298,13 @@ pub fn short(x: f64) -> String {
         text = text.trim_end_matches('0').trim_end_matches('.').to_owned();
     }
     if text == "-0" { "0".to_owned() } else { text }
+}
+
+/// A verdict and the effects that it names, in one line.
+pub fn verdict(verdict: &VerdictEntry) -> String {
+    let between = if verdict.names.is_empty() { "" } else { ": " };
+    let names = verdict.names.join(" and ");
+    format!("verdict {}{between}{names}", verdict.kind.name())
 }
 
 #[cfg(test)]

@@ -5,7 +5,6 @@ use crate::plant_in_c::{
 };
 use rand::rngs::StdRng;
 use rand::{Rng, RngExt, SeedableRng};
-use retroflex::cli::gap::exam::summary;
 use retroflex::config::calib::Calibration;
 use retroflex::config::source;
 use retroflex::diagnosis::exam::question::{Content, Logs, Question, Recorded, questions};
@@ -15,6 +14,7 @@ use retroflex::diagnosis::exam::score::{Row, score};
 use retroflex::experiment::evaluation::Arm;
 use retroflex::model::Line;
 use retroflex::model::effects::catalogue;
+use retroflex::report::exam::summary;
 use retroflex::simulation::link::Link;
 use retroflex::supervisor::MachineError;
 use std::process::Command;

@@ -11,7 +11,6 @@ use ratatui::style::{Color, Style, Stylize};
 use ratatui::text::{Line, Text};
 use ratatui::widgets::canvas::{Canvas, Context, Points};
 use ratatui::widgets::{Block, Borders, Paragraph, Wrap};
-use serde_json::Value;
 
 const RING: Color = Color::DarkGray;
 const DESIRED: Color = Color::Yellow;
@@ -58,7 +57,7 @@ pub fn draw(frame: &mut Frame, view: &View) {
             frame.buffer_mut().set_style(area, Style::new().dark_gray());
             format!(" no answer for {silent_s:.1} s ").reversed()
         }
-        None if view.now["fault"].is_null() => format!(" {} ", view.mode()).reversed(),
+        None if view.status.fault.is_none() => format!(" {} ", view.mode()).reversed(),
         None => format!(" {} ", view.mode()).red().reversed(),
     };
     let source = format!("  {}", view.source);
@@ -99,7 +98,7 @@ fn square(area: Rect, edge: f64) -> [[f64; 2]; 2] {
 
 /// The bending section in a cabinet projection: direction 0° to the right, 90° to the back, the tip upwards.
 fn side(view: &View, area: Rect) -> Picture {
-    let length = view.now["length_mm"].as_f64().unwrap_or(20.0);
+    let length = view.status.length_mm.unwrap_or(20.0);
     let arc = |bend: Bend, every: usize| {
         let at = |k: usize| {
             let s = k as f64 / 200.0;
@@ -109,8 +108,9 @@ fn side(view: &View, area: Rect) -> Picture {
         };
         (0..=200).step_by(every).map(at).collect()
     };
-    let desired = view.bend("setpoint").map(|bend| (DESIRED, arc(bend, 10)));
-    let estimate = view.bend("estimate").map(|bend| (ESTIMATE, arc(bend, 1)));
+    let (desired, estimate) = (view.status.setpoint, view.status.estimate);
+    let desired = desired.map(|pose| (DESIRED, arc(pose.bend(), 10)));
+    let estimate = estimate.map(|pose| (ESTIMATE, arc(pose.bend(), 1)));
     let dots = desired.into_iter().chain(estimate).collect();
     Picture {
         bounds: square(area, 20.0),
@@ -127,8 +127,8 @@ fn polar(view: &View, area: Rect) -> Picture {
     };
     let dots = vec![(RING, (0..126).flat_map(ring).collect())];
     let mut words = vec![(90.0, 0.0, "0°"), (0.0, 90.0, "90°")];
-    for (key, sign) in [("setpoint", "○"), ("estimate", "●")] {
-        let at = view.bend(key).map(|bend| bend.0.map(f64::to_degrees));
+    for (pose, sign) in [(view.status.setpoint, "○"), (view.status.estimate, "●")] {
+        let at = pose.map(|pose| pose.bend().0.map(f64::to_degrees));
         words.extend(at.map(|at| (at.x, at.y, sign)));
     }
     Picture {
@@ -152,25 +152,18 @@ fn errors(view: &View) -> (String, Picture) {
         "Error {}°, up to {largest:.2}° in {CHART_S} s; scale 0 to {end:.1}°",
         shown(now, 2)
     );
-    let now_s = view.t_s();
-    let dots = view
-        .errors
-        .iter()
-        .map(|(t_s, error)| (t_s - now_s, *error))
-        .collect();
-    let bounds = [[-CHART_S, 0.0], [0.0, end]];
-    (
-        title,
-        Picture {
-            bounds,
-            dots: vec![(ESTIMATE, dots)],
-            words: vec![],
-        },
-    )
+    let now_s = view.status.t;
+    let dots = view.errors.iter().map(|(t_s, error)| (t_s - now_s, *error));
+    let picture = Picture {
+        bounds: [[-CHART_S, 0.0], [0.0, end]],
+        dots: vec![(ESTIMATE, dots.collect())],
+        words: vec![],
+    };
+    (title, picture)
 }
 
 fn health(view: &View) -> String {
-    let mut rows = status::rows(&view.now);
+    let mut rows = status::rows(&view.status);
     rows.retain(|(name, _)| !["mode", "pistons"].contains(name));
     let line = |(name, text)| format!("{name:<10}{text}\n");
     rows.into_iter().map(line).collect()
@@ -178,44 +171,40 @@ fn health(view: &View) -> String {
 
 /// A figure, or a dash before there is one.
 fn shown(x: f64, digits: usize) -> String {
-    if x.is_nan() {
-        "–".to_owned()
-    } else {
-        format!("{x:.digits$}")
+    match x.is_nan() {
+        true => "–".to_owned(),
+        false => format!("{x:.digits$}"),
     }
 }
 
 /// The pistons within their travel, and the gains within what the loop may learn; the title names what it has learned of the lag.
 fn lines(view: &View) -> (String, String) {
-    let (now, limits) = (&view.now, &view.now["limits"]);
-    let number = |value: &Value| value.as_f64().unwrap_or(f64::NAN);
+    let status = &view.status;
     let within = |x: f64, least: f64, most: f64| {
         let mark = if x <= least || x >= most { '!' } else { ' ' };
-        format!(
-            "{} in {} to {}{mark}",
-            shown(x, 2),
-            shown(least, 2),
-            shown(most, 2)
-        )
+        let [x, least, most] = [x, least, most].map(|x| shown(x, 2));
+        format!("{x} in {least} to {most}{mark}")
     };
-    let travel = number(&limits["travel_mm"]);
-    let [lag, delay] = ["lag_s", "delay_s"].map(|key| number(&now[key]));
-    let title = format!(
-        "Lines, lag {} s, dead time {} s; ! at a limit",
-        shown(lag, 3),
-        shown(delay, 3)
-    );
+    let unknown = [[f64::NAN; 2]; 3];
+    let (travel, k_epsilon, k_lambda_mm) = match &status.limits {
+        Some(limits) => (limits.travel_mm, limits.k_epsilon, limits.k_lambda_mm),
+        None => (f64::NAN, unknown, unknown),
+    };
+    let of = |all: Option<[f64; 3]>, i: usize| all.map_or(f64::NAN, |all| all[i]);
+    let [lag, delay] = [status.lag_s, status.delay_s].map(|s| shown(s.unwrap_or(f64::NAN), 3));
+    let title = format!("Lines, lag {lag} s, dead time {delay} s; ! at a limit");
     let mut text = "  piston, mm                k_epsilon             k_lambda, mm\n".to_owned();
     for i in 0..3 {
-        let at = number(&now["piston_mm"][i]);
+        let at = of(status.piston_mm, i);
         let place = ((at / travel + 1.0) / 2.0 * PLACES as f64) as usize;
         let mut bar = ["·"; PLACES];
         (bar[PLACES / 2], bar[place.min(PLACES - 1)]) = ("|", "█");
         let piston = within(at, -travel, travel);
-        let [k_epsilon, k_lambda] = ["k_epsilon", "k_lambda_mm"].map(|key| {
-            let bounds = [0, 1].map(|end| number(&limits[key][i][end]));
-            within(number(&now[key][i]), bounds[0], bounds[1])
-        });
+        let [k_epsilon, k_lambda] = [
+            (status.k_epsilon, k_epsilon[i]),
+            (status.k_lambda_mm, k_lambda_mm[i]),
+        ]
+        .map(|(now, [least, most])| within(of(now, i), least, most));
         text += &format!("{} {piston:25} {k_epsilon:21} {k_lambda:21}", i + 1);
         text += &format!("{}\n", bar.concat());
     }

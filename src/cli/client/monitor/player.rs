@@ -1,13 +1,13 @@
 //! Plays the frames of a flight log.
 
 use super::view::{CHART_S, View};
-use crate::cli::log::since;
+use crate::cli::flight;
 use crate::cli::replay::start_of;
 use crate::service::flight::file::TOPICS;
-use crate::service::flight::read::{Entry, messages};
+use crate::service::flight::read::Entry;
 use crate::service::flight::start::Event;
 use crate::service::status;
-use miette::{Result, bail, miette};
+use miette::{Result, bail};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
@@ -88,27 +88,23 @@ impl Player {
 
 /// The frames that the channels for people hold.
 fn recorded(path: &Path) -> Result<Frames> {
-    let (mut frames, mut now, mut begin_ns) = (Vec::new(), Map::new(), None);
-    let read = messages(path, &mut |message| {
-        let t_s = since(&mut begin_ns, &message);
+    let (mut frames, mut now) = (Vec::new(), Map::new());
+    flight::read(path, &mut |t_s, message| {
         if now.contains_key("mode") && t_s >= PERIOD_S * frames.len() as f64 {
             frames.push((t_s, json!(now).to_string()));
         }
         if message.channel.topic == TOPICS[0] {
             return Ok(());
         }
-        match Entry::of(&message)? {
-            Entry::Event(event) => {
-                if let Event::Start(header) = *event {
-                    let limits = status::limits(&start_of(&header)?.config);
-                    now.insert("limits".to_owned(), limits);
-                }
+        match Entry::of(message)? {
+            Entry::Event(ref event) if let Event::Start(header) = &**event => {
+                let limits = status::limits(&start_of(header)?.config);
+                now.insert("limits".to_owned(), limits);
             }
             Entry::Shown(Value::Object(fields)) => now.extend(fields),
             _ => {}
         }
         Ok(())
-    });
-    read.map_err(|e| miette!("{e}"))?;
+    })?;
     Ok(frames)
 }

@@ -1,7 +1,7 @@
 //! What the monitor shows: the last status, the error of the last minute, and the last events.
 
-use crate::model::Bend;
 use crate::service::flight::channels::Changes;
+use crate::service::status::Status;
 use serde_json::Value;
 use std::collections::VecDeque;
 
@@ -19,6 +19,8 @@ pub struct View {
     pub keys: &'static str,
     /// The last status, with the fields of later frames.
     pub now: Value,
+    /// The same as it is read.
+    pub status: Status,
     /// Time since a service that is lost was last heard, s.
     pub silent_s: Option<f64>,
     /// Time in s and error of the bend in degrees, oldest first.
@@ -37,7 +39,11 @@ impl View {
             (Value::Object(now), Value::Object(new)) => now.extend(new),
             (now, new) => *now = new,
         }
-        let t_s = self.t_s();
+        match Status::of(&self.now) {
+            Ok(status) => self.status = status,
+            Err(e) => self.note(&format!("a status that cannot be read: {e}")),
+        }
+        let t_s = self.status.t;
         // a service that has started anew has another clock
         self.errors
             .retain(|(at_s, _)| (t_s - CHART_S..t_s).contains(at_s));
@@ -49,37 +55,25 @@ impl View {
     /// Adds an event.
     pub fn note(&mut self, event: &str) {
         self.events
-            .push_back(format!("{:9.1} s  {event}", self.t_s()));
+            .push_back(format!("{:9.1} s  {event}", self.status.t));
         if self.events.len() > EVENTS_MAX {
             self.events.pop_front();
         }
     }
 
-    /// Time of the loop, s.
-    pub fn t_s(&self) -> f64 {
-        self.now["t"].as_f64().unwrap_or(0.0)
-    }
-
     /// The mode, and what else holds.
     pub fn mode(&self) -> String {
-        let mode = self.now["mode"].as_str().unwrap_or("no data");
-        let mut words = vec![mode, "energised", "stopped", "blocked"];
-        words.retain(|word| *word == mode || self.now[*word] == true);
+        let s = &self.status;
+        let mut words = vec![s.mode_name().unwrap_or("no data")];
+        words.extend(s.energised.then_some("energised"));
+        words.extend(s.stopped.then_some("stopped"));
+        words.extend(s.blocked.then_some("blocked"));
         words.join(", ")
-    }
-
-    /// A bend of the status: `target`, `setpoint` or `estimate`.
-    pub fn bend(&self, key: &str) -> Option<Bend> {
-        let at = &self.now[key];
-        Some(Bend::from_deg(
-            at["bend_deg"].as_f64()?,
-            at["dir_deg"].as_f64()?,
-        ))
     }
 
     /// Length of the desired minus the estimated bend vector, degrees, while the tip is commanded.
     pub fn error_deg(&self) -> Option<f64> {
-        let (desired, estimate) = (self.bend("target")?, self.bend("estimate")?);
-        Some((desired.0 - estimate.0).norm().to_degrees())
+        let (desired, estimate) = (self.status.target?, self.status.estimate?);
+        Some((desired.bend().0 - estimate.bend().0).norm().to_degrees())
     }
 }

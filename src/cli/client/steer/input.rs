@@ -60,13 +60,9 @@ impl Input {
     /// # Errors
     /// A report that names the device.
     pub fn joystick(device: &Path, button: Option<u8>, silence: Duration) -> Result<Self> {
-        let mut file = File::open(device).map_err(|e| {
-            miette!(
-                "{}: {e}; `ls /dev/input/js*` lists the joysticks",
-                device.display()
-            )
-        })?;
         let name = device.display().to_string();
+        let mut file = File::open(device)
+            .map_err(|e| miette!("{name}: {e}; `ls /dev/input/js*` lists the joysticks"))?;
         let mut input = Self::of(move |send| {
             let (mut event, mut pressed) = ([0; 8], 0u32);
             loop {
@@ -83,11 +79,7 @@ impl Input {
                     (AXIS, 0) => Event::X(deflection),
                     (AXIS, 1) => Event::Y(-deflection),
                     (BUTTON, n) if button.is_none_or(|b| b == n) && n < 32 => {
-                        pressed = if value != 0 {
-                            pressed | 1 << n
-                        } else {
-                            pressed & !(1 << n)
-                        };
+                        pressed = pressed & !(1 << n) | u32::from(value != 0) << n;
                         Event::Held(pressed != 0)
                     }
                     _ => continue,
@@ -137,40 +129,29 @@ impl Input {
     /// # Errors
     /// A report that names file, line and column.
     pub fn table(file: &Path) -> Result<Self> {
-        let known = |name: &str| ["t_s", "x", "y", "held"].contains(&name);
         let schema = Schema {
             required: &["t_s", "x", "y", "held"],
-            known: &known,
+            known: &|name| ["t_s", "x", "y", "held"].contains(&name),
             rows_min: 1,
         };
         let table = Table::open(file, &schema).into_diagnostic()?;
-        let mut columns = [
-            table.clock("t_s").into_diagnostic()?.to_vec(),
-            vec![],
-            vec![],
-            vec![],
-        ];
-        for (column, (name, least)) in
-            columns[1..]
-                .iter_mut()
-                .zip([("x", -1.0), ("y", -1.0), ("held", 0.0)])
-        {
-            *column = table.complete(name).into_diagnostic()?.to_vec();
+        let column = |name: &str, least: f64| -> Result<Vec<f64>> {
+            let column = table.complete(name).into_diagnostic()?;
             if let Some(row) = column.iter().position(|v| !(least..=1.0).contains(v)) {
                 let (given, expected) = (column[row].to_string(), format!("within {least} to 1"));
                 return Err(table.refuse(row, name, &given, &expected)).into_diagnostic();
             }
-        }
+            Ok(column.to_vec())
+        };
+        let t_s = table.clock("t_s").into_diagnostic()?.to_vec();
+        let (x, y, held) = (column("x", -1.0)?, column("y", -1.0)?, column("held", 0.0)?);
         Ok(Self::of(move |send| {
-            let [t_s, x, y, held] = columns;
             let began = Instant::now();
             for k in 0..t_s.len() {
                 let due = Duration::from_secs_f64((t_s[k] - t_s[0]).max(0.0));
                 sleep(due.saturating_sub(began.elapsed()));
-                if [Event::X(x[k]), Event::Y(y[k]), Event::Held(held[k] > 0.5)]
-                    .into_iter()
-                    .any(|event| send.send(event).is_err())
-                {
+                let events = [Event::X(x[k]), Event::Y(y[k]), Event::Held(held[k] > 0.5)];
+                if events.into_iter().any(|event| send.send(event).is_err()) {
                     return;
                 }
             }
@@ -212,15 +193,14 @@ fn events(key: Key) -> Vec<Event> {
 
 /// Runs `stty` on the terminal of standard input; returns what it prints.
 fn stty(arguments: &[&str]) -> Result<String> {
-    let out = Command::new("stty")
-        .args(arguments)
-        .stdin(Stdio::inherit())
-        .output()
-        .map_err(|e| miette!("stty: {e}"))?;
-    if out.status.success() {
-        return Ok(String::from_utf8_lossy(&out.stdout).trim().to_owned());
+    let mut command = Command::new("stty");
+    let out = command.args(arguments).stdin(Stdio::inherit()).output();
+    let out = out.map_err(|e| miette!("stty: {e}"))?;
+    let said = |bytes| String::from_utf8_lossy(bytes).trim().to_owned();
+    match out.status.success() {
+        true => Ok(said(&out.stdout)),
+        false => Err(miette!("{}", said(&out.stderr))),
     }
-    Err(miette!("{}", String::from_utf8_lossy(&out.stderr).trim()))
 }
 
 #[cfg(test)]

@@ -1,0 +1,128 @@
+//! A simulator beside a log: the JSON file, and the answer in words.
+
+use crate::diagnosis::diagnose::goes_with;
+use crate::diagnosis::document::{DependenceEntry, Diagnosis};
+use crate::diagnosis::holdout::CLAIM_DEG;
+use crate::diagnosis::observe::Observed;
+use crate::experiment::compare::{Compared, Knob};
+use crate::report::table::titled;
+use serde::Serialize;
+
+/// The JSON file.
+#[derive(Serialize)]
+pub struct Document {
+    schema: u32,
+    plant: PlantEntry,
+    nominal_deg: f64,
+    diagnosed_deg: f64,
+    noise_floor_deg: f64,
+    goes_with: Vec<DependenceEntry>,
+    params: Vec<ParamEntry>,
+}
+
+#[derive(Serialize)]
+struct PlantEntry {
+    name: String,
+    rmse_deg: f64,
+    kinds: Vec<KindEntry>,
+}
+
+#[derive(Serialize)]
+struct KindEntry {
+    name: &'static str,
+    rmse_deg: f64,
+    nominal_deg: f64,
+    diagnosed_deg: f64,
+}
+
+#[derive(Serialize)]
+struct ParamEntry {
+    name: String,
+    value: f64,
+    ci95: [f64; 2],
+    /// The interval is the whole range.
+    #[serde(skip)]
+    untold: bool,
+}
+
+/// The result: `name` is the simulator's, and `fit` has the parameters that were fitted.
+pub fn document(
+    fit: &[Knob],
+    log: &Observed,
+    name: String,
+    compared: &Compared,
+    diagnosis: &Diagnosis,
+) -> Document {
+    let kinds = log.quantities().map(|q| {
+        let known = diagnosis.location.kinds.iter().find(|k| k.name == q.name());
+        KindEntry {
+            name: q.name(),
+            rmse_deg: compared.held_out.rmse_deg[q],
+            nominal_deg: known.map_or(0.0, |k| k.rmse_deg),
+            diagnosed_deg: known.map_or(0.0, |k| k.explained_deg),
+        }
+    });
+    let param = |(knob, (value, ci95)): (&Knob, &(f64, [f64; 2]))| ParamEntry {
+        name: knob.name.clone(),
+        value: *value,
+        ci95: *ci95,
+        untold: *ci95 == [knob.low, knob.high],
+    };
+    Document {
+        schema: 1,
+        plant: PlantEntry {
+            name,
+            rmse_deg: log.rms_deg(compared.held_out.energy()),
+            kinds: kinds.collect(),
+        },
+        nominal_deg: diagnosis.gap.recalibrated_deg,
+        diagnosed_deg: diagnosis.gap.explained_deg,
+        noise_floor_deg: diagnosis.gap.noise_floor_deg,
+        goes_with: goes_with(log, &compared.held_out),
+        params: fit.iter().zip(&compared.params).map(param).collect(),
+    }
+}
+
+/// The answer, and whether it is better than no simulator.
+pub fn said(d: &Document) -> (String, bool) {
+    let (left, floor) = (d.plant.rmse_deg, d.noise_floor_deg);
+    let within = |k: &KindEntry| k.rmse_deg - k.diagnosed_deg < CLAIM_DEG;
+    let fits = left - floor < CLAIM_DEG && d.plant.kinds.iter().all(within);
+    let sentence = match (fits, left < d.nominal_deg) {
+        (true, _) => "The simulator fits the log",
+        (_, true) => "The simulator is nearer to the log than the nominal model, but not all of it",
+        _ => "The simulator does not fit the log, the nominal model is nearer",
+    };
+    let mut text = format!(
+        "{sentence}: it leaves {left:.2}°, the nominal model {:.2}°, the diagnosed one {:.2}°; noise alone is {floor:.2}°.\n",
+        d.nominal_deg, d.diagnosed_deg
+    );
+    for p in &d.params {
+        let [low, high] = p.ci95;
+        let told = match p.untold {
+            true => ": it changes nothing here; is its name right?",
+            false => "",
+        };
+        text += &format!(
+            "{} = {:.4}, 95 %: {low:.4} to {high:.4}{told}\n",
+            p.name, p.value
+        );
+    }
+    if !fits {
+        for DependenceEntry { name, share, .. } in &d.goes_with {
+            let part = share * 100.0;
+            text += &format!(
+                "What remains goes with the {name}, which predicts {part:.0} % of it in one sensor.\n"
+            );
+        }
+    }
+    let row = |k: &KindEntry| {
+        let unit = if k.name == "gyroscope" { "°/s" } else { "°" };
+        let [a, b, c] =
+            [k.rmse_deg, k.nominal_deg, k.diagnosed_deg].map(|x| format!("{x:.2}{unit}"));
+        [k.name.to_owned(), a, b, c]
+    };
+    let header = "left-out RMSE|simulator|nominal|diagnosed";
+    let table = titled(header, 1..4, d.plant.kinds.iter().map(row));
+    (format!("{text}{table}\n"), fits || left < d.nominal_deg)
+}

@@ -1,0 +1,44 @@
+//! What a designed schedule separates, in words.
+
+use crate::diagnosis::confusion::separable;
+use crate::diagnosis::excite::design::{APART, Design, LONGEST_S, Pair, Request};
+use crate::report::table::titled;
+use std::path::Path;
+
+/// Pairs in the table.
+const SHOWN: usize = 8;
+
+/// What a schedule separates; `out` is its file.
+pub fn summary(out: &Path, request: &Request, d: &Design) -> String {
+    let pairs = d.pairs();
+    let within_reach = |p: &&Pair| separable(p.0, p.1, request.tracker);
+    let row = |(a, b, here, standard): &Pair| {
+        let [here, standard] = [here, standard].map(|x| format!("{x:.1} σ"));
+        [(*a).to_owned(), (*b).to_owned(), here, standard]
+    };
+    let shown = pairs.iter().filter(within_reach).take(SHOWN);
+    let table = titled("nearest pairs||here|standard", 2..4, shown.map(row));
+    let near = |p: &&Pair| p.2 < APART || !separable(p.0, p.1, request.tracker);
+    let lost: Vec<String> = pairs
+        .iter()
+        .filter(near)
+        .map(|p| format!("{} and {}", p.0, p.1))
+        .collect();
+    let lost = match (lost.is_empty(), request.tracker) {
+        (true, _) => "the schedule separates every pair in question".to_owned(),
+        (false, true) => format!("the schedule does not separate {}", lost.join("; ")),
+        (false, false) => format!(
+            "the schedule does not separate {}\n  a tracker may: record one (ref_q*) and design with --tracker, or mount an IMU on the base (base_*)",
+            lost.join("; ")
+        ),
+    };
+    format!(
+        "{}: {} rows, {:.0} s of at most {LONGEST_S} s; seed {}, {} schedules evaluated\n{table}\n{lost}\n\
+         next: run it after at least 2 s of rest, log it, and run `retroflex gap diagnose` on the log",
+        out.display(),
+        d.rows.len(),
+        d.distances.duration_s,
+        request.seed,
+        request.rounds
+    )
+}
