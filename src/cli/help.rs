@@ -24,7 +24,7 @@ pub const GROUPS: [(&str, &str); 7] = [
         "accept board doctor release jog home commission bench",
     ),
     ("Calibrate", "zero calibrate imu"),
-    ("Diagnose", "record log replay gap fleet"),
+    ("Diagnose", "record log replay foxglove gap fleet"),
     ("Simulate", "demo evaluate"),
     ("Prove", "drill"),
     ("Other", "completions man help"),

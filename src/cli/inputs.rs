@@ -8,6 +8,7 @@ use crate::model::effects::catalogue;
 use crate::primitives::Check;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use serde::de::DeserializeOwned;
+use std::net::SocketAddr;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -157,4 +158,9 @@ pub fn program(plant: &str) -> Result<(String, Vec<String>)> {
         .next()
         .ok_or_else(|| refused("no program is named after `exec:`"))?;
     Ok((program, words.collect()))
+}
+
+/// The message about an address at which nothing can be served.
+pub fn unlistenable(listen: SocketAddr, why: impl std::fmt::Display) -> miette::Report {
+    miette!("--listen {listen}: {why}; name an address of this computer and a free port")
 }

@@ -42,6 +42,7 @@ pub mod evaluate;
 mod failure;
 pub mod fleet;
 pub mod flight;
+pub mod foxglove;
 pub mod gap;
 pub mod help;
 pub mod home;
@@ -120,6 +121,10 @@ commands! {
     Drill(drill::Args) => drill::run,
     /// Take the current away from all drivers.
     Release(release::Args) => release::run,
+    /// Show a running service in Foxglove or Lichtblick.
+    ///
+    /// Serves the topics of the flight log while it is written.
+    Foxglove(foxglove::Args) => foxglove::run,
     /// Show, export and cut flight logs.
     #[command(subcommand)]
     Log(log::Log) => log::Log::run,

@@ -65,6 +65,16 @@ pub fn sockets() -> Vec<PathBuf> {
     all
 }
 
+/// The folders where services may keep their flight logs: this user's and the system's.
+pub fn flight_folders() -> Vec<PathBuf> {
+    let mut all = vec![
+        state_folder().join("flights"),
+        PathBuf::from("/var/lib/retroflex/flights"),
+    ];
+    all.dedup();
+    all
+}
+
 /// An absolute path from the environment; systemd separates several by colons.
 fn path_from(variable: &str) -> Option<PathBuf> {
     let value = std::env::var(variable).ok()?;

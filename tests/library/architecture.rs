@@ -468,6 +468,24 @@ fn rooms_are_pure() {
 }
 
 #[test]
+fn every_dependency_states_what_it_is_for() {
+    let manifest = std::fs::read_to_string(repo("Cargo.toml")).unwrap();
+    let manifest: toml::Table = toml::from_str(&manifest).unwrap();
+    let page = std::fs::read_to_string(repo("ARCHITECTURE.md")).unwrap();
+    let (_, section) = page.split_once("## Dependencies").unwrap();
+    let (section, _) = section.split_once("\n## ").unwrap();
+    let rows = section.lines().filter(|line| line.starts_with("| `"));
+    let named: BTreeSet<&str> = rows
+        .flat_map(|row| row.split('|').nth(1).unwrap().split('`').skip(1).step_by(2))
+        .collect();
+    let used = manifest["dependencies"].as_table().unwrap();
+    assert_eq!(
+        used.keys().map(String::as_str).collect::<BTreeSet<_>>(),
+        named
+    );
+}
+
+#[test]
 fn files_and_functions_stay_short() {
     let mut long = Vec::new();
     for source in sources() {

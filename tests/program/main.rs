@@ -15,6 +15,7 @@ mod every_field;
 mod fake_imu;
 mod fleet;
 mod flight_log;
+mod foxglove;
 mod gap_cli;
 mod gap_compare;
 mod guided;

@@ -10,6 +10,7 @@ mod site;
 mod source;
 
 use super::connection::{At, socket};
+use crate::cli::inputs::unlistenable;
 use crate::cli::output::print;
 use crate::log::error::why_unreadable;
 use hyper::body::Bytes;
@@ -52,12 +53,7 @@ pub fn page(args: &PageArgs) -> Result<()> {
             "--listen {listen}: others can reach it: name the file of a token with --token-file, which is created if there is none"
         );
     }
-    let fail = |e: std::io::Error| {
-        miette!(
-            "--listen {listen}: {}; name an address of this computer and a free port",
-            e.kind()
-        )
-    };
+    let fail = |e: std::io::Error| unlistenable(listen, e.kind());
     let listener = TcpListener::bind(listen).map_err(fail)?;
     let address = listener.local_addr().map_err(fail)?;
     let file = args

@@ -127,7 +127,10 @@ pub fn part_path(folder: &Path, run: u64, part: u32) -> PathBuf {
 }
 
 /// The flight logs in a folder, oldest first.
-fn flights(folder: &Path) -> io::Result<Vec<PathBuf>> {
+///
+/// # Errors
+/// The operating system's.
+pub fn flights(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let all = std::fs::read_dir(folder)?
         .map(|entry| Ok(entry?.path()))
         .collect::<io::Result<Vec<_>>>()?;

@@ -202,6 +202,46 @@ pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<E
     }
 }
 
+/// Follows a log that is being written.
+pub struct Tail {
+    source: BufReader<File>,
+    /// Position of the next record.
+    at: u64,
+    log: Reading,
+}
+
+impl Tail {
+    /// Opens a log at its beginning.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn open(path: &Path) -> io::Result<Self> {
+        let (source, at) = (BufReader::new(File::open(path)?), MAGIC.len() as u64);
+        let log = Reading::default();
+        Ok(Self { source, at, log })
+    }
+
+    /// The messages of the next record; `None` as long as it is not whole, or at the end of the log. What is damaged is left out.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn next(&mut self) -> io::Result<Option<Vec<Message<'static>>>> {
+        self.source.seek(SeekFrom::Start(self.at))?;
+        match self.log.record(&mut self.source) {
+            Ok(Some((length, messages))) => {
+                self.at += length;
+                Ok(Some(messages))
+            }
+            Ok(None) => Ok(None),
+            Err(_) => {
+                let next = next_chunk(&mut self.source, self.at + 1)?;
+                self.at = next.unwrap_or(self.at);
+                Ok(next.map(|_| Vec::new()))
+            }
+        }
+    }
+}
+
 /// Position of the next chunk from a byte on, found by the name of its compression.
 fn next_chunk(source: &mut (impl BufRead + Seek), from: u64) -> io::Result<Option<u64>> {
     source.seek(SeekFrom::Start(from))?;

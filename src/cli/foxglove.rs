@@ -1,0 +1,125 @@
+//! `retroflex foxglove`: the topics of the flight log, live, for Foxglove and Lichtblick.
+//!
+//! The command follows the log that the service writes and serves each message as it stands there, so that live and recorded data
+//! have the same topics and schemas, and the service itself keeps no network. A viewer that comes later is shown what each topic has shown last.
+
+mod viewers;
+
+use crate::cli::inputs::unlistenable;
+use crate::cli::output::print;
+use crate::service::flight::log::flights;
+use crate::service::flight::read::Tail;
+use crate::service::paths::flight_folders;
+use miette::{IntoDiagnostic, Result, bail};
+use std::net::{SocketAddr, TcpListener};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use viewers::Viewers;
+
+/// Time until it is looked again whether more has been written.
+const AGAIN: Duration = Duration::from_millis(50);
+/// The service writes several messages at once. They are served over this share of the time that lies between them, so that what is
+/// shown moves smoothly; over the second one if more is written already.
+const PACE: [f64; 2] = [0.9, 0.5];
+/// Longest such time, s.
+const PACED_MAX_S: f64 = 1.0;
+
+/// Arguments of `foxglove`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Folder of the flight logs; default: that of this user's service or the system's, whichever writes.
+    #[arg(long, value_name = "FOLDER")]
+    flights: Option<PathBuf>,
+    /// Address and port. Whoever reaches the address may watch.
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8765")]
+    listen: SocketAddr,
+}
+
+/// Serves until the process is ended.
+///
+/// # Errors
+/// A report about the folder or the address.
+pub fn run(args: &Args) -> Result<()> {
+    let folders = match &args.flights {
+        Some(folder) if !folder.is_dir() => bail!(
+            "--flights {}: there is no such folder; name the folder `flights` in the state folder of the service",
+            folder.display()
+        ),
+        Some(folder) => vec![folder.clone()],
+        None => flight_folders(),
+    };
+    let fail = |e: std::io::Error| unlistenable(args.listen, e.kind());
+    let listener = TcpListener::bind(args.listen).map_err(fail)?;
+    print(format!("ws://{}\n", listener.local_addr().map_err(fail)?));
+    let viewers = Viewers::start(listener).into_diagnostic()?;
+    let mut followed = Followed::default();
+    loop {
+        let written = followed.next(&folders).unwrap_or_else(|e| {
+            eprintln!("the flight log cannot be read: {e}");
+            None
+        });
+        match written {
+            Some((messages, pace)) => serve(&viewers, messages, pace),
+            None => std::thread::sleep(AGAIN),
+        }
+    }
+}
+
+/// Serves messages in their own time; without a pace they are only kept.
+fn serve(viewers: &Viewers, messages: Vec<mcap::Message<'static>>, pace: Option<f64>) {
+    let (began, first_ns) = (Instant::now(), messages.first().map_or(0, |m| m.log_time));
+    for message in messages {
+        let since_s = message.log_time.saturating_sub(first_ns) as f64 * 1e-9;
+        let due_s = since_s.min(PACED_MAX_S) * pace.unwrap_or(0.0);
+        let left_s = due_s - began.elapsed().as_secs_f64();
+        std::thread::sleep(Duration::try_from_secs_f64(left_s).unwrap_or_default());
+        viewers.show(&message, pace.is_some());
+    }
+}
+
+/// The log that is followed.
+#[derive(Default)]
+struct Followed {
+    log: Option<(PathBuf, Tail)>,
+    /// What was written before the command began has been read.
+    live: bool,
+    /// More was written when the last messages had been served.
+    behind: bool,
+}
+
+impl Followed {
+    /// What is written next, and over which share of its time it is to be served; `None` if there is nothing more at present.
+    fn next(
+        &mut self,
+        folders: &[PathBuf],
+    ) -> std::io::Result<Option<(Vec<mcap::Message<'static>>, Option<f64>)>> {
+        if let Some((_, tail)) = &mut self.log
+            && let Some(messages) = tail.next()?
+        {
+            let pace = self.live.then_some(PACE[usize::from(self.behind)]);
+            self.behind = true;
+            return Ok(Some((messages, pace)));
+        }
+        self.behind = false;
+        let newest = newest(folders);
+        if newest.as_deref() == self.log.as_ref().map(|(path, _)| path.as_path()) {
+            self.live = true;
+            return Ok(None);
+        }
+        self.log = match newest {
+            Some(path) => Some((path.clone(), Tail::open(&path)?)),
+            None => None,
+        };
+        Ok(None)
+    }
+}
+
+/// The log that was written last.
+fn newest(folders: &[PathBuf]) -> Option<PathBuf> {
+    let written = |path: &Path| std::fs::metadata(path).and_then(|m| m.modified()).ok();
+    let newest = |folder: &PathBuf| flights(folder).ok()?.pop();
+    folders
+        .iter()
+        .filter_map(newest)
+        .max_by_key(|path| written(path))
+}
