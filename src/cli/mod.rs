@@ -186,6 +186,7 @@ mod tests {
         assert_eq!(exit_code(&Ok(CommandOutcome::Good)), 0);
         assert_eq!(exit_code(&Ok(CommandOutcome::NotGoodEnough)), 1);
         assert_eq!(exit_code(&Err(miette!("bad key"))), 2);
+        assert_eq!(exit_code(&Err(Refused::report("not while disarmed"))), 1);
         let gone = || Unreachable {
             what: "/dev/i2c-1".to_owned(),
             why: "no such file".to_owned(),

@@ -68,6 +68,11 @@ fn a_session_from_start_to_end() {
         "settled",
     );
     let status = daemon.until(2.0, "status", |_| true).unwrap();
+    // the service says whatever the command line reads
+    let read = serde_json::to_value(retroflex::service::status::Status::default()).unwrap();
+    for key in read.as_object().unwrap().keys() {
+        assert!(status.get(key).is_some(), "{key}: {status}");
+    }
     assert!(
         (status["estimate"]["bend_deg"].as_f64().unwrap() - 40.0).abs() < 1.0,
         "{status}"

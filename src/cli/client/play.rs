@@ -65,9 +65,10 @@ pub fn play(args: &PlayArgs) -> Result<()> {
     let rested = arrive_and_hold(&mut connection, now.t, 0.0, &rest);
     let outcome = rested.and_then(|()| schedule.run(&mut connection));
     let recorded = ask(&mut connection, &request(RecordAction::Stop));
-    outcome?;
-    output::print(words(&recorded?));
-    Ok(())
+    if let Ok(recorded) = &recorded {
+        output::print(words(recorded));
+    }
+    outcome.and(recorded.map(drop))
 }
 
 /// What is played.

@@ -117,8 +117,9 @@ fn files<'a>(
     Ok(out)
 }
 
-fn listed(logs: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
-    logs.iter().map(name).collect::<Vec<_>>().join(", ")
+fn listed(logs: &[PathBuf], name: impl Fn(&Path) -> String) -> String {
+    let names = logs.iter().map(|log| name(log));
+    names.collect::<Vec<_>>().join(", ")
 }
 
 /// The document as JSON. JSON cannot represent a number that is not finite, so such a number is an error.

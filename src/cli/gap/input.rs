@@ -101,7 +101,7 @@ pub fn observe_together(paths: &[PathBuf], rig: &Rig) -> Result<Observed> {
 }
 
 /// The name of a file without its folder.
-pub fn file_name(path: &PathBuf) -> String {
+pub fn file_name(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default();
     name.to_string_lossy().into_owned()
 }

@@ -23,7 +23,7 @@ pub fn run(
 ) -> Result<()> {
     let map: MapFile = source::read(map)?;
     let signals = table::read(log, &map).into_diagnostic()?;
-    let other = |path| Ok((file_name(path), table::read(path, &map).into_diagnostic()?));
+    let other = |path: &PathBuf| Ok((file_name(path), table::read(path, &map).into_diagnostic()?));
     let others = fresh.iter().map(other).collect::<Result<Vec<_>>>()?;
     let document = diagnose(&map, &signals, &others, seed);
     output::answer(json, &document, summary(&document) + "\n")
