@@ -116,9 +116,14 @@ impl Info {
             }
             Entry::Shown(value) => {
                 for (bends, key) in self.bends.iter_mut().zip(["target", "estimate"]) {
-                    let bend_deg = value[key]["bend_deg"].as_f64();
+                    let Some(pose) = value.get(key) else { continue };
+                    // a line ends where there is no pose
+                    let bend_deg = pose["bend_deg"].as_f64().unwrap_or(f64::NAN);
                     let new = bends.last().is_none_or(|last| t_s - last.0 >= BEND_EVERY_S);
-                    bends.extend(bend_deg.filter(|_| new).map(|bend_deg| (t_s, bend_deg)));
+                    let ends = bends
+                        .last()
+                        .is_some_and(|last| last.1.is_nan() != bend_deg.is_nan());
+                    bends.extend((new || ends).then_some((t_s, bend_deg)));
                 }
                 self.changes
                     .of(&value)

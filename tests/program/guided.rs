@@ -437,6 +437,28 @@ fn the_service_plays_a_path_and_streams_set_points_with_times() {
         2,
         "beyond.csv, line 3, column bend_deg: `89` is not within",
     );
+    // whichever pose of a schedule it is
+    for (seed, count) in [(1, 3_usize), (2, 40), (3, 400)] {
+        let mut rng = StdRng::seed_from_u64(seed);
+        let wrong = rng.random_range(1..count);
+        let mut rows = "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n".to_owned();
+        for k in 0..count {
+            let bend_deg = if k == wrong {
+                88.0
+            } else {
+                rng.random_range(0.0..40.0)
+            };
+            let dir_deg: f64 = rng.random_range(0.0..360.0);
+            rows += &format!("{bend_deg:.1},{dir_deg:.1},20,1,10\n");
+        }
+        let path = folder.path().join("poses.csv");
+        std::fs::write(&path, rows).unwrap();
+        let named = format!(
+            "poses.csv, row {}, bend_deg 88: expected within reach",
+            wrong + 1
+        );
+        expect(&["play", path.to_str().unwrap()], "", 2, &named);
+    }
     assert_eq!(
         daemon.until(1.0, "a status", |_| true).unwrap()["target"],
         target,

@@ -15,7 +15,6 @@ use crate::service::protocol::{Failure, Frame, PathRow, RecordAction, Request};
 use crate::service::status::Status;
 use crate::supervisor::Mode;
 use miette::{IntoDiagnostic, Result, miette};
-use serde_json::Value;
 use std::path::Path;
 use std::time::Duration;
 
@@ -43,6 +42,7 @@ pub fn play(args: &PlayArgs) -> Result<()> {
             "the schedule moves the tip, so it must be armed and at a standstill: `retroflex arm` first",
         ));
     }
+    schedule.check(&args.schedule, &mut connection)?;
     if args.record.is_none() {
         return schedule.run(&mut connection);
     }
@@ -95,24 +95,62 @@ impl Schedule {
         })
     }
 
+    /// The rows as those of a path. What is between poses is not checked, so their times only have to increase.
+    fn path(&self) -> Vec<PathRow> {
+        match self {
+            Self::Poses(rows) => {
+                let timed = rows.iter().zip(0_u32..);
+                timed
+                    .map(|(r, k)| (f64::from(k) * 1e-3, r.bend_deg, r.dir_deg, Some(r.len_mm)))
+                    .collect()
+            }
+            Self::Path(file) => {
+                let column = |name: &str| file.table.column(name).unwrap_or_default();
+                let [t_s, bend_deg, dir_deg, len_mm] =
+                    ["t_s", "bend_deg", "dir_deg", "len_mm"].map(column);
+                let row = |k: usize| (t_s[k], bend_deg[k], dir_deg[k], len_mm.get(k).copied());
+                (0..t_s.len()).map(row).collect()
+            }
+        }
+    }
+
+    /// Has the service check all rows before anything moves.
+    fn check(&self, file: &Path, connection: &mut Connection) -> Result<()> {
+        for chunk in self.path().chunks(CHUNK_ROWS) {
+            let (rows, more) = (chunk.to_vec(), true);
+            let message = match connection.request(&Request::Path { rows, more }) {
+                Err(Failure { code: 2, message }) => message,
+                other => {
+                    other.map_err(report)?;
+                    continue;
+                }
+            };
+            let row = message
+                .strip_prefix("row ")
+                .and_then(|rest| rest.split(',').next()?.parse::<usize>().ok());
+            let expected = message
+                .split_once("expected ")
+                .map(|(_, expected)| expected);
+            return Err(match (self, row, expected) {
+                (Self::Path(path), Some(row @ 1..), Some(expected)) if row <= path.table.rows() => {
+                    miette!("{}", path.refuse(row - 1, expected))
+                }
+                _ => miette!("{}, {message}", file.display()),
+            });
+        }
+        Ok(())
+    }
+
     fn run(&self, connection: &mut Connection) -> Result<()> {
         match self {
             Self::Poses(rows) => run_rows(connection, rows),
-            Self::Path(file) => run_path(connection, file),
+            Self::Path(_) => run_path(connection, &self.path()),
         }
     }
 }
 
-/// Has the rows of a path checked, moves to the first one, then follows it.
-fn run_path(connection: &mut Connection, file: &PathFile) -> Result<()> {
-    let column = |name: &str| file.table.column(name).unwrap_or_default();
-    let [t_s, bend_deg, dir_deg, len_mm] = ["t_s", "bend_deg", "dir_deg", "len_mm"].map(column);
-    let row = |k: usize| (t_s[k], bend_deg[k], dir_deg[k], len_mm.get(k).copied());
-    let rows: Vec<PathRow> = (0..t_s.len()).map(row).collect();
-    for chunk in rows.chunks(CHUNK_ROWS) {
-        let (rows, more) = (chunk.to_vec(), true);
-        checked(file, connection.request(&Request::Path { rows, more }))?;
-    }
+/// Moves to the first row of a path that the service has checked, then follows it.
+fn run_path(connection: &mut Connection, rows: &[PathRow]) -> Result<()> {
     let now = status(connection)?;
     let (_, bend_deg, dir_deg, length_mm) = rows[0];
     let first = Row {
@@ -125,7 +163,7 @@ fn run_path(connection: &mut Connection, file: &PathFile) -> Result<()> {
     ask(connection, &request)?;
     arrive_and_hold(connection, now.t, 0.0, &first)?;
     let (rows, more) = (vec![], false);
-    let answer = checked(file, connection.request(&Request::Path { rows, more }))?;
+    let answer = ask(connection, &Request::Path { rows, more })?;
     if let Some(slower) = answer["time_scale"].as_f64().filter(|scale| *scale > 1.0) {
         eprintln!(
             "note: the path asks {slower:.2} times the speed that the pistons can follow; it is played that much slower"
@@ -141,23 +179,6 @@ fn run_path(connection: &mut Connection, file: &PathFile) -> Result<()> {
             return Ok(());
         }
     }
-}
-
-/// The answer to rows of a path. The refusal of one is an error that names file, line and column.
-fn checked(file: &PathFile, answer: Result<Value, Failure>) -> Result<Value> {
-    let message = match answer {
-        Err(Failure { code: 2, message }) => message,
-        other => return other.map_err(report),
-    };
-    let row = message
-        .strip_prefix("row ")
-        .and_then(|rest| rest.split(',').next()?.parse::<usize>().ok());
-    Err(match (row, message.split_once("expected ")) {
-        (Some(row @ 1..), Some((_, expected))) if row <= file.table.rows() => {
-            miette!("{}", file.refuse(row - 1, expected))
-        }
-        _ => miette!("{message}"),
-    })
 }
 
 /// Why the tip does not move as it is told.
