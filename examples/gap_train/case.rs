@@ -2,13 +2,13 @@
 
 use super::rig;
 use super::unit::Unit;
-use retroflex::diagnosis::features::statements;
-use retroflex::diagnosis::map;
-use retroflex::diagnosis::observe::Observed;
-use retroflex::diagnosis::posterior::{Claim, Said as SaidOf, Statement, ranked};
-use retroflex::diagnosis::refuse::ObserveError;
-use retroflex::diagnosis::rig::Rig;
-use retroflex::diagnosis::search::search;
+use retroflex::diagnosis;
+use retroflex::diagnosis::tip::features::statements;
+use retroflex::diagnosis::tip::observed::Observed;
+use retroflex::diagnosis::tip::observed::refuse::ObserveError;
+use retroflex::diagnosis::tip::rig::Rig;
+use retroflex::diagnosis::tip::search::search;
+use retroflex::diagnosis::verdict::posterior::{Claim, Said as SaidOf, Statement, ranked};
 use retroflex::model::effects::catalogue;
 use serde::{Deserialize, Serialize};
 
@@ -75,7 +75,7 @@ impl Case {
     /// Searches the log of a random rig.
     pub fn of_rig(seed: u64) -> Self {
         let rig = rig::draw(seed);
-        let searched = map::diagnose::search(&rig.map, &rig.signals, seed);
+        let searched = diagnosis::rig::diagnose::search(&rig.map, &rig.signals, seed);
         Self::new(
             seed,
             rig.truth.as_deref(),

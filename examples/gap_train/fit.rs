@@ -2,7 +2,7 @@
 
 use super::case::Case;
 use nalgebra::{DMatrix, DVector};
-use retroflex::diagnosis::posterior::{Head, probabilities};
+use retroflex::diagnosis::verdict::posterior::{Head, probabilities};
 
 /// Ridge per log.
 const RIDGE: f64 = 1e-4;
@@ -136,7 +136,7 @@ mod tests {
     use super::*;
     use rand::rngs::StdRng;
     use rand::{RngExt, SeedableRng};
-    use retroflex::diagnosis::posterior::{Claim, conformal_set};
+    use retroflex::diagnosis::verdict::posterior::{Claim, conformal_set};
 
     /// Cases drawn from known weights: a fit finds them, and the sets hold as often as they should.
     #[test]

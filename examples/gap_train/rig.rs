@@ -8,11 +8,11 @@ use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
-use retroflex::diagnosis::map::file::{Columns, MapFile, Nominal};
-use retroflex::diagnosis::map::model::{RESONANT, catalogue};
-use retroflex::diagnosis::map::operators::{DRIVEN, Drive, Operator};
-use retroflex::diagnosis::map::regress::{self, Task, variance};
-use retroflex::diagnosis::map::table::Signals;
+use retroflex::diagnosis::rig::file::{Columns, MapFile, Nominal};
+use retroflex::diagnosis::rig::model::{RESONANT, catalogue};
+use retroflex::diagnosis::rig::operators::{DRIVEN, Drive, Operator};
+use retroflex::diagnosis::rig::regress::{self, Task, variance};
+use retroflex::diagnosis::rig::table::Signals;
 use std::f64::consts::TAU;
 
 /// Rows of a log.
@@ -385,8 +385,8 @@ fn recalibrated(y: &[f64], inputs: &[Vec<f64>]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use retroflex::diagnosis::decide::VerdictKind;
-    use retroflex::diagnosis::map::diagnose::diagnose;
+    use retroflex::diagnosis::rig::diagnose::diagnose;
+    use retroflex::diagnosis::verdict::decide::VerdictKind;
 
     #[test]
     fn a_seed_gives_a_rig_and_another_gives_another() {

@@ -2,11 +2,11 @@
 //!
 //! `INSTA_UPDATE=always cargo test --test library gap_report` accepts an intended change.
 
-use retroflex::diagnosis::credit::StageShare;
-use retroflex::diagnosis::decide::VerdictKind;
-use retroflex::diagnosis::document::{
+use retroflex::diagnosis::tip::credit::StageShare;
+use retroflex::diagnosis::tip::document::{
     Diagnosis, EffectEntry, Gap, Location, ParamValue, QuantityShare, UnknownEntry, VerdictEntry,
 };
+use retroflex::diagnosis::verdict::decide::VerdictKind;
 use retroflex::report::gap::evidence::{Evidence, Spot, Trace};
 use retroflex::report::gap::{page, words};
 

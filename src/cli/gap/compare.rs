@@ -2,11 +2,11 @@
 
 use crate::cli::gap::input;
 use crate::cli::{CommandOutcome, inputs, logging, output};
-use crate::diagnosis::chain::Motion;
-use crate::diagnosis::diagnose::{diagnose, goes_with};
-use crate::diagnosis::document::{DependenceEntry, Diagnosis};
-use crate::diagnosis::holdout::CLAIM_DEG;
-use crate::diagnosis::observe::Observed;
+use crate::diagnosis::tip::diagnose::{diagnose, goes_with};
+use crate::diagnosis::tip::document::{DependenceEntry, Diagnosis};
+use crate::diagnosis::tip::fit::holdout::CLAIM_DEG;
+use crate::diagnosis::tip::model::chain::Motion;
+use crate::diagnosis::tip::observed::Observed;
 use crate::experiment::compare::{Compared, Knob, compare, drive};
 use crate::experiment::rig::RigError;
 use crate::log::columns::{self, Column};

@@ -3,10 +3,10 @@
 use crate::cli::gap::rows::{self, RowsArgs, Settings};
 use crate::cli::gap::{input, map};
 use crate::cli::{CommandOutcome, inputs, output};
-use crate::diagnosis::diagnose::{Diagnosed, diagnose};
-use crate::diagnosis::document::{Diagnosis, EffectEntry, LogEntry};
-use crate::diagnosis::observe::Observed;
-use crate::diagnosis::saved::SavedModel;
+use crate::diagnosis::tip::diagnose::{Diagnosed, diagnose};
+use crate::diagnosis::tip::document::{Diagnosis, EffectEntry, LogEntry};
+use crate::diagnosis::tip::observed::Observed;
+use crate::diagnosis::tip::saved::SavedModel;
 use crate::model::effects::catalogue;
 use crate::report::gap::evidence::Evidence;
 use crate::report::gap::{page, words};

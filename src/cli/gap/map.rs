@@ -3,12 +3,12 @@
 use crate::cli::CommandOutcome;
 use crate::cli::output;
 use crate::config::source;
-use crate::diagnosis::decide::VerdictKind;
-use crate::diagnosis::map::diagnose::diagnose;
-use crate::diagnosis::map::document::{Document, Entry};
-use crate::diagnosis::map::file::MapFile;
-use crate::diagnosis::map::operators::kind;
-use crate::diagnosis::map::table;
+use crate::diagnosis::rig::diagnose::diagnose;
+use crate::diagnosis::rig::document::{Document, Entry};
+use crate::diagnosis::rig::file::MapFile;
+use crate::diagnosis::rig::operators::kind;
+use crate::diagnosis::rig::table;
+use crate::diagnosis::verdict::decide::VerdictKind;
 use miette::{IntoDiagnostic, Result};
 use std::path::{Path, PathBuf};
 

@@ -5,9 +5,9 @@
 
 use crate::cli::gap::input;
 use crate::cli::{CommandOutcome, output};
-use crate::diagnosis::diagnose::diagnose;
 use crate::diagnosis::fleet::row::{self, Row};
-use crate::diagnosis::rig::Rig;
+use crate::diagnosis::tip::diagnose::diagnose;
+use crate::diagnosis::tip::rig::Rig;
 use crate::log::columns;
 use crate::log::error::why_unreadable;
 use crate::model::Line;

@@ -7,13 +7,13 @@
 //!   rest solved again until every share exceeds a threshold.
 //! * **Nearest signature**: the effect whose tangent makes the smallest angle with the nominal residual.
 
-use crate::diagnosis::candidate::Candidate;
 use crate::diagnosis::candidates::Candidates;
-use crate::diagnosis::chain::Model;
-use crate::diagnosis::fit::fit;
-use crate::diagnosis::observe::Observed;
-use crate::diagnosis::problem::Problem;
-use crate::diagnosis::tangent::{BaseFit, Tangent};
+use crate::diagnosis::tip::fit::candidate::Candidate;
+use crate::diagnosis::tip::fit::fit;
+use crate::diagnosis::tip::fit::least_squares::Problem;
+use crate::diagnosis::tip::fit::tangent::{BaseFit, Tangent};
+use crate::diagnosis::tip::model::chain::Model;
+use crate::diagnosis::tip::observed::Observed;
 use crate::model::effects::Effect;
 use crate::model::{Line, NOMINAL, nominal_theta};
 use nalgebra::{DMatrix, DVector};

@@ -5,11 +5,11 @@
 //! the largest is asked for in any case.
 
 use crate::diagnosis::exam::record::{PERIOD_S, record};
-use crate::diagnosis::holdout::CLAIM_DEG;
-use crate::diagnosis::observe::Observed;
-use crate::diagnosis::quantity::{PerQuantity, Quantity};
-use crate::diagnosis::rig::Rig;
-use crate::diagnosis::search::recalibrated;
+use crate::diagnosis::tip::fit::holdout::CLAIM_DEG;
+use crate::diagnosis::tip::observed::Observed;
+use crate::diagnosis::tip::observed::quantity::{PerQuantity, Quantity};
+use crate::diagnosis::tip::rig::Rig;
+use crate::diagnosis::tip::search::recalibrated;
 use crate::log::bend_log::BendLog;
 use crate::model::Line;
 use crate::simulation::plant::config::BaseConfig;

@@ -1,15 +1,15 @@
 //! Answers the questions of an exam.
 
-use crate::diagnosis::check::check;
-use crate::diagnosis::decide::VerdictKind;
-use crate::diagnosis::diagnose::diagnose;
-use crate::diagnosis::document::Diagnosis;
 use crate::diagnosis::exam::baseline::{self, Answers};
 use crate::diagnosis::exam::question::{Content, Logs, Question};
-use crate::diagnosis::observe::Observed;
-use crate::diagnosis::refuse::ObserveError;
-use crate::diagnosis::rig::Rig;
-use crate::diagnosis::saved::SavedModel;
+use crate::diagnosis::tip::check::check;
+use crate::diagnosis::tip::diagnose::diagnose;
+use crate::diagnosis::tip::document::Diagnosis;
+use crate::diagnosis::tip::observed::Observed;
+use crate::diagnosis::tip::observed::refuse::ObserveError;
+use crate::diagnosis::tip::rig::Rig;
+use crate::diagnosis::tip::saved::SavedModel;
+use crate::diagnosis::verdict::decide::VerdictKind;
 use crate::model::effects::{self, Effect};
 use crate::supervisor::MachineError;
 use rayon::prelude::*;

@@ -1,9 +1,9 @@
 //! Scores of an exam.
 
-use crate::diagnosis::decide::VerdictKind;
-use crate::diagnosis::document::StatementEntry;
 use crate::diagnosis::exam::question::{Content, Question};
 use crate::diagnosis::exam::run::Answer;
+use crate::diagnosis::tip::document::StatementEntry;
+use crate::diagnosis::verdict::decide::VerdictKind;
 use crate::model::effects::by_name;
 use serde::Serialize;
 use std::collections::BTreeMap;

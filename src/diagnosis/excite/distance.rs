@@ -6,12 +6,12 @@
 //! weighted residual differences. Imitation is linearised about the points of each effect (slopes at the first point,
 //! and the other points as directions).
 
-use crate::diagnosis::chain::{Model, run};
 use crate::diagnosis::excite::points::{Rival, counted};
 use crate::diagnosis::excite::rows::{Machine, Row};
 use crate::diagnosis::excite::synthetic;
-use crate::diagnosis::observe::{CORRELATED_S, Observed};
-use crate::diagnosis::sense::{every_bin, sense};
+use crate::diagnosis::tip::model::chain::{Model, run};
+use crate::diagnosis::tip::model::sense::{every_bin, sense};
+use crate::diagnosis::tip::observed::{CORRELATED_S, Observed};
 use crate::model::{NOMINAL, nominal_theta};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;

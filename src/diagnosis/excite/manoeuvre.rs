@@ -246,7 +246,7 @@ pub fn first_guess(rest_mm: f64) -> Vec<Manoeuvre> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::rig::Rig;
+    use crate::diagnosis::tip::rig::Rig;
     use crate::model::transmission::Line;
     use rand::SeedableRng;
 

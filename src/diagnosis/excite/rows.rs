@@ -4,7 +4,7 @@
 //! the way, and the hold after arrival. All pistons start and arrive together on straight lines. Eq. 10-11 and Eq. 16
 //! turn poses into piston positions.
 
-use crate::diagnosis::rig::Rig;
+use crate::diagnosis::tip::rig::Rig;
 use crate::log::error::ReadError;
 use crate::log::table::{Schema, Table};
 use crate::model::{Bend, Geometry, Line, Shape, Side, SideState, Wanted};

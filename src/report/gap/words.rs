@@ -1,8 +1,8 @@
 //! A diagnosis in words.
 
-use crate::diagnosis::decide::VerdictKind;
-use crate::diagnosis::document::{Diagnosis, EffectEntry, ParamValue, StatementEntry};
-use crate::diagnosis::remedy::Remedy;
+use crate::diagnosis::tip::document::{Diagnosis, EffectEntry, ParamValue, StatementEntry};
+use crate::diagnosis::tip::remedy::Remedy;
+use crate::diagnosis::verdict::decide::VerdictKind;
 use crate::model::effects::by_name;
 
 /// Name of an effect without underscores.

@@ -6,12 +6,12 @@
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rayon::prelude::*;
-use retroflex::diagnosis::diagnose::diagnose;
-use retroflex::diagnosis::document::Diagnosis;
 use retroflex::diagnosis::exam::question::{Content, Question};
 use retroflex::diagnosis::exam::record::{PERIOD_S, record};
-use retroflex::diagnosis::observe::Observed;
-use retroflex::diagnosis::rig::Rig;
+use retroflex::diagnosis::tip::diagnose::diagnose;
+use retroflex::diagnosis::tip::document::Diagnosis;
+use retroflex::diagnosis::tip::observed::Observed;
+use retroflex::diagnosis::tip::rig::Rig;
 use retroflex::log::bend_log::BendLog;
 use retroflex::model::Line;
 use retroflex::model::effects::catalogue;

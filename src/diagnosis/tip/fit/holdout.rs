@@ -1,0 +1,275 @@
+//! Scores on blocks that the fit has not seen.
+//!
+//! Contiguous blocks are left out in turn. The model runs through the whole log from the pistons alone, and the
+//! left-out blocks are scored. Scores for two block lengths are averaged: long blocks, which a slow effect cannot
+//! bridge, and short ones, which can date an event. A fit without a block starts at the full fit and descends along the tangent there
+//! until a step gains next to nothing; its prediction is a full run.
+
+use crate::diagnosis::tip::fit::least_squares::{Point, Problem, weighted};
+use crate::diagnosis::tip::fit::start::dates;
+use crate::diagnosis::tip::fit::step;
+use crate::diagnosis::tip::fit::tangent::{Sums, Tangent};
+use crate::diagnosis::tip::model::chain::{Motion, run};
+use crate::diagnosis::tip::model::sense::{Residuals, sense};
+use crate::diagnosis::tip::observed::Observed;
+use crate::diagnosis::tip::observed::bins::BIN_S;
+use crate::diagnosis::tip::observed::quantity::{PerQuantity, Quantity};
+use nalgebra::Vector3;
+use std::collections::BTreeMap;
+
+/// Least reduction of a quantity's RMSE that is attributed to an effect, degrees or °/s.
+pub const CLAIM_DEG: f64 = 0.3;
+/// Lengths of left-out blocks, s.
+pub const BLOCKS_S: [f64; 2] = [12.0, 1.5];
+/// Mean square that noise alone leaves in any block, in units of the bins' variances.
+const FLOOR: f64 = 0.03;
+/// Margin at either end of a block that is neither fitted nor scored, s.
+const MARGIN_S: f64 = 0.3;
+/// Damping of the steps to a fit without a block.
+const DAMPING: f64 = 1e-4;
+/// Most of these steps.
+const STEPS: usize = 5;
+/// Relative gain of a step below which it is the last.
+const CONVERGED: f64 = 1e-3;
+/// Times a step is shortened, by [`SHORTER`] each, before it is given up.
+const ATTEMPTS: usize = 3;
+/// Factor by which a step that raises the cost is shortened.
+const SHORTER: f64 = 0.3;
+
+/// Held-out residual energies.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HeldOut {
+    /// RMSE of each quantity over the left-out blocks, degrees (°/s for the gyroscope); 0 where missing.
+    pub rmse_deg: PerQuantity<f64>,
+    /// Energy of each long block summed over the quantities, deg²; the blocks add up to [`HeldOut::energy`].
+    pub blocks: Vec<f64>,
+    /// Residuals of every bin as predicted when its long block was left out; 0 in the margins.
+    pub residual: Residuals,
+    /// [`density`] of each quantity over the long blocks and over the short ones.
+    pub density: [PerQuantity<f64>; 2],
+}
+
+impl HeldOut {
+    /// Energy over all quantities, deg².
+    pub fn energy(&self) -> f64 {
+        self.rmse_deg.0.iter().map(|e| e * e).sum()
+    }
+
+    /// Largest reduction of any quantity's RMSE from these scores to others, degrees or °/s.
+    pub fn gain(&self, to: &Self) -> f64 {
+        self.rmse_deg
+            .0
+            .iter()
+            .zip(&to.rmse_deg.0)
+            .map(|(a, b)| a - b)
+            .fold(f64::NEG_INFINITY, f64::max)
+    }
+}
+
+/// Leaves blocks of both lengths out of a fit that ended at `point`.
+pub fn leave_out(problem: &Problem<'_>, point: &Point, tangent: &Tangent) -> HeldOut {
+    let [mut long, short] = BLOCKS_S.map(|length_s| {
+        let folds = folds(problem.log, length_s);
+        score(
+            problem.log,
+            predicted(problem, point, tangent, &folds),
+            |k| folds[k].is_some(),
+        )
+    });
+    long.density[1] = density(problem.log, &short.residual, BLOCKS_S[1]);
+    for (a, b) in long.rmse_deg.0.iter_mut().zip(short.rmse_deg.0) {
+        *a = ((*a * *a + b * b) / 2.0).sqrt();
+    }
+    let (sum, energy) = (long.blocks.iter().sum::<f64>(), long.energy());
+    if sum > 0.0 {
+        long.blocks.iter_mut().for_each(|b| *b *= energy / sum);
+    }
+    long
+}
+
+/// Fold in which each bin is left out (0 or 1); `None` within the margin to the other fold.
+fn folds(log: &Observed, length_s: f64) -> Vec<Option<usize>> {
+    let of = |t_s: f64| {
+        let phase = (t_s - log.start_s()) / length_s;
+        let within = phase.fract() * length_s;
+        (MARGIN_S..=length_s - MARGIN_S)
+            .contains(&within)
+            .then_some(phase.floor() as usize % 2)
+    };
+    log.bins.iter().map(|b| of(b.t_s)).collect()
+}
+
+/// Residuals of each bin as predicted by the fit that has not seen it.
+fn predicted(
+    problem: &Problem<'_>,
+    point: &Point,
+    tangent: &Tangent,
+    folds: &[Option<usize>],
+) -> Residuals {
+    let log = problem.log;
+    let parts = tangent.parts(point, log.bins.len(), 2, |k| folds[k]);
+    let mut residual = Residuals::from_fn(|_| vec![Vector3::zeros(); log.bins.len()]);
+    for fold in 0..2 {
+        let mut sums = parts[1 - fold].clone();
+        sums.add_prior(problem, &point.theta);
+        let refitted = refitted(problem, point, tangent, sums, &|k| {
+            folds[k] == Some(1 - fold)
+        });
+        for (k, _) in folds.iter().enumerate().filter(|(_, f)| **f == Some(fold)) {
+            for (all, these) in residual.0.iter_mut().zip(&refitted.0) {
+                all[k] = these[k];
+            }
+        }
+    }
+    residual
+}
+
+/// Residuals of the fit without a fold, which starts at `point` with `sums` over the other fold. Nothing but the bins around an event
+/// tells its time, so the dates of the whole log are kept.
+fn refitted(
+    problem: &Problem<'_>,
+    point: &Point,
+    tangent: &Tangent,
+    mut sums: Sums,
+    mask: &impl Fn(usize) -> bool,
+) -> Residuals {
+    let log = problem.log;
+    let mut bounds = problem.bounds.clone();
+    for i in dates(problem) {
+        (bounds[i].low, bounds[i].high) = (point.theta[i], point.theta[i]);
+    }
+    let at = |theta: Vec<f64>, motion: &Motion| Refit::new(problem, theta, motion, mask);
+    let mut here = at(point.theta.clone(), &point.motion);
+    for _ in 0..STEPS {
+        let Some(mut theta) = step(&here.theta, &bounds, &sums, DAMPING) else {
+            break;
+        };
+        let mut next = None;
+        for _ in 0..ATTEMPTS {
+            let motion = run(log, &problem.model, &theta);
+            next = Some(at(theta.clone(), &motion)).filter(|n| n.cost <= here.cost);
+            if next.is_some() {
+                break;
+            }
+            theta
+                .iter_mut()
+                .zip(&here.theta)
+                .for_each(|(t, p)| *t = p + (*t - p) * SHORTER);
+        }
+        let Some(next) = next else { break };
+        let gained = 1.0 - next.cost / here.cost;
+        here = next;
+        if gained < CONVERGED {
+            break;
+        }
+        sums.gradient = tangent.gradient(problem, &here.theta, &here.fitted);
+    }
+    here.residual
+}
+
+/// A point of the fit without a fold.
+struct Refit {
+    theta: Vec<f64>,
+    /// Residuals of all bins.
+    residual: Residuals,
+    /// Weighted residuals of the bins that are fitted; 0 for the others.
+    fitted: Vec<f64>,
+    /// Sum of their squares and of those of the priors.
+    cost: f64,
+}
+
+impl Refit {
+    fn new(
+        problem: &Problem<'_>,
+        theta: Vec<f64>,
+        motion: &Motion,
+        mask: &impl Fn(usize) -> bool,
+    ) -> Self {
+        let log = problem.log;
+        let residual = sense(log, &problem.model, &theta, motion, mask);
+        let mut fitted = weighted(log, &residual);
+        let rows = 3 * log.quantities().count();
+        fitted
+            .chunks_exact_mut(rows)
+            .enumerate()
+            .filter(|(k, _)| !mask(*k))
+            .for_each(|(_, r)| r.fill(0.0));
+        let cost = fitted.iter().map(|r| r * r).sum::<f64>() + problem.prior(&theta);
+        Self {
+            theta,
+            residual,
+            fitted,
+            cost,
+        }
+    }
+}
+
+/// Mean over the blocks of the logarithm of the mean square of each quantity's left-out residuals, in units of their variances: the
+/// negative predictive density of residuals whose variance is unknown. No sum mixes units, and one block with an error of form counts
+/// as one block.
+pub fn density(log: &Observed, residual: &Residuals, block_s: f64) -> PerQuantity<f64> {
+    let of = |q: Quantity| {
+        let mut blocks: BTreeMap<usize, (f64, f64)> = BTreeMap::new();
+        let scored = log
+            .bins
+            .iter()
+            .zip(&residual[q])
+            .filter(|(b, r)| b.weight[q] > 0.0 && **r != Vector3::zeros());
+        for (bin, r) in scored {
+            let sum = blocks
+                .entry(((bin.t_s - log.start_s()) / block_s) as usize)
+                .or_default();
+            *sum = (
+                sum.0 + bin.weight[q].powi(2) * r.norm_squared(),
+                sum.1 + 3.0 * bin.lasting_s / BIN_S,
+            );
+        }
+        blocks
+            .values()
+            .map(|(square, n)| (square / n + FLOOR).ln())
+            .sum::<f64>()
+            / blocks.len().max(1) as f64
+    };
+    PerQuantity::from_fn(of)
+}
+
+/// RMSE of each quantity and energy of each block of the residuals of the `used` bins.
+pub fn score(log: &Observed, residual: Residuals, used: impl Fn(usize) -> bool) -> HeldOut {
+    let count = (log.duration_s() / BLOCKS_S[0]).ceil() as usize + 1;
+    // per block and quantity: weighted squares and weights
+    let mut sums = vec![PerQuantity([(0.0, 0.0); 4]); count];
+    for (k, bin) in log.bins.iter().enumerate().filter(|(k, _)| used(*k)) {
+        let at = ((bin.t_s - log.start_s()) / BLOCKS_S[0]) as usize;
+        for q in log.quantities() {
+            let w = bin.weight[q].powi(2);
+            let s = &mut sums[at.min(count - 1)][q];
+            *s = (s.0 + w * residual[q][k].norm_squared(), s.1 + w);
+        }
+    }
+    let total = PerQuantity::from_fn(|q| sums.iter().map(|b| b[q].1).sum::<f64>());
+    let square = 1f64.to_degrees().powi(2);
+    let rmse_deg = PerQuantity::from_fn(|q| {
+        let e: f64 = sums.iter().map(|b| b[q].0).sum();
+        if total[q] > 0.0 {
+            (e / total[q] * square).sqrt()
+        } else {
+            0.0
+        }
+    });
+    let blocks = sums
+        .iter()
+        .map(|b| {
+            log.quantities()
+                .filter(|&q| total[q] > 0.0)
+                .map(|q| b[q].0 / total[q] * square)
+                .sum()
+        })
+        .collect();
+    let density = [density(log, &residual, BLOCKS_S[0]), PerQuantity::default()];
+    HeldOut {
+        rmse_deg,
+        blocks,
+        residual,
+        density,
+    }
+}

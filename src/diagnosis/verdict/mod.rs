@@ -1,0 +1,4 @@
+//! What is said of a log: the probabilities of all statements, and the verdict.
+
+pub mod decide;
+pub mod posterior;
