@@ -20,7 +20,9 @@ use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 use retroflex::cli::output;
-use retroflex::diagnosis;
+use retroflex::diagnosis::problem::Problem;
+use retroflex::diagnosis::rig::search::RigProblem;
+use retroflex::diagnosis::tip::search::TipProblem;
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{Read, Write};
@@ -84,11 +86,11 @@ fn main() -> Result<()> {
     bar.finish_and_clear();
     cases.sort_by_key(|c| c.seed);
     let head = if args.map {
-        &diagnosis::rig::features::HEAD
+        RigProblem::head()
     } else {
-        &diagnosis::tip::features::HEAD
+        TipProblem::head()
     };
-    let trained = fit::fit(&cases, head.names.clone());
+    let trained = fit::fit(&cases, head.layout.names());
     let [fitted, check, lost] = trained.logs;
     let head = format!(
         "# Weights of the posterior (src/diagnosis/verdict/posterior.rs), made by\n# cargo run --release --example gap_train --{} --logs {} --seed {}\n\
@@ -98,7 +100,7 @@ fn main() -> Result<()> {
         args.seed,
         (-trained.loss).exp()
     );
-    let text = head + &trained.head.text().into_diagnostic()?;
+    let text = head + &toml::to_string(&trained.head).into_diagnostic()?;
     output::write(&args.out, text.as_bytes())?;
     output::print(text);
     Ok(())

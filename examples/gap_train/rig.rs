@@ -385,7 +385,7 @@ fn recalibrated(y: &[f64], inputs: &[Vec<f64>]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use retroflex::diagnosis::rig::diagnose::diagnose;
+    use retroflex::diagnosis::rig::document::Document;
     use retroflex::diagnosis::verdict::decide::VerdictKind;
 
     #[test]
@@ -401,7 +401,7 @@ mod tests {
     fn on_random_rigs_the_verdict_is_its_posterior() {
         for seed in 800_000..800_040 {
             let rig = draw(seed);
-            let d = diagnose(&rig.map, &rig.signals, &[], seed);
+            let d = Document::new(&rig.map, &rig.signals, &[], seed);
             let v = &d.verdict;
             let Some(first) = v.conformal.first() else {
                 assert_eq!(v.kind, VerdictKind::Unknown, "{seed}");

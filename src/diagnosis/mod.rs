@@ -1,14 +1,18 @@
 //! Diagnosis of the sim-to-real gap: where it lies, which effect causes it, and how much of it the effect closes.
 //!
-//! [`tip`] turns the log of a bending tip into weighted bins, runs the controller's own model through it with any set of catalogue
-//! effects, and searches the sets; [`rig`] does the same for any other machine with one output. Both give [`candidates`], of which
-//! [`verdict`] chooses one. [`fleet`] compares many units, [`excite`] designs schedules, and [`exam`] tests the diagnosis on the
-//! built-in plant.
+//! A log is a [`problem`]: effects that may act in it, and how well each set of them explains parts of it that its fit has not seen.
+//! [`search()`](search::search) fits the sets ([`candidates`]), [`verdict`] gives every statement about the log a probability and takes the
+//! most probable, and [`diagnose()`](diagnose::diagnose) is the whole way to the document. A log of a bending [`tip`] is one such problem, a
+//! log of any other [`rig`] with one output another. [`fleet`] compares many units, [`excite`] designs schedules, and [`exam`] tests the
+//! diagnosis on the built-in plant.
 
 pub mod candidates;
+pub mod diagnose;
 pub mod exam;
 pub mod excite;
 pub mod fleet;
+pub mod problem;
 pub mod rig;
+pub mod search;
 pub mod tip;
 pub mod verdict;

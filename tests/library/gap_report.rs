@@ -4,9 +4,9 @@
 
 use retroflex::diagnosis::tip::credit::StageShare;
 use retroflex::diagnosis::tip::document::{
-    Diagnosis, EffectEntry, Gap, Location, ParamValue, QuantityShare, UnknownEntry, VerdictEntry,
+    Diagnosis, EffectEntry, Gap, Location, ParamValue, QuantityShare, UnknownEntry,
 };
-use retroflex::diagnosis::verdict::decide::VerdictKind;
+use retroflex::diagnosis::verdict::decide::{Verdict, VerdictKind};
 use retroflex::report::gap::evidence::{Evidence, Spot, Trace};
 use retroflex::report::gap::{page, words};
 
@@ -67,12 +67,13 @@ fn diagnosis(
             effect("transport_delay", "timing", 0.48, 0.89),
             effect("creep", "bellows", 0.02, 0.1),
         ],
-        verdict: VerdictEntry {
+        verdict: Verdict {
             kind,
             names: names.to_vec(),
             probability: 0.9,
             equivalent: equivalent.iter().map(|g| g.to_vec()).collect(),
             conformal: vec![],
+            doubt: 0.03,
         },
         unknown: UnknownEntry {
             probability: 0.03,

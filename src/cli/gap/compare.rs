@@ -2,11 +2,12 @@
 
 use crate::cli::gap::input;
 use crate::cli::{CommandOutcome, inputs, logging, output};
-use crate::diagnosis::tip::diagnose::{diagnose, goes_with};
-use crate::diagnosis::tip::document::{DependenceEntry, Diagnosis};
+use crate::diagnosis::diagnose::diagnose;
+use crate::diagnosis::tip::document::{DependenceEntry, Diagnosis, goes_with};
 use crate::diagnosis::tip::fit::holdout::CLAIM_DEG;
 use crate::diagnosis::tip::model::chain::Motion;
 use crate::diagnosis::tip::observed::Observed;
+use crate::diagnosis::tip::search::TipProblem;
 use crate::experiment::compare::{Compared, Knob, compare, drive};
 use crate::experiment::rig::RigError;
 use crate::log::columns::{self, Column};
@@ -113,7 +114,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let lines = inputs::calibration(args.calib.as_deref())?.lines();
     let log = input::observe(&args.log, &input::rig(args.board.as_deref())?)?;
     let (name, compared) = simulated(args, &log)?;
-    let diagnosis = diagnose(&log, &catalogue(), &lines, args.seed).document;
+    let diagnosis = diagnose(&TipProblem::new(&log, &catalogue(), &lines, args.seed)).document;
     let document = document(args, &log, name, &compared, &diagnosis);
     if let Some(path) = &args.residuals {
         write_residuals(path, &log, &compared)?;

@@ -3,10 +3,11 @@
 use crate::cli::gap::rows::{self, RowsArgs, Settings};
 use crate::cli::gap::{input, map};
 use crate::cli::{CommandOutcome, inputs, output};
-use crate::diagnosis::tip::diagnose::{Diagnosed, diagnose};
-use crate::diagnosis::tip::document::{Diagnosis, EffectEntry, LogEntry};
+use crate::diagnosis::diagnose::diagnose;
+use crate::diagnosis::tip::document::{Diagnosed, Diagnosis, EffectEntry, LogEntry};
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::tip::saved::SavedModel;
+use crate::diagnosis::tip::search::TipProblem;
 use crate::model::effects::catalogue;
 use crate::report::gap::evidence::Evidence;
 use crate::report::gap::{page, words};
@@ -94,7 +95,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let observed = input::observe_together(&args.logs, &input::rig(args.board.as_deref())?)?;
     let bar = output::bar(0, "the effects are fitted,");
     bar.enable_steady_tick(std::time::Duration::from_millis(200));
-    let done = diagnose(&observed, &catalogue(), &lines, args.seed);
+    let catalogue = catalogue();
+    let done = diagnose(&TipProblem::new(&observed, &catalogue, &lines, args.seed));
     bar.finish_and_clear();
     for (path, text) in files(args, &observed, &done)? {
         output::write(path, &text)?;

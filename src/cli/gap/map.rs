@@ -3,7 +3,6 @@
 use crate::cli::CommandOutcome;
 use crate::cli::output;
 use crate::config::source;
-use crate::diagnosis::rig::diagnose::diagnose;
 use crate::diagnosis::rig::document::{Document, Entry};
 use crate::diagnosis::rig::file::MapFile;
 use crate::diagnosis::rig::operators::kind;
@@ -33,7 +32,7 @@ pub fn run(
         .iter()
         .map(|p| table::read(p, &map).map(|s| (name(p), s)).into_diagnostic())
         .collect::<Result<Vec<_>>>()?;
-    let document = diagnose(&map, &signals, &others, seed);
+    let document = Document::new(&map, &signals, &others, seed);
     output::json(json, &document)?;
     output::show(&(summary(&document) + "\n"), json);
     Ok(CommandOutcome::Good)

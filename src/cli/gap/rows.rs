@@ -5,9 +5,10 @@
 
 use crate::cli::gap::input;
 use crate::cli::{CommandOutcome, output};
+use crate::diagnosis::diagnose::diagnose;
 use crate::diagnosis::fleet::row::{self, Row};
-use crate::diagnosis::tip::diagnose::diagnose;
 use crate::diagnosis::tip::rig::Rig;
+use crate::diagnosis::tip::search::TipProblem;
 use crate::log::columns;
 use crate::log::error::why_unreadable;
 use crate::model::Line;
@@ -316,12 +317,12 @@ fn next<'a>(open: &Mutex<std::vec::IntoIter<&'a mut Task>>) -> Option<&'a mut Ta
 
 fn diagnose_one(settings: &Settings, task: &mut Task) {
     match input::observe(&task.path, &settings.rig) {
-        Ok(log) => task.row.tell(&diagnose(
+        Ok(log) => task.row.tell(&diagnose(&TipProblem::new(
             &log,
             &catalogue(),
             &settings.lines,
             settings.seed,
-        )),
+        ))),
         // where the folder lies does not matter
         Err(e) => {
             task.row.refused = e

@@ -10,7 +10,7 @@
 use crate::diagnosis::candidates::Candidates;
 use crate::diagnosis::tip::fit::candidate::Candidate;
 use crate::diagnosis::tip::fit::fit;
-use crate::diagnosis::tip::fit::least_squares::Problem;
+use crate::diagnosis::tip::fit::least_squares::LeastSquares;
 use crate::diagnosis::tip::fit::tangent::{BaseFit, Tangent};
 use crate::diagnosis::tip::model::chain::Model;
 use crate::diagnosis::tip::observed::Observed;
@@ -65,7 +65,7 @@ struct Library {
 
 impl Library {
     fn new(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3]) -> Self {
-        let problem = Problem::new(log, Model::new(&[]));
+        let problem = LeastSquares::new(log, Model::new(&[]));
         let (point, _) = fit(&problem, &nominal_theta(lines, log.rig.prior_lag_s), ROUNDS);
         let tangent = Tangent::new(&problem, &point);
         let base = BaseFit {
@@ -75,7 +75,7 @@ impl Library {
         };
         let (mut columns, mut at) = (base.tangent.clone(), vec![NOMINAL]);
         for e in catalogue {
-            let problem = Problem::new(log, Model::new(&[e.as_ref()]));
+            let problem = LeastSquares::new(log, Model::new(&[e.as_ref()]));
             let here = problem.at([base.point.theta.as_slice(), &e.starts()[0]].concat());
             columns.append(Tangent::grown(&problem, &here, &base), NOMINAL);
             at.push(columns.width());

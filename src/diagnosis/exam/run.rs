@@ -1,14 +1,15 @@
 //! Answers the questions of an exam.
 
+use crate::diagnosis::diagnose::diagnose;
 use crate::diagnosis::exam::baseline::{self, Answers};
 use crate::diagnosis::exam::question::{Content, Logs, Question};
 use crate::diagnosis::tip::check::check;
-use crate::diagnosis::tip::diagnose::diagnose;
 use crate::diagnosis::tip::document::Diagnosis;
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::tip::observed::refuse::ObserveError;
 use crate::diagnosis::tip::rig::Rig;
 use crate::diagnosis::tip::saved::SavedModel;
+use crate::diagnosis::tip::search::TipProblem;
 use crate::diagnosis::verdict::decide::VerdictKind;
 use crate::model::effects::{self, Effect};
 use crate::supervisor::MachineError;
@@ -77,7 +78,7 @@ fn answer(
 ) -> Result<Answer, ExamError> {
     let observe = |log| Observed::new(log, &Rig::default()).map_err(|e| ExamError::Observe(n, e));
     let (log, fresh) = (observe(&logs.log)?, observe(&logs.fresh)?);
-    let done = diagnose(&log, catalogue, &logs.lines, n as u64);
+    let done = diagnose(&TipProblem::new(&log, catalogue, &logs.lines, n as u64));
     let saved = SavedModel::new("exam", catalogue, &done);
     let fresh_closed = check(&saved, &fresh, catalogue).closed;
     let left_out = left_out.map(|name| {
@@ -85,7 +86,7 @@ fn answer(
             .into_iter()
             .filter(|e| e.name() != name)
             .collect();
-        diagnose(&log, &rest, &logs.lines, n as u64)
+        diagnose(&TipProblem::new(&log, &rest, &logs.lines, n as u64))
             .document
             .verdict
             .kind

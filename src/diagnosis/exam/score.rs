@@ -2,8 +2,7 @@
 
 use crate::diagnosis::exam::question::{Content, Question};
 use crate::diagnosis::exam::run::Answer;
-use crate::diagnosis::tip::document::StatementEntry;
-use crate::diagnosis::verdict::decide::VerdictKind;
+use crate::diagnosis::verdict::decide::{StatementEntry, VerdictKind};
 use crate::model::effects::by_name;
 use serde::Serialize;
 use std::collections::BTreeMap;

@@ -2,6 +2,8 @@
 //! a fit to the other. Blocks of two lengths are scored: long ones, which a drift cannot bridge, and short ones.
 
 use nalgebra::{DMatrix, DVector};
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
 
 /// Long blocks of a log.
 const LONG: usize = 12;
@@ -11,6 +13,8 @@ const SHORT: usize = 96;
 const ROWS: usize = 5;
 /// Margin at either end of a block that is neither fitted nor scored, as a part of the block.
 const MARGIN: f64 = 0.03;
+/// Draws of the bootstrap.
+const DRAWS: usize = 400;
 
 /// A signal to be explained, in blocks.
 pub struct Task<'a> {
@@ -146,6 +150,29 @@ fn mean_square(blocks: &[(f64, f64)]) -> f64 {
         .iter()
         .fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
     s / f64::max(n, 1.0)
+}
+
+/// 95 % interval of the closed part from blocks drawn with replacement; `floor` is the mean square of the noise.
+pub fn closed_ci95(from: &Regressed, to: &Regressed, floor: f64, seed: u64) -> [f64; 2] {
+    let mut rng = StdRng::seed_from_u64(seed);
+    // the blocks in which the set leaves more
+    let worse = to.worse();
+    let (from, to) = (&from.blocks[worse], &to.blocks[worse]);
+    let n = from.len();
+    let mut draws: Vec<f64> = (0..DRAWS)
+        .map(|_| {
+            let (mut before, mut after, mut rows) = (0.0, 0.0, 0.0);
+            for _ in 0..n {
+                let i = rng.random_range(0..n);
+                before += from[i].0;
+                after += to[i].0;
+                rows += from[i].1;
+            }
+            ((before - after) / (before - floor * rows).max(1e-300)).clamp(-1.0, 1.0)
+        })
+        .collect();
+    draws.sort_by(f64::total_cmp);
+    [draws[DRAWS / 40], draws[DRAWS - 1 - DRAWS / 40]]
 }
 
 impl<'a> Task<'a> {

@@ -1,12 +1,14 @@
-//! Which set of operators explains the log of a rig.
+//! The sets of operators that are fitted to the log of a rig.
 //!
 //! Every operator is fitted alone, at the best η of its grid. All pairs are scored at these η and the best refitted; the best single is
 //! extended by every operator anew, and so is the best pair where it leaves something.
 
-use crate::diagnosis::candidates::{Candidates, Scored, sort_by_energy};
-use crate::diagnosis::rig::model::{MapBase, Member};
+use crate::diagnosis::candidates::Scored;
+use crate::diagnosis::rig::file::MapFile;
+use crate::diagnosis::rig::model::{MapBase, Member, catalogue};
 use crate::diagnosis::rig::operators::Operator;
 use crate::diagnosis::rig::regress::{Regressed, Task};
+use crate::diagnosis::rig::table::Signals;
 
 /// Part of the gap that an effect must close to be claimed.
 const WORTH: f64 = 0.03;
@@ -18,6 +20,8 @@ const GAP_MIN: f64 = 0.1;
 const REFITTED: usize = 8;
 /// Values of η tried between the neighbours of the best grid point.
 const REFINED: u32 = 12;
+/// Orders of differences from which the noise is estimated.
+const ORDERS: u32 = 8;
 
 /// A set of operators with its scores.
 #[derive(Clone)]
@@ -45,91 +49,102 @@ impl Scored for Set {
 }
 
 /// A log with everything that its sets are scored against.
-pub struct Bench<'a> {
+pub struct RigProblem<'a> {
+    /// What the columns mean.
+    pub map: &'a MapFile,
+    /// The log.
+    pub log: &'a Signals,
+    /// Other logs of the rig, with their names, on which the fitted model is evaluated.
+    pub fresh: &'a [(String, Signals)],
+    /// Seed of the bootstrap.
+    pub seed: u64,
+    /// White noise of a row, 1 σ.
+    pub noise: f64,
     /// The nominal model.
-    pub base: MapBase,
-    task: Task<'a>,
-    catalogue: Vec<Operator>,
-    /// Mean square that the nominal model leaves above the noise.
+    pub nominal: Set,
+    /// Mean square that it leaves above the noise.
     pub gap: f64,
     /// Whether the rows are too far apart to tell noise from signal.
     pub coarse: bool,
+    /// The nominal model on the log.
+    pub base: MapBase,
+    task: Task<'a>,
+    catalogue: Vec<Operator>,
 }
 
-impl<'a> Bench<'a> {
-    /// The bench of a signal whose noise has the variance `floor`, with the scores of the nominal model; `None` if the inputs do not
-    /// determine it.
+impl<'a> RigProblem<'a> {
+    /// The problem of a log, with the seed of the bootstrap; `None` if its inputs do not determine the nominal model. `fresh` are other
+    /// logs of the rig.
     pub fn new(
-        base: MapBase,
-        y: &'a [f64],
-        catalogue: Vec<Operator>,
-        floor: f64,
-    ) -> Option<(Self, Regressed)> {
-        let task = Task::new(y);
-        let nominal = base.scored(&task, &[])?;
-        let coarse = floor > COARSE * nominal.energy();
-        let noise = if coarse { 0.0 } else { floor };
-        let gap = (nominal.energy() - noise)
-            .max(GAP_MIN * nominal.energy())
-            .max(1e-300);
-        Some((
-            Self {
-                base,
-                task,
-                catalogue,
-                gap,
-                coarse,
-            },
-            nominal,
-        ))
-    }
-
-    /// Runs the search.
-    pub fn search(&self, nominal: Regressed) -> Candidates<Set> {
+        map: &'a MapFile,
+        log: &'a Signals,
+        fresh: &'a [(String, Signals)],
+        seed: u64,
+    ) -> Option<Self> {
+        let (noise, base, task) = (
+            noise(&log.output),
+            MapBase::new(map, log),
+            Task::new(&log.output),
+        );
+        let scores = base.scored(&task, &[])?;
+        let (floor, left) = (noise * noise, scores.energy());
+        let coarse = floor > COARSE * left;
+        let known = if coarse { 0.0 } else { floor };
+        let gap = (left - known).max(GAP_MIN * left).max(1e-300);
         let nominal = Set {
             members: vec![],
             names: vec![],
-            scores: nominal,
-            bar: self.bar(),
+            scores,
+            bar: WORTH * gap,
         };
-        let mut found = Candidates {
+        let catalogue = catalogue(map.nominal, log.clocked);
+        Some(Self {
+            map,
+            log,
+            fresh,
+            seed,
+            noise,
             nominal,
-            singles: self
-                .catalogue
-                .iter()
-                .filter_map(|o| self.best(&[], o))
-                .collect(),
-            larger: vec![],
-        };
-        sort_by_energy(&mut found.singles);
-        if let Some(best) = found.singles.first().map(|s| s.members.clone()) {
-            let pairs = self
-                .pairs(&found.singles)
-                .into_iter()
-                .chain(self.grown(&best))
-                .collect();
-            add(&mut found, pairs);
-        }
-        if let Some(best) = found
-            .larger
-            .first()
-            .filter(|pair| pair.energy() > self.bar())
-            .map(|pair| pair.members.clone())
-        {
-            let triples = self.grown(&best);
-            let parts = triples
-                .iter()
-                .flat_map(|t| (0..t.members.len()).map(|k| without(&t.members, k)))
-                .filter_map(|m| self.set(m))
-                .collect();
-            add(&mut found, triples);
-            add(&mut found, parts);
-        }
-        found
+            gap,
+            coarse,
+            base,
+            task,
+            catalogue,
+        })
     }
 
-    fn bar(&self) -> f64 {
-        WORTH * self.gap
+    /// Every operator alone.
+    pub fn alone(&self) -> Vec<Set> {
+        self.catalogue
+            .iter()
+            .filter_map(|o| self.best(&[], o))
+            .collect()
+    }
+
+    /// The best of all pairs, and the best single extended by every operator; the singles are sorted.
+    pub fn promising(&self, singles: &[&Set]) -> Vec<Set> {
+        let grown = singles.first().map_or(vec![], |best| self.grown(best));
+        self.refitted(singles).into_iter().chain(grown).collect()
+    }
+
+    /// A pair extended by every operator, if it leaves enough to be claimed.
+    pub fn extended(&self, pair: &Set) -> Vec<Set> {
+        match pair.energy() > pair.bar {
+            true => self.grown(pair),
+            false => vec![],
+        }
+    }
+
+    /// These sets without each of their members.
+    pub fn reduced(&self, sets: &[Set]) -> Vec<Set> {
+        let without = |set: &Set, k: usize| {
+            let mut rest = set.members.clone();
+            rest.remove(k);
+            self.set(rest)
+        };
+        sets.iter()
+            .flat_map(|set| (0..set.members.len()).filter_map(|k| without(set, k)))
+            .collect()
     }
 
     /// The set of these members; `None` if a coefficient does not have its sign.
@@ -145,7 +160,7 @@ impl<'a> Bench<'a> {
             names: members.iter().map(|m| m.operator.name).collect(),
             members,
             scores,
-            bar: self.bar(),
+            bar: self.nominal.bar,
         })
     }
 
@@ -184,24 +199,24 @@ impl<'a> Bench<'a> {
         self.set(with(eta))
     }
 
-    /// The members and each operator that is not among them.
-    fn grown(&self, members: &[Member]) -> Vec<Set> {
+    /// The set and each operator that is not in it.
+    fn grown(&self, set: &Set) -> Vec<Set> {
         let others = self
             .catalogue
             .iter()
-            .filter(|o| members.iter().all(|m| m.operator.name != o.name));
-        others.filter_map(|o| self.best(members, o)).collect()
+            .filter(|o| !set.names.contains(&o.name));
+        others.filter_map(|o| self.best(&set.members, o)).collect()
     }
 
     /// The best of all pairs, with the η of each member fitted again beside the other.
-    fn pairs(&self, singles: &[Set]) -> Vec<Set> {
+    fn refitted(&self, singles: &[&Set]) -> Vec<Set> {
         let both = |k: usize| {
-            singles[..k]
-                .iter()
-                .filter_map(move |a| self.set([a.members.as_slice(), &singles[k].members].concat()))
+            let second = &singles[k].members;
+            let firsts = singles[..k].iter();
+            firsts.filter_map(move |a| self.set([a.members.as_slice(), second].concat()))
         };
         let mut pairs: Vec<Set> = (0..singles.len()).flat_map(both).collect();
-        sort_by_energy(&mut pairs);
+        pairs.sort_by(|a, b| a.energy().total_cmp(&b.energy()));
         pairs.truncate(REFITTED);
         let again = |pair: Set| {
             let again = |pair: &Set, k: usize| {
@@ -215,25 +230,15 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// Adds sets; of those with the same operators the better one stays.
-fn add(found: &mut Candidates<Set>, sets: Vec<Set>) {
-    for set in sets.into_iter().filter(|s| s.members.len() > 1) {
-        match found
-            .larger
-            .iter_mut()
-            .find(|known| known.names == set.names)
-        {
-            Some(known) if known.energy() <= set.energy() => {}
-            Some(known) => *known = set,
-            None => found.larger.push(set),
-        }
+/// White noise of a row, 1 σ. Differences of order d have `C(2d, d)` times its variance and contain less of a smooth signal
+/// the higher the order; the least estimate of all orders is used.
+fn noise(y: &[f64]) -> f64 {
+    let mut left = y.to_vec();
+    let (mut least, mut binomial) = (f64::INFINITY, 1.0);
+    for d in 1..=ORDERS {
+        left = left.windows(2).map(|w| w[1] - w[0]).collect();
+        binomial *= f64::from(2 * (2 * d - 1)) / f64::from(d);
+        least = least.min(left.iter().map(|x| x * x).sum::<f64>() / left.len() as f64 / binomial);
     }
-    sort_by_energy(&mut found.larger);
-}
-
-/// Members without the `k`-th.
-fn without(members: &[Member], k: usize) -> Vec<Member> {
-    let mut rest = members.to_vec();
-    rest.remove(k);
-    rest
+    least.sqrt()
 }

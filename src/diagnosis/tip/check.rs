@@ -2,7 +2,7 @@
 
 use crate::diagnosis::tip::fit::fit;
 use crate::diagnosis::tip::fit::holdout::{CLAIM_DEG, HeldOut, score};
-use crate::diagnosis::tip::fit::least_squares::Problem;
+use crate::diagnosis::tip::fit::least_squares::LeastSquares;
 use crate::diagnosis::tip::model::chain::{Model, run};
 use crate::diagnosis::tip::model::sense::{every_bin, sense};
 use crate::diagnosis::tip::observed::Observed;
@@ -101,7 +101,7 @@ pub fn check(saved: &SavedModel, log: &Observed, catalogue: &[Box<dyn Effect>]) 
 
 /// Scores of the model with gains that are identified on the log, while the effects stay.
 fn refitted(log: &Observed, model: Model<'_>, theta: &[f64]) -> HeldOut {
-    let mut problem = Problem::new(log, model);
+    let mut problem = LeastSquares::new(log, model);
     for (bound, value) in problem.bounds.iter_mut().zip(theta).skip(NOMINAL) {
         (bound.low, bound.high, bound.start) = (*value, *value, *value);
     }

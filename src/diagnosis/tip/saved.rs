@@ -1,7 +1,7 @@
 //! A diagnosis saved as TOML.
 
 use crate::diagnosis::tip::confusion::confused_with;
-use crate::diagnosis::tip::diagnose::Diagnosed;
+use crate::diagnosis::tip::document::Diagnosed;
 use crate::diagnosis::tip::fit::candidate::Candidate;
 use crate::diagnosis::tip::fit::forecast::best_predicting;
 use crate::diagnosis::tip::model::chain::{LAG_MAX_S, Model};

@@ -2,7 +2,7 @@
 //!
 //! The verdict is the most probable statement. Effects that a log cannot tell apart at all share their probability and count as one.
 
-use crate::diagnosis::verdict::posterior::{Posterior, exchanged};
+use crate::diagnosis::verdict::posterior::{Posterior, Said, exchanged};
 use crate::named;
 use serde::Serialize;
 
@@ -36,8 +36,30 @@ impl VerdictKind {
     }
 }
 
+/// A statement about a log.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct StatementEntry {
+    /// Kind.
+    pub kind: VerdictKind,
+    /// Names of the effects that explain the log.
+    pub names: Vec<&'static str>,
+    /// Its probability.
+    pub probability: f64,
+}
+
+impl StatementEntry {
+    fn new((names, probability): &Said) -> Self {
+        let kind = VerdictKind::new(names.as_ref().is_some_and(Vec::is_empty), names.is_none());
+        Self {
+            kind,
+            names: names.clone().unwrap_or_default(),
+            probability: *probability,
+        }
+    }
+}
+
 /// The verdict on a log.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Verdict {
     /// Kind.
     pub kind: VerdictKind,
@@ -45,10 +67,13 @@ pub struct Verdict {
     pub names: Vec<&'static str>,
     /// Probability of the statement, with that of the sets that have another effect of a group in place of its own.
     pub probability: f64,
-    /// Probability that a cause outside the catalogue is present.
-    pub doubt: f64,
     /// Groups of effects, one of them in the set, between which the log does not decide.
     pub equivalent: Vec<Vec<&'static str>>,
+    /// Statements of which one is true in 95 % of all logs, the most probable first.
+    pub conformal: Vec<StatementEntry>,
+    /// Probability that a cause outside the catalogue is present.
+    #[serde(skip)]
+    pub doubt: f64,
 }
 
 /// Decides. The log cannot tell the effects of the pairs `alike` apart; `better` are the single effects that leave less than a set does.
@@ -107,8 +132,12 @@ pub fn decide(
         kind,
         names,
         probability,
-        doubt,
         equivalent,
+        conformal: posterior.ranked[..posterior.conformal]
+            .iter()
+            .map(StatementEntry::new)
+            .collect(),
+        doubt,
     }
 }
 
@@ -168,7 +197,7 @@ fn groups(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::verdict::posterior::{Claim, Head, Statement};
+    use crate::diagnosis::verdict::posterior::{Claim, Head, Layout, Statement};
     use proptest::prelude::*;
 
     const NAMES: [&str; 5] = ["leak", "creep", "play", "delay", "latency"];
@@ -231,7 +260,7 @@ mod tests {
                 claim: Claim { names: (s.2 != 31).then(|| names(s.2 & s.0)), unexplained: s.3 },
             };
             let alike = [["delay", "latency"]];
-            let head = Head { names: vec![String::new()], weights: vec![1.0], conformal: 0.95 };
+            let head = Head { layout: Layout { common: [&["p"], &[], &[], &[]], effects: vec![] }, weights: vec![1.0], conformal: 0.95 };
             let p = Posterior::new(&head, said.iter().map(statement).collect()).shared(&alike);
             prop_assert!((p.ranked.iter().map(|s| s.1).sum::<f64>() - 1.0).abs() < 1e-9);
             let v = decide(&p, &alike, |_| vec![]);

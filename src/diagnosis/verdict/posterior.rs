@@ -1,25 +1,24 @@
 //! Probabilities of what can be said of a log: a set of effects explains it, the nominal model does, or nothing in the catalogue does.
 //!
 //! Each statement has features and a score, their weighted sum; the probabilities are the softmax of the scores (a multinomial logistic
-//! regression). The weights are a [`Head`], fitted by `examples/gap_train` to logs of random machines: one for a tip
-//! ([`crate::diagnosis::tip::features`]), one for other rigs ([`crate::diagnosis::rig::features`]).
+//! regression). The weights are a [`Head`], fitted by `examples/gap_train` to logs of random machines: one for a tip, one for other rigs
+//! ([`crate::diagnosis::problem::Problem::head`]).
 
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use std::collections::BTreeMap;
 
-/// Weights of named features, and the level of the sets that are probable together.
-#[derive(Debug, Clone, PartialEq)]
+/// Weights of features, and the level of the sets that are probable together.
 pub struct Head {
-    /// Names of the features, in their order.
-    pub names: Vec<String>,
+    /// The features.
+    pub layout: Layout,
     /// Weight of each feature.
     pub weights: Vec<f64>,
     /// Probability that the statements of a conformal set have together.
     pub conformal: f64,
 }
 
-/// A head as its file has it.
-#[derive(Serialize, Deserialize)]
+/// A head as its file has it; the weight of a feature that it lacks is 0.
+#[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct HeadFile {
     conformal: f64,
@@ -27,60 +26,38 @@ struct HeadFile {
 }
 
 impl Head {
-    /// Reads the weights of these features; the weight of a feature that the text lacks is 0.
-    ///
-    /// # Errors
-    /// A text that is not TOML, or names another feature.
-    pub fn read(text: &str, names: Vec<String>) -> Result<Self, String> {
-        let HeadFile { conformal, weight } = toml::from_str(text).map_err(|e| e.to_string())?;
-        match weight.keys().find(|k| !names.contains(k)) {
-            Some(other) => Err(format!("`{other}` is no feature")),
-            None => Ok(Self {
-                weights: names
-                    .iter()
-                    .map(|n| weight.get(n).copied().unwrap_or(0.0))
-                    .collect(),
-                names,
-                conformal,
-            }),
-        }
-    }
-
-    /// The weights that are a part of the program, of all features of a layout.
+    /// The weights of these features that are a part of the program.
     ///
     /// # Panics
-    /// On a text that [`Head::read`] refuses; a test reads each.
+    /// On a text that is not TOML, or names another feature; a test reads each.
     #[expect(
         clippy::expect_used,
         reason = "the text is a part of the program, and a test reads it"
     )]
-    pub fn built_in(text: &str, layout: &Layout) -> Self {
-        Self::read(text, layout.names()).expect("a test reads the weights of the program")
-    }
-
-    /// The weights as TOML.
-    ///
-    /// # Errors
-    /// Values that TOML cannot hold.
-    pub fn text(&self) -> Result<String, toml::ser::Error> {
-        let weight = self
-            .names
+    pub fn built_in(text: &str, layout: Layout) -> Self {
+        let HeadFile {
+            conformal,
+            mut weight,
+        } = toml::from_str(text).expect("a head is TOML");
+        let weights = layout
+            .names()
             .iter()
-            .cloned()
-            .zip(self.weights.iter().copied())
+            .map(|n| weight.remove(n).unwrap_or(0.0))
             .collect();
-        toml::to_string(&HeadFile {
-            conformal: self.conformal,
-            weight,
-        })
+        assert!(weight.is_empty(), "no features: {weight:?}");
+        Self {
+            layout,
+            weights,
+            conformal,
+        }
     }
 }
 
-/// Names of common features, and of the effects that have a feature each: `form_` and the name, for `unknown` where the best set has the
-/// effect. A right effect whose law has another form leaves something too, more for some effects than for others.
+/// Names of the features: common ones, and one of each effect, `form_` and its name, for `unknown` where the best set has the effect. A
+/// right effect whose law has another form leaves something too, more for some effects than for others.
 pub struct Layout {
-    /// Names of the common features.
-    pub common: &'static [&'static str],
+    /// Common features: of every statement, of a set, of `none` and of `unknown`.
+    pub common: [&'static [&'static str]; 4],
     /// Names of the effects.
     pub effects: Vec<&'static str>,
 }
@@ -88,22 +65,34 @@ pub struct Layout {
 impl Layout {
     /// Names of all features.
     pub fn names(&self) -> Vec<String> {
-        self.common
+        let common = self
+            .common
             .iter()
-            .map(|n| (*n).to_owned())
+            .copied()
+            .flatten()
+            .map(|n| (*n).to_owned());
+        common
             .chain(self.effects.iter().map(|n| format!("form_{n}")))
             .collect()
     }
 
-    /// All features: the common ones and those of the effects in `best`.
-    pub fn features(&self, common: impl IntoIterator<Item = f64>, best: &[&str]) -> Vec<f64> {
-        common
-            .into_iter()
-            .chain(
-                self.effects
-                    .iter()
-                    .map(|name| f64::from(u8::from(best.contains(name)))),
-            )
+    /// All features: the common ones, 0 where they are not of the statement, and those of the effects in `best`.
+    pub fn features(&self, common: [&[f64]; 4], best: &[&str]) -> Vec<f64> {
+        let value = |own: &[f64], k: usize| own.get(k).copied().unwrap_or(0.0);
+        let padded = |(names, own): (&&[&str], &'_ [f64])| {
+            (0..names.len())
+                .map(|k| value(own, k))
+                .collect::<Vec<f64>>()
+        };
+        let forms = self
+            .effects
+            .iter()
+            .map(|name| f64::from(u8::from(best.contains(name))));
+        self.common
+            .iter()
+            .zip(common)
+            .flat_map(padded)
+            .chain(forms)
             .collect()
     }
 }
@@ -143,20 +132,20 @@ pub fn conformal_set(p: &[f64], level: f64) -> Vec<usize> {
 }
 
 /// Statements with their probabilities: the names of a set, or `None` for `unknown`.
-pub type Said<N = Vec<&'static str>> = (Option<N>, f64);
+pub type Said = (Option<Vec<&'static str>>, f64);
 
 /// What may be claimed of a set of effects.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Claim<N = Vec<&'static str>> {
+#[derive(Debug, Clone, PartialEq)]
+pub struct Claim {
     /// The effects that explain enough; `None` for a set that says nothing.
-    pub names: Option<N>,
+    pub names: Option<Vec<&'static str>>,
     /// Part of the probability that goes to `unknown`, because the set leaves more than an effect of another form would.
     pub unexplained: f64,
 }
 
-impl<N> Claim<N> {
+impl Claim {
     /// The claim of these effects, which leave nothing.
-    pub fn of(names: N) -> Self {
+    pub fn of(names: Vec<&'static str>) -> Self {
         Self {
             names: Some(names),
             unexplained: 0.0,
@@ -164,7 +153,7 @@ impl<N> Claim<N> {
     }
 
     /// The claims of a statement that has the probability `p`.
-    pub fn said(self, p: f64) -> Vec<Said<N>> {
+    pub fn said(self, p: f64) -> Vec<Said> {
         let Self { names, unexplained } = self;
         names.map_or(vec![], |names| {
             vec![
@@ -177,8 +166,8 @@ impl<N> Claim<N> {
 
 /// Adds the probabilities of equal statements and divides them by the sum of all; the most probable comes first. Without any, it is
 /// `unknown`.
-pub fn ranked<N: PartialEq>(said: impl IntoIterator<Item = Said<N>>) -> Vec<Said<N>> {
-    let mut out: Vec<Said<N>> = Vec::new();
+fn ranked(said: impl IntoIterator<Item = Said>) -> Vec<Said> {
+    let mut out: Vec<Said> = Vec::new();
     for (names, p) in said {
         match out.iter_mut().find(|(known, _)| *known == names) {
             Some((_, sum)) => *sum += p,
@@ -293,19 +282,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_head_is_written_and_read_and_another_feature_is_refused() {
-        let names = || vec!["density".to_owned(), "claim".to_owned()];
-        let head = Head {
-            names: names(),
-            weights: vec![3.5, -1.0],
-            conformal: 0.9,
+    fn a_feature_that_a_statement_lacks_is_zero_and_a_head_names_only_features() {
+        let layout = || Layout {
+            common: [&["density"], &["claim", "unusual"], &[], &[]],
+            effects: vec!["leak"],
         };
-        let text = head.text().unwrap();
-        assert_eq!(Head::read(&text, names()).unwrap(), head);
         assert_eq!(
-            Head::read(&text, vec!["density".to_owned()]).unwrap_err(),
-            "`claim` is no feature"
+            layout().features([&[2.0], &[], &[], &[]], &["leak"]),
+            [2.0, 0.0, 0.0, 1.0]
         );
+        let head = |name: &str| {
+            Head::built_in(
+                &format!("conformal = 0.9\n[weight]\n{name} = 3.5\n"),
+                layout(),
+            )
+        };
+        assert_eq!(head("claim").weights, [0.0, 3.5, 0.0, 0.0]);
+        assert!(std::panic::catch_unwind(|| head("clam")).is_err());
     }
 
     #[test]

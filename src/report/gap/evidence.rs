@@ -1,6 +1,6 @@
 //! Data of the charts: residuals of the bins with pose and time, and measured and predicted signals.
 
-use crate::diagnosis::tip::diagnose::Diagnosed;
+use crate::diagnosis::tip::document::Diagnosed;
 use crate::diagnosis::tip::fit::holdout::HeldOut;
 use crate::diagnosis::tip::location::{commanded_bend, polar_deg};
 use crate::diagnosis::tip::observed::Observed;

@@ -1,8 +1,8 @@
 //! A diagnosis in words.
 
-use crate::diagnosis::tip::document::{Diagnosis, EffectEntry, ParamValue, StatementEntry};
+use crate::diagnosis::tip::document::{Diagnosis, EffectEntry, ParamValue};
 use crate::diagnosis::tip::remedy::Remedy;
-use crate::diagnosis::verdict::decide::VerdictKind;
+use crate::diagnosis::verdict::decide::{StatementEntry, VerdictKind};
 use crate::model::effects::by_name;
 
 /// Name of an effect without underscores.

@@ -9,7 +9,7 @@
 use crate::diagnosis::candidates::Scored;
 use crate::diagnosis::tip::fit::candidate::Candidate;
 use crate::diagnosis::tip::fit::fit;
-use crate::diagnosis::tip::fit::least_squares::Problem;
+use crate::diagnosis::tip::fit::least_squares::LeastSquares;
 use crate::diagnosis::tip::fit::start::{Start, best_start, vanishing};
 use crate::diagnosis::tip::fit::tangent::{BaseFit, Tangent};
 use crate::diagnosis::tip::model::chain::Model;
@@ -103,7 +103,7 @@ fn promising<'a>(
     let known = base.problem.model.names();
     let tried = |e: &'a dyn Effect| {
         let names: Vec<&str> = known.iter().copied().chain([e.name()]).collect();
-        let to = Problem::new(log, Model::named(catalogue, &names));
+        let to = LeastSquares::new(log, Model::named(catalogue, &names));
         best_start(base, &to, e).map(|s| (to.model.effects, s))
     };
     let fresh = catalogue
@@ -126,7 +126,7 @@ fn start(effects: &[&dyn Effect], catalogue: &[Box<dyn Effect>], from: &Candidat
 }
 
 fn fitted<'a>(log: &'a Observed, effects: &[&'a dyn Effect], start: &[f64]) -> BaseFit<'a> {
-    let problem = Problem::new(log, Model::new(effects));
+    let problem = LeastSquares::new(log, Model::new(effects));
     let (point, tangent) = fit(&problem, start, ROUNDS);
     BaseFit {
         problem,

@@ -5,7 +5,7 @@
 //! bridge, and short ones, which can date an event. A fit without a block starts at the full fit and descends along the tangent there
 //! until a step gains next to nothing; its prediction is a full run.
 
-use crate::diagnosis::tip::fit::least_squares::{Point, Problem, weighted};
+use crate::diagnosis::tip::fit::least_squares::{LeastSquares, Point, weighted};
 use crate::diagnosis::tip::fit::start::dates;
 use crate::diagnosis::tip::fit::step;
 use crate::diagnosis::tip::fit::tangent::{Sums, Tangent};
@@ -67,7 +67,7 @@ impl HeldOut {
 }
 
 /// Leaves blocks of both lengths out of a fit that ended at `point`.
-pub fn leave_out(problem: &Problem<'_>, point: &Point, tangent: &Tangent) -> HeldOut {
+pub fn leave_out(problem: &LeastSquares<'_>, point: &Point, tangent: &Tangent) -> HeldOut {
     let [mut long, short] = BLOCKS_S.map(|length_s| {
         let folds = folds(problem.log, length_s);
         score(
@@ -101,7 +101,7 @@ fn folds(log: &Observed, length_s: f64) -> Vec<Option<usize>> {
 
 /// Residuals of each bin as predicted by the fit that has not seen it.
 fn predicted(
-    problem: &Problem<'_>,
+    problem: &LeastSquares<'_>,
     point: &Point,
     tangent: &Tangent,
     folds: &[Option<usize>],
@@ -127,7 +127,7 @@ fn predicted(
 /// Residuals of the fit without a fold, which starts at `point` with `sums` over the other fold. Nothing but the bins around an event
 /// tells its time, so the dates of the whole log are kept.
 fn refitted(
-    problem: &Problem<'_>,
+    problem: &LeastSquares<'_>,
     point: &Point,
     tangent: &Tangent,
     mut sums: Sums,
@@ -180,7 +180,7 @@ struct Refit {
 
 impl Refit {
     fn new(
-        problem: &Problem<'_>,
+        problem: &LeastSquares<'_>,
         theta: Vec<f64>,
         motion: &Motion,
         mask: &impl Fn(usize) -> bool,

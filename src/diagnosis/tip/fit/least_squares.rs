@@ -34,7 +34,7 @@ impl Bound {
 
 /// A model, the log it is fitted to, and the bounds of its parameters.
 #[derive(Clone)]
-pub struct Problem<'a> {
+pub struct LeastSquares<'a> {
     /// The log.
     pub log: &'a Observed,
     /// The model.
@@ -68,7 +68,7 @@ impl Point {
     }
 }
 
-impl<'a> Problem<'a> {
+impl<'a> LeastSquares<'a> {
     /// The problem of fitting a model to a log.
     pub fn new(log: &'a Observed, model: Model<'a>) -> Self {
         let prior = log.rig.prior;

@@ -13,7 +13,7 @@ pub mod screen;
 pub mod start;
 pub mod tangent;
 
-use crate::diagnosis::tip::fit::least_squares::{Bound, PRIOR_SLOPE, Point, Problem};
+use crate::diagnosis::tip::fit::least_squares::{Bound, LeastSquares, PRIOR_SLOPE, Point};
 use crate::diagnosis::tip::fit::tangent::{Sums, Tangent};
 use nalgebra::{DMatrix, DVector};
 
@@ -42,7 +42,7 @@ pub struct Fitted {
 
 impl Fitted {
     /// The result of a fit that ended at `point` with this tangent.
-    pub fn new(problem: &Problem<'_>, point: &Point, tangent: &Tangent) -> Self {
+    pub fn new(problem: &LeastSquares<'_>, point: &Point, tangent: &Tangent) -> Self {
         let n = problem.bounds.len();
         let normal = tangent.sums(problem, point).normal;
         let inverse = normal
@@ -69,7 +69,7 @@ impl Fitted {
 
 /// Fits from `start` with at most `rounds` accepted steps: the result and the tangent there. After a last step within
 /// `CONVERGED` the tangent is that of the point before.
-pub fn fit(problem: &Problem<'_>, start: &[f64], rounds: usize) -> (Point, Tangent) {
+pub fn fit(problem: &LeastSquares<'_>, start: &[f64], rounds: usize) -> (Point, Tangent) {
     let mut point = problem.at_clamped(start);
     let mut damping = DAMPING;
     for _ in 0..rounds {
@@ -95,7 +95,12 @@ pub fn fit(problem: &Problem<'_>, start: &[f64], rounds: usize) -> (Point, Tange
 }
 
 /// One damped step that lowers the sum of squares, if there is one.
-fn downhill(problem: &Problem<'_>, point: &Point, sums: &Sums, damping: &mut f64) -> Option<Point> {
+fn downhill(
+    problem: &LeastSquares<'_>,
+    point: &Point,
+    sums: &Sums,
+    damping: &mut f64,
+) -> Option<Point> {
     for _ in 0..ATTEMPTS {
         let next = problem.at(step(&point.theta, &problem.bounds, sums, *damping)?);
         if next.total() < point.total() {

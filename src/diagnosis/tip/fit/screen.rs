@@ -5,7 +5,7 @@
 //! leave. All pairs share one normal matrix, of the tangents at all singles and of their changes.
 
 use crate::diagnosis::tip::fit::candidate::Candidate;
-use crate::diagnosis::tip::fit::least_squares::Problem;
+use crate::diagnosis::tip::fit::least_squares::LeastSquares;
 use crate::diagnosis::tip::fit::start::{Start, stepped};
 use crate::diagnosis::tip::fit::tangent::{BaseFit, Sums, Tangent};
 use crate::diagnosis::tip::model::chain::Model;
@@ -14,29 +14,18 @@ use crate::model::NOMINAL;
 use crate::model::effects::Effect;
 use nalgebra::{DMatrix, DVector};
 
-/// The fit of one effect, and what the pairs with it need.
-pub struct Alone {
-    /// The fit.
-    pub candidate: Candidate,
-    /// The tangent at the fit, without that of the nominal gains, and the change of the residuals.
-    columns: Tangent,
-}
+/// The fit of one effect, and what the pairs with it need: the tangent at the fit, without that of the nominal gains, and the change of the
+/// residuals.
+pub type Alone = (Candidate, Tangent);
 
-impl Alone {
-    /// The fit of one effect beside that of the nominal model.
-    pub fn new(nominal: &BaseFit<'_>, fit: BaseFit<'_>) -> Self {
-        let candidate = Candidate::new(&fit);
-        let change = fit
-            .point
-            .residual
-            .iter()
-            .zip(&nominal.point.residual)
-            .map(|(r, r0)| (r - r0) as f32)
-            .collect();
-        let mut columns = fit.tangent.after(NOMINAL);
-        columns.push(change);
-        Self { candidate, columns }
-    }
+/// The fit of one effect beside that of the nominal model.
+pub fn alone(nominal: &BaseFit<'_>, fit: BaseFit<'_>) -> Alone {
+    let candidate = Candidate::new(&fit);
+    let residuals = fit.point.residual.iter().zip(&nominal.point.residual);
+    let change = residuals.map(|(r, r0)| (r - r0) as f32).collect();
+    let mut columns = fit.tangent.after(NOMINAL);
+    columns.push(change);
+    (candidate, columns)
 }
 
 /// Schwarz's criterion (1978) of a sum of squares: what a model with this many parameters more leaves, and what they cost.
@@ -72,8 +61,8 @@ struct Gram {
 impl Gram {
     fn new(nominal: &BaseFit<'_>, alone: &[Alone]) -> Self {
         let (mut columns, mut at) = (nominal.tangent.clone(), vec![NOMINAL]);
-        for a in alone {
-            columns.append(a.columns.clone(), 0);
+        for (_, own) in alone {
+            columns.append(own.clone(), 0);
             at.push(columns.width());
         }
         Self {
@@ -95,12 +84,12 @@ impl Gram {
         of: [usize; 2],
     ) -> Option<([&'static str; 2], f64, Start)> {
         let log = nominal.problem.log;
-        let problem = Problem::new(
+        let problem = LeastSquares::new(
             log,
-            Model::named(catalogue, &of.map(|k| alone[k].candidate.names[0])),
+            Model::named(catalogue, &of.map(|k| alone[k].0.names[0])),
         );
         let names: [&'static str; 2] = problem.model.names().try_into().ok()?;
-        let of = if alone[of[0]].candidate.names[0] == names[0] {
+        let of = if alone[of[0]].0.names[0] == names[0] {
             of
         } else {
             [of[1], of[0]]
@@ -114,7 +103,7 @@ impl Gram {
         let along = |i: usize| gradient[i] + changes.iter().map(|&c| normal[(i, c)]).sum::<f64>();
         let squares =
             nominal.point.data() + changes.iter().map(|&c| gradient[c] + along(c)).sum::<f64>();
-        let thetas = of.map(|k| &alone[k].candidate.fitted.theta);
+        let thetas = of.map(|k| &alone[k].0.fitted.theta);
         let theta: Vec<f64> = (0..NOMINAL)
             .map(|i| thetas[0][i] + thetas[1][i] - nominal.point.theta[i])
             .chain(

@@ -4,7 +4,7 @@
 //! predicts how far the sum of squares falls, and the fit starts at the best. The sum of squares has no gradient with
 //! respect to the time of an event; a linear least-squares scan over all times of the log finds it.
 
-use crate::diagnosis::tip::fit::least_squares::{Point, Problem};
+use crate::diagnosis::tip::fit::least_squares::{LeastSquares, Point};
 use crate::diagnosis::tip::fit::step;
 use crate::diagnosis::tip::fit::tangent::{BaseFit, Sums, Tangent};
 use crate::diagnosis::tip::model::chain::Event;
@@ -36,7 +36,7 @@ pub struct Start {
 }
 
 /// The most promising start of `to`, the base fit with the effect `added`.
-pub fn best_start(base: &BaseFit<'_>, to: &Problem<'_>, added: &dyn Effect) -> Option<Start> {
+pub fn best_start(base: &BaseFit<'_>, to: &LeastSquares<'_>, added: &dyn Effect) -> Option<Start> {
     let mut starts = added.starts();
     if let Some(found) = scan(base, to, added) {
         // the scan replaces the starts that differ in time only; the first start of a base motion is a slow turn
@@ -55,7 +55,7 @@ pub fn vanishing(effect: &dyn Effect) -> Vec<f64> {
 }
 
 /// One Gauss-Newton step from the base fit extended by `fresh`, and the sum of squares that the tangent predicts.
-fn predict(base: &BaseFit<'_>, to: &Problem<'_>, fresh: &[f64]) -> Option<Start> {
+fn predict(base: &BaseFit<'_>, to: &LeastSquares<'_>, fresh: &[f64]) -> Option<Start> {
     let point = to.at_clamped(
         &to.model
             .extended(&base.problem.model, &base.point.theta, |_| fresh.to_vec()),
@@ -67,7 +67,7 @@ fn predict(base: &BaseFit<'_>, to: &Problem<'_>, fresh: &[f64]) -> Option<Start>
 /// One Gauss-Newton step from θ with this sum of squares, and the sum of squares that the tangent predicts; `base` bounds what can be
 /// trusted.
 pub fn stepped(
-    to: &Problem<'_>,
+    to: &LeastSquares<'_>,
     theta: &[f64],
     squares: f64,
     sums: &Sums,
@@ -93,7 +93,7 @@ struct Dating {
 
 impl Dating {
     /// For the events of one effect, all of which are absent: an event changes little of what another one does.
-    fn new(problem: &Problem<'_>, theta: &[f64], events: &[Event]) -> Self {
+    fn new(problem: &LeastSquares<'_>, theta: &[f64], events: &[Event]) -> Self {
         let (log, mut without) = (problem.log, theta.to_vec());
         events
             .iter()
@@ -120,7 +120,7 @@ impl Dating {
     }
 
     /// Sets time and offsets of an event to those that lower the sum of squares most.
-    fn date(&self, event: &Event, problem: &Problem<'_>, theta: &mut [f64]) {
+    fn date(&self, event: &Event, problem: &LeastSquares<'_>, theta: &mut [f64]) {
         let log = problem.log;
         event.offsets.iter().for_each(|&o| theta[o] = 0.0);
         // gravity and field solved on the whole log would follow the event
@@ -143,7 +143,7 @@ impl Dating {
 
 /// Parameters of an event effect at the events that explain most of what the base fit leaves, the largest first. Each is then
 /// dated again while the others stay.
-fn scan(base: &BaseFit<'_>, to: &Problem<'_>, added: &dyn Effect) -> Option<Vec<f64>> {
+fn scan(base: &BaseFit<'_>, to: &LeastSquares<'_>, added: &dyn Effect) -> Option<Vec<f64>> {
     let effect = to
         .model
         .effects
@@ -164,7 +164,7 @@ fn scan(base: &BaseFit<'_>, to: &Problem<'_>, added: &dyn Effect) -> Option<Vec<
 }
 
 /// Indices in θ of the times and durations of all events.
-pub fn dates(problem: &Problem<'_>) -> Vec<usize> {
+pub fn dates(problem: &LeastSquares<'_>) -> Vec<usize> {
     problem
         .model
         .all_events()
@@ -175,7 +175,7 @@ pub fn dates(problem: &Problem<'_>) -> Vec<usize> {
 
 /// The parameters with every quick event dated again, each while all others stay as fitted; `None` if the model has no
 /// quick events. With `slow_too` the slow events become quick ones; `None` if there are none.
-pub fn dated_again(problem: &Problem<'_>, point: &Point, slow_too: bool) -> Option<Vec<f64>> {
+pub fn dated_again(problem: &LeastSquares<'_>, point: &Point, slow_too: bool) -> Option<Vec<f64>> {
     let is_slow = |e: &Event| e.lasting.is_some_and(|l| point.theta[l] > QUICK_S);
     if slow_too && !problem.model.all_events().any(|e| is_slow(&e)) {
         return None;

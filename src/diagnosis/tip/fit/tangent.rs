@@ -3,7 +3,7 @@
 //! Forward differences; the motion is run again only for parameters that change it. A tangent serves the steps of a
 //! fit, the fits without a block, which are close to the full fit, and the choice of the pairs of effects that are worth a fit.
 
-use crate::diagnosis::tip::fit::least_squares::{PRIOR_SLOPE, Point, Problem};
+use crate::diagnosis::tip::fit::least_squares::{LeastSquares, PRIOR_SLOPE, Point};
 use crate::diagnosis::tip::model::chain::run;
 use crate::model::NOMINAL;
 use nalgebra::{DMatrix, DVector};
@@ -32,7 +32,7 @@ pub struct Sums {
 /// A finished fit to which another effect is added.
 pub struct BaseFit<'a> {
     /// Its problem.
-    pub problem: Problem<'a>,
+    pub problem: LeastSquares<'a>,
     /// Its result.
     pub point: Point,
     /// The tangent at the result.
@@ -40,7 +40,7 @@ pub struct BaseFit<'a> {
 }
 
 /// Column `c` of the tangent at a point.
-fn column(problem: &Problem<'_>, point: &Point, c: usize) -> Vec<f32> {
+fn column(problem: &LeastSquares<'_>, point: &Point, c: usize) -> Vec<f32> {
     let (mut moved, b) = (point.theta.clone(), &problem.bounds[c]);
     // away from the upper limit
     let h = if moved[c] + STEP * b.scale > b.high {
@@ -64,7 +64,7 @@ fn column(problem: &Problem<'_>, point: &Point, c: usize) -> Vec<f32> {
 
 impl Tangent {
     /// The tangent at a point.
-    pub fn new(problem: &Problem<'_>, point: &Point) -> Self {
+    pub fn new(problem: &LeastSquares<'_>, point: &Point) -> Self {
         Self {
             columns: (0..problem.bounds.len())
                 .into_par_iter()
@@ -74,7 +74,7 @@ impl Tangent {
     }
 
     /// The tangent at a point that adds a small effect to a base fit: only the columns of that effect are computed.
-    pub fn grown(problem: &Problem<'_>, point: &Point, base: &BaseFit<'_>) -> Self {
+    pub fn grown(problem: &LeastSquares<'_>, point: &Point, base: &BaseFit<'_>) -> Self {
         let (model, known) = (&problem.model, &base.problem.model);
         let mut columns = base.tangent.columns[..NOMINAL].to_vec();
         for (i, e) in model.effects.iter().enumerate() {
@@ -113,7 +113,7 @@ impl Tangent {
     }
 
     /// Sums over all bins, including the priors.
-    pub fn sums(&self, problem: &Problem<'_>, point: &Point) -> Sums {
+    pub fn sums(&self, problem: &LeastSquares<'_>, point: &Point) -> Sums {
         let mut sums = self
             .parts(point, problem.log.bins.len(), 1, |_| Some(0))
             .swap_remove(0);
@@ -122,7 +122,12 @@ impl Tangent {
     }
 
     /// `Jᵀr` with the residuals of other parameters, including the priors.
-    pub fn gradient(&self, problem: &Problem<'_>, theta: &[f64], residual: &[f64]) -> DVector<f64> {
+    pub fn gradient(
+        &self,
+        problem: &LeastSquares<'_>,
+        theta: &[f64],
+        residual: &[f64],
+    ) -> DVector<f64> {
         let residual: Vec<f32> = residual.iter().map(|r| *r as f32).collect();
         let mut gradient = DVector::from_iterator(
             self.columns.len(),
@@ -176,7 +181,7 @@ impl Tangent {
 
 impl Sums {
     /// Adds the priors.
-    pub fn add_prior(&mut self, problem: &Problem<'_>, theta: &[f64]) {
+    pub fn add_prior(&mut self, problem: &LeastSquares<'_>, theta: &[f64]) {
         for i in 0..problem.bounds.len() {
             self.normal[(i, i)] += PRIOR_SLOPE * PRIOR_SLOPE;
         }
@@ -184,7 +189,7 @@ impl Sums {
     }
 }
 
-fn add_prior_gradient(gradient: &mut DVector<f64>, problem: &Problem<'_>, theta: &[f64]) {
+fn add_prior_gradient(gradient: &mut DVector<f64>, problem: &LeastSquares<'_>, theta: &[f64]) {
     for (i, (t, b)) in theta.iter().zip(&problem.bounds).enumerate() {
         gradient[i] += PRIOR_SLOPE * PRIOR_SLOPE * (t - b.start) / b.scale;
     }
