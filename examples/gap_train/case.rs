@@ -2,15 +2,12 @@
 
 use super::rig;
 use super::unit::Unit;
-use retroflex::diagnosis::problem::Problem;
-use retroflex::diagnosis::rig::search::RigProblem;
-use retroflex::diagnosis::search::search;
-use retroflex::diagnosis::tip::observed::Observed;
-use retroflex::diagnosis::tip::observed::refuse::ObserveError;
-use retroflex::diagnosis::tip::rig::Rig;
-use retroflex::diagnosis::tip::search::TipProblem;
+use retroflex::diagnosis::rig::RigProblem;
+use retroflex::diagnosis::tip::observed::{ObserveError, Observed};
+use retroflex::diagnosis::tip::{Rig, TipProblem};
 use retroflex::diagnosis::verdict::posterior::{self, Posterior};
-use retroflex::diagnosis::verdict::statements::statements;
+use retroflex::diagnosis::verdict::{Posterior, statements};
+use retroflex::diagnosis::{Problem, search};
 use retroflex::model::effects::catalogue;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;

@@ -2,7 +2,7 @@
 
 use super::case::{Case, known};
 use nalgebra::{DMatrix, DVector};
-use retroflex::diagnosis::verdict::posterior::probabilities;
+use retroflex::diagnosis::verdict::probabilities;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -146,7 +146,7 @@ mod tests {
     use super::*;
     use rand::rngs::StdRng;
     use rand::{RngExt, SeedableRng};
-    use retroflex::diagnosis::verdict::posterior::conformal_set;
+    use retroflex::diagnosis::verdict::conformal_set;
 
     /// Cases drawn from known weights: a fit finds them, and the sets hold as often as they should.
     #[test]

@@ -8,11 +8,12 @@ use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
-use retroflex::diagnosis::rig::file::{Columns, MapFile, Nominal};
-use retroflex::diagnosis::rig::model::{RESONANT, catalogue};
-use retroflex::diagnosis::rig::operators::{DRIVEN, Drive, Operator};
+use retroflex::diagnosis::rig::file::Columns;
+use retroflex::diagnosis::rig::model::catalogue;
 use retroflex::diagnosis::rig::regress::{self, Task, variance};
-use retroflex::diagnosis::rig::table::Signals;
+use retroflex::diagnosis::rig::{
+    DRIVEN, Drive, MapFile, Nominal, Operator, RESONANT, Signals, Task, variance,
+};
 use std::f64::consts::TAU;
 
 /// Rows of a log.
@@ -385,8 +386,8 @@ fn recalibrated(y: &[f64], inputs: &[Vec<f64>]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use retroflex::diagnosis::rig::document::Document;
-    use retroflex::diagnosis::verdict::decide::VerdictKind;
+    use retroflex::diagnosis::rig::Document;
+    use retroflex::diagnosis::verdict::VerdictKind;
 
     #[test]
     fn a_seed_gives_a_rig_and_another_gives_another() {

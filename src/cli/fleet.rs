@@ -3,8 +3,8 @@
 use crate::cli::gap::rows::read;
 use crate::cli::{CommandOutcome, output};
 use crate::config::Calibration;
-use crate::diagnosis::fleet::row::{self, GAINS, Row};
-use crate::diagnosis::fleet::{Finding, Lot, Spread, Survey};
+use crate::diagnosis::fleet::row::{self, Row};
+use crate::diagnosis::fleet::{Finding, GAINS, Lot, Spread, Survey};
 use crate::log::columns;
 use crate::report::bars::{self, Bar};
 use crate::report::page::Page;

@@ -2,7 +2,7 @@
 
 use crate::config::{Board, Calibration, Gains};
 use crate::config::{shipped, source};
-use crate::diagnosis::tip::saved::SavedModel;
+use crate::diagnosis::tip::SavedModel;
 use crate::model::DescribedMachine;
 use crate::model::effects::catalogue;
 use crate::primitives::Check;

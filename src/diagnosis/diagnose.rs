@@ -1,11 +1,7 @@
 //! A diagnosis: sets of effects are fitted, the statements about the log get probabilities, the most probable is the verdict.
 
-use crate::diagnosis::candidates::Candidates;
-use crate::diagnosis::problem::{Judged, Problem};
-use crate::diagnosis::search::search;
-use crate::diagnosis::verdict::decide::decide;
-use crate::diagnosis::verdict::posterior::Posterior;
-use crate::diagnosis::verdict::statements::statements;
+use crate::diagnosis::verdict::{Posterior, decide, statements};
+use crate::diagnosis::{Candidates, Judged, Problem, search};
 
 /// A diagnosis and what it was made from.
 pub struct Diagnosed<D, S> {

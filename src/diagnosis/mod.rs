@@ -16,3 +16,8 @@ pub mod rig;
 pub mod search;
 pub mod tip;
 pub mod verdict;
+
+pub use candidates::{Candidates, Scored};
+pub use diagnose::diagnose;
+pub use problem::{Judged, Problem};
+pub use search::search;

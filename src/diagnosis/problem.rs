@@ -1,8 +1,7 @@
 //! What a diagnosis asks of a log, whatever the machine: [`crate::diagnosis::tip`] and [`crate::diagnosis::rig`] answer it.
 
-use crate::diagnosis::candidates::{Candidates, Scored};
-use crate::diagnosis::verdict::decide::Verdict;
-use crate::diagnosis::verdict::posterior::{Claim, Head, Posterior};
+use crate::diagnosis::verdict::{Claim, Head, Posterior, Verdict};
+use crate::diagnosis::{Candidates, Scored};
 
 /// A log with everything that sets of effects are fitted to it and judged by.
 pub trait Problem: Sized {

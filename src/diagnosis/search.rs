@@ -2,8 +2,7 @@
 //!
 //! [`crate::diagnosis::verdict::decide`] checks whether a set needs all its members.
 
-use crate::diagnosis::candidates::{Candidates, Scored};
-use crate::diagnosis::problem::Problem;
+use crate::diagnosis::{Candidates, Problem, Scored};
 
 /// Fits and scores the sets.
 pub fn search<P: Problem>(problem: &P) -> Candidates<P::Set> {

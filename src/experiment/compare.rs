@@ -5,10 +5,8 @@
 //! Levenberg-Marquardt (Marquardt 1963) over runs of it. What is left is scored on blocks that the fit has not seen, along the tangent of
 //! the fit, and the intervals are those of the jackknife over blocks (Efron 1982), because residuals of neighbouring bins are alike.
 
-use crate::diagnosis::tip::fit::holdout::{BLOCKS_S, HeldOut, score};
-use crate::diagnosis::tip::fit::least_squares::weighted;
-use crate::diagnosis::tip::model::chain::{Model, Motion};
-use crate::diagnosis::tip::model::sense::{Residuals, every_bin, sense};
+use crate::diagnosis::tip::fit::{BLOCKS_S, HeldOut, score, weighted};
+use crate::diagnosis::tip::model::{Model, Motion, Residuals, every_bin, sense};
 use crate::diagnosis::tip::observed::Observed;
 use crate::experiment::rig::RigError;
 use crate::model::nominal_theta;

@@ -1,16 +1,13 @@
 //! The diagnosis on logs of the built-in plant, whose laws differ in form from the catalogue's.
 
-use retroflex::diagnosis::diagnose::diagnose;
-use retroflex::diagnosis::exam::question::{Content, Question, questions};
+use retroflex::diagnosis::diagnose;
 use retroflex::diagnosis::exam::run::run;
-use retroflex::diagnosis::exam::score::score;
-use retroflex::diagnosis::tip::check::{Judgement, check};
-use retroflex::diagnosis::tip::document::{Diagnosis, ParamValue};
+use retroflex::diagnosis::exam::{Content, Question, questions, score};
 use retroflex::diagnosis::tip::observed::Observed;
-use retroflex::diagnosis::tip::rig::Rig;
-use retroflex::diagnosis::tip::saved::SavedModel;
-use retroflex::diagnosis::tip::search::TipProblem;
-use retroflex::diagnosis::verdict::decide::VerdictKind;
+use retroflex::diagnosis::tip::{
+    Diagnosis, Judgement, ParamValue, Rig, SavedModel, TipProblem, check,
+};
+use retroflex::diagnosis::verdict::VerdictKind;
 use retroflex::log::bend_log::BendLog;
 use retroflex::model::effects::catalogue;
 

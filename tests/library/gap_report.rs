@@ -2,11 +2,10 @@
 //!
 //! `INSTA_UPDATE=always cargo test --test library gap_report` accepts an intended change.
 
-use retroflex::diagnosis::tip::credit::StageShare;
-use retroflex::diagnosis::tip::document::{
-    Diagnosis, EffectEntry, Gap, Location, ParamValue, QuantityShare, UnknownEntry,
+use retroflex::diagnosis::tip::{
+    Diagnosis, EffectEntry, Gap, Location, ParamValue, QuantityShare, StageShare, UnknownEntry,
 };
-use retroflex::diagnosis::verdict::decide::{Verdict, VerdictKind};
+use retroflex::diagnosis::verdict::{Verdict, VerdictKind};
 use retroflex::report::gap::evidence::{Evidence, Spot, Trace};
 use retroflex::report::gap::{page, words};
 

@@ -2,7 +2,7 @@
 
 use crate::cli::gap::input;
 use crate::cli::{CommandOutcome, output};
-use crate::diagnosis::tip::check::{Checked, Judgement, check};
+use crate::diagnosis::tip::{Checked, Judgement, check};
 use crate::model::effects::catalogue;
 use miette::Result;
 use std::path::PathBuf;

@@ -2,12 +2,11 @@
 
 use crate::cli::gap::input;
 use crate::cli::{CommandOutcome, inputs, logging, output};
-use crate::diagnosis::diagnose::diagnose;
-use crate::diagnosis::tip::document::{DependenceEntry, Diagnosis, goes_with};
-use crate::diagnosis::tip::fit::holdout::CLAIM_DEG;
-use crate::diagnosis::tip::model::chain::Motion;
+use crate::diagnosis::diagnose;
+use crate::diagnosis::tip::fit::CLAIM_DEG;
+use crate::diagnosis::tip::model::Motion;
 use crate::diagnosis::tip::observed::Observed;
-use crate::diagnosis::tip::search::TipProblem;
+use crate::diagnosis::tip::{DependenceEntry, Diagnosis, TipProblem, goes_with};
 use crate::experiment::compare::{Compared, Knob, compare, drive};
 use crate::experiment::rig::RigError;
 use crate::log::columns::{self, Column};

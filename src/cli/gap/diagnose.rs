@@ -3,11 +3,9 @@
 use crate::cli::gap::rows::{self, RowsArgs, Settings};
 use crate::cli::gap::{input, map};
 use crate::cli::{CommandOutcome, inputs, output};
-use crate::diagnosis::diagnose::diagnose;
-use crate::diagnosis::tip::document::{Diagnosed, Diagnosis, EffectEntry, LogEntry};
+use crate::diagnosis::diagnose;
 use crate::diagnosis::tip::observed::Observed;
-use crate::diagnosis::tip::saved::SavedModel;
-use crate::diagnosis::tip::search::TipProblem;
+use crate::diagnosis::tip::{Diagnosed, Diagnosis, EffectEntry, LogEntry, SavedModel, TipProblem};
 use crate::model::effects::catalogue;
 use crate::report::gap::evidence::Evidence;
 use crate::report::gap::{page, words};

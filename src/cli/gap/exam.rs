@@ -1,11 +1,12 @@
 //! `retroflex gap exam`: tests the diagnosis on logs of the built-in plant.
 
 use crate::cli::{CommandOutcome, output};
-use crate::diagnosis::exam::question::{Question, questions};
-use crate::diagnosis::exam::run::{Answer, run as answer_all};
-use crate::diagnosis::exam::score::{Count, ExamScore, Method, ReliabilityBin, Row, score};
-use crate::diagnosis::tip::document::Diagnosis;
-use crate::diagnosis::verdict::decide::VerdictKind;
+use crate::diagnosis::exam::run::run as answer_all;
+use crate::diagnosis::exam::{
+    Answer, Count, ExamScore, Method, Question, ReliabilityBin, Row, questions, score,
+};
+use crate::diagnosis::tip::Diagnosis;
+use crate::diagnosis::verdict::VerdictKind;
 use crate::model::effects::catalogue;
 use miette::{IntoDiagnostic, Result};
 use serde::Serialize;

@@ -2,9 +2,9 @@
 
 use crate::cli::gap::input;
 use crate::cli::{CommandOutcome, inputs, output};
-use crate::diagnosis::excite::design::{APART, Design, LONGEST_S, Pair, Request, design};
-use crate::diagnosis::excite::rows::{Machine, csv};
-use crate::diagnosis::tip::confusion::separable;
+use crate::diagnosis::excite::rows::csv;
+use crate::diagnosis::excite::{APART, Design, LONGEST_S, Machine, Pair, Request, design};
+use crate::diagnosis::tip::separable;
 use crate::primitives::{Check, Checker};
 use miette::{Result, miette};
 use std::path::PathBuf;

@@ -3,8 +3,7 @@
 use crate::cli::inputs;
 use crate::config::source;
 use crate::diagnosis::tip::observed::Observed;
-use crate::diagnosis::tip::rig::Rig;
-use crate::diagnosis::tip::saved::SavedModel;
+use crate::diagnosis::tip::{Rig, SavedModel};
 use crate::log::{bend_log, plausibility};
 use crate::model::effects::catalogue;
 use miette::{IntoDiagnostic, Result, miette};

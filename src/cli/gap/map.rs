@@ -3,11 +3,9 @@
 use crate::cli::CommandOutcome;
 use crate::cli::output;
 use crate::config::source;
-use crate::diagnosis::rig::document::{Document, Entry};
-use crate::diagnosis::rig::file::MapFile;
 use crate::diagnosis::rig::operators::kind;
-use crate::diagnosis::rig::table;
-use crate::diagnosis::verdict::decide::VerdictKind;
+use crate::diagnosis::rig::{Document, Entry, MapFile, table};
+use crate::diagnosis::verdict::VerdictKind;
 use miette::{IntoDiagnostic, Result};
 use std::path::{Path, PathBuf};
 

@@ -5,10 +5,9 @@
 
 use crate::cli::gap::input;
 use crate::cli::{CommandOutcome, output};
-use crate::diagnosis::diagnose::diagnose;
+use crate::diagnosis::diagnose;
 use crate::diagnosis::fleet::row::{self, Row};
-use crate::diagnosis::tip::rig::Rig;
-use crate::diagnosis::tip::search::TipProblem;
+use crate::diagnosis::tip::{Rig, TipProblem};
 use crate::log::columns;
 use crate::log::error::why_unreadable;
 use crate::model::Line;

@@ -1,16 +1,11 @@
 //! Answers the questions of an exam.
 
-use crate::diagnosis::diagnose::diagnose;
-use crate::diagnosis::exam::baseline::{self, Answers};
-use crate::diagnosis::exam::question::{Content, Logs, Question};
-use crate::diagnosis::tip::check::check;
-use crate::diagnosis::tip::document::Diagnosis;
-use crate::diagnosis::tip::observed::Observed;
-use crate::diagnosis::tip::observed::refuse::ObserveError;
-use crate::diagnosis::tip::rig::Rig;
-use crate::diagnosis::tip::saved::SavedModel;
-use crate::diagnosis::tip::search::TipProblem;
-use crate::diagnosis::verdict::decide::VerdictKind;
+use crate::diagnosis::diagnose;
+use crate::diagnosis::exam::baseline;
+use crate::diagnosis::exam::{Answers, Content, Logs, Question};
+use crate::diagnosis::tip::observed::{ObserveError, Observed};
+use crate::diagnosis::tip::{Diagnosis, Rig, SavedModel, TipProblem, check};
+use crate::diagnosis::verdict::VerdictKind;
 use crate::model::effects::{self, Effect};
 use crate::supervisor::MachineError;
 use rayon::prelude::*;

@@ -6,13 +6,10 @@
 //! for model discrimination: Atkinson and Fedorov, *Biometrika* 1975 (T-optimality); local search after Kirkpatrick,
 //! Gelatt and Vecchi, *Science* 1983. Equal requests give equal schedules.
 
-use crate::diagnosis::excite::distance::{Distances, information};
-use crate::diagnosis::excite::manoeuvre::{Manoeuvre, first_guess, schedule};
-use crate::diagnosis::excite::points::Rival;
-use crate::diagnosis::excite::rows::{Machine, Row};
-use crate::diagnosis::excite::standard;
-use crate::diagnosis::tip::confusion::separable;
-use crate::diagnosis::tip::saved::SavedModel;
+use crate::diagnosis::excite::{
+    Distances, Machine, Manoeuvre, Rival, Row, first_guess, information, schedule, standard,
+};
+use crate::diagnosis::tip::{SavedModel, separable};
 use crate::model::effects::catalogue;
 use nalgebra::DMatrix;
 use rand::rngs::StdRng;
@@ -250,7 +247,7 @@ fn neighbour(list: &[Manoeuvre], machine: &Machine, rng: &mut StdRng) -> Vec<Man
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::tip::rig::Rig;
+    use crate::diagnosis::tip::Rig;
     use crate::model::transmission::Line;
 
     const PAPER: [Line; 3] = [

@@ -6,11 +6,8 @@
 //! weighted residual differences. Imitation is linearised about the points of each effect (slopes at the first point,
 //! and the other points as directions).
 
-use crate::diagnosis::excite::points::{Rival, counted};
-use crate::diagnosis::excite::rows::{Machine, Row};
-use crate::diagnosis::excite::synthetic;
-use crate::diagnosis::tip::model::chain::{Model, run};
-use crate::diagnosis::tip::model::sense::{every_bin, sense};
+use crate::diagnosis::excite::{Machine, Rival, Row, counted, synthetic};
+use crate::diagnosis::tip::model::{Model, every_bin, run, sense};
 use crate::diagnosis::tip::observed::{CORRELATED_S, Observed};
 use crate::model::{NOMINAL, nominal_theta};
 use nalgebra::{DMatrix, DVector};

@@ -3,7 +3,7 @@
 //! Distances between effects grow with their sizes. The draws determine the direction only; the design gives all effects
 //! the same size, so that a wide prior does not make an effect look easy to find.
 
-use crate::diagnosis::tip::saved::SavedModel;
+use crate::diagnosis::tip::SavedModel;
 use crate::model::effects::{Effect, Param};
 use rand::RngExt;
 use rand::rngs::StdRng;

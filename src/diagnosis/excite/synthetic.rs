@@ -1,9 +1,7 @@
 //! The log of a schedule on the nominal machine, relative to which distances are computed.
 
-use crate::diagnosis::excite::rows::{Driven, Machine};
-use crate::diagnosis::tip::observed::Observed;
-use crate::diagnosis::tip::observed::bins::{BIN_S, G_M_S2};
-use crate::diagnosis::tip::observed::refuse::ObserveError;
+use crate::diagnosis::excite::{Driven, Machine};
+use crate::diagnosis::tip::observed::{BIN_S, G_M_S2, ObserveError, Observed};
 use crate::log::bend_log::{BendLog, ImuColumns};
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::rngs::StdRng;

@@ -3,8 +3,10 @@
 pub mod chance;
 pub mod row;
 
+pub use row::GAINS;
+
 use crate::diagnosis::fleet::chance::{at_least, rank_z, two_sided};
-use crate::diagnosis::fleet::row::{GAINS, Row};
+use crate::diagnosis::fleet::row::Row;
 use crate::model::effects::catalogue;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,6 +1,6 @@
 //! One row per diagnosed log.
 
-use crate::diagnosis::tip::document::Diagnosed;
+use crate::diagnosis::tip::Diagnosed;
 use crate::log::columns::Column;
 use crate::model::lines;
 use serde::{Deserialize, Serialize};

@@ -1,14 +1,8 @@
 //! The diagnosis of a mapped rig as a document.
 
-use crate::diagnosis::candidates::Scored;
-use crate::diagnosis::diagnose::diagnose;
-use crate::diagnosis::problem::Judged;
-use crate::diagnosis::rig::file::MapFile;
-use crate::diagnosis::rig::poses::notes;
-use crate::diagnosis::rig::regress::closed_ci95;
-use crate::diagnosis::rig::search::{RigProblem, Set};
-use crate::diagnosis::rig::table::Signals;
-use crate::diagnosis::verdict::decide::Verdict;
+use crate::diagnosis::rig::{MapFile, RigProblem, Set, Signals, closed_ci95, notes};
+use crate::diagnosis::verdict::Verdict;
+use crate::diagnosis::{Judged, Scored, diagnose};
 use serde::Serialize;
 
 /// RMSE in the unit of the output.
@@ -226,9 +220,8 @@ impl RigProblem<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::rig::operators::play;
-    use crate::diagnosis::rig::poses::poor;
-    use crate::diagnosis::verdict::decide::VerdictKind;
+    use crate::diagnosis::rig::{play, poor};
+    use crate::diagnosis::verdict::VerdictKind;
     use rand::rngs::StdRng;
     use rand::{RngExt, SeedableRng};
 

@@ -12,3 +12,12 @@ pub mod problem;
 pub mod regress;
 pub mod search;
 pub mod table;
+
+pub use document::{Document, Entry};
+pub use file::{MapFile, Nominal};
+pub use model::{MapBase, Member, RESONANT};
+pub use operators::{DRIVEN, Drive, Operator, STILL, none, oscillator, oscillator_step, play};
+pub use poses::{notes, poor};
+pub use regress::{Regressed, Task, closed_ci95, variance};
+pub use search::{RigProblem, Set};
+pub use table::Signals;

@@ -1,9 +1,9 @@
 //! The nominal model of a mapped rig with a set of operators.
 
-use crate::diagnosis::rig::file::{MapFile, Nominal};
-use crate::diagnosis::rig::operators::{DRIVEN, Drive, Operator, STILL, none, oscillator};
-use crate::diagnosis::rig::regress::{Columns, Regressed, Task};
-use crate::diagnosis::rig::table::Signals;
+use crate::diagnosis::rig::regress::Columns;
+use crate::diagnosis::rig::{
+    DRIVEN, Drive, MapFile, Nominal, Operator, Regressed, STILL, Signals, Task, none, oscillator,
+};
 
 /// An operator at one value of η.
 #[derive(Clone)]

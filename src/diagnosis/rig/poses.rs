@@ -1,6 +1,6 @@
 //! What the log of a rig cannot show, whatever the scores.
 
-use crate::diagnosis::rig::table::Signals;
+use crate::diagnosis::rig::Signals;
 
 /// Rows below which the probabilities are not to be trusted; the weights are fitted to logs of 500 rows and more.
 const FEW: usize = 200;

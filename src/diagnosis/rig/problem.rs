@@ -1,14 +1,10 @@
 //! A rig as a problem: its sets, and the features of the statements about it.
 
-use crate::diagnosis::candidates::{Candidates, Scored};
-use crate::diagnosis::problem::{Judged, Problem};
-use crate::diagnosis::rig::document::Document;
-use crate::diagnosis::rig::model::RESONANT;
-use crate::diagnosis::rig::operators::{DRIVEN, STILL};
-use crate::diagnosis::rig::poses::poor;
-use crate::diagnosis::rig::regress::{closed_ci95, variance};
-use crate::diagnosis::rig::search::{RigProblem, Set};
-use crate::diagnosis::verdict::posterior::{Claim, Head, Layout};
+use crate::diagnosis::rig::{
+    DRIVEN, Document, RESONANT, RigProblem, STILL, Set, closed_ci95, poor, variance,
+};
+use crate::diagnosis::verdict::{Claim, Head, Layout};
+use crate::diagnosis::{Candidates, Judged, Problem, Scored};
 use std::sync::LazyLock;
 
 /// Surcharge per effect when the best set is chosen, in the unit of a density.

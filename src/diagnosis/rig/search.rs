@@ -3,12 +3,9 @@
 //! Every operator is fitted alone, at the best η of its grid. All pairs are scored at these η and the best refitted; the best single is
 //! extended by every operator anew, and so is the best pair where it leaves something.
 
-use crate::diagnosis::candidates::Scored;
-use crate::diagnosis::rig::file::MapFile;
-use crate::diagnosis::rig::model::{MapBase, Member, catalogue};
-use crate::diagnosis::rig::operators::Operator;
-use crate::diagnosis::rig::regress::{Regressed, Task};
-use crate::diagnosis::rig::table::Signals;
+use crate::diagnosis::Scored;
+use crate::diagnosis::rig::model::catalogue;
+use crate::diagnosis::rig::{MapBase, MapFile, Member, Operator, Regressed, Signals, Task};
 
 /// Part of the gap that an effect must close to be claimed.
 const WORTH: f64 = 0.03;

@@ -1,6 +1,6 @@
 //! Reader of the columns that a map names.
 
-use crate::diagnosis::rig::file::{MapFile, Nominal};
+use crate::diagnosis::rig::{MapFile, Nominal};
 use crate::log::error::ReadError;
 use crate::log::table::{Schema, Table};
 use std::path::Path;

@@ -1,12 +1,9 @@
 //! A saved model on a fresh log: whether it fits this machine, belongs to another unit, or does worse than nothing.
 
-use crate::diagnosis::tip::fit::fit;
-use crate::diagnosis::tip::fit::holdout::{CLAIM_DEG, HeldOut, score};
-use crate::diagnosis::tip::fit::least_squares::LeastSquares;
-use crate::diagnosis::tip::model::chain::{Model, run};
-use crate::diagnosis::tip::model::sense::{every_bin, sense};
+use crate::diagnosis::tip::fit::{CLAIM_DEG, HeldOut, LeastSquares, fit, score};
+use crate::diagnosis::tip::model::{Model, every_bin, run, sense};
 use crate::diagnosis::tip::observed::Observed;
-use crate::diagnosis::tip::saved::{SavedGains, SavedModel};
+use crate::diagnosis::tip::{SavedGains, SavedModel};
 use crate::model::effects::Effect;
 use crate::model::{NOMINAL, nominal_theta};
 use crate::named;
@@ -105,6 +102,6 @@ fn refitted(log: &Observed, model: Model<'_>, theta: &[f64]) -> HeldOut {
     for (bound, value) in problem.bounds.iter_mut().zip(theta).skip(NOMINAL) {
         (bound.low, bound.high, bound.start) = (*value, *value, *value);
     }
-    let (point, _) = fit(&problem, theta, ROUNDS);
-    scored(log, &problem.model, &point.theta)
+    let fit = fit(problem, theta, ROUNDS);
+    scored(log, &fit.problem.model, &fit.point.theta)
 }

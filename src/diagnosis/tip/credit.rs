@@ -5,8 +5,8 @@
 //! close the sum of what each closes alone. What the verdict leaves is attributed to the stages in proportion to the probabilities of
 //! their effects.
 
-use crate::diagnosis::candidates::{Candidates, Scored};
-use crate::diagnosis::tip::fit::candidate::Candidate;
+use crate::diagnosis::tip::fit::Candidate;
+use crate::diagnosis::{Candidates, Scored};
 use crate::model::effects::{Effect, Stage};
 use serde::Serialize;
 

@@ -1,20 +1,11 @@
 //! The diagnosis as a document. `docs/gap.md` describes the JSON form.
 
-use crate::diagnosis::candidates::{Candidates, Scored};
-use crate::diagnosis::diagnose;
-use crate::diagnosis::problem::Judged;
-use crate::diagnosis::tip::credit::{StageShare, credits, stages};
-use crate::diagnosis::tip::fit::candidate::Candidate;
-use crate::diagnosis::tip::fit::holdout::{HeldOut, score};
-use crate::diagnosis::tip::fit::interval::{Compared, closed_ci95};
-use crate::diagnosis::tip::location::BeforeAfter;
-use crate::diagnosis::tip::model::chain::{Model, run};
-use crate::diagnosis::tip::model::sense::{every_bin, sense};
-use crate::diagnosis::tip::observed::dependence::dependences;
-use crate::diagnosis::tip::observed::quantity::PerQuantity;
-use crate::diagnosis::tip::observed::{CORRELATED_S, Observed, Segment};
-use crate::diagnosis::tip::search::TipProblem;
-use crate::diagnosis::verdict::decide::Verdict;
+use crate::diagnosis::tip::fit::{Candidate, Compared, HeldOut, closed_ci95, score};
+use crate::diagnosis::tip::model::{Model, every_bin, run, sense};
+use crate::diagnosis::tip::observed::{CORRELATED_S, Observed, PerQuantity, Segment, dependences};
+use crate::diagnosis::tip::{BeforeAfter, StageShare, TipProblem, credits, stages};
+use crate::diagnosis::verdict::Verdict;
+use crate::diagnosis::{Candidates, Judged, Scored, diagnose};
 use crate::model::effects::{Effect, Param};
 use crate::model::{lines, nominal_theta};
 use nalgebra::Vector3;

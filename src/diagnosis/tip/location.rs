@@ -1,9 +1,8 @@
 //! Where and when a log shows the gap.
 
-use crate::diagnosis::tip::document::{QuantityShare, Region, When};
-use crate::diagnosis::tip::fit::holdout::HeldOut;
-use crate::diagnosis::tip::observed::Observed;
-use crate::diagnosis::tip::observed::quantity::Quantity;
+use crate::diagnosis::tip::fit::HeldOut;
+use crate::diagnosis::tip::observed::{Observed, Quantity};
+use crate::diagnosis::tip::{QuantityShare, Region, When};
 use crate::model::{Bend, Line};
 use nalgebra::Vector3;
 

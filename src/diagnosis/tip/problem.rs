@@ -2,17 +2,11 @@
 //!
 //! The density of a block and sensor is that of residuals whose variance is unknown ([`crate::diagnosis::tip::fit::holdout::density`]).
 
-use crate::diagnosis::candidates::{Candidates, Scored};
-use crate::diagnosis::problem::{Judged, Problem};
-use crate::diagnosis::tip::confusion::alike;
-use crate::diagnosis::tip::document::Diagnosis;
-use crate::diagnosis::tip::fit::candidate::Candidate;
-use crate::diagnosis::tip::fit::screen::Alone;
-use crate::diagnosis::tip::fit::tangent::Tangent;
-use crate::diagnosis::tip::observed::dependence::dependences;
-use crate::diagnosis::tip::observed::quantity::Quantity;
-use crate::diagnosis::tip::search::TipProblem;
-use crate::diagnosis::verdict::posterior::{Claim, Head, Layout};
+use crate::diagnosis::tip::fit::{Alone, Candidate, Tangent};
+use crate::diagnosis::tip::observed::{Quantity, dependences};
+use crate::diagnosis::tip::{Diagnosis, TipProblem, alike};
+use crate::diagnosis::verdict::{Claim, Head, Layout};
+use crate::diagnosis::{Candidates, Judged, Problem, Scored};
 use crate::model::effects::catalogue;
 use std::sync::LazyLock;
 

@@ -1,11 +1,9 @@
 //! A diagnosis saved as TOML.
 
-use crate::diagnosis::tip::confusion::confused_with;
-use crate::diagnosis::tip::document::Diagnosed;
-use crate::diagnosis::tip::fit::candidate::Candidate;
-use crate::diagnosis::tip::fit::forecast::best_predicting;
-use crate::diagnosis::tip::model::chain::{LAG_MAX_S, Model};
+use crate::diagnosis::tip::fit::{Candidate, best_predicting};
+use crate::diagnosis::tip::model::{LAG_MAX_S, Model};
 use crate::diagnosis::tip::observed::Observed;
+use crate::diagnosis::tip::{Diagnosed, confused_with};
 use crate::model::effects::{Effect, Param, catalogue};
 use crate::model::{DescribedMachine, Geometry, Line, RestReadings, lines, nominal_theta};
 use crate::primitives::{Check, Checker};

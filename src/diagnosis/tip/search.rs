@@ -4,15 +4,12 @@
 //! are those that extend the best single, by the tangent there, and the best of all pairs by the normal matrix of all singles
 //! ([`crate::diagnosis::tip::fit::screen`]).
 
-use crate::diagnosis::candidates::Candidates;
-use crate::diagnosis::tip::fit::candidate::Candidate;
-use crate::diagnosis::tip::fit::fit;
-use crate::diagnosis::tip::fit::holdout::{CLAIM_DEG, HeldOut};
-use crate::diagnosis::tip::fit::least_squares::{LeastSquares, Point};
-use crate::diagnosis::tip::fit::screen::{Alone, alone, schwarz, screen};
-use crate::diagnosis::tip::fit::start::{Start, best_start, dated_again};
-use crate::diagnosis::tip::fit::tangent::{BaseFit, Tangent};
-use crate::diagnosis::tip::model::chain::Model;
+use crate::diagnosis::Candidates;
+use crate::diagnosis::tip::fit::{
+    Alone, BaseFit, CLAIM_DEG, Candidate, HeldOut, LeastSquares, Start, alone, best_start,
+    dated_again, fit, schwarz, screen,
+};
+use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::Observed;
 use crate::model::effects::Effect;
 use crate::model::{Line, nominal_theta};
@@ -185,24 +182,17 @@ fn recalibration<'a>(log: &'a Observed, lines: &[Line; 3]) -> BaseFit<'a> {
 
 /// Fits a problem until it converges.
 fn settle<'a>(problem: LeastSquares<'a>, start: &[f64]) -> BaseFit<'a> {
-    let (mut point, mut tangent) = fit(&problem, start, ROUNDS);
-    let several = problem.model.effects.len() > 1;
+    let mut best = fit(problem, start, ROUNDS);
+    let several = best.problem.model.effects.len() > 1;
     for _ in 0..DATED[usize::from(several)] {
         let again = |slow_too: bool| {
-            dated_again(&problem, &point, slow_too).map(|dated| fit(&problem, &dated, ROUNDS))
+            let next = fit(best.problem.clone(), &dated_again(&best, slow_too)?, ROUNDS);
+            Some(next).filter(|next| next.point.data() < DATED_GAIN * best.point.data())
         };
-        let better = |(p, _): &(Point, Tangent)| p.data() < DATED_GAIN * point.data();
-        let Some(next) = again(false)
-            .filter(better)
-            .or_else(|| (!several).then(|| again(true))?.filter(better))
-        else {
-            break;
-        };
-        (point, tangent) = next;
+        match again(false).or_else(|| (!several).then(|| again(true))?) {
+            Some(next) => best = next,
+            None => break,
+        }
     }
-    BaseFit {
-        problem,
-        point,
-        tangent,
-    }
+    best
 }

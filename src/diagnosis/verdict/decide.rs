@@ -2,7 +2,7 @@
 //!
 //! The verdict is the most probable statement. Effects that a log cannot tell apart at all share their probability and count as one.
 
-use crate::diagnosis::verdict::posterior::{Posterior, Said, exchanged};
+use crate::diagnosis::verdict::{Posterior, Said, exchanged};
 use crate::named;
 use serde::Serialize;
 
@@ -197,7 +197,7 @@ fn groups(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::verdict::posterior::{Claim, Head, Layout, Statement};
+    use crate::diagnosis::verdict::{Claim, Head, Layout, Statement};
     use proptest::prelude::*;
 
     const NAMES: [&str; 5] = ["leak", "creep", "play", "delay", "latency"];

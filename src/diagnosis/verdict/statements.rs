@@ -2,9 +2,8 @@
 //!
 //! The score of a set rises with the predictive density of the left-out blocks and falls with its freedom.
 
-use crate::diagnosis::candidates::{Candidates, Scored};
-use crate::diagnosis::problem::Problem;
-use crate::diagnosis::verdict::posterior::{Claim, Statement};
+use crate::diagnosis::verdict::{Claim, Statement};
+use crate::diagnosis::{Candidates, Problem, Scored};
 
 /// All statements about a log: each set, the nominal model, `unknown`.
 pub fn statements<P: Problem>(problem: &P, found: &Candidates<P::Set>) -> Vec<Statement> {

@@ -1,11 +1,8 @@
 //! Data of the charts: residuals of the bins with pose and time, and measured and predicted signals.
 
-use crate::diagnosis::tip::document::Diagnosed;
-use crate::diagnosis::tip::fit::holdout::HeldOut;
-use crate::diagnosis::tip::location::{commanded_bend, polar_deg};
-use crate::diagnosis::tip::observed::Observed;
-use crate::diagnosis::tip::observed::bins::G_M_S2;
-use crate::diagnosis::tip::observed::quantity::Quantity;
+use crate::diagnosis::tip::fit::HeldOut;
+use crate::diagnosis::tip::observed::{G_M_S2, Observed, Quantity};
+use crate::diagnosis::tip::{Diagnosed, commanded_bend, polar_deg};
 use crate::experiment::arm::root_mean;
 use crate::model::{Bend, lines};
 use crate::primitives::Rotation;

@@ -4,8 +4,8 @@
 pub mod evidence;
 pub mod words;
 
-use crate::diagnosis::tip::document::{Diagnosis, EffectEntry, ParamValue};
-use crate::diagnosis::verdict::decide::VerdictKind;
+use crate::diagnosis::tip::{Diagnosis, EffectEntry, ParamValue};
+use crate::diagnosis::verdict::VerdictKind;
 use crate::report::bars::{self, Bar};
 use crate::report::chart::{Axis, Chart, Series, Stroke};
 use crate::report::gap::evidence::{Evidence, Trace};

@@ -1,8 +1,7 @@
 //! A diagnosis in words.
 
-use crate::diagnosis::tip::document::{Diagnosis, EffectEntry, ParamValue};
-use crate::diagnosis::tip::remedy::Remedy;
-use crate::diagnosis::verdict::decide::{StatementEntry, VerdictKind};
+use crate::diagnosis::tip::{Diagnosis, EffectEntry, ParamValue, Remedy};
+use crate::diagnosis::verdict::{StatementEntry, VerdictKind};
 use crate::model::effects::by_name;
 
 /// Name of an effect without underscores.

@@ -6,13 +6,10 @@
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rayon::prelude::*;
-use retroflex::diagnosis::diagnose::diagnose;
-use retroflex::diagnosis::exam::question::{Content, Question};
-use retroflex::diagnosis::exam::record::{PERIOD_S, record};
-use retroflex::diagnosis::tip::document::Diagnosis;
+use retroflex::diagnosis::diagnose;
+use retroflex::diagnosis::exam::{Content, PERIOD_S, Question, record};
 use retroflex::diagnosis::tip::observed::Observed;
-use retroflex::diagnosis::tip::rig::Rig;
-use retroflex::diagnosis::tip::search::TipProblem;
+use retroflex::diagnosis::tip::{Diagnosis, Rig, TipProblem};
 use retroflex::log::bend_log::BendLog;
 use retroflex::model::Line;
 use retroflex::model::effects::catalogue;

@@ -1,9 +1,7 @@
 //! A set of effects fitted to the log of a tip.
 
-use crate::diagnosis::candidates::Scored;
-use crate::diagnosis::tip::fit::Fitted;
-use crate::diagnosis::tip::fit::holdout::{CLAIM_DEG, HeldOut, leave_out};
-use crate::diagnosis::tip::fit::tangent::BaseFit;
+use crate::diagnosis::Scored;
+use crate::diagnosis::tip::fit::{BaseFit, CLAIM_DEG, Fitted, HeldOut, leave_out};
 
 /// A set of effects with its fit and its scores.
 #[derive(Debug, Clone)]
@@ -21,20 +19,12 @@ pub struct Candidate {
 impl Candidate {
     /// The candidate of a fit.
     pub fn new(fit: &BaseFit<'_>) -> Self {
-        let BaseFit {
-            problem,
-            point,
-            tangent,
-        } = fit;
+        let (model, theta) = (&fit.problem.model, &fit.point.theta);
         Self {
-            names: problem.model.names(),
-            fitted: Fitted::new(problem, point, tangent),
-            held_out: leave_out(problem, point, tangent),
-            unusual: problem
-                .model
-                .each(&point.theta)
-                .map(|(e, p)| e.unusual(p))
-                .sum(),
+            names: model.names(),
+            fitted: Fitted::new(fit),
+            held_out: leave_out(fit),
+            unusual: model.each(theta).map(|(e, p)| e.unusual(p)).sum(),
         }
     }
 }

@@ -6,13 +6,11 @@
 //! nominal model, the verdict's set, the whole and the reduced set, the one that leaves the least on blocks that the fit has not
 //! seen is returned.
 
-use crate::diagnosis::candidates::Scored;
-use crate::diagnosis::tip::fit::candidate::Candidate;
-use crate::diagnosis::tip::fit::fit;
-use crate::diagnosis::tip::fit::least_squares::LeastSquares;
-use crate::diagnosis::tip::fit::start::{Start, best_start, vanishing};
-use crate::diagnosis::tip::fit::tangent::{BaseFit, Tangent};
-use crate::diagnosis::tip::model::chain::Model;
+use crate::diagnosis::Scored;
+use crate::diagnosis::tip::fit::{
+    BaseFit, Candidate, LeastSquares, Start, best_start, fit, vanishing,
+};
+use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::Observed;
 use crate::model::effects::{Effect, Stage};
 use nalgebra::DVector;
@@ -126,23 +124,13 @@ fn start(effects: &[&dyn Effect], catalogue: &[Box<dyn Effect>], from: &Candidat
 }
 
 fn fitted<'a>(log: &'a Observed, effects: &[&'a dyn Effect], start: &[f64]) -> BaseFit<'a> {
-    let problem = LeastSquares::new(log, Model::new(effects));
-    let (point, tangent) = fit(&problem, start, ROUNDS);
-    BaseFit {
-        problem,
-        point,
-        tangent,
-    }
+    fit(LeastSquares::new(log, Model::new(effects)), start, ROUNDS)
 }
 
 /// Effects whose parameters the log does not separate from their vanishing point.
 fn weak(base: &BaseFit<'_>) -> Vec<&'static str> {
-    let BaseFit {
-        problem,
-        point,
-        tangent,
-    } = base;
-    let Some(covariance) = Tangent::sums(tangent, problem, point).normal.try_inverse() else {
+    let (problem, point) = (&base.problem, &base.point);
+    let Some(covariance) = base.sums().normal.try_inverse() else {
         return vec![];
     };
     let model = &problem.model;

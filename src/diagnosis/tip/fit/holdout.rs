@@ -5,15 +5,9 @@
 //! bridge, and short ones, which can date an event. A fit without a block starts at the full fit and descends along the tangent there
 //! until a step gains next to nothing; its prediction is a full run.
 
-use crate::diagnosis::tip::fit::least_squares::{LeastSquares, Point, weighted};
-use crate::diagnosis::tip::fit::start::dates;
-use crate::diagnosis::tip::fit::step;
-use crate::diagnosis::tip::fit::tangent::{Sums, Tangent};
-use crate::diagnosis::tip::model::chain::{Motion, run};
-use crate::diagnosis::tip::model::sense::{Residuals, sense};
-use crate::diagnosis::tip::observed::Observed;
-use crate::diagnosis::tip::observed::bins::BIN_S;
-use crate::diagnosis::tip::observed::quantity::{PerQuantity, Quantity};
+use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, Sums, dates, step, weighted};
+use crate::diagnosis::tip::model::{Motion, Residuals};
+use crate::diagnosis::tip::observed::{BIN_S, Observed, PerQuantity, Quantity};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 
@@ -66,17 +60,14 @@ impl HeldOut {
     }
 }
 
-/// Leaves blocks of both lengths out of a fit that ended at `point`.
-pub fn leave_out(problem: &LeastSquares<'_>, point: &Point, tangent: &Tangent) -> HeldOut {
+/// Leaves blocks of both lengths out of a fit.
+pub fn leave_out(fit: &BaseFit<'_>) -> HeldOut {
+    let log = fit.problem.log;
     let [mut long, short] = BLOCKS_S.map(|length_s| {
-        let folds = folds(problem.log, length_s);
-        score(
-            problem.log,
-            predicted(problem, point, tangent, &folds),
-            |k| folds[k].is_some(),
-        )
+        let folds = folds(log, length_s);
+        score(log, predicted(fit, &folds), |k| folds[k].is_some())
     });
-    long.density[1] = density(problem.log, &short.residual, BLOCKS_S[1]);
+    long.density[1] = density(log, &short.residual, BLOCKS_S[1]);
     for (a, b) in long.rmse_deg.0.iter_mut().zip(short.rmse_deg.0) {
         *a = ((*a * *a + b * b) / 2.0).sqrt();
     }
@@ -100,22 +91,15 @@ fn folds(log: &Observed, length_s: f64) -> Vec<Option<usize>> {
 }
 
 /// Residuals of each bin as predicted by the fit that has not seen it.
-fn predicted(
-    problem: &LeastSquares<'_>,
-    point: &Point,
-    tangent: &Tangent,
-    folds: &[Option<usize>],
-) -> Residuals {
-    let log = problem.log;
-    let parts = tangent.parts(point, log.bins.len(), 2, |k| folds[k]);
-    let mut residual = Residuals::from_fn(|_| vec![Vector3::zeros(); log.bins.len()]);
+fn predicted(fit: &BaseFit<'_>, folds: &[Option<usize>]) -> Residuals {
+    let bins = folds.len();
+    let parts = fit.tangent.parts(&fit.point, bins, 2, |k| folds[k]);
+    let mut residual = Residuals::from_fn(|_| vec![Vector3::zeros(); bins]);
     for fold in 0..2 {
         let mut sums = parts[1 - fold].clone();
-        sums.add_prior(problem, &point.theta);
-        let refitted = refitted(problem, point, tangent, sums, &|k| {
-            folds[k] == Some(1 - fold)
-        });
-        for (k, _) in folds.iter().enumerate().filter(|(_, f)| **f == Some(fold)) {
+        sums.add_prior(&fit.problem, &fit.point.theta);
+        let refitted = refitted(fit, sums, &|k| folds[k] == Some(1 - fold));
+        for k in (0..bins).filter(|&k| folds[k] == Some(fold)) {
             for (all, these) in residual.0.iter_mut().zip(&refitted.0) {
                 all[k] = these[k];
             }
@@ -126,14 +110,8 @@ fn predicted(
 
 /// Residuals of the fit without a fold, which starts at `point` with `sums` over the other fold. Nothing but the bins around an event
 /// tells its time, so the dates of the whole log are kept.
-fn refitted(
-    problem: &LeastSquares<'_>,
-    point: &Point,
-    tangent: &Tangent,
-    mut sums: Sums,
-    mask: &impl Fn(usize) -> bool,
-) -> Residuals {
-    let log = problem.log;
+fn refitted(fit: &BaseFit<'_>, mut sums: Sums, mask: &impl Fn(usize) -> bool) -> Residuals {
+    let (problem, point) = (&fit.problem, &fit.point);
     let mut bounds = problem.bounds.clone();
     for i in dates(problem) {
         (bounds[i].low, bounds[i].high) = (point.theta[i], point.theta[i]);
@@ -146,15 +124,12 @@ fn refitted(
         };
         let mut next = None;
         for _ in 0..ATTEMPTS {
-            let motion = run(log, &problem.model, &theta);
-            next = Some(at(theta.clone(), &motion)).filter(|n| n.cost <= here.cost);
+            next = Some(at(theta.clone(), &problem.motion(&theta))).filter(|n| n.cost <= here.cost);
             if next.is_some() {
                 break;
             }
-            theta
-                .iter_mut()
-                .zip(&here.theta)
-                .for_each(|(t, p)| *t = p + (*t - p) * SHORTER);
+            let pairs = theta.iter_mut().zip(&here.theta);
+            pairs.for_each(|(t, p)| *t = p + (*t - p) * SHORTER);
         }
         let Some(next) = next else { break };
         let gained = 1.0 - next.cost / here.cost;
@@ -162,7 +137,7 @@ fn refitted(
         if gained < CONVERGED {
             break;
         }
-        sums.gradient = tangent.gradient(problem, &here.theta, &here.fitted);
+        sums.gradient = fit.tangent.gradient(problem, &here.theta, &here.fitted);
     }
     here.residual
 }
@@ -185,14 +160,12 @@ impl Refit {
         motion: &Motion,
         mask: &impl Fn(usize) -> bool,
     ) -> Self {
-        let log = problem.log;
-        let residual = sense(log, &problem.model, &theta, motion, mask);
-        let mut fitted = weighted(log, &residual);
-        let rows = 3 * log.quantities().count();
-        fitted
-            .chunks_exact_mut(rows)
-            .enumerate()
-            .filter(|(k, _)| !mask(*k))
+        let residual = problem.sensed(&theta, motion, mask);
+        let mut fitted = weighted(problem.log, &residual);
+        let rows = fitted
+            .chunks_exact_mut(3 * problem.log.quantities().count())
+            .enumerate();
+        rows.filter(|(k, _)| !mask(*k))
             .for_each(|(_, r)| r.fill(0.0));
         let cost = fitted.iter().map(|r| r * r).sum::<f64>() + problem.prior(&theta);
         Self {

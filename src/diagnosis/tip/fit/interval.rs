@@ -5,7 +5,7 @@
 //! a constant is added. Both spreads scale the part that is *left*, `1 − closed`; the interval is formed on its
 //! logarithm.
 
-use crate::diagnosis::tip::fit::holdout::HeldOut;
+use crate::diagnosis::tip::fit::HeldOut;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 

@@ -1,7 +1,6 @@
 //! A model to be fitted to a log: priors, limits and the weighted residuals at a point of its parameter space.
 
-use crate::diagnosis::tip::model::chain::{LAG_MAX_S, Model, Motion, run};
-use crate::diagnosis::tip::model::sense::{Residuals, every_bin, sense};
+use crate::diagnosis::tip::model::{LAG_MAX_S, Model, Motion, Residuals, every_bin, run, sense};
 use crate::diagnosis::tip::observed::Observed;
 
 /// Slope of the priors, residual per unit of scale. One prior σ is one scale for white residuals; neighbouring bins
@@ -89,9 +88,24 @@ impl<'a> LeastSquares<'a> {
         Self { log, model, bounds }
     }
 
+    /// Motion of the model at `theta`.
+    pub fn motion(&self, theta: &[f64]) -> Motion {
+        run(self.log, &self.model, theta)
+    }
+
+    /// Residuals of a motion; gravity, field and gyroscope bias are solved on the bins that `mask` selects.
+    pub fn sensed(
+        &self,
+        theta: &[f64],
+        motion: &Motion,
+        mask: impl Fn(usize) -> bool,
+    ) -> Residuals {
+        sense(self.log, &self.model, theta, motion, mask)
+    }
+
     /// Runs the model at `theta`.
     pub fn at(&self, theta: Vec<f64>) -> Point {
-        let motion = run(self.log, &self.model, &theta);
+        let motion = self.motion(&theta);
         let residual = self.residual(&theta, &motion);
         let prior = self.prior(&theta);
         Point {
@@ -113,16 +127,13 @@ impl<'a> LeastSquares<'a> {
 
     /// Weighted residuals of a motion.
     pub fn residual(&self, theta: &[f64], motion: &Motion) -> Vec<f64> {
-        weighted(
-            self.log,
-            &sense(self.log, &self.model, theta, motion, every_bin),
-        )
+        weighted(self.log, &self.sensed(theta, motion, every_bin))
     }
 
     /// Weighted residuals at `theta`; gravity, field and gyroscope bias of each log are solved on its rest, until `until_s` after its
     /// start.
     pub fn residual_from_rest(&self, theta: &[f64], until_s: f64) -> Vec<f64> {
-        let (log, motion) = (self.log, run(self.log, &self.model, theta));
+        let log = self.log;
         let of = |k: usize| {
             log.segments
                 .iter()
@@ -131,7 +142,7 @@ impl<'a> LeastSquares<'a> {
                 .map_or((0, log.start_s()), |s| (s.bins.start, s.start_s))
         };
         let resting = |k: usize| of(k).0 == k || log.bins[k].t_s - of(k).1 < until_s;
-        weighted(log, &sense(log, &self.model, theta, &motion, resting))
+        weighted(log, &self.sensed(theta, &self.motion(theta), resting))
     }
 
     /// Sum of squares of the priors.

@@ -13,8 +13,16 @@ pub mod screen;
 pub mod start;
 pub mod tangent;
 
-use crate::diagnosis::tip::fit::least_squares::{Bound, LeastSquares, PRIOR_SLOPE, Point};
-use crate::diagnosis::tip::fit::tangent::{Sums, Tangent};
+pub use candidate::Candidate;
+pub use forecast::best_predicting;
+pub use holdout::{BLOCKS_S, CLAIM_DEG, HeldOut, density, leave_out, score};
+pub use interval::{Compared, closed_ci95};
+pub use least_squares::{LeastSquares, PRIOR_SLOPE, Point, weighted};
+pub use screen::{Alone, alone, schwarz, screen};
+pub use start::{Start, best_start, dated_again, dates, stepped, vanishing};
+pub use tangent::{BaseFit, Sums, Tangent};
+
+use crate::diagnosis::tip::fit::least_squares::Bound;
 use nalgebra::{DMatrix, DVector};
 
 /// Relative gain of a step below which a fit has converged.
@@ -41,10 +49,10 @@ pub struct Fitted {
 }
 
 impl Fitted {
-    /// The result of a fit that ended at `point` with this tangent.
-    pub fn new(problem: &LeastSquares<'_>, point: &Point, tangent: &Tangent) -> Self {
-        let n = problem.bounds.len();
-        let normal = tangent.sums(problem, point).normal;
+    /// The result of a fit.
+    pub fn new(fit: &BaseFit<'_>) -> Self {
+        let (bounds, normal) = (&fit.problem.bounds, fit.sums().normal);
+        let n = bounds.len();
         let inverse = normal
             .clone()
             .try_inverse()
@@ -56,42 +64,53 @@ impl Fitted {
                 .map(|d| (d / PRIOR_SLOPE).ln())
                 .sum()
         });
-        let scale = |i: usize| problem.bounds[i].scale;
+        let scale = |i: usize| bounds[i].scale;
         let covariance = DMatrix::from_fn(n, n, |a, b| inverse[(a, b)] * scale(a) * scale(b));
         Self {
-            theta: point.theta.clone(),
-            cost: point.data(),
+            theta: fit.point.theta.clone(),
+            cost: fit.point.data(),
             covariance,
             information,
         }
     }
 }
 
-/// Fits from `start` with at most `rounds` accepted steps: the result and the tangent there. After a last step within
-/// `CONVERGED` the tangent is that of the point before.
-pub fn fit(problem: &LeastSquares<'_>, start: &[f64], rounds: usize) -> (Point, Tangent) {
+/// Fits from `start` with at most `rounds` accepted steps. After a last step within `CONVERGED` the tangent is that of the point before.
+pub fn fit<'a>(problem: LeastSquares<'a>, start: &[f64], rounds: usize) -> BaseFit<'a> {
     let mut point = problem.at_clamped(start);
     let mut damping = DAMPING;
     for _ in 0..rounds {
-        let tangent = Tangent::new(problem, &point);
-        let mut sums = tangent.sums(problem, &point);
-        let Some(mut next) = downhill(problem, &point, &sums, &mut damping) else {
-            return (point, tangent);
+        let tangent = Tangent::new(&problem, &point);
+        let mut sums = tangent.sums(&problem, &point);
+        let Some(mut next) = downhill(&problem, &point, &sums, &mut damping) else {
+            return BaseFit {
+                problem,
+                point,
+                tangent,
+            };
         };
         if next.total() < (1.0 - SECOND_STEP) * point.total() {
-            sums.gradient = tangent.gradient(problem, &next.theta, &next.residual);
-            let further =
-                step(&next.theta, &problem.bounds, &sums, damping).map(|theta| problem.at(theta));
+            sums.gradient = tangent.gradient(&problem, &next.theta, &next.residual);
+            let further = step(&next.theta, &problem.bounds, &sums, damping);
+            let further = further.map(|theta| problem.at(theta));
             next = further.filter(|f| f.total() < next.total()).unwrap_or(next);
         }
         let gained = 1.0 - next.total() / point.total();
         point = next;
         if gained <= CONVERGED {
-            return (point, tangent);
+            return BaseFit {
+                problem,
+                point,
+                tangent,
+            };
         }
     }
-    let tangent = Tangent::new(problem, &point);
-    (point, tangent)
+    let tangent = Tangent::new(&problem, &point);
+    BaseFit {
+        problem,
+        point,
+        tangent,
+    }
 }
 
 /// One damped step that lowers the sum of squares, if there is one.

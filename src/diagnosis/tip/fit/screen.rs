@@ -4,11 +4,8 @@
 //! each does alone, from where one step along the tangents of both fits, with the nominal gains, predicts what a fit of the pair would
 //! leave. All pairs share one normal matrix, of the tangents at all singles and of their changes.
 
-use crate::diagnosis::tip::fit::candidate::Candidate;
-use crate::diagnosis::tip::fit::least_squares::LeastSquares;
-use crate::diagnosis::tip::fit::start::{Start, stepped};
-use crate::diagnosis::tip::fit::tangent::{BaseFit, Sums, Tangent};
-use crate::diagnosis::tip::model::chain::Model;
+use crate::diagnosis::tip::fit::{BaseFit, Candidate, LeastSquares, Start, Sums, Tangent, stepped};
+use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::{CORRELATED_S, Observed};
 use crate::model::NOMINAL;
 use crate::model::effects::Effect;
@@ -66,11 +63,7 @@ impl Gram {
             at.push(columns.width());
         }
         Self {
-            sums: columns
-                .parts(&nominal.point, nominal.problem.log.bins.len(), 1, |_| {
-                    Some(0)
-                })
-                .swap_remove(0),
+            sums: columns.whole(&nominal.point, nominal.problem.log.bins.len()),
             at,
         }
     }

@@ -4,10 +4,8 @@
 //! predicts how far the sum of squares falls, and the fit starts at the best. The sum of squares has no gradient with
 //! respect to the time of an event; a linear least-squares scan over all times of the log finds it.
 
-use crate::diagnosis::tip::fit::least_squares::{LeastSquares, Point};
-use crate::diagnosis::tip::fit::step;
-use crate::diagnosis::tip::fit::tangent::{BaseFit, Sums, Tangent};
-use crate::diagnosis::tip::model::chain::Event;
+use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, Sums, Tangent, step};
+use crate::diagnosis::tip::model::Event;
 use crate::diagnosis::tip::observed::Segment;
 use crate::model::effects::{Effect, Stage};
 use nalgebra::{DVector, Matrix3, Vector3};
@@ -175,7 +173,8 @@ pub fn dates(problem: &LeastSquares<'_>) -> Vec<usize> {
 
 /// The parameters with every quick event dated again, each while all others stay as fitted; `None` if the model has no
 /// quick events. With `slow_too` the slow events become quick ones; `None` if there are none.
-pub fn dated_again(problem: &LeastSquares<'_>, point: &Point, slow_too: bool) -> Option<Vec<f64>> {
+pub fn dated_again(fit: &BaseFit<'_>, slow_too: bool) -> Option<Vec<f64>> {
+    let (problem, point) = (&fit.problem, &fit.point);
     let is_slow = |e: &Event| e.lasting.is_some_and(|l| point.theta[l] > QUICK_S);
     if slow_too && !problem.model.all_events().any(|e| is_slow(&e)) {
         return None;

@@ -3,8 +3,7 @@
 //! Forward differences; the motion is run again only for parameters that change it. A tangent serves the steps of a
 //! fit, the fits without a block, which are close to the full fit, and the choice of the pairs of effects that are worth a fit.
 
-use crate::diagnosis::tip::fit::least_squares::{LeastSquares, PRIOR_SLOPE, Point};
-use crate::diagnosis::tip::model::chain::run;
+use crate::diagnosis::tip::fit::{LeastSquares, PRIOR_SLOPE, Point};
 use crate::model::NOMINAL;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -29,7 +28,7 @@ pub struct Sums {
     pub gradient: DVector<f64>,
 }
 
-/// A finished fit to which another effect is added.
+/// A finished fit.
 pub struct BaseFit<'a> {
     /// Its problem.
     pub problem: LeastSquares<'a>,
@@ -49,10 +48,9 @@ fn column(problem: &LeastSquares<'_>, point: &Point, c: usize) -> Vec<f32> {
         STEP * b.scale
     };
     moved[c] += h;
-    let residual = if problem.model.sensing_only(c) {
-        problem.residual(&moved, &point.motion)
-    } else {
-        problem.residual(&moved, &run(problem.log, &problem.model, &moved))
+    let residual = match problem.model.sensing_only(c) {
+        true => problem.residual(&moved, &point.motion),
+        false => problem.residual(&moved, &problem.motion(&moved)),
     };
     let per_scale = b.scale / h;
     residual
@@ -112,11 +110,14 @@ impl Tangent {
         self.columns.push(column);
     }
 
+    /// Sums over all bins without the priors.
+    pub fn whole(&self, point: &Point, bins: usize) -> Sums {
+        self.parts(point, bins, 1, |_| Some(0)).swap_remove(0)
+    }
+
     /// Sums over all bins, including the priors.
     pub fn sums(&self, problem: &LeastSquares<'_>, point: &Point) -> Sums {
-        let mut sums = self
-            .parts(point, problem.log.bins.len(), 1, |_| Some(0))
-            .swap_remove(0);
+        let mut sums = self.whole(point, problem.log.bins.len());
         sums.add_prior(problem, &point.theta);
         sums
     }
@@ -176,6 +177,13 @@ impl Tangent {
         out.iter_mut()
             .for_each(|sums| sums.normal.fill_upper_triangle_with_lower_triangle());
         out
+    }
+}
+
+impl BaseFit<'_> {
+    /// Sums over all bins, including the priors.
+    pub fn sums(&self) -> Sums {
+        self.tangent.sums(&self.problem, &self.point)
     }
 }
 

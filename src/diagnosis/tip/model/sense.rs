@@ -3,10 +3,8 @@
 //! Gravity and field in the base frame and the constant gyroscope bias enter linearly. Every evaluation solves them
 //! (variable projection, Golub & Pereyra 1973) from the bins that a mask selects.
 
-use crate::diagnosis::tip::model::chain::{FIRST_STEP_S, Model, Motion, parameters};
-use crate::diagnosis::tip::observed::bins::{Bin, G_M_S2};
-use crate::diagnosis::tip::observed::quantity::{PerQuantity, Quantity};
-use crate::diagnosis::tip::observed::{Observed, Segment};
+use crate::diagnosis::tip::model::{FIRST_STEP_S, Model, Motion, parameters};
+use crate::diagnosis::tip::observed::{Bin, G_M_S2, Observed, PerQuantity, Quantity, Segment};
 use crate::model::effects::{ImuPrediction, Memory, Moment, Stage};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 

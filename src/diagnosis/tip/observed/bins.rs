@@ -1,6 +1,6 @@
 //! Rows of a log averaged in bins of 50 ms, or of 200 ms in long holds.
 
-use crate::diagnosis::tip::observed::quantity::{PerQuantity, Quantity};
+use crate::diagnosis::tip::observed::{PerQuantity, Quantity};
 use crate::log::bend_log::{BendLog, ImuColumns};
 use nalgebra::{Matrix3, Vector3};
 use std::borrow::Cow;

@@ -4,11 +4,9 @@
 //! the residual on it, fitted on every other block, predicts the remaining blocks. A sensor that distorts rates, for one, hardly shows
 //! in a score, because a bin in motion weighs little, but its residual follows the reading.
 
-use crate::diagnosis::tip::fit::holdout::{BLOCKS_S, density};
-use crate::diagnosis::tip::model::sense::{Residuals, between};
-use crate::diagnosis::tip::observed::Observed;
-use crate::diagnosis::tip::observed::bins::G_M_S2;
-use crate::diagnosis::tip::observed::quantity::Quantity;
+use crate::diagnosis::tip::fit::{BLOCKS_S, density};
+use crate::diagnosis::tip::model::{Residuals, between};
+use crate::diagnosis::tip::observed::{G_M_S2, Observed, Quantity};
 use crate::named;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
@@ -237,8 +235,7 @@ fn reading(log: &Observed, q: Quantity, k: usize) -> Option<Vector3<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::tip::observed::bins::Bin;
-    use crate::diagnosis::tip::observed::quantity::PerQuantity;
+    use crate::diagnosis::tip::observed::{Bin, PerQuantity};
 
     /// A gyroscope in motion for four minutes, whose residual is `law` of the reading and the time (s) and some noise.
     fn strongest(law: impl Fn(Vector3<f64>, f64) -> Vector3<f64>) -> Depends {

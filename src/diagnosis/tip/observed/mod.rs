@@ -9,12 +9,14 @@ pub mod dependence;
 pub mod quantity;
 pub mod refuse;
 
-use crate::diagnosis::tip::observed::bins::{
-    BIN_S, Bin, Rows, bins, compared, mean, noise, thinned,
-};
-use crate::diagnosis::tip::observed::quantity::{PerQuantity, Quantity};
-use crate::diagnosis::tip::observed::refuse::{ObserveError, refuse};
-use crate::diagnosis::tip::rig::Rig;
+pub use bins::{BIN_S, Bin, G_M_S2};
+pub use dependence::dependences;
+pub use quantity::{PerQuantity, Quantity};
+pub use refuse::ObserveError;
+
+use crate::diagnosis::tip::Rig;
+use crate::diagnosis::tip::observed::bins::{Rows, bins, compared, mean, noise, thinned};
+use crate::diagnosis::tip::observed::refuse::refuse;
 use crate::estimation::fusion::align::AlignConfig;
 use crate::estimation::fusion::base::{BaseConfig, BaseTracker};
 use crate::log::bend_log::BendLog;
@@ -325,7 +327,7 @@ impl Observed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::tip::model::chain::{Model, run};
+    use crate::diagnosis::tip::model::{Model, run};
     use crate::model::effects::{Effect, catalogue};
     use crate::model::{Line, nominal_theta};
     use rand::rngs::StdRng;
