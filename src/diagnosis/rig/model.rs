@@ -1,6 +1,6 @@
 //! The nominal model of a mapped rig with a set of operators.
 
-use crate::diagnosis::rig::regress::Columns;
+use crate::diagnosis::rig::regress::{Columns, left, variance};
 use crate::diagnosis::rig::{
     DRIVEN, Drive, MapFile, Nominal, Operator, Regressed, STILL, Signals, Task, none, oscillator,
 };
@@ -73,18 +73,11 @@ pub fn catalogue(nominal: Nominal, clocked: bool) -> Vec<Operator> {
 
 fn spring(d: &Drive, power: i32) -> Vec<Vec<f64>> {
     // `Scale::drive` stores frequency and damping of the oscillator in the first two samples of `m`
-    let (wh, zeta) = (d.m[0], d.m[1]);
-    let first = oscillator(
-        &d.v.iter().map(|v| v.powi(power)).collect::<Vec<_>>(),
-        wh,
-        zeta,
-    );
-    let force: Vec<f64> =
-        d.v.iter()
-            .zip(&first)
-            .map(|(v, f)| f64::from(power) * v.powi(power - 1) * f)
-            .collect();
-    vec![first, oscillator(&force, wh, zeta)]
+    let swung = |force: Vec<f64>| oscillator(&force, d.m[0], d.m[1]);
+    let first = swung(d.v.iter().map(|v| v.powi(power)).collect());
+    let slope = |(v, f): (&f64, &f64)| f64::from(power) * v.powi(power - 1) * f;
+    let second = swung(d.v.iter().zip(&first).map(slope).collect());
+    vec![first, second]
 }
 
 impl MapBase {
@@ -92,17 +85,11 @@ impl MapBase {
     pub fn new(map: &MapFile, log: &Signals) -> Self {
         let swing = (map.nominal == Nominal::Resonance).then(|| resonance(log));
         let inputs = driven(log, swing);
-        let base: Vec<Vec<f64>> = [vec![1.0; log.output.len()]]
-            .into_iter()
-            .chain(inputs.clone())
-            .collect();
-        let columns = Columns {
-            of: base.iter().map(Vec::as_slice).collect(),
-            signs: vec![],
-        };
-        let weights = Task::new(&log.output)
-            .regress(&columns)
-            .map_or(vec![1.0; inputs.len()], |r| r.coefficients[1..].to_vec());
+        let ones = vec![1.0; log.output.len()];
+        let base: Vec<Vec<f64>> = [ones].into_iter().chain(inputs.clone()).collect();
+        let columns = Columns::free(base.iter().map(Vec::as_slice).collect());
+        let regressed = Task::new(&log.output).regress(&columns);
+        let weights = regressed.map_or(vec![1.0; inputs.len()], |r| r.coefficients[1..].to_vec());
         let mut scale = Scale {
             weights,
             middle: 0.0,
@@ -131,10 +118,8 @@ impl MapBase {
             of.extend(m.columns.iter().map(Vec::as_slice));
         }
         // what creeps has answered at once, the same way, and creeps on that way, unless another effect takes the answer over
-        let creeps = members.iter().any(|m| m.operator.name == "creep");
-        let taken = members
-            .iter()
-            .any(|m| TAKES_OVER.contains(&m.operator.name));
+        let has = |names: &[&str]| members.iter().any(|m| names.contains(&m.operator.name));
+        let (creeps, taken) = (has(&["creep"]), has(&TAKES_OVER));
         if let ([weight], true, false) = (self.scale.weights.as_slice(), creeps, taken) {
             signs.push((1, if *weight < 0.0 { -1 } else { 1 }));
         }
@@ -169,63 +154,41 @@ impl MapBase {
             .iter()
             .flat_map(|m| (m.operator.columns)(&drive, m.eta));
         let columns: Vec<Vec<f64>> = inputs.into_iter().chain(own).collect();
-        let left: Vec<f64> = (0..other.output.len())
-            .map(|k| {
-                other.output[k]
-                    - columns
-                        .iter()
-                        .zip(&coefficients[1..])
-                        .map(|(x, c)| x[k] * c)
-                        .sum::<f64>()
-            })
-            .collect();
-        let mean = left.iter().sum::<f64>() / left.len() as f64;
-        Some((left.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / left.len() as f64).sqrt())
+        let columns: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+        Some(variance(&left(&other.output, &columns, &coefficients[1..])).sqrt())
     }
 }
 
 impl Scale {
     fn drive(&self, log: &Signals, inputs: &[Vec<f64>]) -> Drive {
-        let v = combined(inputs, &self.weights, log.output.len())
-            .iter()
-            .map(|x| (x - self.middle) / self.half)
-            .collect();
-        let mut m: Vec<f64> = log
-            .motion
-            .as_ref()
-            .map_or(vec![0.0; log.output.len()], |m| {
-                m.iter().map(|x| (x - self.m_low) / self.m_range).collect()
-            });
+        let rows = log.output.len();
+        let v = combined(inputs, &self.weights, rows);
+        let moved = |m: &Vec<f64>| m.iter().map(|x| (x - self.m_low) / self.m_range).collect();
+        let mut m: Vec<f64> = log.motion.as_ref().map_or(vec![0.0; rows], moved);
         if let Some((wh, zeta)) = self.swing {
             (m[0], m[1]) = (wh, zeta);
         }
+        let further = inputs.iter().zip(&self.weights).skip(1);
+        let part = |(u, w): (&Vec<f64>, &f64)| u.iter().map(|u| u * w / self.half).collect();
         Drive {
-            v,
+            v: v.iter().map(|x| (x - self.middle) / self.half).collect(),
             m,
             m_range: self.m_range,
             t: log.t.clone(),
             zero: -self.middle / self.half,
-            parts: inputs
-                .iter()
-                .zip(&self.weights)
-                .skip(1)
-                .map(|(u, w)| u.iter().map(|u| u * w / self.half).collect())
-                .collect(),
+            parts: further.map(part).collect(),
         }
     }
 }
 
 fn combined(inputs: &[Vec<f64>], weights: &[f64], rows: usize) -> Vec<f64> {
-    (0..rows)
-        .map(|k| inputs.iter().zip(weights).map(|(u, w)| u[k] * w).sum())
-        .collect()
+    let one = |k: usize| inputs.iter().zip(weights).map(|(u, w)| u[k] * w).sum();
+    (0..rows).map(one).collect()
 }
 
 fn range(x: &[f64]) -> (f64, f64) {
-    x.iter()
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| {
-            (l.min(*v), h.max(*v))
-        })
+    let none = (f64::INFINITY, f64::NEG_INFINITY);
+    x.iter().fold(none, |(l, h), v| (l.min(*v), h.max(*v)))
 }
 
 /// The inputs, filtered by the oscillator if there is one.
@@ -242,11 +205,8 @@ fn resonance(log: &Signals) -> (f64, f64) {
     let task = Task::new(&log.output);
     let cost = |wh: f64, zeta: f64| {
         let column = oscillator(&log.inputs[0], wh, zeta);
-        task.cost(&Columns {
-            of: vec![&ones, &column],
-            signs: vec![],
-        })
-        .unwrap_or(f64::INFINITY)
+        task.cost(&Columns::free(vec![&ones, &column]))
+            .unwrap_or(f64::INFINITY)
     };
     let mut best = (f64::INFINITY, 0.5, 0.05);
     for k in 0..40 {
@@ -267,10 +227,8 @@ fn resonance(log: &Signals) -> (f64, f64) {
             (wh, zeta * (1.0 + 4.0 * step)),
             (wh, zeta / (1.0 + 4.0 * step)),
         ];
-        let next = around
-            .into_iter()
-            .map(|(w, z)| (cost(w, z), w, z))
-            .min_by(|a, b| a.0.total_cmp(&b.0));
+        let tried = around.into_iter().map(|(w, z)| (cost(w, z), w, z));
+        let next = tried.min_by(|a, b| a.0.total_cmp(&b.0));
         match next.filter(|n| n.0 < best.0) {
             Some(better) => best = better,
             None => step /= 2.0,

@@ -206,7 +206,8 @@ pub const STILL: [Operator; 3] = [
 
 /// A column of the whole drive, and one of each part of it.
 fn of_each(d: &Drive, column: impl Fn(&[f64]) -> Vec<f64>) -> Vec<Vec<f64>> {
-    std::iter::once(&d.v)
+    [&d.v]
+        .into_iter()
         .chain(&d.parts)
         .map(|v| column(v))
         .collect()
@@ -217,18 +218,19 @@ pub fn none(_: &Drive) -> Vec<f64> {
     vec![0.0]
 }
 fn widths(_: &Drive) -> Vec<f64> {
+    spread(0.005, 100.0)
+}
+/// 24 values from the least to a multiple of it, uniform in the logarithm.
+fn spread(low: f64, times: f64) -> Vec<f64> {
     (0..24)
-        .map(|k| 0.005 * 100f64.powf(f64::from(k) / 23.0))
+        .map(|k| low * times.powf(f64::from(k) / 23.0))
         .collect()
 }
 /// 24 times from a number of rows to a share of the log, uniform in the logarithm.
 fn times_from(d: &Drive, rows: f64, share: f64) -> Vec<f64> {
     let span = d.t[d.t.len() - 1] - d.t[0];
     let low = rows * span / (d.t.len() - 1) as f64;
-    let high = (share * span).max(2.0 * low);
-    (0..24)
-        .map(|k| low * (high / low).powf(f64::from(k) / 23.0))
-        .collect()
+    spread(low, (share * span).max(2.0 * low) / low)
 }
 /// Rows that a period has at least.
 const ROWS_PER_PERIOD: f64 = 5.0;
@@ -236,33 +238,23 @@ const ROWS_PER_PERIOD: f64 = 5.0;
 /// Periods of which 6 to 150 fit in a range, a quarter apart, and that a signal of this unit passes in five rows or more; fewer than six
 /// are a trend. The longest is there in any case.
 fn periods(range: f64, x: &[f64], unit: f64) -> Vec<f64> {
-    let mut steps: Vec<f64> = x
-        .windows(2)
-        .map(|w| (w[1] - w[0]).abs() * unit)
-        .filter(|s| *s > 0.0)
-        .collect();
+    let steps = x.windows(2).map(|w| (w[1] - w[0]).abs() * unit);
+    let mut steps: Vec<f64> = steps.filter(|s| *s > 0.0).collect();
     steps.sort_by(f64::total_cmp);
     let usual = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
-    (24..=600)
-        .map(|k| range * 4.0 / f64::from(k))
-        .enumerate()
-        .filter(|(k, p)| *k == 0 || *p >= ROWS_PER_PERIOD * usual)
-        .map(|(_, p)| p)
-        .collect()
+    let period = |k: u32| range * 4.0 / f64::from(k);
+    let passed = |k: &u32| *k == 24 || period(*k) >= ROWS_PER_PERIOD * usual;
+    (24..=600).filter(passed).map(period).collect()
 }
 /// Speeds of the nominal prediction, ranges per time: up to what it rarely exceeds, uniform in the logarithm.
 fn rates(d: &Drive) -> Vec<f64> {
-    let mut speeds: Vec<f64> = (1..d.v.len())
-        .map(|k| (d.v[k] - d.v[k - 1]).abs() / (d.t[k] - d.t[k - 1]) / 2.0)
-        .filter(|s| *s > 0.0)
-        .collect();
+    let speed = |k: usize| (d.v[k] - d.v[k - 1]).abs() / (d.t[k] - d.t[k - 1]) / 2.0;
+    let mut speeds: Vec<f64> = (1..d.v.len()).map(speed).filter(|s| *s > 0.0).collect();
     speeds.sort_by(f64::total_cmp);
     let high = speeds.get(speeds.len() * 99 / 100).copied().unwrap_or(1.0);
     let span = d.t[d.t.len() - 1] - d.t[0];
     let low = (1.0 / span).min(high / 2.0);
-    (0..24)
-        .map(|k| low * (high / low).powf(f64::from(k) / 23.0))
-        .collect()
+    spread(low, high / low)
 }
 fn beyond(x: f64, half: f64) -> f64 {
     x - x.clamp(-half, half)
@@ -303,18 +295,15 @@ fn bouc_wen(v: &[f64], z0: f64) -> Vec<f64> {
 }
 /// Speed of the moving signal over five rows, ranges per second.
 fn speed(m: &[f64], t: &[f64]) -> Vec<f64> {
-    let last = m.len() - 1;
-    (0..m.len())
-        .map(|k| (k.saturating_sub(2), (k + 2).min(last)))
-        .map(|(a, b)| (m[b] - m[a]) / (t[b] - t[a]))
-        .collect()
+    let around = |k: usize| (k.saturating_sub(2), (k + 2).min(m.len() - 1));
+    let rate = |(a, b): (usize, usize)| (m[b] - m[a]) / (t[b] - t[a]);
+    (0..m.len()).map(|k| rate(around(k))).collect()
 }
 fn sign_of(m: &[f64], t: &[f64]) -> Vec<f64> {
     let s = speed(m, t);
     let usual = (s.iter().map(|x| x * x).sum::<f64>() / s.len() as f64).sqrt();
-    s.iter()
-        .map(|x| (x / (0.1 * usual).max(1e-12)).tanh())
-        .collect()
+    let unit = (0.1 * usual).max(1e-12);
+    s.iter().map(|x| (x / unit).tanh()).collect()
 }
 fn times(a: &[f64], b: &[f64], shift: f64) -> Vec<f64> {
     a.iter().zip(b).map(|(x, y)| x * (y + shift)).collect()
@@ -336,12 +325,8 @@ fn late(v: &[f64], t: &[f64], by: f64) -> Vec<f64> {
             a += 1;
         }
         let b = (a + 1).min(t.len() - 1);
-        let share = if b > a {
-            ((then - t[a]) / (t[b] - t[a])).clamp(0.0, 1.0)
-        } else {
-            0.0
-        };
-        v[a] + (v[b] - v[a]) * share
+        let share = |b: usize| ((then - t[a]) / (t[b] - t[a])).clamp(0.0, 1.0);
+        v[a] + (v[b] - v[a]) * if b > a { share(b) } else { 0.0 }
     };
     t.iter().map(one).collect()
 }
@@ -349,9 +334,9 @@ fn waves(turns: impl Iterator<Item = f64>) -> Vec<Vec<f64>> {
     let mut out = vec![vec![]; 4];
     for x in turns {
         for harmonic in [1, 2] {
-            let (s, c) = (TAU * x * f64::from(harmonic)).sin_cos();
-            out[2 * (harmonic as usize - 1)].push(s);
-            out[2 * (harmonic as usize - 1) + 1].push(c);
+            let (s, c) = (TAU * x * harmonic as f64).sin_cos();
+            out[2 * harmonic - 2].push(s);
+            out[2 * harmonic - 1].push(c);
         }
     }
     out

@@ -33,11 +33,10 @@ struct Blocks {
 impl Blocks {
     fn new(rows: usize, count: usize) -> Self {
         let length = rows as f64 / count as f64;
+        let scored = |at: &f64| (MARGIN..1.0 - MARGIN).contains(&at.fract());
         let of = |k: usize| {
-            let at = (k as f64 + 0.5) / length;
-            (MARGIN..1.0 - MARGIN)
-                .contains(&at.fract())
-                .then_some((at as usize).min(count - 1))
+            let at = Some((k as f64 + 0.5) / length).filter(scored)?;
+            Some((at as usize).min(count - 1))
         };
         Self {
             of: (0..rows).map(of).collect(),
@@ -53,6 +52,23 @@ pub struct Columns<'a> {
     pub of: Vec<&'a [f64]>,
     /// The signs.
     pub signs: Vec<(usize, i8)>,
+}
+
+impl<'a> Columns<'a> {
+    /// Columns whose coefficients may have either sign.
+    pub fn free(of: Vec<&'a [f64]>) -> Self {
+        let signs = vec![];
+        Self { of, signs }
+    }
+}
+
+/// What the columns with these coefficients leave of a signal.
+pub fn left(y: &[f64], columns: &[&[f64]], coefficients: &[f64]) -> Vec<f64> {
+    let one = |k: usize| {
+        let parts = columns.iter().zip(coefficients).map(|(x, c)| x[k] * c);
+        y[k] - parts.sum::<f64>()
+    };
+    (0..y.len()).map(one).collect()
 }
 
 /// Sums of one fold.
@@ -96,11 +112,8 @@ impl Normal {
             .cholesky()?
             .solve(&self.right.component_div(&size))
             .component_div(&size);
-        let right = c.iter().all(|x| x.is_finite())
-            && signs
-                .iter()
-                .all(|&(i, sign)| sign == 0 || c[i] * f64::from(sign) >= 0.0);
-        right.then_some(c)
+        let right = |&(i, sign): &(usize, i8)| sign == 0 || c[i] * f64::from(sign) >= 0.0;
+        (c.iter().all(|x| x.is_finite()) && signs.iter().all(right)).then_some(c)
     }
 }
 
@@ -128,11 +141,8 @@ impl Regressed {
     /// whose variance is unknown.
     pub fn density(&self) -> [f64; 2] {
         let of = |blocks: &Vec<(f64, f64)>| {
-            let logs: Vec<f64> = blocks
-                .iter()
-                .filter(|b| b.1 > 0.0)
-                .map(|(s, n)| (s / n).max(f64::MIN_POSITIVE).ln())
-                .collect();
+            let log = |(s, n): &(f64, f64)| (s / n).max(f64::MIN_POSITIVE).ln();
+            let logs: Vec<f64> = blocks.iter().filter(|b| b.1 > 0.0).map(log).collect();
             logs.iter().sum::<f64>() / logs.len().max(1) as f64
         };
         [0, 1].map(|k| of(&self.blocks[k]))
@@ -158,19 +168,17 @@ pub fn closed_ci95(from: &Regressed, to: &Regressed, floor: f64, seed: u64) -> [
     // the blocks in which the set leaves more
     let worse = to.worse();
     let (from, to) = (&from.blocks[worse], &to.blocks[worse]);
-    let n = from.len();
-    let mut draws: Vec<f64> = (0..DRAWS)
-        .map(|_| {
-            let (mut before, mut after, mut rows) = (0.0, 0.0, 0.0);
-            for _ in 0..n {
-                let i = rng.random_range(0..n);
-                before += from[i].0;
-                after += to[i].0;
-                rows += from[i].1;
-            }
-            ((before - after) / (before - floor * rows).max(1e-300)).clamp(-1.0, 1.0)
-        })
-        .collect();
+    let mut draw = |_| {
+        let (mut before, mut after, mut rows) = (0.0, 0.0, 0.0);
+        for _ in 0..from.len() {
+            let i = rng.random_range(0..from.len());
+            before += from[i].0;
+            after += to[i].0;
+            rows += from[i].1;
+        }
+        ((before - after) / (before - floor * rows).max(1e-300)).clamp(-1.0, 1.0)
+    };
+    let mut draws: Vec<f64> = (0..DRAWS).map(&mut draw).collect();
     draws.sort_by(f64::total_cmp);
     [draws[DRAWS / 40], draws[DRAWS - 1 - DRAWS / 40]]
 }
@@ -196,32 +204,24 @@ impl<'a> Task<'a> {
     /// Regresses on the columns; `None` as for [`Task::cost`].
     pub fn regress(&self, columns: &Columns<'_>) -> Option<Regressed> {
         let all = Normal::new(self.y, &columns.of, |_| true).solve(&columns.signs)?;
-        let blocks = [
-            self.held_out(columns, &self.blocks[0])?,
-            self.held_out(columns, &self.blocks[1])?,
-        ];
+        let [long, short] = &self.blocks;
         Some(Regressed {
-            blocks,
-            coefficients: all.iter().copied().collect(),
+            blocks: [
+                self.held_out(columns, long)?,
+                self.held_out(columns, short)?,
+            ],
+            coefficients: all.as_slice().to_vec(),
         })
     }
 
     fn held_out(&self, columns: &Columns<'_>, blocks: &Blocks) -> Option<Vec<(f64, f64)>> {
         let mut out = vec![(0.0, 0.0); blocks.count];
         for fold in 0..2 {
-            let c = Normal::new(self.y, &columns.of, |k| {
-                blocks.of[k].is_some_and(|b| b % 2 != fold)
-            })
-            .solve(&columns.signs)?;
-            for (k, block) in blocks.of.iter().enumerate() {
+            let other = |k: usize| blocks.of[k].is_some_and(|b| b % 2 != fold);
+            let c = Normal::new(self.y, &columns.of, other).solve(&columns.signs)?;
+            let left = left(self.y, &columns.of, c.as_slice());
+            for (left, block) in left.iter().zip(&blocks.of) {
                 if let Some(b) = block.filter(|b| b % 2 == fold) {
-                    let left = self.y[k]
-                        - columns
-                            .of
-                            .iter()
-                            .zip(c.iter())
-                            .map(|(x, c)| x[k] * c)
-                            .sum::<f64>();
                     out[b] = (out[b].0 + left * left, out[b].1 + 1.0);
                 }
             }
