@@ -70,6 +70,13 @@ pub struct MapFile {
     pub every: usize,
 }
 
+impl MapFile {
+    /// Names of the inputs.
+    pub fn inputs(&self) -> Vec<&str> {
+        self.input.as_ref().map_or(vec![], Columns::names)
+    }
+}
+
 fn one() -> usize {
     1
 }
@@ -92,7 +99,7 @@ impl Check for MapFile {
         to.at("output")
             .holds(!self.output.names().is_empty(), "names no column")
             .hint("name the output column");
-        let driven = self.input.as_ref().is_some_and(|i| !i.names().is_empty());
+        let (inputs, driven) = (self.inputs().len(), !self.inputs().is_empty());
         match self.nominal {
             Nominal::Still => to
                 .at("input")
@@ -103,15 +110,12 @@ impl Check for MapFile {
                 .holds(driven, "has no input")
                 .hint("name the input, or set nominal = \"still\""),
             Nominal::Resonance => {
-                let one = self.input.as_ref().is_some_and(|i| i.names().len() == 1);
+                let clocked = self.rate_hz.is_some() || self.time.is_some();
                 to.at("nominal")
-                    .holds(one, "an oscillator has one input")
+                    .holds(inputs == 1, "an oscillator has one input")
                     .hint("name one column");
                 to.at("nominal")
-                    .holds(
-                        self.rate_hz.is_some() || self.time.is_some(),
-                        "an oscillator needs a clock",
-                    )
+                    .holds(clocked, "an oscillator needs a clock")
                     .hint("give `time` or `rate_hz`");
             }
         }

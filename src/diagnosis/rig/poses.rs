@@ -26,22 +26,15 @@ pub fn poor(log: &Signals) -> bool {
     starts.push(rows);
     // the means of the last two quarters of each pose
     let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
-    let quarters: Vec<[f64; 2]> = starts
-        .windows(2)
-        .map(|w| {
-            let quarter = ((w[1] - w[0]) / 4).max(1);
-            let third = w[1].saturating_sub(2 * quarter);
-            [
-                mean(&log.output[third..w[1] - quarter]),
-                mean(&log.output[w[1] - quarter..w[1]]),
-            ]
-        })
-        .collect();
+    let last = |w: &[usize]| {
+        let quarter = ((w[1] - w[0]) / 4).max(1);
+        let (third, fourth) = (w[1].saturating_sub(2 * quarter), w[1] - quarter);
+        [third..fourth, fourth..w[1]].map(|rows| mean(&log.output[rows]))
+    };
+    let quarters: Vec<[f64; 2]> = starts.windows(2).map(last).collect();
     let within: f64 = quarters.iter().map(|[a, b]| (b - a).powi(2)).sum();
-    let between: f64 = quarters
-        .windows(2)
-        .map(|w| (w[1][1] - w[0][1]).powi(2))
-        .sum();
+    let ends = quarters.windows(2).map(|w| w[1][1] - w[0][1]);
+    let between: f64 = ends.map(|moved| moved.powi(2)).sum();
     within < STANDS * between
 }
 
@@ -72,17 +65,10 @@ pub fn notes(log: &Signals) -> Vec<String> {
         out.push("the log has no clock: effects of time and effects of the path cannot be separated; times are in rows. Record a clock, and a second speed".to_owned());
     }
     if let Some(m) = log.motion.as_ref().filter(|_| log.clocked) {
-        let step = (m.len() / SPEEDS).max(1);
-        let at: Vec<(f64, f64)> = m
-            .iter()
-            .zip(&log.t)
-            .step_by(step)
-            .map(|(m, t)| (*m, *t))
-            .collect();
-        let mut speeds: Vec<f64> = at
-            .windows(2)
-            .map(|w| ((w[1].0 - w[0].0) / (w[1].1 - w[0].1)).abs())
-            .collect();
+        let (step, last) = ((m.len() / SPEEDS).max(1), m.len() - 1);
+        let starts = (0..).map(|k| k * step).take_while(|k| k + step <= last);
+        let speed = |k: usize| ((m[k + step] - m[k]) / (log.t[k + step] - log.t[k])).abs();
+        let mut speeds: Vec<f64> = starts.map(speed).collect();
         speeds.sort_by(f64::total_cmp);
         let (low, high) = (speeds[speeds.len() / 10], speeds[speeds.len() * 9 / 10]);
         if low > 0.0 && high / low < ONE_SPEED {

@@ -46,66 +46,48 @@ pub struct Signals {
 /// [`MapError`] with file, line and column.
 pub fn read(path: &Path, map: &MapFile) -> Result<Signals, MapError> {
     let names = names(map);
-    let table = Table::open(
-        path,
-        &Schema {
-            required: &names,
-            known: &|n| names.contains(&n),
-            rows_min: 1,
-        },
-    )?;
+    let schema = Schema {
+        required: &names,
+        known: &|n| names.contains(&n),
+        rows_min: 1,
+    };
+    let table = Table::open(path, &schema)?;
     signals(&path.display().to_string(), &table, map)
 }
 
 fn names(map: &MapFile) -> Vec<&str> {
-    let inputs = map.input.as_ref().map(|i| i.names()).unwrap_or_default();
-    inputs
-        .into_iter()
-        .chain(map.output.names())
-        .chain(map.motion.as_deref())
-        .chain(map.time.as_deref())
-        .collect()
+    let others = map.motion.as_deref().into_iter().chain(map.time.as_deref());
+    [map.inputs(), map.output.names(), others.collect()].concat()
 }
 
 fn signals(file: &str, table: &Table, map: &MapFile) -> Result<Signals, MapError> {
-    let columns = names(map)
-        .into_iter()
-        .map(|n| table.required(n))
-        .collect::<Result<Vec<_>, _>>()?;
+    let columns = names(map).into_iter().map(|n| table.required(n));
+    let columns = columns.collect::<Result<Vec<_>, _>>()?;
     // a row with a missing value is left out
-    let rows: Vec<usize> = (0..table.rows())
-        .step_by(map.every)
-        .filter(|&k| columns.iter().all(|c| !c[k].is_nan()))
-        .collect();
+    let whole = |k: &usize| columns.iter().all(|c| !c[*k].is_nan());
+    let rows: Vec<usize> = (0..table.rows()).step_by(map.every).filter(whole).collect();
     if rows.len() < ROWS_MIN {
         return Err(MapError::Short(file.to_owned(), rows.len(), ROWS_MIN));
     }
-    let taken = |name: &str| {
-        table
-            .required(name)
-            .map(|c| rows.iter().map(|&k| c[k]).collect::<Vec<f64>>())
+    let taken = |name: &str| -> Result<Vec<f64>, ReadError> {
+        let column = table.required(name)?;
+        Ok(rows.iter().map(|&k| column[k]).collect())
     };
     let all = |names: Vec<&str>| names.into_iter().map(taken).collect::<Result<Vec<_>, _>>();
     let constant = |c: &[f64]| c.iter().all(|v| *v == c[0]);
-    let inputs = all(map.input.as_ref().map(|i| i.names()).unwrap_or_default())?;
+    let fails = |names: &[&str]| Err(MapError::Constant(file.to_owned(), names.join(", ")));
+    let inputs = all(map.inputs())?;
     if map.nominal != Nominal::Still && inputs.len() == 1 && constant(&inputs[0]) {
-        return Err(MapError::Constant(
-            file.to_owned(),
-            names(map)[0].to_owned(),
-        ));
+        return fails(&map.inputs());
     }
     let answers = all(map.output.names())?;
+    let norm = |k: usize| answers.iter().map(|c| c[k] * c[k]).sum::<f64>().sqrt();
     let output = match answers.as_slice() {
         [one] => one.clone(),
-        many => (0..rows.len())
-            .map(|k| many.iter().map(|c| c[k] * c[k]).sum::<f64>().sqrt())
-            .collect(),
+        _ => (0..rows.len()).map(norm).collect(),
     };
     if constant(&output) {
-        return Err(MapError::Constant(
-            file.to_owned(),
-            map.output.names().join(", "),
-        ));
+        return fails(&map.output.names());
     }
     let t = match &map.time {
         Some(name) => {
@@ -117,14 +99,9 @@ fn signals(file: &str, table: &Table, map: &MapFile) -> Result<Signals, MapError
             (0..rows.len()).map(|k| k as f64 * step).collect()
         }
     };
-    let motion = map
-        .motion
-        .as_deref()
-        .map(taken)
-        .transpose()?
-        .or_else(|| inputs.first().cloned());
+    let motion = map.motion.as_deref().map(taken).transpose()?;
     Ok(Signals {
-        motion,
+        motion: motion.or_else(|| inputs.first().cloned()),
         inputs,
         output,
         t,

@@ -113,22 +113,15 @@ fn saved_effects(catalogue: &[Box<dyn Effect>], from: &Candidate) -> Vec<SavedEf
         name: e.name().to_owned(),
         params: e.params().iter().map(key).zip(p.iter().copied()).collect(),
     };
-    Model::named(catalogue, &from.names)
-        .each(&from.fitted.theta)
-        .map(one)
-        .collect()
+    let model = Model::named(catalogue, &from.names);
+    model.each(&from.fitted.theta).map(one).collect()
 }
 
 /// Parameters of an effect among saved ones, in catalogue order.
 fn params_of(saved: &[SavedEffect], effect: &dyn Effect) -> Option<Vec<f64>> {
     let saved = saved.iter().find(|s| s.name == effect.name())?;
-    Some(
-        effect
-            .params()
-            .iter()
-            .map(|p| saved.params.get(&key(p)).copied().unwrap_or(p.start))
-            .collect(),
-    )
+    let value = |p: &Param| saved.params.get(&key(p)).copied().unwrap_or(p.start);
+    Some(effect.params().iter().map(value).collect())
 }
 
 impl SavedModel {
@@ -173,20 +166,19 @@ impl SavedModel {
 
     /// The machine that this model describes: the forecast if there is one, otherwise the verdict's set.
     pub fn described(&self, geometry: Geometry) -> DescribedMachine {
-        let (gains, effects) = self
-            .forecast
-            .as_ref()
-            .map_or((&self.with_effects, &self.effect), |f| {
-                (&f.gains, &f.effect)
-            });
+        let (gains, effects) = match &self.forecast {
+            Some(forecast) => (&forecast.gains, &forecast.effect),
+            None => (&self.with_effects, &self.effect),
+        };
+        let readings = |r: &SavedRest| RestReadings {
+            up: Vector3::from(r.up).normalize(),
+            field_ut: r.field_ut.into(),
+            gyro_bias_rad_s: r.gyro_bias_rad_s.into(),
+        };
         let rest = self
             .rest
             .as_ref()
-            .map_or_else(RestReadings::default, |r| RestReadings {
-                up: Vector3::from(r.up).normalize(),
-                field_ut: r.field_ut.into(),
-                gyro_bias_rad_s: r.gyro_bias_rad_s.into(),
-            });
+            .map_or_else(RestReadings::default, readings);
         let cause = |e: Box<dyn Effect>| params_of(effects, e.as_ref()).map(|p| (e, p));
         DescribedMachine::new(
             geometry,
@@ -207,39 +199,38 @@ impl SavedModel {
         if self.equivalent.iter().any(|g| g.len() > 1) {
             return self.equivalent.concat();
         }
-        let names = self.effect.iter().map(|e| e.name.clone());
+        let names = self.effect.iter().map(|e| e.name.as_str());
         let similar = self
             .effect
             .iter()
             .flat_map(|e| confused_with(&e.name))
-            .map(|n| (*n).to_owned());
-        names.chain(similar).collect()
+            .copied();
+        names.chain(similar).map(str::to_owned).collect()
+    }
+
+    /// The effects of the verdict, and those of the forecast.
+    fn all_effects(&self) -> impl Iterator<Item = &SavedEffect> {
+        self.effect
+            .iter()
+            .chain(self.forecast.iter().flat_map(|f| &f.effect))
     }
 
     /// The first effect or parameter that the catalogue does not have, as a problem; `None` if there is none.
     pub fn unknown_names(&self, catalogue: &[Box<dyn Effect>]) -> Option<String> {
-        for s in self
-            .effect
-            .iter()
-            .chain(self.forecast.iter().flat_map(|f| &f.effect))
-        {
+        for s in self.all_effects() {
             let Some(e) = catalogue.iter().find(|e| e.name() == s.name) else {
                 return Some(format!("effect `{}` is not in the catalogue", s.name));
             };
             let keys: Vec<String> = e.params().iter().map(key).collect();
             if let Some(stray) = s.params.keys().find(|k| !keys.contains(k)) {
+                let (name, keys) = (&s.name, keys.join(", "));
                 return Some(format!(
-                    "effect `{}` has no parameter `{stray}`; it has {}",
-                    s.name,
-                    keys.join(", ")
+                    "effect `{name}` has no parameter `{stray}`; it has {keys}"
                 ));
             }
         }
-        let stray = self
-            .equivalent
-            .iter()
-            .flatten()
-            .find(|n| !catalogue.iter().any(|e| e.name() == n.as_str()));
+        let known = |n: &str| catalogue.iter().any(|e| e.name() == n);
+        let stray = self.equivalent.iter().flatten().find(|n| !known(n));
         stray.map(|n| format!("equivalent: effect `{n}` is not in the catalogue"))
     }
 }
@@ -252,46 +243,43 @@ impl Check for SavedModel {
             .range(f64::from(self.schema), 1.0..=1.0, "")
             .hint("made by another version: diagnose the log again with --save");
         let forecast = self.forecast.as_ref().map(|f| ("forecast.gains", &f.gains));
-        for (at, g) in [
+        let gains = [
             ("nominal", &self.nominal),
             ("with_effects", &self.with_effects),
-        ]
-        .into_iter()
-        .chain(forecast)
-        {
-            to.at(&format!("{at}.k_epsilon"))
-                .ranges(&g.k_epsilon, 0.0..=10.0, "")
-                .hint(AGAIN);
-            to.at(&format!("{at}.k_lambda_mm"))
-                .ranges(&g.k_lambda_mm, 0.0..=3.0, "mm")
-                .hint(AGAIN);
-            to.at(&format!("{at}.lag_s"))
+        ];
+        let within = |to: &mut Checker, at: &str, values: &[f64], range, unit| {
+            to.at(at).ranges(values, range, unit).hint(AGAIN);
+        };
+        for (at, g) in gains.into_iter().chain(forecast) {
+            within(to, &format!("{at}.k_epsilon"), &g.k_epsilon, 0.0..=10.0, "");
+            within(
+                to,
+                &format!("{at}.k_lambda_mm"),
+                &g.k_lambda_mm,
+                0.0..=3.0,
+                "mm",
+            );
+            let lag_s = to.at(&format!("{at}.lag_s"));
+            lag_s
                 .range(g.lag_s, 0.0..=LAG_MAX_S + 1e-9, "s")
                 .hint(AGAIN);
         }
         if let Some(rest) = &self.rest {
+            within(to, "rest.up", &rest.up, -1.0..=1.0, "");
+            let long = Vector3::from(rest.up).norm() > 0.5;
             to.at("rest.up")
-                .ranges(&rest.up, -1.0..=1.0, "")
+                .holds(long, "the direction of up has no length")
                 .hint(AGAIN);
-            to.at("rest.up")
-                .holds(
-                    Vector3::from(rest.up).norm() > 0.5,
-                    "the direction of up has no length",
-                )
-                .hint(AGAIN);
-            to.at("rest.field_ut")
-                .ranges(&rest.field_ut, -1000.0..=1000.0, "µT")
-                .hint(AGAIN);
-            to.at("rest.gyro_bias_rad_s")
-                .ranges(&rest.gyro_bias_rad_s, -1.0..=1.0, "rad/s")
-                .hint(AGAIN);
+            within(to, "rest.field_ut", &rest.field_ut, -1000.0..=1000.0, "µT");
+            within(
+                to,
+                "rest.gyro_bias_rad_s",
+                &rest.gyro_bias_rad_s,
+                -1.0..=1.0,
+                "rad/s",
+            );
         }
-        for (i, e) in self
-            .effect
-            .iter()
-            .chain(self.forecast.iter().flat_map(|f| &f.effect))
-            .enumerate()
-        {
+        for (i, e) in self.all_effects().enumerate() {
             let finite = e.params.values().all(|v| v.is_finite());
             to.at(&format!("effect.{i}.params"))
                 .holds(finite, "a parameter is not a finite number")
