@@ -39,11 +39,8 @@ pub fn best_predicting(
     nominal: &Candidate,
     chosen: &Candidate,
 ) -> Candidate {
-    let named: Vec<&dyn Effect> = catalogue
-        .iter()
-        .map(AsRef::as_ref)
-        .filter(|e| is_steady(*e) || chosen.names.contains(&e.name()))
-        .collect();
+    let used = |e: &&dyn Effect| is_steady(*e) || chosen.names.contains(&e.name());
+    let named: Vec<&dyn Effect> = catalogue.iter().map(AsRef::as_ref).filter(used).collect();
     let mut base = fitted(log, &named, &start(&named, catalogue, chosen));
     let mut all = vec![Candidate::new(&base)];
     for _ in 0..ADDED_MAX {
@@ -53,34 +50,24 @@ pub fn best_predicting(
         base = fitted(log, &effects, &start.theta);
         all.push(Candidate::new(&base));
     }
-    let least = |all: Vec<Candidate>| {
-        all.into_iter()
-            .min_by(|a, b| a.energy().total_cmp(&b.energy()))
-    };
-    let whole = least(all).unwrap_or_else(|| chosen.clone());
-    let spared = if whole.names == base.problem.model.names() {
-        weak(&base)
-    } else {
-        vec![]
-    };
-    let kept: Vec<&dyn Effect> = Model::named(catalogue, &whole.names)
-        .effects
+    let least = all
         .into_iter()
-        .filter(|e| !spared.contains(&e.name()))
-        .collect();
-    let reduced = Candidate::new(&fitted(log, &kept, &start(&kept, catalogue, &whole)));
-    let best = if reduced.energy() <= WORSE_MAX * whole.energy() {
-        reduced
-    } else {
-        whole
+        .min_by(|a, b| a.energy().total_cmp(&b.energy()));
+    let whole = least.unwrap_or_else(|| chosen.clone());
+    let spared = match whole.names == base.problem.model.names() {
+        true => weak(&base),
+        false => vec![],
     };
-    [nominal, chosen].into_iter().fold(best, |best, other| {
-        if other.energy() < best.energy() {
-            other.clone()
-        } else {
-            best
-        }
-    })
+    let mut kept = Model::named(catalogue, &whole.names).effects;
+    kept.retain(|e| !spared.contains(&e.name()));
+    let reduced = Candidate::new(&fitted(log, &kept, &start(&kept, catalogue, &whole)));
+    let better = reduced.energy() <= WORSE_MAX * whole.energy();
+    let best = if better { reduced } else { whole };
+    let less = |best: Candidate, other: &Candidate| match other.energy() < best.energy() {
+        true => other.clone(),
+        false => best,
+    };
+    [nominal, chosen].into_iter().fold(best, less)
 }
 
 /// Whether an effect acts all the time, can be fed forward or disturbs the readings, and has few valleys.
@@ -108,19 +95,15 @@ fn promising<'a>(
         .par_iter()
         .map(Box::as_ref)
         .filter(|e| !known.contains(&e.name()));
-    let best = fresh
-        .filter_map(tried)
-        .min_by(|a, b| a.1.predicted.total_cmp(&b.1.predicted))?;
+    let tried = fresh.filter_map(tried);
+    let best = tried.min_by(|a, b| a.1.predicted.total_cmp(&b.1.predicted))?;
     (best.1.predicted < PROMISE * base.point.total()).then_some(best)
 }
 
 /// Parameters at which the fit of `effects` starts: those of `from`, and the vanishing point of every other effect.
 fn start(effects: &[&dyn Effect], catalogue: &[Box<dyn Effect>], from: &Candidate) -> Vec<f64> {
-    Model::new(effects).extended(
-        &Model::named(catalogue, &from.names),
-        &from.fitted.theta,
-        vanishing,
-    )
+    let known = Model::named(catalogue, &from.names);
+    Model::new(effects).extended(&known, &from.fitted.theta, vanishing)
 }
 
 fn fitted<'a>(log: &'a Observed, effects: &[&'a dyn Effect], start: &[f64]) -> BaseFit<'a> {
@@ -137,14 +120,12 @@ fn weak(base: &BaseFit<'_>) -> Vec<&'static str> {
     let spared = |&i: &usize| {
         let (from, n) = (model.at[i], model.at[i + 1] - model.at[i]);
         let away = DVector::from_fn(n, |k, _| {
-            (point.theta[from + k] - problem.bounds[from + k].start)
-                / problem.bounds[from + k].scale
+            let bound = &problem.bounds[from + k];
+            (point.theta[from + k] - bound.start) / bound.scale
         });
         let own = covariance.view((from, from), (n, n)).into_owned();
         own.cholesky().map_or(0.0, |c| away.dot(&c.solve(&away))) < WALD_MIN * n as f64
     };
-    (0..model.effects.len())
-        .filter(spared)
-        .map(|i| model.effects[i].name())
-        .collect()
+    let spared = (0..model.effects.len()).filter(spared);
+    spared.map(|i| model.effects[i].name()).collect()
 }

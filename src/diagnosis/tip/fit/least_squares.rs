@@ -2,6 +2,7 @@
 
 use crate::diagnosis::tip::model::{LAG_MAX_S, Model, Motion, Residuals, every_bin, run, sense};
 use crate::diagnosis::tip::observed::Observed;
+use crate::model::effects::Param;
 
 /// Slope of the priors, residual per unit of scale. One prior σ is one scale for white residuals; neighbouring bins
 /// are correlated, so a prior counts as much as four bins.
@@ -75,11 +76,8 @@ impl<'a> LeastSquares<'a> {
         bounds.extend([Bound::new(prior.k_lambda_mm, 0.4, 0.0, 3.0); 3]);
         bounds.push(Bound::new(log.rig.prior_lag_s, 0.015, 0.002, LAG_MAX_S));
         for e in &model.effects {
-            bounds.extend(
-                e.params()
-                    .iter()
-                    .map(|p| Bound::new(p.start, p.scale, p.low, p.high)),
-            );
+            let of = |p: &Param| Bound::new(p.start, p.scale, p.low, p.high);
+            bounds.extend(e.params().iter().map(of));
         }
         // one of several logs has the event
         for event in model.all_events() {
@@ -118,11 +116,8 @@ impl<'a> LeastSquares<'a> {
 
     /// Runs the model at `theta` moved into the limits.
     pub fn at_clamped(&self, theta: &[f64]) -> Point {
-        self.at(theta
-            .iter()
-            .zip(&self.bounds)
-            .map(|(t, b)| t.clamp(b.low, b.high))
-            .collect())
+        let bounded = theta.iter().zip(&self.bounds);
+        self.at(bounded.map(|(t, b)| t.clamp(b.low, b.high)).collect())
     }
 
     /// Weighted residuals of a motion.
@@ -135,11 +130,8 @@ impl<'a> LeastSquares<'a> {
     pub fn residual_from_rest(&self, theta: &[f64], until_s: f64) -> Vec<f64> {
         let log = self.log;
         let of = |k: usize| {
-            log.segments
-                .iter()
-                .rev()
-                .find(|s| s.bins.start <= k)
-                .map_or((0, log.start_s()), |s| (s.bins.start, s.start_s))
+            let segment = log.segments.iter().rev().find(|s| s.bins.start <= k);
+            segment.map_or((0, log.start_s()), |s| (s.bins.start, s.start_s))
         };
         let resting = |k: usize| of(k).0 == k || log.bins[k].t_s - of(k).1 < until_s;
         weighted(log, &self.sensed(theta, &self.motion(theta), resting))
@@ -147,11 +139,8 @@ impl<'a> LeastSquares<'a> {
 
     /// Sum of squares of the priors.
     pub fn prior(&self, theta: &[f64]) -> f64 {
-        theta
-            .iter()
-            .zip(&self.bounds)
-            .map(|(t, b)| (PRIOR_SLOPE * (t - b.start) / b.scale).powi(2))
-            .sum()
+        let away = |(t, b): (&f64, &Bound)| (PRIOR_SLOPE * (t - b.start) / b.scale).powi(2);
+        theta.iter().zip(&self.bounds).map(away).sum()
     }
 }
 

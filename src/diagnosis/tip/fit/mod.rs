@@ -53,17 +53,11 @@ impl Fitted {
     pub fn new(fit: &BaseFit<'_>) -> Self {
         let (bounds, normal) = (&fit.problem.bounds, fit.sums().normal);
         let n = bounds.len();
-        let inverse = normal
-            .clone()
-            .try_inverse()
-            .unwrap_or_else(|| DMatrix::identity(n, n));
-        let information = normal.cholesky().map_or(0.0, |c| {
-            c.l()
-                .diagonal()
-                .iter()
-                .map(|d| (d / PRIOR_SLOPE).ln())
-                .sum()
-        });
+        let inverse = normal.clone().try_inverse();
+        let inverse = inverse.unwrap_or_else(|| DMatrix::identity(n, n));
+        let over_prior = |d: &f64| (d / PRIOR_SLOPE).ln();
+        let roots = normal.cholesky().map(|c| c.l().diagonal());
+        let information = roots.map_or(0.0, |d| d.iter().map(over_prior).sum());
         let scale = |i: usize| bounds[i].scale;
         let covariance = DMatrix::from_fn(n, n, |a, b| inverse[(a, b)] * scale(a) * scale(b));
         Self {
@@ -148,25 +142,19 @@ pub fn step(theta: &[f64], bounds: &[Bound], sums: &Sums, damping: f64) -> Optio
             }
         }
         let step: DVector<f64> = damped.cholesky()?.solve(&gradient);
-        let target: Vec<f64> = theta
-            .iter()
-            .zip(bounds)
-            .zip(step.iter())
-            .map(|((t, b), s)| t - s * b.scale)
-            .collect();
+        let at = |i: usize| theta[i] - step[i] * bounds[i].scale;
+        let target: Vec<f64> = (0..theta.len()).map(at).collect();
         let stuck = |i: usize| {
             let (t, b) = (theta[i], &bounds[i]);
             (t <= b.low && target[i] < b.low) || (t >= b.high && target[i] > b.high)
         };
         let held: Vec<usize> = (0..theta.len()).filter(|&i| free[i] && stuck(i)).collect();
         if held.is_empty() {
-            return Some(
-                target
-                    .iter()
-                    .zip(bounds)
-                    .map(|(t, b)| t.clamp(b.low, b.high))
-                    .collect(),
-            );
+            let clamped = target
+                .iter()
+                .zip(bounds)
+                .map(|(t, b)| t.clamp(b.low, b.high));
+            return Some(clamped.collect());
         }
         held.into_iter().for_each(|i| free[i] = false);
     }

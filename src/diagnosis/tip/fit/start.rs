@@ -41,10 +41,8 @@ pub fn best_start(base: &BaseFit<'_>, to: &LeastSquares<'_>, added: &dyn Effect)
         starts.truncate(usize::from(added.stage() == Stage::Base));
         starts.push(found);
     }
-    starts
-        .iter()
-        .filter_map(|s| predict(base, to, s))
-        .min_by(|a, b| a.predicted.total_cmp(&b.predicted))
+    let predicted = starts.iter().filter_map(|s| predict(base, to, s));
+    predicted.min_by(|a, b| a.predicted.total_cmp(&b.predicted))
 }
 
 /// Parameters at which an effect vanishes.
@@ -54,10 +52,11 @@ pub fn vanishing(effect: &dyn Effect) -> Vec<f64> {
 
 /// One Gauss-Newton step from the base fit extended by `fresh`, and the sum of squares that the tangent predicts.
 fn predict(base: &BaseFit<'_>, to: &LeastSquares<'_>, fresh: &[f64]) -> Option<Start> {
-    let point = to.at_clamped(
-        &to.model
-            .extended(&base.problem.model, &base.point.theta, |_| fresh.to_vec()),
-    );
+    let known = &base.problem.model;
+    let extended = to
+        .model
+        .extended(known, &base.point.theta, |_| fresh.to_vec());
+    let point = to.at_clamped(&extended);
     let sums = Tangent::grown(to, &point, base).sums(to, &point);
     stepped(to, &point.theta, point.total(), &sums, base)
 }
@@ -72,10 +71,8 @@ pub fn stepped(
     base: &BaseFit<'_>,
 ) -> Option<Start> {
     let next = step(theta, &to.bounds, sums, DAMPING)?;
-    let way = DVector::from_iterator(
-        theta.len(),
-        (0..theta.len()).map(|i| (next[i] - theta[i]) / to.bounds[i].scale),
-    );
+    let way = |i: usize, _| (next[i] - theta[i]) / to.bounds[i].scale;
+    let way = DVector::from_fn(theta.len(), way);
     let predicted = squares + 2.0 * sums.gradient.dot(&way) + (&sums.normal * &way).dot(&way);
     Some(Start {
         theta: next,
@@ -93,27 +90,21 @@ impl Dating {
     /// For the events of one effect, all of which are absent: an event changes little of what another one does.
     fn new(problem: &LeastSquares<'_>, theta: &[f64], events: &[Event]) -> Self {
         let (log, mut without) = (problem.log, theta.to_vec());
-        events
-            .iter()
-            .flat_map(|e| e.offsets)
-            .for_each(|o| without[o] = 0.0);
+        let offsets = events.iter().flat_map(|e| e.offsets);
+        offsets.for_each(|o| without[o] = 0.0);
         let r0 = problem.residual_from_rest(&without, EARLY_S);
         let of = |segment: &Segment, event: &Event| {
             event.offsets.map(|o| {
                 let (mut moved, scale) = (without.clone(), problem.bounds[o].scale);
                 (moved[event.time], moved[o]) = (segment.start_s - log.start_s() + EARLY_S, scale);
-                problem
-                    .residual_from_rest(&moved, EARLY_S)
-                    .iter()
-                    .zip(&r0)
-                    .map(|(x, y)| (x - y) / scale)
-                    .collect()
+                let with = problem.residual_from_rest(&moved, EARLY_S);
+                with.iter().zip(&r0).map(|(x, y)| (x - y) / scale).collect()
             })
         };
+        let first = events.first();
+        let each = |event| log.segments.iter().map(|s| of(s, event)).collect();
         Self {
-            columns: events.first().map_or(vec![], |event| {
-                log.segments.iter().map(|s| of(s, event)).collect()
-            }),
+            columns: first.map_or(vec![], each),
         }
     }
 
@@ -124,11 +115,8 @@ impl Dating {
         // gravity and field solved on the whole log would follow the event
         let r = problem.residual_from_rest(theta, EARLY_S);
         let stride = r.len() / log.bins.len();
-        let of = log
-            .segments
-            .iter()
-            .zip(&self.columns)
-            .map(|(s, columns)| best_time(s.bins.clone(), stride, columns, &r));
+        let parts = log.segments.iter().zip(&self.columns);
+        let of = parts.map(|(s, columns)| best_time(s.bins.clone(), stride, columns, &r));
         let Some((_, bin, offsets)) = of.max_by(|a, b| a.0.total_cmp(&b.0)) else {
             return;
         };
@@ -142,15 +130,13 @@ impl Dating {
 /// Parameters of an event effect at the events that explain most of what the base fit leaves, the largest first. Each is then
 /// dated again while the others stay.
 fn scan(base: &BaseFit<'_>, to: &LeastSquares<'_>, added: &dyn Effect) -> Option<Vec<f64>> {
-    let effect = to
-        .model
+    let model = &to.model;
+    let effect = model
         .effects
         .iter()
         .position(|e| e.name() == added.name())?;
-    let mut theta = to
-        .model
-        .extended(&base.problem.model, &base.point.theta, vanishing);
-    let events: Vec<Event> = to.model.events(effect).collect();
+    let mut theta = model.extended(&base.problem.model, &base.point.theta, vanishing);
+    let events: Vec<Event> = model.events(effect).collect();
     for lasting in events.iter().filter_map(|e| e.lasting) {
         theta[lasting] = SCANNED_S;
     }
@@ -158,14 +144,13 @@ fn scan(base: &BaseFit<'_>, to: &LeastSquares<'_>, added: &dyn Effect) -> Option
     for _ in 0..=DATED_ROUNDS {
         events.iter().for_each(|e| dating.date(e, to, &mut theta));
     }
-    (!events.is_empty()).then(|| to.model.of(&theta, effect).to_vec())
+    (!events.is_empty()).then(|| model.of(&theta, effect).to_vec())
 }
 
 /// Indices in θ of the times and durations of all events.
 pub fn dates(problem: &LeastSquares<'_>) -> Vec<usize> {
-    problem
-        .model
-        .all_events()
+    let events = problem.model.all_events();
+    events
         .flat_map(|e| [Some(e.time), e.lasting])
         .flatten()
         .collect()
@@ -181,11 +166,8 @@ pub fn dated_again(fit: &BaseFit<'_>, slow_too: bool) -> Option<Vec<f64>> {
     }
     let (mut theta, mut any) = (point.theta.clone(), false);
     for effect in 0..problem.model.effects.len() {
-        let quick: Vec<Event> = problem
-            .model
-            .events(effect)
-            .filter(|e| slow_too || !is_slow(e))
-            .collect();
+        let events = problem.model.events(effect);
+        let quick: Vec<Event> = events.filter(|e| slow_too || !is_slow(e)).collect();
         for lasting in quick.iter().filter_map(|e| e.lasting).filter(|_| slow_too) {
             theta[lasting] = SCANNED_S;
         }
@@ -209,13 +191,12 @@ fn best_time(
     r: &[f64],
 ) -> (f64, usize, Vector3<f64>) {
     let sums = |bins: Range<usize>| {
-        (bins.start * stride..bins.end * stride).fold(
-            (Matrix3::zeros(), Vector3::zeros()),
-            |(n, s): (Matrix3<f64>, Vector3<f64>), i| {
-                let d = Vector3::new(columns[0][i], columns[1][i], columns[2][i]);
-                (n + d * d.transpose(), s + d * r[i])
-            },
-        )
+        let (mut n, mut s) = (Matrix3::zeros(), Vector3::zeros());
+        for i in bins.start * stride..bins.end * stride {
+            let d = Vector3::new(columns[0][i], columns[1][i], columns[2][i]);
+            (n, s) = (n + d * d.transpose(), s + d * r[i]);
+        }
+        (n, s)
     };
     let inverse = |n: Matrix3<f64>| (n + Matrix3::identity() * 1e-6).try_inverse();
     let mut best = (0.0, bins.start, Vector3::zeros());

@@ -42,10 +42,9 @@ pub struct BaseFit<'a> {
 fn column(problem: &LeastSquares<'_>, point: &Point, c: usize) -> Vec<f32> {
     let (mut moved, b) = (point.theta.clone(), &problem.bounds[c]);
     // away from the upper limit
-    let h = if moved[c] + STEP * b.scale > b.high {
-        -STEP * b.scale
-    } else {
-        STEP * b.scale
+    let h = match moved[c] + STEP * b.scale > b.high {
+        true => -STEP * b.scale,
+        false => STEP * b.scale,
     };
     moved[c] += h;
     let residual = match problem.model.sensing_only(c) {
@@ -53,21 +52,16 @@ fn column(problem: &LeastSquares<'_>, point: &Point, c: usize) -> Vec<f32> {
         false => problem.residual(&moved, &problem.motion(&moved)),
     };
     let per_scale = b.scale / h;
-    residual
-        .iter()
-        .zip(&point.residual)
-        .map(|(x, r)| ((x - r) * per_scale) as f32)
-        .collect()
+    let moved = residual.iter().zip(&point.residual);
+    moved.map(|(x, r)| ((x - r) * per_scale) as f32).collect()
 }
 
 impl Tangent {
     /// The tangent at a point.
     pub fn new(problem: &LeastSquares<'_>, point: &Point) -> Self {
+        let columns = (0..problem.bounds.len()).into_par_iter();
         Self {
-            columns: (0..problem.bounds.len())
-                .into_par_iter()
-                .map(|c| column(problem, point, c))
-                .collect(),
+            columns: columns.map(|c| column(problem, point, c)).collect(),
         }
     }
 
@@ -77,11 +71,8 @@ impl Tangent {
         let mut columns = base.tangent.columns[..NOMINAL].to_vec();
         for (i, e) in model.effects.iter().enumerate() {
             match known.effects.iter().position(|x| x.name() == e.name()) {
-                Some(k) => {
-                    columns.extend_from_slice(&base.tangent.columns[known.at[k]..known.at[k + 1]])
-                }
-                None => columns
-                    .extend((model.at[i]..model.at[i + 1]).map(|c| column(problem, point, c))),
+                Some(k) => columns.extend_from_slice(known.of(&base.tangent.columns, k)),
+                None => columns.extend(model.place(i).map(|c| column(problem, point, c))),
             }
         }
         Self { columns }
@@ -130,10 +121,8 @@ impl Tangent {
         residual: &[f64],
     ) -> DVector<f64> {
         let residual: Vec<f32> = residual.iter().map(|r| *r as f32).collect();
-        let mut gradient = DVector::from_iterator(
-            self.columns.len(),
-            self.columns.iter().map(|c| dot(c, &residual)),
-        );
+        let width = self.columns.len();
+        let mut gradient = DVector::from_fn(width, |c, _| dot(&self.columns[c], &residual));
         add_prior_gradient(&mut gradient, problem, theta);
         gradient
     }
@@ -148,13 +137,8 @@ impl Tangent {
     ) -> Vec<Sums> {
         let (n, stride) = (self.columns.len(), point.residual.len() / bins.max(1));
         let residual: Vec<f32> = point.residual.iter().map(|r| *r as f32).collect();
-        let mut out = vec![
-            Sums {
-                normal: DMatrix::zeros(n, n),
-                gradient: DVector::zeros(n)
-            };
-            groups
-        ];
+        let (normal, gradient) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        let mut out = vec![Sums { normal, gradient }; groups];
         let mut from = 0;
         while from < bins {
             let of = group(from);
@@ -208,12 +192,8 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
     const LANES: usize = 16;
     let mut lanes = [0.0f32; LANES];
     let (a16, b16) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
-    let rest: f32 = a16
-        .remainder()
-        .iter()
-        .zip(b16.remainder())
-        .map(|(x, y)| x * y)
-        .sum();
+    let rest = a16.remainder().iter().zip(b16.remainder());
+    let rest: f32 = rest.map(|(x, y)| x * y).sum();
     for (x, y) in a16.zip(b16) {
         for i in 0..LANES {
             lanes[i] += x[i] * y[i];

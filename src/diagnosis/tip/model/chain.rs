@@ -9,6 +9,7 @@ use crate::model::effects::{Effect, Memory, Pose};
 use crate::model::{Bend, Chain, NOMINAL, places};
 use nalgebra::{Matrix3, Vector3};
 use std::borrow::Cow;
+use std::ops::Range;
 
 /// Largest mechanical lag that counts as nominal, s.
 pub const LAG_MAX_S: f64 = 0.05;
@@ -35,12 +36,11 @@ impl<'a> Model<'a> {
 
     /// The nominal model with the named effects of a catalogue.
     pub fn named(catalogue: &'a [Box<dyn Effect>], names: &[&str]) -> Self {
-        let effects: Vec<&dyn Effect> = catalogue
-            .iter()
-            .map(AsRef::as_ref)
-            .filter(|e| names.contains(&e.name()))
-            .collect();
-        Self::new(&effects)
+        let all = catalogue.iter().map(AsRef::as_ref);
+        Self::new(
+            &all.filter(|e| names.contains(&e.name()))
+                .collect::<Vec<_>>(),
+        )
     }
 
     /// Names of the effects.
@@ -49,8 +49,13 @@ impl<'a> Model<'a> {
     }
 
     /// Parameters of effect `i`.
-    pub fn of<'p>(&self, theta: &'p [f64], i: usize) -> &'p [f64] {
-        &theta[self.at[i]..self.at[i + 1]]
+    pub fn of<'p, T>(&self, theta: &'p [T], i: usize) -> &'p [T] {
+        &theta[self.place(i)]
+    }
+
+    /// Place of the parameters of effect `i`.
+    pub fn place(&self, i: usize) -> Range<usize> {
+        self.at[i]..self.at[i + 1]
     }
 
     /// Effects with their parameters.
@@ -58,10 +63,8 @@ impl<'a> Model<'a> {
         &'p self,
         theta: &'p [f64],
     ) -> impl Iterator<Item = (&'a dyn Effect, &'p [f64])> {
-        self.effects
-            .iter()
-            .enumerate()
-            .map(move |(i, e)| (*e, self.of(theta, i)))
+        let effects = self.effects.iter().enumerate();
+        effects.map(move |(i, e)| (*e, self.of(theta, i)))
     }
 
     /// Parameters of this model from those of another one: shared effects keep theirs, a new effect takes those of `fresh`.
@@ -103,10 +106,8 @@ impl<'a> Model<'a> {
 
     /// Whether parameter `j` changes only the readings, not the motion.
     pub fn sensing_only(&self, j: usize) -> bool {
-        j >= NOMINAL
-            && (0..self.effects.len()).any(|i| {
-                (self.at[i]..self.at[i + 1]).contains(&j) && self.effects[i].sensing_only()
-            })
+        let mut effects = self.effects.iter().enumerate();
+        effects.any(|(i, e)| self.place(i).contains(&j) && e.sensing_only())
     }
 }
 
@@ -137,13 +138,8 @@ pub fn parameters<'p>(
     let mut own = theta.to_vec();
     for event in model.all_events() {
         let at_s = log.start_s() + theta[event.time];
-        let of = log
-            .segments
-            .iter()
-            .rev()
-            .find(|s| s.start_s <= at_s)
-            .unwrap_or(&log.segments[0]);
-        if of == segment {
+        let of = log.segments.iter().rev().find(|s| s.start_s <= at_s);
+        if of.unwrap_or(&log.segments[0]) == segment {
             own[event.time] = at_s - segment.start_s;
         } else {
             event.offsets.iter().for_each(|&o| own[o] = 0.0);
@@ -156,13 +152,8 @@ pub fn parameters<'p>(
 pub fn run(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Motion {
     let mut out = Vec::with_capacity(log.t_s.len());
     for segment in &log.segments {
-        run_segment(
-            log,
-            segment,
-            model,
-            &parameters(log, segment, model, theta),
-            &mut out,
-        );
+        let own = parameters(log, segment, model, theta);
+        run_segment(log, segment, model, &own, &mut out);
         from_rest(&mut out[segment.instants.clone()]);
     }
     out
@@ -191,10 +182,9 @@ fn run_segment(
     let (mut w, mut lagged, mut before) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
     let (mut keep, mut keep_dt) = (0.0, -1.0);
     for k in segment.instants.clone() {
-        let dt_s = if k == segment.instants.start {
-            FIRST_STEP_S
-        } else {
-            log.t_s[k] - log.t_s[k - 1]
+        let dt_s = match k == segment.instants.start {
+            true => FIRST_STEP_S,
+            false => log.t_s[k] - log.t_s[k - 1],
         };
         (at.t_s, at.dt_s, at.counted_mm, at.idle_s) = (
             log.t_s[k] - segment.start_s,
@@ -211,10 +201,9 @@ fn run_segment(
         let behind = (q - before) * (lag_s / dt_s);
         lagged = q - behind + (lagged - before + behind) * keep;
         before = q;
-        out.push(if every || log.middle[k] {
-            orientation(&chain.pose(&mut memory, &at, &lagged))
-        } else {
-            Matrix3::zeros()
+        out.push(match every || log.middle[k] {
+            true => orientation(&chain.pose(&mut memory, &at, &lagged)),
+            false => Matrix3::zeros(),
         });
     }
 }
@@ -246,10 +235,9 @@ fn orientation(pose: &Pose) -> Matrix3<f64> {
 fn rotation(bend: &Bend) -> Matrix3<f64> {
     let beta2 = bend.0.norm_squared();
     let beta = beta2.sqrt();
-    let (s, v) = if beta < 1e-6 {
-        (1.0, 0.5)
-    } else {
-        (beta.sin() / beta, (1.0 - beta.cos()) / beta2)
+    let (s, v) = match beta < 1e-6 {
+        true => (1.0, 0.5),
+        false => (beta.sin() / beta, (1.0 - beta.cos()) / beta2),
     };
     let (x, y) = (bend.0.y, bend.0.x);
     let first = [1.0 - v * y * y, v * x * y, -s * y];
