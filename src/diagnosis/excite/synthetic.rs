@@ -39,10 +39,9 @@ pub fn observed(
     };
     let mut reference = Vec::new();
     for (k, r) in tips.iter().enumerate() {
-        let turn = if k == 0 {
-            Vector3::zeros()
-        } else {
-            (tips[k - 1].inverse() * r).scaled_axis() / PERIOD_S
+        let turn = match k {
+            0 => Vector3::zeros(),
+            _ => (tips[k - 1].inverse() * r).scaled_axis() / PERIOD_S,
         };
         imu.acc.push(r.inverse() * up + noise(NOISE[0]));
         imu.gyr.push(turn + noise(NOISE[1]));

@@ -78,11 +78,8 @@ impl<'a> RigProblem<'a> {
         fresh: &'a [(String, Signals)],
         seed: u64,
     ) -> Option<Self> {
-        let (noise, base, task) = (
-            noise(&log.output),
-            MapBase::new(map, log),
-            Task::new(&log.output),
-        );
+        let (base, task) = (MapBase::new(map, log), Task::new(&log.output));
+        let noise = noise(&log.output);
         let scores = base.scored(&task, &[])?;
         let (floor, left) = (noise * noise, scores.energy());
         let coarse = floor > COARSE * left;
@@ -112,10 +109,8 @@ impl<'a> RigProblem<'a> {
 
     /// Every operator alone.
     pub fn alone(&self) -> Vec<Set> {
-        self.catalogue
-            .iter()
-            .filter_map(|o| self.best(&[], o))
-            .collect()
+        let operators = self.catalogue.iter();
+        operators.filter_map(|o| self.best(&[], o)).collect()
     }
 
     /// The best of all pairs, and the best single extended by every operator; the singles are sorted.
@@ -146,12 +141,8 @@ impl<'a> RigProblem<'a> {
 
     /// The set of these members; `None` if a coefficient does not have its sign.
     fn set(&self, mut members: Vec<Member>) -> Option<Set> {
-        let place = |m: &Member| {
-            self.catalogue
-                .iter()
-                .position(|o| o.name == m.operator.name)
-        };
-        members.sort_by_key(place);
+        let place = |name| self.catalogue.iter().position(|o| o.name == name);
+        members.sort_by_key(|m| place(m.operator.name));
         let scores = self.base.scored(&self.task, &members)?;
         Some(Set {
             names: members.iter().map(|m| m.operator.name).collect(),
@@ -169,28 +160,17 @@ impl<'a> RigProblem<'a> {
                 eta,
                 columns: (operator.columns)(&self.base.drive, eta),
             };
-            members
-                .iter()
-                .cloned()
-                .chain([member])
-                .collect::<Vec<Member>>()
+            [members, &[member]].concat()
         };
-        let cost = |eta: f64| {
-            self.base
-                .cost(&self.task, &with(eta))
-                .map(|cost| (cost, eta))
-        };
+        let cost = |eta: f64| Some((self.base.cost(&self.task, &with(eta))?, eta));
         let grid = (operator.grid)(&self.base.drive);
-        let costs = grid
-            .iter()
-            .enumerate()
-            .filter_map(|(k, &eta)| cost(eta).map(|c| (k, c)));
+        let costs = (0..grid.len()).filter_map(|k| Some((k, cost(grid[k])?)));
         let (k, best) = costs.min_by(|a, b| a.1.0.total_cmp(&b.1.0))?;
         let (low, high) = (grid[k.saturating_sub(1)], grid[(k + 1).min(grid.len() - 1)]);
         let between = |i: u32| low + (high - low) * f64::from(i) / f64::from(REFINED);
         let near = (1..REFINED)
-            .map(between)
             .filter(|_| high > low)
+            .map(between)
             .filter_map(cost);
         let (_, eta) = near.chain([best]).min_by(|a, b| a.0.total_cmp(&b.0))?;
         self.set(with(eta))

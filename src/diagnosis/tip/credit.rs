@@ -28,10 +28,9 @@ pub fn credits(
     let (nominal, all) = (found.nominal.energy(), chosen.energy());
     let energy = |c: Option<&Candidate>| c.map_or(nominal, Candidate::energy);
     let share = |name: &&'static str| {
-        let closed = 0.5
-            * ((nominal - energy(found.single(name)))
-                + (energy(found.without(chosen, name)) - all));
-        (*name, (closed / gap).clamp(0.0, 1.0))
+        let first = nominal - energy(found.single(name));
+        let last = energy(found.without(chosen, name)) - all;
+        (*name, (0.5 * (first + last) / gap).clamp(0.0, 1.0))
     };
     chosen.names.iter().map(share).collect()
 }
@@ -48,24 +47,18 @@ pub fn stages(
                 .iter()
                 .any(|e| e.name() == name && e.stage() == stage)
         };
-        list.iter()
-            .filter(|(name, _)| here(name))
-            .map(|(_, share)| share)
-            .sum()
+        let own = list.iter().filter(|(name, _)| here(name));
+        own.map(|(_, share)| share).sum()
     };
-    let (credited, probable) = (
-        credits.iter().map(|c| c.1).sum::<f64>().max(1e-9),
-        probabilities.iter().map(|b| b.1).sum::<f64>().max(1e-9),
-    );
+    let [credited, probable] =
+        [credits, probabilities].map(|list| list.iter().map(|c| c.1).sum::<f64>().max(1e-9));
     let known = credited.min(1.0);
-    let mut out: Vec<StageShare> = Stage::ALL
-        .iter()
-        .map(|&s| StageShare {
-            name: s.name(),
-            share: known * of(credits, s) / credited
-                + (1.0 - known) * of(probabilities, s) / probable,
-        })
-        .collect();
+    let share = |&s: &Stage| {
+        let [closed, left] = [of(credits, s) * known, of(probabilities, s) * (1.0 - known)];
+        let (name, share) = (s.name(), closed / credited + left / probable);
+        StageShare { name, share }
+    };
+    let mut out: Vec<StageShare> = Stage::ALL.iter().map(share).collect();
     let total: f64 = out.iter().map(|s| s.share).sum::<f64>().max(1e-12);
     out.iter_mut().for_each(|s| s.share /= total);
     out.sort_by(|a, b| b.share.total_cmp(&a.share));

@@ -51,12 +51,8 @@ impl HeldOut {
 
     /// Largest reduction of any quantity's RMSE from these scores to others, degrees or °/s.
     pub fn gain(&self, to: &Self) -> f64 {
-        self.rmse_deg
-            .0
-            .iter()
-            .zip(&to.rmse_deg.0)
-            .map(|(a, b)| a - b)
-            .fold(f64::NEG_INFINITY, f64::max)
+        let gained = Quantity::ALL.map(|q| self.rmse_deg[q] - to.rmse_deg[q]);
+        gained.into_iter().fold(f64::NEG_INFINITY, f64::max)
     }
 }
 
@@ -82,10 +78,8 @@ pub fn leave_out(fit: &BaseFit<'_>) -> HeldOut {
 fn folds(log: &Observed, length_s: f64) -> Vec<Option<usize>> {
     let of = |t_s: f64| {
         let phase = (t_s - log.start_s()) / length_s;
-        let within = phase.fract() * length_s;
-        (MARGIN_S..=length_s - MARGIN_S)
-            .contains(&within)
-            .then_some(phase.floor() as usize % 2)
+        let inside = (MARGIN_S..=length_s - MARGIN_S).contains(&(phase.fract() * length_s));
+        inside.then_some(phase.floor() as usize % 2)
     };
     log.bins.iter().map(|b| of(b.t_s)).collect()
 }
@@ -189,19 +183,13 @@ pub fn density(log: &Observed, residual: &Residuals, block_s: f64) -> PerQuantit
             .zip(&residual[q])
             .filter(|(b, r)| b.weight[q] > 0.0 && **r != Vector3::zeros());
         for (bin, r) in scored {
-            let sum = blocks
-                .entry(((bin.t_s - log.start_s()) / block_s) as usize)
-                .or_default();
-            *sum = (
-                sum.0 + bin.weight[q].powi(2) * r.norm_squared(),
-                sum.1 + 3.0 * bin.lasting_s / BIN_S,
-            );
+            let block = ((bin.t_s - log.start_s()) / block_s) as usize;
+            let sum = blocks.entry(block).or_default();
+            sum.0 += bin.weight[q].powi(2) * r.norm_squared();
+            sum.1 += 3.0 * bin.lasting_s / BIN_S;
         }
-        blocks
-            .values()
-            .map(|(square, n)| (square / n + FLOOR).ln())
-            .sum::<f64>()
-            / blocks.len().max(1) as f64
+        let logs = blocks.values().map(|(square, n)| (square / n + FLOOR).ln());
+        logs.sum::<f64>() / blocks.len().max(1) as f64
     };
     PerQuantity::from_fn(of)
 }
@@ -223,21 +211,16 @@ pub fn score(log: &Observed, residual: Residuals, used: impl Fn(usize) -> bool) 
     let square = 1f64.to_degrees().powi(2);
     let rmse_deg = PerQuantity::from_fn(|q| {
         let e: f64 = sums.iter().map(|b| b[q].0).sum();
-        if total[q] > 0.0 {
-            (e / total[q] * square).sqrt()
-        } else {
-            0.0
+        match total[q] > 0.0 {
+            true => (e / total[q] * square).sqrt(),
+            false => 0.0,
         }
     });
-    let blocks = sums
-        .iter()
-        .map(|b| {
-            log.quantities()
-                .filter(|&q| total[q] > 0.0)
-                .map(|q| b[q].0 / total[q] * square)
-                .sum()
-        })
-        .collect();
+    let block = |b: &PerQuantity<(f64, f64)>| {
+        let scored = log.quantities().filter(|&q| total[q] > 0.0);
+        scored.map(|q| b[q].0 / total[q] * square).sum()
+    };
+    let blocks = sums.iter().map(block).collect();
     let density = [density(log, &residual, BLOCKS_S[0]), PerQuantity::default()];
     HeldOut {
         rmse_deg,

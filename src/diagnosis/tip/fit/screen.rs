@@ -43,9 +43,10 @@ pub fn screen(
         out.extend((0..a).filter_map(|b| gram.pair(nominal, catalogue, alone, [a, b])));
     }
     out.sort_by(|a, b| a.1.total_cmp(&b.1));
-    out.into_iter()
-        .map(|(names, _, start)| (names, start.theta))
-        .collect()
+    let starts = out
+        .into_iter()
+        .map(|(names, _, start)| (names, start.theta));
+    starts.collect()
 }
 
 /// Products of all columns with each other and with the residuals of the nominal model.
@@ -77,49 +78,39 @@ impl Gram {
         of: [usize; 2],
     ) -> Option<([&'static str; 2], f64, Start)> {
         let log = nominal.problem.log;
-        let problem = LeastSquares::new(
-            log,
-            Model::named(catalogue, &of.map(|k| alone[k].0.names[0])),
-        );
+        let model = Model::named(catalogue, &of.map(|k| alone[k].0.names[0]));
+        let problem = LeastSquares::new(log, model);
         let names: [&'static str; 2] = problem.model.names().try_into().ok()?;
-        let of = if alone[of[0]].0.names[0] == names[0] {
-            of
-        } else {
-            [of[1], of[0]]
+        let of = match alone[of[0]].0.names[0] == names[0] {
+            true => of,
+            false => [of[1], of[0]],
         };
         let changes = of.map(|k| self.at[k + 1] - 1);
-        let used: Vec<usize> = (0..NOMINAL)
-            .chain(of.into_iter().flat_map(|k| self.at[k]..self.at[k + 1] - 1))
-            .collect();
+        let own = of.into_iter().flat_map(|k| self.at[k]..self.at[k + 1] - 1);
+        let used: Vec<usize> = (0..NOMINAL).chain(own).collect();
         let Sums { normal, gradient } = &self.sums;
         // the residuals are those of the nominal model and both changes
         let along = |i: usize| gradient[i] + changes.iter().map(|&c| normal[(i, c)]).sum::<f64>();
         let squares =
             nominal.point.data() + changes.iter().map(|&c| gradient[c] + along(c)).sum::<f64>();
         let thetas = of.map(|k| &alone[k].0.fitted.theta);
-        let theta: Vec<f64> = (0..NOMINAL)
-            .map(|i| thetas[0][i] + thetas[1][i] - nominal.point.theta[i])
-            .chain(
-                thetas
-                    .into_iter()
-                    .flat_map(|t| t[NOMINAL..].iter().copied()),
-            )
+        let gains = (0..NOMINAL).map(|i| thetas[0][i] + thetas[1][i] - nominal.point.theta[i]);
+        let own = thetas
+            .into_iter()
+            .flat_map(|t| t[NOMINAL..].iter().copied());
+        let theta = gains
+            .chain(own)
             .zip(&problem.bounds)
-            .map(|(t, b)| t.clamp(b.low, b.high))
-            .collect();
+            .map(|(t, b)| t.clamp(b.low, b.high));
+        let theta: Vec<f64> = theta.collect();
         let n = used.len();
         let mut sums = Sums {
             normal: DMatrix::from_fn(n, n, |a, b| normal[(used[a], used[b])]),
             gradient: DVector::from_fn(n, |a, _| along(used[a])),
         };
         sums.add_prior(&problem, &theta);
-        let start = stepped(
-            &problem,
-            &theta,
-            squares + problem.prior(&theta),
-            &sums,
-            nominal,
-        )?;
+        let squares = squares + problem.prior(&theta);
+        let start = stepped(&problem, &theta, squares, &sums, nominal)?;
         Some((names, schwarz(log, start.predicted, n), start))
     }
 }
