@@ -36,10 +36,8 @@ pub fn commanded_bend(log: &Observed, lines: &[Line; 3], k: usize) -> Bend {
 
 /// Bend and direction, degrees; direction in 0..360.
 pub fn polar_deg(bend: &Bend) -> (f64, f64) {
-    (
-        bend.beta().to_degrees(),
-        bend.delta().to_degrees().rem_euclid(360.0),
-    )
+    let direction = bend.delta().to_degrees().rem_euclid(360.0);
+    (bend.beta().to_degrees(), direction)
 }
 
 impl BeforeAfter<'_> {
@@ -48,11 +46,8 @@ impl BeforeAfter<'_> {
         let deg2 = 1f64.to_degrees().powi(2);
         let (mut before, mut after, mut n) = (0.0, 0.0, 0.0);
         for k in (0..self.log.bins.len()).filter(|&k| pick(k)) {
-            let angles = || {
-                Quantity::ANGLES
-                    .into_iter()
-                    .filter(|&q| self.log.bins[k].weight[q] > 0.0)
-            };
+            let logged = |q: &Quantity| self.log.bins[k].weight[*q] > 0.0;
+            let angles = || Quantity::ANGLES.into_iter().filter(logged);
             let squares =
                 |h: &HeldOut| angles().fold(0.0, |s, q| s + h.residual[q][k].norm_squared() * deg2);
             before += squares(self.before);
@@ -65,9 +60,8 @@ impl BeforeAfter<'_> {
     /// Errors by bend and direction.
     pub fn regions(&self) -> Vec<Region> {
         let lines = [self.log.rig.prior; 3];
-        let poses: Vec<(f64, f64)> = (0..self.log.bins.len())
-            .map(|k| polar_deg(&commanded_bend(self.log, &lines, k)))
-            .collect();
+        let pose = |k| polar_deg(&commanded_bend(self.log, &lines, k));
+        let poses: Vec<(f64, f64)> = (0..self.log.bins.len()).map(pose).collect();
         let span = |k: u32, width: f64| [f64::from(k) * width, f64::from(k + 1) * width];
         let cells = (0..REGIONS.0)
             .flat_map(|b| (0..REGIONS.1).map(move |d| (span(b, RING_DEG), span(d, SECTOR_DEG))));
@@ -94,10 +88,7 @@ impl BeforeAfter<'_> {
             self.log.duration_s() / f64::from(STRETCHES),
         );
         let stretch = |k: u32| {
-            let (from_s, to_s) = (
-                start_s + length_s * f64::from(k),
-                start_s + length_s * f64::from(k + 1),
-            );
+            let [from_s, to_s] = [k, k + 1].map(|k| start_s + length_s * f64::from(k));
             let rmse = self.pooled(|k| (from_s..to_s).contains(&self.log.bins[k].t_s));
             rmse.map(|(rmse_deg, explained_deg)| When {
                 from_s,

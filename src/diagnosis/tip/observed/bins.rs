@@ -67,11 +67,9 @@ impl Rows {
     pub fn new(log: &BendLog) -> Self {
         let mut idle_s = vec![IDLE_BEFORE_S];
         for k in 1..log.t_s.len() {
-            let moved = log.piston_mm[k] != log.piston_mm[k - 1];
-            idle_s.push(if moved {
-                0.0
-            } else {
-                idle_s[k - 1] + log.t_s[k] - log.t_s[k - 1]
+            idle_s.push(match log.piston_mm[k] == log.piston_mm[k - 1] {
+                true => idle_s[k - 1] + log.t_s[k] - log.t_s[k - 1],
+                false => 0.0,
             });
         }
         Self {
@@ -91,10 +89,8 @@ impl Rows {
     /// Whether a piston starts, stops or reverses at a row that has neighbours.
     pub fn turns(&self, k: usize) -> bool {
         let [before, after] = [k - 1, k].map(|k| self.piston_mm[k + 1] - self.piston_mm[k]);
-        before
-            .iter()
-            .zip(&after)
-            .any(|(a, b)| a * b <= 0.0 && a != b)
+        let mut lines = before.iter().zip(&after);
+        lines.any(|(a, b)| a * b <= 0.0 && a != b)
     }
 
     /// Counted pistons at time `t_s`, interpolated linearly between rows `k` and `k + 1`.
@@ -109,9 +105,8 @@ impl Rows {
 
 /// Mean of the values that are not missing.
 pub fn mean(values: impl Iterator<Item = Vector3<f64>>) -> Option<Vector3<f64>> {
-    let (sum, n) = values
-        .filter(|v| !v.x.is_nan())
-        .fold((Vector3::zeros(), 0), |(s, n), v| (s + v, n + 1));
+    let there = values.filter(|v| !v.x.is_nan());
+    let (sum, n) = there.fold((Vector3::zeros(), 0), |(s, n), v| (s + v, n + 1));
     (n > 0).then(|| sum / f64::from(n))
 }
 
@@ -126,36 +121,29 @@ pub fn thinned(log: &BendLog) -> Cow<'_, BendLog> {
     if rate < 120.0 || by < 2 {
         return Cow::Borrowed(log);
     }
-    let groups: Vec<(usize, usize)> = (0..log.t_s.len() / by)
-        .map(|g| (g * by, (g + 1) * by))
-        .collect();
+    let group = |g| (g * by, (g + 1) * by);
+    let groups: Vec<(usize, usize)> = (0..log.t_s.len() / by).map(group).collect();
     let last = |v: &[Vector3<f64>]| groups.iter().map(|g| v[g.1 - 1]).collect::<Vec<_>>();
     let average = |v: &[Vector3<f64>]| {
-        groups
-            .iter()
-            .map(|g| mean_or_nan(v[g.0..g.1].iter().copied()))
-            .collect::<Vec<_>>()
+        let of = |g: &(usize, usize)| mean_or_nan(v[g.0..g.1].iter().copied());
+        groups.iter().map(of).collect::<Vec<_>>()
     };
+    let ends = |v: &Vec<f64>| groups.iter().map(|g| v[g.1 - 1]).collect::<Vec<f64>>();
+    let middles = |r: &Vec<_>| groups.iter().map(|g| r[(g.0 + g.1) / 2]).collect();
     let imu = |i: &ImuColumns| ImuColumns {
         acc: average(&i.acc),
         gyr: average(&i.gyr),
         mag: average(&i.mag),
     };
     Cow::Owned(BendLog {
-        t_s: groups.iter().map(|g| log.t_s[g.1 - 1]).collect(),
+        t_s: ends(&log.t_s),
         command: last(&log.command),
         piston_mm: last(&log.piston_mm),
         imu: log.imu.as_ref().map(imu),
         base: log.base.as_ref().map(imu),
-        reference: log
-            .reference
-            .as_ref()
-            .map(|r| groups.iter().map(|g| r[(g.0 + g.1) / 2]).collect()),
+        reference: log.reference.as_ref().map(middles),
         pressure_kpa: log.pressure_kpa.as_ref().map(|p| average(p)),
-        temp_c: log
-            .temp_c
-            .as_ref()
-            .map(|t| groups.iter().map(|g| t[g.1 - 1]).collect()),
+        temp_c: log.temp_c.as_ref().map(ends),
         file: log.file.clone(),
         ignored: log.ignored.clone(),
     })
@@ -191,9 +179,8 @@ pub fn bins(log: &BendLog, rows: &Rows) -> Vec<Bin> {
         let until = log.t_s[from] + if long { HOLD_BIN_S } else { BIN_S } - 1e-6;
         // a long bin ends where the motion begins
         let ends = |k: usize| log.t_s[k] >= until || (long && rows.idle_s[k] == 0.0);
-        let to = (from + 1..log.t_s.len())
-            .find(|&k| ends(k))
-            .unwrap_or(log.t_s.len());
+        let to = (from + 1..log.t_s.len()).find(|&k| ends(k));
+        let to = to.unwrap_or(log.t_s.len());
         out.push(bin(log, rows, (from, to), middle));
         middle = (from + to) / 2;
         from = to;
@@ -205,24 +192,18 @@ pub fn bins(log: &BendLog, rows: &Rows) -> Vec<Bin> {
 fn bin(log: &BendLog, rows: &Rows, (from, to): (usize, usize), since: usize) -> Bin {
     let nan = Vector3::repeat(f64::NAN);
     let of = |pick: fn(&ImuColumns) -> &Vec<Vector3<f64>>| {
-        log.imu
-            .as_ref()
-            .map_or(nan, |i| mean_or_nan(pick(i)[from..to].iter().copied()))
+        let mean = |i| mean_or_nan(pick(i)[from..to].iter().copied());
+        log.imu.as_ref().map_or(nan, mean)
     };
-    let reference = log
+    let seen = log
         .reference
-        .as_ref()
-        .map_or(Matrix3::repeat(f64::NAN), |r| {
-            let seen: Vec<_> = r[from..to].iter().flatten().collect();
-            let sum = seen.iter().fold(Matrix3::zeros(), |s, q| {
-                s + q.to_rotation_matrix().into_inner()
-            });
-            if seen.is_empty() {
-                Matrix3::repeat(f64::NAN)
-            } else {
-                sum / seen.len() as f64
-            }
-        });
+        .iter()
+        .flat_map(|r| r[from..to].iter().flatten());
+    let seen: Vec<Matrix3<f64>> = seen.map(|q| q.to_rotation_matrix().into_inner()).collect();
+    let reference = match seen.is_empty() {
+        true => Matrix3::repeat(f64::NAN),
+        false => seen.iter().fold(Matrix3::zeros(), |s, r| s + r) / seen.len() as f64,
+    };
     let step_s = (log.t_s[to - 1] - log.t_s[from]) / (to - from).max(2).saturating_sub(1) as f64;
     let speed = |k: usize| {
         (rows.piston_mm[k] - rows.piston_mm[k - 1]).amax() / (rows.t_s[k] - rows.t_s[k - 1])
@@ -236,10 +217,9 @@ fn bin(log: &BendLog, rows: &Rows, (from, to): (usize, usize), since: usize) -> 
         rows: (from, to),
         at: 0,
         t_s: (log.t_s[from] + log.t_s[to - 1]) / 2.0,
-        lasting_s: if to - from > 1 {
-            step_s * (to - from) as f64
-        } else {
-            BIN_S
+        lasting_s: match to - from {
+            1 => BIN_S,
+            rows => step_s * rows as f64,
         },
         reference,
         acc: of(|i| &i.acc),
@@ -266,19 +246,16 @@ pub fn noise(bins: &[Bin], field_ut: f64) -> PerQuantity<f64> {
             change(|b| b.mag) / field_ut,
             w[1].gyr - w[0].gyr,
         ];
-        for (q, v) in Quantity::ALL
-            .into_iter()
-            .zip(d)
-            .filter(|(_, v)| !v.x.is_nan())
-        {
+        let pairs = Quantity::ALL.into_iter().zip(d);
+        for (q, v) in pairs.filter(|(_, v)| !v.x.is_nan()) {
             squares[q].push(v.norm_squared());
         }
     }
+    // the difference of two samples has twice the variance of one
+    let sigma = |m: &f64| (m / CHI2_3_MEDIAN / 2.0).sqrt().to_degrees();
     PerQuantity(squares.0.map(|mut s| {
         s.sort_by(f64::total_cmp);
-        // the difference of two samples has twice the variance of one
-        s.get(s.len() / 2)
-            .map_or(0.0, |m| (m / CHI2_3_MEDIAN / 2.0).sqrt().to_degrees())
+        s.get(s.len() / 2).map_or(0.0, sigma)
     }))
 }
 

@@ -58,9 +58,8 @@ pub fn dependences(log: &Observed, residual: &Residuals) -> [Depends; Dependence
         let mut left = residual.clone();
         let mut share: f64 = 0.0;
         for q in log.quantities() {
-            let inputs: Vec<Inputs> = (0..log.bins.len())
-                .map(|k| motion.inputs(log, on, q, k, &residual[q][k]))
-                .collect();
+            let input = |k: usize| motion.inputs(log, on, q, k, &residual[q][k]);
+            let inputs: Vec<Inputs> = (0..log.bins.len()).map(input).collect();
             let (after, predicted) = regressed(log, q, &residual[q], &inputs);
             left[q] = after;
             share = share.max(predicted);
@@ -91,10 +90,8 @@ fn regressed(
     let x = |k: usize| inputs[k].component_mul(&scale);
     let mut left = residual.to_vec();
     for out in 0..2 {
-        let (mut n, mut s) = (
-            SMatrix::<f64, INPUTS, INPUTS>::zeros(),
-            SMatrix::<f64, INPUTS, 3>::zeros(),
-        );
+        let mut n = SMatrix::<f64, INPUTS, INPUTS>::zeros();
+        let mut s = SMatrix::<f64, INPUTS, 3>::zeros();
         let mut weight = 0.0;
         for &k in samples.iter().filter(|&&k| fold(k) != out) {
             let w = log.bins[k].weight[q].powi(2);
@@ -112,10 +109,8 @@ fn regressed(
         }
     }
     let energy = |r: &[Vector3<f64>]| {
-        samples
-            .iter()
-            .map(|&k| r[k].norm_squared() * log.bins[k].weight[q].powi(2))
-            .sum::<f64>()
+        let of = |&k: &usize| r[k].norm_squared() * log.bins[k].weight[q].powi(2);
+        samples.iter().map(of).sum::<f64>()
     };
     let share = 1.0 - energy(&left) / energy(residual).max(f64::MIN_POSITIVE);
     (left, share.max(0.0))
@@ -136,10 +131,8 @@ impl Motion {
             recent_mm: Vec::new(),
         };
         let (mut side, mut recent) = (Vector3::zeros(), Vector3::zeros());
-        let mut before = log
-            .bins
-            .first()
-            .map_or_else(Vector3::zeros, |b| log.piston_mm[b.at]);
+        let first = log.bins.first();
+        let mut before = first.map_or_else(Vector3::zeros, |b| log.piston_mm[b.at]);
         for bin in &log.bins {
             let moved = log.piston_mm[bin.at] - before;
             before += moved;
@@ -161,36 +154,32 @@ impl Motion {
     ) -> Inputs {
         let bin = &log.bins[k];
         let [a, b] = match on {
-            Dependence::Reading => [
-                reading(log, q, k).unwrap_or_default() - residual,
-                Vector3::zeros(),
-            ],
+            Dependence::Reading => {
+                let read = reading(log, q, k).unwrap_or_default();
+                [read - residual, Vector3::zeros()]
+            }
             Dependence::Timing => {
                 let change = self.change(log, q, k);
-                [
-                    change,
-                    change * ((bin.t_s - log.start_s()) / log.duration_s() - 0.5),
-                ]
+                let middle = (bin.t_s - log.start_s()) / log.duration_s() - 0.5;
+                [change, change * middle]
             }
             Dependence::Time => {
                 let t = (bin.t_s - log.start_s()) / log.duration_s() * 2.0 - 1.0;
-                [
-                    Vector3::new(t, t.powi(2), t.powi(3)),
-                    Vector3::new(t.powi(4), t.powi(5), t.powi(6)),
-                ]
+                let power = |n| Vector3::new(t.powi(n), t.powi(n + 1), t.powi(n + 2));
+                [power(1), power(4)]
             }
             Dependence::Pistons => {
                 let u = log.piston_mm[bin.at];
                 [u, u.component_mul(&u.yzx())]
             }
-            Dependence::Direction => [
-                self.side[k],
-                self.side[k].component_mul(&log.piston_mm[bin.at]),
-            ],
-            Dependence::Idle => [
-                self.recent_mm[k],
-                log.piston_mm[bin.at] * (-bin.idle_s / MEMORY_S).exp(),
-            ],
+            Dependence::Direction => {
+                let side = self.side[k];
+                [side, side.component_mul(&log.piston_mm[bin.at])]
+            }
+            Dependence::Idle => {
+                let standing = log.piston_mm[bin.at] * (-bin.idle_s / MEMORY_S).exp();
+                [self.recent_mm[k], standing]
+            }
         };
         Inputs::from_iterator(a.iter().chain(b.iter()).copied().chain([1.0]))
     }
@@ -206,10 +195,9 @@ impl Motion {
             Some(between(&log.bins[a].reference, &log.bins[b].reference)).filter(|v| !v.x.is_nan())
         };
         let changed = || Some(reading(log, q, b)? - reading(log, q, a)?);
-        let change = if q == Quantity::Reference {
-            turned()
-        } else {
-            changed()
+        let change = match q {
+            Quantity::Reference => turned(),
+            _ => changed(),
         };
         change.map_or_else(Vector3::zeros, |c| c / span_s)
     }
@@ -218,10 +206,8 @@ impl Motion {
 /// A reading in the unit of its residual; for the tracker the vertical of the base in the axes of the tip. `None` where it is missing.
 fn reading(log: &Observed, q: Quantity, k: usize) -> Option<Vector3<f64>> {
     let bin = &log.bins[k];
-    let field_ut = log
-        .segments
-        .first()
-        .map_or(1.0, |s| s.field_base_ut.norm().max(1.0));
+    let segment = log.segments.first();
+    let field_ut = segment.map_or(1.0, |s| s.field_base_ut.norm().max(1.0));
     let turned = |r: &Matrix3<f64>| r.transpose() * Vector3::z();
     let v = match q {
         Quantity::Reference => turned(&bin.reference),

@@ -115,52 +115,35 @@ fn follow_base(bins: &mut [Bin], log: &BendLog, up: &Vector3<f64>) {
 impl Observed {
     /// Readings of the tip IMU at the initial rest of the first log.
     pub fn rest(&self) -> RestReadings {
-        let still = self
-            .bins
-            .iter()
-            .take_while(|b| b.speed_mm_s == 0.0)
-            .map(|b| b.gyr);
-        let Segment {
-            up_base: up,
-            field_base_ut: field_ut,
-            ..
-        } = self.segments[0];
+        let still = self.bins.iter().take_while(|b| b.speed_mm_s == 0.0);
         RestReadings {
-            up,
-            field_ut,
-            gyro_bias_rad_s: mean(still).unwrap_or_default(),
+            up: self.segments[0].up_base,
+            field_ut: self.segments[0].field_base_ut,
+            gyro_bias_rad_s: mean(still.map(|b| b.gyr)).unwrap_or_default(),
         }
     }
 
     /// Appends another log of the same machine.
     pub fn append(&mut self, mut other: Self) {
         let quantity = |q| {
-            let [(a, n), (b, m)] = [&*self, &other].map(|o| {
-                (
-                    o.noise_deg[q],
-                    if o.has[q] { o.bins.len() as f64 } else { 0.0 },
-                )
-            });
-            if n + m > 0.0 {
-                ((n * a * a + m * b * b) / (n + m)).sqrt()
-            } else {
-                0.0
+            let bins = |o: &Self| if o.has[q] { o.bins.len() as f64 } else { 0.0 };
+            let [(a, n), (b, m)] = [&*self, &other].map(|o| (o.noise_deg[q], bins(o)));
+            match n + m > 0.0 {
+                true => ((n * a * a + m * b * b) / (n + m)).sqrt(),
+                false => 0.0,
             }
         };
         self.noise_deg = PerQuantity::from_fn(quantity);
         self.has = PerQuantity::from_fn(|q| self.has[q] || other.has[q]);
         let start_s = self.start_s() + ((self.duration_s() / APART_S).ceil() + 1.0) * APART_S;
-        let (later_s, rows, instants, bins) = (
-            start_s - other.start_s(),
-            self.rows.t_s.len(),
-            self.t_s.len(),
-            self.bins.len(),
-        );
+        let later_s = start_s - other.start_s();
+        let (rows, instants, bins) = (self.rows.t_s.len(), self.t_s.len(), self.bins.len());
+        let starts = other.segments.iter_mut().map(|s| &mut s.start_s);
         for t_s in other
             .t_s
             .iter_mut()
             .chain(&mut other.rows.t_s)
-            .chain(other.segments.iter_mut().map(|s| &mut s.start_s))
+            .chain(starts)
         {
             *t_s += later_s;
         }
@@ -193,13 +176,10 @@ impl Observed {
         let log = &*thinned(log);
         let rows = Rows::new(log);
         let mut bins = bins(log, &rows);
-        let rest = bins
-            .iter()
-            .position(|b| b.speed_mm_s > 0.0)
-            .unwrap_or(bins.len())
-            .max(1);
-        let up_base =
-            mean(bins[..rest].iter().map(|b| b.acc)).map_or(Vector3::z(), |v| v.normalize());
+        let moving = bins.iter().position(|b| b.speed_mm_s > 0.0);
+        let rest = moving.unwrap_or(bins.len()).max(1);
+        let up = mean(bins[..rest].iter().map(|b| b.acc));
+        let up_base = up.map_or(Vector3::z(), |v| v.normalize());
         let field_base_ut = mean(bins[..rest].iter().map(|b| b.mag)).unwrap_or_default();
         follow_base(&mut bins, log, &up_base);
         let noise_deg = noise(&bins, field_base_ut.norm().max(1.0));
@@ -238,10 +218,8 @@ impl Observed {
             let skipped = k > 0 && bin.rows.0 > self.bins[k - 1].rows.1;
             if self.rows.idle_s[row] < self.rows.t_s[row] - self.rows.t_s[before] {
                 for between in before + 1..row {
-                    let (t_s, last_s) = (
-                        self.rows.t_s[between],
-                        self.t_s.last().copied().unwrap_or(f64::NEG_INFINITY),
-                    );
+                    let t_s = self.rows.t_s[between];
+                    let last_s = self.t_s.last().copied().unwrap_or(f64::NEG_INFINITY);
                     if !skipped
                         || bin.t_s - t_s < AHEAD_S
                         || t_s - last_s >= SPARSE_S
@@ -268,10 +246,9 @@ impl Observed {
     fn weigh(&mut self) {
         let noise_rad = PerQuantity::from_fn(|q| self.noise_deg[q].to_radians());
         for b in &mut self.bins {
-            let turning = if b.gyr.x.is_nan() {
-                TURN_PER_MM * b.speed_mm_s
-            } else {
-                b.gyr.norm()
+            let turning = match b.gyr.x.is_nan() {
+                true => TURN_PER_MM * b.speed_mm_s,
+                false => b.gyr.norm(),
             };
             let present =
                 PerQuantity([b.reference[(0, 0)], b.acc.x, b.mag.x, b.gyr.x].map(|x| !x.is_nan()));
@@ -308,9 +285,8 @@ impl Observed {
 
     /// Energy of white noise alone, deg², summed over the quantities and their three components.
     pub fn noise_energy(&self) -> f64 {
-        self.quantities()
-            .map(|q| 3.0 * self.noise_deg[q].powi(2))
-            .sum()
+        let of = |q| 3.0 * self.noise_deg[q].powi(2);
+        self.quantities().map(of).sum()
     }
 
     /// Time from the first row of the first log to the last row of the last, s.

@@ -54,19 +54,13 @@ pub fn refuse(log: &BendLog) -> Result<(), ObserveError> {
     if duration < LENGTH_MIN_S {
         return Err(ObserveError::Short(duration));
     }
-    let path: f64 = log
-        .piston_mm
-        .windows(2)
-        .map(|w| (w[1] - w[0]).abs().sum())
-        .sum();
+    let moved = log.piston_mm.windows(2).map(|w| (w[1] - w[0]).abs().sum());
+    let path: f64 = moved.sum();
     if path < PATH_MIN_MM {
         return Err(ObserveError::Motionless(path));
     }
-    let moves = log
-        .piston_mm
-        .iter()
-        .position(|p| (p - log.piston_mm[0]).amax() > 1e-9)
-        .unwrap_or(0);
+    let away = |p: &Vector3<f64>| (p - log.piston_mm[0]).amax() > 1e-9;
+    let moves = log.piston_mm.iter().position(away).unwrap_or(0);
     let rest_s = log.t_s[moves] - log.t_s[0];
     if rest_s < REST_MIN_S {
         return Err(ObserveError::NoRest(rest_s));
@@ -83,21 +77,17 @@ fn refuse_clipped(
     values: &[Vector3<f64>],
     log: &BendLog,
 ) -> Result<(), ObserveError> {
-    let moving: Vec<usize> = (1..log.piston_mm.len())
-        .filter(|&k| log.piston_mm[k] != log.piston_mm[k - 1])
-        .collect();
+    let moves = |k: &usize| log.piston_mm[*k] != log.piston_mm[k - 1];
+    let moving: Vec<usize> = (1..log.piston_mm.len()).filter(moves).collect();
     for axis in 0..3 {
         let column = || {
-            moving
-                .iter()
-                .filter_map(|&k| values.get(k))
-                .map(|v| v[axis])
-                .filter(|v| !v.is_nan())
+            let values = moving.iter().filter_map(|&k| values.get(k));
+            values.map(|v| v[axis]).filter(|v| !v.is_nan())
         };
-        let n = column().count();
+        let (n, none) = (column().count(), f64::INFINITY);
         for extreme in [
-            column().fold(f64::NEG_INFINITY, f64::max),
-            column().fold(f64::INFINITY, f64::min),
+            column().fold(-none, f64::max),
+            column().fold(none, f64::min),
         ] {
             let share = column().filter(|&v| v == extreme).count() as f64 / n.max(1) as f64;
             if n > CLIPPED_ROWS_MIN && share > CLIPPED_SHARE {
