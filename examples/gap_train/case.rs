@@ -2,15 +2,48 @@
 
 use super::rig;
 use super::unit::Unit;
-use retroflex::diagnosis::features::statements;
-use retroflex::diagnosis::map;
-use retroflex::diagnosis::observe::Observed;
-use retroflex::diagnosis::posterior::{Claim, Said as SaidOf, Statement, ranked};
-use retroflex::diagnosis::refuse::ObserveError;
-use retroflex::diagnosis::rig::Rig;
-use retroflex::diagnosis::search::search;
+use retroflex::diagnosis::rig::RigProblem;
+use retroflex::diagnosis::tip::observed::{ObserveError, Observed};
+use retroflex::diagnosis::tip::{Rig, TipProblem};
+use retroflex::diagnosis::verdict::posterior::{self, Posterior};
+use retroflex::diagnosis::verdict::{Posterior, statements};
+use retroflex::diagnosis::{Problem, search};
 use retroflex::model::effects::catalogue;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::sync::{Mutex, PoisonError};
+
+/// What may be claimed of a set, as a file has it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Claim {
+    /// The effects that explain enough; `None` for a set that says nothing.
+    pub names: Option<Vec<String>>,
+    /// Part of the probability that goes to `unknown`.
+    pub unexplained: f64,
+}
+
+impl Claim {
+    /// The claim with the names that the program has.
+    pub fn known(&self) -> posterior::Claim {
+        posterior::Claim {
+            names: self.names.as_deref().map(known),
+            unexplained: self.unexplained,
+        }
+    }
+}
+
+/// These names for as long as the program runs, one copy of each.
+pub fn known(names: &[String]) -> Vec<&'static str> {
+    static KNOWN: Mutex<BTreeSet<&str>> = Mutex::new(BTreeSet::new());
+    let mut all = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut one = |name: &String| {
+        let new = || &*name.clone().leak();
+        let name = all.get(name.as_str()).copied().unwrap_or_else(new);
+        all.insert(name);
+        name
+    };
+    names.iter().map(&mut one).collect()
+}
 
 /// One statement of a case.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -20,7 +53,7 @@ pub struct Said {
     /// Its features.
     pub features: Vec<f64>,
     /// What may be claimed of it.
-    pub claim: Claim<Vec<String>>,
+    pub claim: Claim,
 }
 
 /// A log of training.
@@ -35,15 +68,15 @@ pub struct Case {
 }
 
 impl Case {
-    /// The case of a machine with these effects and the statements about its log.
-    pub fn new(seed: u64, truth: Option<&[&str]>, statements: &[Statement]) -> Self {
+    /// The case of a machine with these effects and the log of the problem.
+    fn new<P: Problem>(seed: u64, truth: Option<&[&str]>, problem: Option<&P>) -> Self {
         let owned = |names: &[&str]| {
             names
                 .iter()
                 .map(|n| (*n).to_owned())
                 .collect::<Vec<String>>()
         };
-        let said = |s: &Statement| Said {
+        let said = |s: &posterior::Statement| Said {
             names: s.names.as_deref().map(owned),
             features: s.features.clone(),
             claim: Claim {
@@ -51,6 +84,7 @@ impl Case {
                 unexplained: s.claim.unexplained,
             },
         };
+        let statements = problem.map_or(vec![], |p| statements(p, &search(p)));
         Self {
             seed,
             truth: truth.map(owned),
@@ -64,23 +98,16 @@ impl Case {
     /// [`ObserveError`] for a log that cannot be diagnosed.
     pub fn of_tip(seed: u64, unit: &Unit) -> Result<Self, ObserveError> {
         let log = Observed::new(&unit.log, &Rig::default())?;
-        let found = search(&log, &catalogue(), &unit.lines);
-        Ok(Self::new(
-            seed,
-            unit.names.as_deref(),
-            &statements(&log, &found),
-        ))
+        let catalogue = catalogue();
+        let problem = TipProblem::new(&log, &catalogue, &unit.lines, seed);
+        Ok(Self::new(seed, unit.names.as_deref(), Some(&problem)))
     }
 
     /// Searches the log of a random rig.
     pub fn of_rig(seed: u64) -> Self {
         let rig = rig::draw(seed);
-        let searched = map::diagnose::search(&rig.map, &rig.signals, seed);
-        Self::new(
-            seed,
-            rig.truth.as_deref(),
-            &searched.map_or(vec![], |s| s.statements),
-        )
+        let problem = RigProblem::new(&rig.map, &rig.signals, &[], seed);
+        Self::new(seed, rig.truth.as_deref(), problem.as_ref())
     }
 
     /// Index of the true statement; `None` if the search has not fitted the true set.
@@ -96,12 +123,12 @@ impl Case {
     }
 
     /// What these probabilities of the statements claim, the most probable first.
-    pub fn claimed(&self, p: &[f64]) -> Vec<SaidOf<Vec<String>>> {
+    pub fn claimed(&self, p: &[f64]) -> Vec<posterior::Said> {
         let of = |(s, p): (&Said, &f64)| match s.names {
-            Some(_) => s.claim.clone().said(*p),
+            Some(_) => s.claim.known().said(*p),
             None => vec![(None, *p)],
         };
-        ranked(self.said.iter().zip(p).flat_map(of))
+        Posterior::of(self.said.iter().zip(p).flat_map(of), 1.0).ranked
     }
 
     /// Features of all statements.

@@ -1,8 +1,10 @@
-//! The weights of a [`Head`]: maximum likelihood with a ridge, by Newton's method. The likelihood is concave.
+//! The weights of the features: maximum likelihood with a ridge, by Newton's method. The likelihood is concave.
 
-use super::case::Case;
+use super::case::{Case, known};
 use nalgebra::{DMatrix, DVector};
-use retroflex::diagnosis::posterior::{Head, probabilities};
+use retroflex::diagnosis::verdict::probabilities;
+use serde::Serialize;
+use std::collections::BTreeMap;
 
 /// Ridge per log.
 const RIDGE: f64 = 1e-4;
@@ -12,6 +14,15 @@ const STEPS: usize = 100;
 const CONVERGED: f64 = 1e-9;
 /// Share of the logs of which a conformal set contains the truth.
 const COVERED: f64 = 0.95;
+
+/// A head as its file has it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Head {
+    /// Probability that the statements of a conformal set have together.
+    pub conformal: f64,
+    /// Weight of each feature.
+    pub weight: BTreeMap<String, f64>,
+}
 
 /// Weights and how they do on logs that they were not fitted to.
 #[derive(Debug, Clone, PartialEq)]
@@ -69,9 +80,8 @@ pub fn fit(cases: &[Case], names: Vec<String>) -> Trained {
     ];
     Trained {
         head: Head {
-            names,
-            weights: w.as_slice().to_vec(),
             conformal: level(&p),
+            weight: names.into_iter().zip(w.iter().copied()).collect(),
         },
         logs,
         loss,
@@ -81,7 +91,7 @@ pub fn fit(cases: &[Case], names: Vec<String>) -> Trained {
 /// Probability of what may be claimed of the truth, and what all more probable claims have together.
 fn needed(case: &Case, right: usize, w: &[f64]) -> (f64, f64) {
     let truth = &case.said[right];
-    let claim = || truth.claim.names.clone().unwrap_or_default();
+    let claim = || truth.claim.names.as_deref().map(known).unwrap_or_default();
     let truth = truth.names.as_ref().map(|_| claim());
     let claimed = case.claimed(&probabilities(case.features(), w));
     let p = claimed
@@ -132,11 +142,11 @@ fn slopes(cases: &[(&Case, usize)], w: &DVector<f64>) -> (DVector<f64>, DMatrix<
 
 #[cfg(test)]
 mod tests {
-    use super::super::case::Said;
+    use super::super::case::{Claim, Said};
     use super::*;
     use rand::rngs::StdRng;
     use rand::{RngExt, SeedableRng};
-    use retroflex::diagnosis::posterior::{Claim, conformal_set};
+    use retroflex::diagnosis::verdict::conformal_set;
 
     /// Cases drawn from known weights: a fit finds them, and the sets hold as often as they should.
     #[test]
@@ -160,7 +170,10 @@ mod tests {
                 .map(|(k, features)| Said {
                     names: name(k),
                     features,
-                    claim: Claim::of(vec![k.to_string()]),
+                    claim: Claim {
+                        names: name(k),
+                        unexplained: 0.0,
+                    },
                 })
                 .collect();
             Case {
@@ -170,8 +183,8 @@ mod tests {
             }
         };
         let cases: Vec<Case> = (0..12_000).map(&mut case).collect();
-        let trained = fit(&cases, truth.iter().map(f64::to_string).collect());
-        let found = &trained.head.weights;
+        let trained = fit(&cases, (10..22).map(|k: u8| k.to_string()).collect());
+        let found: &Vec<f64> = &trained.head.weight.values().copied().collect();
         assert!(
             found.iter().zip(&truth).all(|(f, t)| (f - t).abs() < 0.15),
             "{found:?}"

@@ -1,4 +1,4 @@
-//! Fits the probabilities of the diagnosis (`retroflex::diagnosis::posterior`) to logs of random machines:
+//! Fits the probabilities of the diagnosis (`retroflex::diagnosis::verdict::posterior`) to logs of random machines:
 //! `cargo run --release --example gap_train -- --cases cases.jsonl --out posterior.toml`.
 //!
 //! Units run the catalogue's laws, each multiplied by a random function of the pistons and the time, with small effects of every kind
@@ -20,7 +20,9 @@ use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 use retroflex::cli::output;
-use retroflex::diagnosis::{features, map};
+use retroflex::diagnosis::Problem;
+use retroflex::diagnosis::rig::RigProblem;
+use retroflex::diagnosis::tip::TipProblem;
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{Read, Write};
@@ -33,7 +35,7 @@ struct Args {
     /// File that keeps every finished log; a run that was stopped goes on from it.
     #[arg(long)]
     cases: PathBuf,
-    /// Write the weights (TOML); the program has them as `src/diagnosis/posterior.toml` and `src/diagnosis/map/posterior.toml`.
+    /// Write the weights (TOML); the program has them as `src/diagnosis/tip/posterior.toml` and `src/diagnosis/rig/posterior.toml`.
     #[arg(long)]
     out: PathBuf,
     /// Random rigs for `gap diagnose --map` in place of tips.
@@ -84,21 +86,21 @@ fn main() -> Result<()> {
     bar.finish_and_clear();
     cases.sort_by_key(|c| c.seed);
     let head = if args.map {
-        &map::features::HEAD
+        RigProblem::head()
     } else {
-        &features::HEAD
+        TipProblem::head()
     };
-    let trained = fit::fit(&cases, head.names.clone());
+    let trained = fit::fit(&cases, head.layout.names());
     let [fitted, check, lost] = trained.logs;
     let head = format!(
-        "# Weights of the posterior (src/diagnosis/posterior.rs), made by\n# cargo run --release --example gap_train --{} --logs {} --seed {}\n\
+        "# Weights of the posterior (src/diagnosis/verdict/posterior.rs), made by\n# cargo run --release --example gap_train --{} --logs {} --seed {}\n\
          # {fitted} logs fitted; {check} others checked: the truth has {:.2} on the geometric mean; {lost} logs whose true set the search misses.\n",
         if args.map { " --map" } else { "" },
         args.logs,
         args.seed,
         (-trained.loss).exp()
     );
-    let text = head + &trained.head.text().into_diagnostic()?;
+    let text = head + &toml::to_string(&trained.head).into_diagnostic()?;
     output::write(&args.out, text.as_bytes())?;
     output::print(text);
     Ok(())

@@ -8,11 +8,12 @@ use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
-use retroflex::diagnosis::map::file::{Columns, MapFile, Nominal};
-use retroflex::diagnosis::map::model::{RESONANT, catalogue};
-use retroflex::diagnosis::map::operators::{DRIVEN, Drive, Operator};
-use retroflex::diagnosis::map::regress::{self, Task, variance};
-use retroflex::diagnosis::map::table::Signals;
+use retroflex::diagnosis::rig::file::Columns;
+use retroflex::diagnosis::rig::model::catalogue;
+use retroflex::diagnosis::rig::regress::{self, Task, variance};
+use retroflex::diagnosis::rig::{
+    DRIVEN, Drive, MapFile, Nominal, Operator, RESONANT, Signals, Task, variance,
+};
 use std::f64::consts::TAU;
 
 /// Rows of a log.
@@ -385,8 +386,8 @@ fn recalibrated(y: &[f64], inputs: &[Vec<f64>]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use retroflex::diagnosis::decide::VerdictKind;
-    use retroflex::diagnosis::map::diagnose::diagnose;
+    use retroflex::diagnosis::rig::Document;
+    use retroflex::diagnosis::verdict::VerdictKind;
 
     #[test]
     fn a_seed_gives_a_rig_and_another_gives_another() {
@@ -401,7 +402,7 @@ mod tests {
     fn on_random_rigs_the_verdict_is_its_posterior() {
         for seed in 800_000..800_040 {
             let rig = draw(seed);
-            let d = diagnose(&rig.map, &rig.signals, &[], seed);
+            let d = Document::new(&rig.map, &rig.signals, &[], seed);
             let v = &d.verdict;
             let Some(first) = v.conformal.first() else {
                 assert_eq!(v.kind, VerdictKind::Unknown, "{seed}");

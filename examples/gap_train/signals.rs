@@ -3,7 +3,7 @@
 use rand::RngExt;
 use rand::rngs::StdRng;
 use rand_distr::StandardNormal;
-use retroflex::diagnosis::map::operators::{oscillator, oscillator_step};
+use retroflex::diagnosis::rig::{oscillator, oscillator_step};
 use std::f64::consts::TAU;
 
 /// A random drive: several sines, a triangle, steps, a smooth random walk, or ramps to random targets.

@@ -3,8 +3,8 @@
 use crate::cli::gap::rows::read;
 use crate::cli::output::{self, ResultFile};
 use crate::config::Calibration;
-use crate::diagnosis::fleet::Survey;
-use crate::diagnosis::fleet::row::{self, GAINS, Row};
+use crate::diagnosis::fleet::row::Row;
+use crate::diagnosis::fleet::{GAINS, Survey, row};
 use crate::log::columns;
 use crate::report::fleet::{page, summary};
 use miette::{IntoDiagnostic, Result, bail, miette};

@@ -1,7 +1,7 @@
 //! Inputs that several commands share: configuration files with their built-in defaults, and foreign plants.
 
 use crate::config::{Board, Calibration, Gains, shipped, source};
-use crate::diagnosis::saved::SavedModel;
+use crate::diagnosis::tip::SavedModel;
 use crate::hardware::rt;
 use crate::model::DescribedMachine;
 use crate::model::effects::catalogue;

@@ -1,8 +1,7 @@
 //! What a calibration file can hold of a saved model.
 
 use crate::config::{Calibration, DynamicsSection, TransmissionSection};
-use crate::diagnosis::remedy::Remedy;
-use crate::diagnosis::saved::SavedModel;
+use crate::diagnosis::tip::{Remedy, SavedModel};
 use crate::estimation::imu_calibration::Entry;
 use crate::model::effects::{Effect, by_name};
 

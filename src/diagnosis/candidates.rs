@@ -11,6 +11,10 @@ pub trait Scored {
     fn energy(&self) -> f64;
     /// What it explains beyond another set, in units of the least that is claimed.
     fn gain(&self, beyond: &Self) -> f64;
+    /// Part of a gap that it closes beyond another set.
+    fn closed(&self, beyond: &Self, gap: f64) -> f64 {
+        ((beyond.energy() - self.energy()) / gap).clamp(-1.0, 1.0)
+    }
 }
 
 /// All sets of a search.
@@ -25,6 +29,23 @@ pub struct Candidates<C> {
 }
 
 impl<C: Scored> Candidates<C> {
+    /// Adds larger sets; of those with the same effects the better one stays.
+    pub fn add(&mut self, sets: impl IntoIterator<Item = C>) {
+        for set in sets.into_iter().filter(|s| s.names().len() > 1) {
+            match self
+                .larger
+                .iter_mut()
+                .find(|known| known.names() == set.names())
+            {
+                Some(known) if known.energy() <= set.energy() => {}
+                Some(known) => *known = set,
+                None => self.larger.push(set),
+            }
+        }
+        self.larger
+            .sort_by(|a, b| a.energy().total_cmp(&b.energy()));
+    }
+
     /// All sets of effects.
     pub fn sets(&self) -> impl Iterator<Item = &C> {
         self.singles.iter().chain(&self.larger)
@@ -74,9 +95,4 @@ impl<C: Scored> Candidates<C> {
         };
         [claim(&self.nominal), least]
     }
-}
-
-/// Sorts sets by what they leave, the best first.
-pub fn sort_by_energy<C: Scored>(list: &mut [C]) {
-    list.sort_by(|a, b| a.energy().total_cmp(&b.energy()));
 }

@@ -1,157 +1,70 @@
-//! A model to be fitted to a log: priors, limits and the weighted residuals at a point of its parameter space.
+//! What a diagnosis asks of a log, whatever the machine: [`crate::diagnosis::tip`] and [`crate::diagnosis::rig`] answer it.
 
-use crate::diagnosis::chain::{LAG_MAX_S, Model, Motion, run};
-use crate::diagnosis::observe::Observed;
-use crate::diagnosis::sense::{Residuals, every_bin, sense};
+use crate::diagnosis::verdict::{Claim, Head, Posterior, Verdict};
+use crate::diagnosis::{Candidates, Scored};
 
-/// Slope of the priors, residual per unit of scale. One prior σ is one scale for white residuals; neighbouring bins
-/// are correlated, so a prior counts as much as four bins.
-pub const PRIOR_SLOPE: f64 = 2.0;
+/// A log with everything that sets of effects are fitted to it and judged by.
+pub trait Problem: Sized {
+    /// A fitted set of effects.
+    type Set: Scored + Clone;
+    /// What the fit of a single effect leaves, beside its set, for the choice of the pairs.
+    type Trace;
+    /// What is written of the log.
+    type Document;
 
-/// Prior and limits of one parameter.
-#[derive(Debug, Clone, Copy)]
-pub struct Bound {
-    /// Mean of the prior.
-    pub start: f64,
-    /// Unit step of the fit.
-    pub scale: f64,
-    /// Least value.
-    pub low: f64,
-    /// Largest value.
-    pub high: f64,
+    /// The nominal model, recalibrated.
+    fn nominal(&self) -> &Self::Set;
+    /// Every single effect.
+    fn singles(&self) -> Vec<(Self::Set, Self::Trace)>;
+    /// The promising pairs; the singles are sorted, the best first.
+    fn pairs(&self, singles: &[(Self::Set, Self::Trace)]) -> Vec<Self::Set>;
+    /// The promising extensions of the best pair by one effect; none if it leaves too little for another.
+    fn triples(&self, pair: &Self::Set) -> Vec<Self::Set>;
+    /// The pairs within triples, of which a triple is claimed for what each effect adds to the other two.
+    fn parts(&self, found: &Candidates<Self::Set>, triples: &[Self::Set]) -> Vec<Self::Set>;
+
+    /// The features of a statement and their weights.
+    fn head() -> &'static Head;
+    /// Predictive density that a set lacks, with a surcharge for each effect; the best set has the least.
+    fn lack(&self, set: &Self::Set) -> f64;
+    /// Features of every statement: density of the left-out blocks.
+    fn density(&self, set: &Self::Set) -> Vec<f64>;
+    /// Features of the statement that a set explains the log.
+    fn of_set(&self, found: &Candidates<Self::Set>, set: &Self::Set) -> Vec<f64>;
+    /// Features of the statement that the nominal model does.
+    fn of_none(&self) -> Vec<f64>;
+    /// Features of the statement that no set does; `best` is the best of them.
+    fn of_unknown(&self, found: &Candidates<Self::Set>, best: &Self::Set) -> Vec<f64>;
+    /// What may be claimed of a set.
+    fn claim(&self, found: &Candidates<Self::Set>, set: &Self::Set) -> Claim;
+
+    /// Pairs of effects that the log cannot tell apart at all.
+    fn alike(&self) -> Vec<[&'static str; 2]> {
+        vec![]
+    }
+    /// Single effects that could stand for any effect of these.
+    fn stand_ins(&self, _: &Candidates<Self::Set>, _: &[&'static str]) -> Vec<&'static str> {
+        vec![]
+    }
+    /// The document.
+    fn document(&self, judged: &Judged<Self>) -> Self::Document;
 }
 
-impl Bound {
-    fn new(start: f64, scale: f64, low: f64, high: f64) -> Self {
-        Self {
-            start,
-            scale,
-            low,
-            high,
-        }
-    }
+/// The fitted sets, the probabilities of all statements, and the verdict.
+pub struct Judged<P: Problem> {
+    /// All sets.
+    pub found: Candidates<P::Set>,
+    /// The probabilities.
+    pub posterior: Posterior,
+    /// The verdict.
+    pub verdict: Verdict,
 }
 
-/// A model, the log it is fitted to, and the bounds of its parameters.
-#[derive(Clone)]
-pub struct Problem<'a> {
-    /// The log.
-    pub log: &'a Observed,
-    /// The model.
-    pub model: Model<'a>,
-    /// One bound per parameter.
-    pub bounds: Vec<Bound>,
-}
-
-/// A point of the parameter space with everything that follows from it.
-#[derive(Debug, Clone)]
-pub struct Point {
-    /// Parameters.
-    pub theta: Vec<f64>,
-    /// Motion of the tip.
-    pub motion: Motion,
-    /// Weighted residuals: bin by bin, the logged quantities, three components each.
-    pub residual: Vec<f64>,
-    /// Sum of squares of the priors.
-    pub prior: f64,
-}
-
-impl Point {
-    /// Sum of squares including the priors.
-    pub fn total(&self) -> f64 {
-        self.data() + self.prior
+impl<P: Problem> Judged<P> {
+    /// The verdict's set.
+    pub fn chosen(&self) -> &P::Set {
+        self.found
+            .set(&self.verdict.names)
+            .unwrap_or(&self.found.nominal)
     }
-
-    /// Sum of squares of the data.
-    pub fn data(&self) -> f64 {
-        self.residual.iter().map(|r| r * r).sum()
-    }
-}
-
-impl<'a> Problem<'a> {
-    /// The problem of fitting a model to a log.
-    pub fn new(log: &'a Observed, model: Model<'a>) -> Self {
-        let prior = log.rig.prior;
-        let mut bounds = vec![Bound::new((1.0 + prior.k_epsilon).ln(), 0.3, 0.0, 2.0); 3];
-        bounds.extend([Bound::new(prior.k_lambda_mm, 0.4, 0.0, 3.0); 3]);
-        bounds.push(Bound::new(log.rig.prior_lag_s, 0.015, 0.002, LAG_MAX_S));
-        for e in &model.effects {
-            bounds.extend(
-                e.params()
-                    .iter()
-                    .map(|p| Bound::new(p.start, p.scale, p.low, p.high)),
-            );
-        }
-        // one of several logs has the event
-        for event in model.all_events() {
-            bounds[event.time].scale *= log.segments.len() as f64;
-        }
-        Self { log, model, bounds }
-    }
-
-    /// Runs the model at `theta`.
-    pub fn at(&self, theta: Vec<f64>) -> Point {
-        let motion = run(self.log, &self.model, &theta);
-        let residual = self.residual(&theta, &motion);
-        let prior = self.prior(&theta);
-        Point {
-            theta,
-            motion,
-            residual,
-            prior,
-        }
-    }
-
-    /// Runs the model at `theta` moved into the limits.
-    pub fn at_clamped(&self, theta: &[f64]) -> Point {
-        self.at(theta
-            .iter()
-            .zip(&self.bounds)
-            .map(|(t, b)| t.clamp(b.low, b.high))
-            .collect())
-    }
-
-    /// Weighted residuals of a motion.
-    pub fn residual(&self, theta: &[f64], motion: &Motion) -> Vec<f64> {
-        weighted(
-            self.log,
-            &sense(self.log, &self.model, theta, motion, every_bin),
-        )
-    }
-
-    /// Weighted residuals at `theta`; gravity, field and gyroscope bias of each log are solved on its rest, until `until_s` after its
-    /// start.
-    pub fn residual_from_rest(&self, theta: &[f64], until_s: f64) -> Vec<f64> {
-        let (log, motion) = (self.log, run(self.log, &self.model, theta));
-        let of = |k: usize| {
-            log.segments
-                .iter()
-                .rev()
-                .find(|s| s.bins.start <= k)
-                .map_or((0, log.start_s()), |s| (s.bins.start, s.start_s))
-        };
-        let resting = |k: usize| of(k).0 == k || log.bins[k].t_s - of(k).1 < until_s;
-        weighted(log, &sense(log, &self.model, theta, &motion, resting))
-    }
-
-    /// Sum of squares of the priors.
-    pub fn prior(&self, theta: &[f64]) -> f64 {
-        theta
-            .iter()
-            .zip(&self.bounds)
-            .map(|(t, b)| (PRIOR_SLOPE * (t - b.start) / b.scale).powi(2))
-            .sum()
-    }
-}
-
-/// Weighted residuals, bin by bin, the logged quantities, three components each.
-pub fn weighted(log: &Observed, residual: &Residuals) -> Vec<f64> {
-    let mut r = Vec::with_capacity(log.bins.len() * log.quantities().count() * 3);
-    for (i, bin) in log.bins.iter().enumerate() {
-        for q in log.quantities() {
-            let v = residual[q][i] * bin.weight[q];
-            r.extend([v.x, v.y, v.z]);
-        }
-    }
-    r
 }

@@ -5,11 +5,9 @@
 //! Levenberg-Marquardt (Marquardt 1963) over runs of it. What is left is scored on blocks that the fit has not seen, along the tangent of
 //! the fit, and the intervals are those of the jackknife over blocks (Efron 1982), because residuals of neighbouring bins are alike.
 
-use crate::diagnosis::chain::{Model, Motion};
-use crate::diagnosis::holdout::{BLOCKS_S, HeldOut, score};
-use crate::diagnosis::observe::Observed;
-use crate::diagnosis::problem::weighted;
-use crate::diagnosis::sense::{Residuals, every_bin, sense};
+use crate::diagnosis::tip::fit::{BLOCKS_S, HeldOut, score, weighted};
+use crate::diagnosis::tip::model::{Model, Motion, Residuals, every_bin, sense};
+use crate::diagnosis::tip::observed::Observed;
 use crate::experiment::rig::RigError;
 use crate::model::nominal_theta;
 use crate::primitives::Steps;

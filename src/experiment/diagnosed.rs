@@ -1,13 +1,11 @@
 //! The arm `diagnosed`: a log of the standard schedule on a world of its own, and the machine that its diagnosis describes.
 
 use crate::control::LoopConfig;
-use crate::diagnosis::chain::Model;
-use crate::diagnosis::excite::rows::Machine;
-use crate::diagnosis::excite::standard;
-use crate::diagnosis::forecast::best_predicting;
-use crate::diagnosis::observe::Observed;
-use crate::diagnosis::rig::Rig;
-use crate::diagnosis::search::recalibrated;
+use crate::diagnosis::excite::{Machine, standard};
+use crate::diagnosis::tip::fit::best_predicting;
+use crate::diagnosis::tip::model::Model;
+use crate::diagnosis::tip::observed::Observed;
+use crate::diagnosis::tip::{Rig, recalibrated};
 use crate::experiment::identify::IdentifyError;
 use crate::experiment::rig::RigError;
 use crate::log::bend_log::{BendLog, ImuColumns};

@@ -180,7 +180,7 @@ pub struct Plan {
     /// Seed, for the record.
     pub seed: u64,
     /// The machine as the diagnosis knows it.
-    pub rig: diagnosis::rig::Rig,
+    pub rig: diagnosis::tip::rig::Rig,
     /// The described machine for the arms `diagnosed` and `closed`. Without one, `diagnosed` diagnoses a log of its own.
     pub feedforward: Option<Arc<DescribedMachine>>,
 }

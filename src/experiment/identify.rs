@@ -5,7 +5,7 @@
 
 use crate::control::learning::batch::{Estimate, Prior, Unidentifiable, relative_step, solve};
 use crate::control::{DynamicsPrior, LoopConfig};
-use crate::diagnosis::refuse::ObserveError;
+use crate::diagnosis::tip::observed::ObserveError;
 use crate::experiment::pose::{Round, Step};
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::Pose;

@@ -1,6 +1,6 @@
 //! The score of an exam of the diagnosis, in words and tables.
 
-use crate::diagnosis::exam::score::{Count, ExamScore, Method, ReliabilityBin, Row};
+use crate::diagnosis::exam::{Count, ExamScore, Method, ReliabilityBin, Row};
 use crate::report::table::titled;
 use comfy_table::Table;
 

@@ -9,7 +9,7 @@ use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::control::tick::LoopConfig;
-use retroflex::diagnosis::rig::Rig;
+use retroflex::diagnosis::tip::Rig;
 use retroflex::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose, for_world};
 use retroflex::experiment::identify::{Identified, algorithm_1};
 use retroflex::experiment::schedule::paper;

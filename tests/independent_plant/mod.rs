@@ -10,7 +10,7 @@ use retroflex::config::assemble;
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
-use retroflex::diagnosis::rig::Rig;
+use retroflex::diagnosis::tip::Rig;
 use retroflex::experiment::arm::ArmResult;
 use retroflex::experiment::evaluation::{Arm, Evaluation, Plan, run};
 use retroflex::simulation::link::Link;

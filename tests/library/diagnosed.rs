@@ -1,7 +1,7 @@
 //! The gap, closed: the machine that a diagnosis describes as a plant, and the open loop through its inverse.
 
 use crate::common::{described, evaluate, uncalibrated};
-use retroflex::diagnosis::rig::Rig;
+use retroflex::diagnosis::tip::Rig;
 use retroflex::experiment::evaluation::{self, Arm, Plan};
 use retroflex::model::chain::nominal_theta;
 use retroflex::model::described::RestReadings;

@@ -1,15 +1,13 @@
 //! The diagnosis on logs of the built-in plant, whose laws differ in form from the catalogue's.
 
-use retroflex::diagnosis::check::{Judgement, check};
-use retroflex::diagnosis::decide::VerdictKind;
-use retroflex::diagnosis::diagnose::diagnose;
-use retroflex::diagnosis::document::{Diagnosis, ParamValue};
-use retroflex::diagnosis::exam::question::{Content, Question, questions};
+use retroflex::diagnosis::diagnose;
 use retroflex::diagnosis::exam::run::run;
-use retroflex::diagnosis::exam::score::score;
-use retroflex::diagnosis::observe::Observed;
-use retroflex::diagnosis::rig::Rig;
-use retroflex::diagnosis::saved::SavedModel;
+use retroflex::diagnosis::exam::{Content, Question, questions, score};
+use retroflex::diagnosis::tip::observed::Observed;
+use retroflex::diagnosis::tip::{
+    Diagnosis, Judgement, ParamValue, Rig, SavedModel, TipProblem, check,
+};
+use retroflex::diagnosis::verdict::VerdictKind;
 use retroflex::log::bend_log::BendLog;
 use retroflex::model::effects::catalogue;
 
@@ -103,7 +101,8 @@ fn several_logs_of_a_unit_are_diagnosed_together() {
     let mut both = first.clone();
     both.append(second.clone());
     assert_eq!(both.bins.len(), first.bins.len() + second.bins.len());
-    let of = |log: &Observed| diagnose(log, &catalogue(), &leak.lines, 1).document;
+    let of =
+        |log: &Observed| diagnose(&TipProblem::new(log, &catalogue(), &leak.lines, 1)).document;
     let [one, two, all] = [&first, &second, &both].map(of);
     assert_eq!(all.verdict.names, ["leak"]);
     assert_eq!((one.logs.len(), all.logs.len()), (1, 2));
@@ -137,7 +136,7 @@ fn an_event_of_one_log_stays_in_that_log() {
     let mut both = observed(&healthy.log);
     let later_s = both.duration_s();
     both.append(observed(&lost.log));
-    let d = diagnose(&both, &catalogue(), &lost.lines, 1).document;
+    let d = diagnose(&TipProblem::new(&both, &catalogue(), &lost.lines, 1)).document;
     assert_eq!(d.verdict.names, ["missed_steps"], "{:?}", d.logs);
     let events = d.effects[0].params.chunks_exact(4);
     let lost_mm = |e: &[ParamValue]| e[1..].iter().map(|p| p.value.abs()).fold(0.0, f64::max);
@@ -164,7 +163,8 @@ fn a_check_tells_this_machine_from_another_and_from_a_mended_one() {
         };
         let observed = |log: &BendLog| Observed::new(log, &Rig::default()).unwrap();
         let sick = drawn(Content::Single, &[effect], seed);
-        let done = diagnose(&observed(&sick.log), &catalogue(), &sick.lines, 1);
+        let (log, effects) = (observed(&sick.log), catalogue());
+        let done = diagnose(&TipProblem::new(&log, &effects, &sick.lines, 1));
         let model = SavedModel::new("log", &catalogue(), &done);
         let judged = |log: &BendLog| check(&model, &observed(log), &catalogue());
         let same = judged(&sick.fresh);
@@ -194,8 +194,12 @@ fn equal_logs_give_equal_documents() {
         .draw()
         .unwrap();
     let log = Observed::new(&logs.log, &Rig::default()).unwrap();
-    let text =
-        || serde_json::to_string(&diagnose(&log, &catalogue(), &logs.lines, 1).document).unwrap();
+    let text = || {
+        serde_json::to_string(
+            &diagnose(&TipProblem::new(&log, &catalogue(), &logs.lines, 1)).document,
+        )
+        .unwrap()
+    };
     assert_eq!(text(), text());
 }
 

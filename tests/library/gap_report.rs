@@ -2,11 +2,10 @@
 //!
 //! `INSTA_UPDATE=always cargo test --test library gap_report` accepts an intended change.
 
-use retroflex::diagnosis::credit::StageShare;
-use retroflex::diagnosis::decide::VerdictKind;
-use retroflex::diagnosis::document::{
-    Diagnosis, EffectEntry, Gap, Location, ParamValue, QuantityShare, UnknownEntry, VerdictEntry,
+use retroflex::diagnosis::tip::{
+    Diagnosis, EffectEntry, Gap, Location, ParamValue, QuantityShare, StageShare, UnknownEntry,
 };
+use retroflex::diagnosis::verdict::{Verdict, VerdictKind};
 use retroflex::report::gap::evidence::{Evidence, Spot, Trace};
 use retroflex::report::gap::{page, words};
 
@@ -67,12 +66,13 @@ fn diagnosis(
             effect("transport_delay", "timing", 0.48, 0.89),
             effect("creep", "bellows", 0.02, 0.1),
         ],
-        verdict: VerdictEntry {
+        verdict: Verdict {
             kind,
             names: names.to_vec(),
             probability: 0.9,
             equivalent: equivalent.iter().map(|g| g.to_vec()).collect(),
             conformal: vec![],
+            doubt: 0.03,
         },
         unknown: UnknownEntry {
             probability: 0.03,

@@ -6,7 +6,7 @@
 use super::args::PlayArgs;
 use super::connection::{ask, connect, report, status, words};
 use crate::cli::{Refused, output};
-use crate::diagnosis::excite::rows::{self, Row};
+use crate::diagnosis::excite::{Row, rows};
 use crate::experiment::path::PathFile;
 use crate::log::table::{Schema, Table};
 use crate::model::{Bend, Geometry};

@@ -2,7 +2,7 @@
 
 use crate::cli::gap::input;
 use crate::cli::output::{self, ResultFile};
-use crate::diagnosis::check::{Checked, Judgement, check};
+use crate::diagnosis::tip::{Checked, Judgement, check};
 use crate::model::effects::catalogue;
 use miette::Result;
 use std::path::PathBuf;

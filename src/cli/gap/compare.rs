@@ -3,9 +3,10 @@
 use crate::cli::gap::input;
 use crate::cli::output::ResultFile;
 use crate::cli::{inputs, logging, output};
-use crate::diagnosis::chain::Motion;
-use crate::diagnosis::diagnose::diagnose;
-use crate::diagnosis::observe::Observed;
+use crate::diagnosis::diagnose;
+use crate::diagnosis::tip::TipProblem;
+use crate::diagnosis::tip::model::Motion;
+use crate::diagnosis::tip::observed::Observed;
 use crate::experiment::compare::{Compared, Knob, compare, drive};
 use crate::experiment::rig::RigError;
 use crate::log::columns::{self, Column};
@@ -64,7 +65,7 @@ pub fn run(args: &Args) -> Result<bool> {
     let lines = args.driven.lines()?;
     let log = input::observe(&args.log, &args.driven.machine.rig()?)?;
     let (name, compared) = simulated(args, &log)?;
-    let diagnosis = diagnose(&log, &catalogue(), &lines, args.seed).document;
+    let diagnosis = diagnose(&TipProblem::new(&log, &catalogue(), &lines, args.seed)).document;
     let document = document(&args.fit, &log, name, &compared, &diagnosis);
     output::write_some(&args.residuals, || residuals(&log, &compared))?;
     let (text, good) = said(&document);

@@ -4,10 +4,9 @@ use crate::cli::gap::input::{self, DrivenArgs, file_name};
 use crate::cli::gap::map;
 use crate::cli::gap::rows::{self, RowsArgs, Settings};
 use crate::cli::output::{self, ResultFile};
-use crate::diagnosis::diagnose::{Diagnosed, diagnose};
-use crate::diagnosis::document::Diagnosis;
-use crate::diagnosis::observe::Observed;
-use crate::diagnosis::saved::SavedModel;
+use crate::diagnosis::diagnose;
+use crate::diagnosis::tip::observed::Observed;
+use crate::diagnosis::tip::{Diagnosed, Diagnosis, SavedModel, TipProblem};
 use crate::model::effects::catalogue;
 use crate::report::gap::answer::summary;
 use crate::report::gap::evidence::Evidence;
@@ -79,7 +78,8 @@ pub fn run(args: &Args) -> Result<()> {
     let observed = input::observe_together(&args.logs, &args.driven.machine.rig()?)?;
     let bar = output::bar(0, "the effects are fitted,");
     bar.enable_steady_tick(std::time::Duration::from_millis(200));
-    let done = diagnose(&observed, &catalogue(), &lines, args.seed);
+    let catalogue = catalogue();
+    let done = diagnose(&TipProblem::new(&observed, &catalogue, &lines, args.seed));
     bar.finish_and_clear();
     for (path, text) in files(args, &observed, &done)? {
         output::write(path, &text)?;

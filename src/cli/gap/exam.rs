@@ -1,11 +1,10 @@
 //! `retroflex gap exam`: tests the diagnosis on logs of the built-in plant.
 
 use crate::cli::output::{self, ResultFile};
-use crate::diagnosis::decide::VerdictKind;
-use crate::diagnosis::document::Diagnosis;
-use crate::diagnosis::exam::question::{Question, questions};
-use crate::diagnosis::exam::run::{Answer, run as answer_all};
-use crate::diagnosis::exam::score::{ExamScore, score};
+use crate::diagnosis::exam::run::run as answer_all;
+use crate::diagnosis::exam::{Answer, ExamScore, Question, questions, score};
+use crate::diagnosis::tip::Diagnosis;
+use crate::diagnosis::verdict::VerdictKind;
 use crate::model::effects::catalogue;
 use crate::report::exam::summary;
 use miette::{IntoDiagnostic, Result};

@@ -3,8 +3,8 @@
 use crate::cli::gap::input;
 use crate::cli::output::ResultFile;
 use crate::cli::{inputs, output};
-use crate::diagnosis::excite::design::{Request, design};
-use crate::diagnosis::excite::rows::{Machine, csv};
+use crate::diagnosis::excite::rows::csv;
+use crate::diagnosis::excite::{Machine, Request, design};
 use crate::primitives::{Check, Checker};
 use crate::report::gap::schedule::summary;
 use miette::{Result, miette};

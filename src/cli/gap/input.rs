@@ -2,9 +2,8 @@
 
 use crate::cli::inputs;
 use crate::config::source;
-use crate::diagnosis::observe::Observed;
-use crate::diagnosis::rig::Rig;
-use crate::diagnosis::saved::SavedModel;
+use crate::diagnosis::tip::observed::Observed;
+use crate::diagnosis::tip::{Rig, SavedModel};
 use crate::log::{bend_log, plausibility};
 use crate::model::Line;
 use crate::model::effects::catalogue;

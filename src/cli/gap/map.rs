@@ -3,9 +3,7 @@
 use crate::cli::gap::input::file_name;
 use crate::cli::output::{self, ResultFile};
 use crate::config::source;
-use crate::diagnosis::map::diagnose::diagnose;
-use crate::diagnosis::map::file::MapFile;
-use crate::diagnosis::map::table;
+use crate::diagnosis::rig::{Document, MapFile, table};
 use crate::report::gap::map::summary;
 use miette::{IntoDiagnostic, Result};
 use std::path::{Path, PathBuf};
@@ -25,6 +23,6 @@ pub fn run(
     let signals = table::read(log, &map).into_diagnostic()?;
     let other = |path: &PathBuf| Ok((file_name(path), table::read(path, &map).into_diagnostic()?));
     let others = fresh.iter().map(other).collect::<Result<Vec<_>>>()?;
-    let document = diagnose(&map, &signals, &others, seed);
+    let document = Document::new(&map, &signals, &others, seed);
     output::answer(json, &document, summary(&document) + "\n")
 }

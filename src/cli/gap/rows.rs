@@ -5,9 +5,10 @@
 
 use crate::cli::gap::input;
 use crate::cli::output::{self, ResultFile};
-use crate::diagnosis::diagnose::diagnose;
-use crate::diagnosis::fleet::row::{self, Row};
-use crate::diagnosis::rig::Rig;
+use crate::diagnosis::diagnose;
+use crate::diagnosis::fleet::row;
+use crate::diagnosis::fleet::row::Row;
+use crate::diagnosis::tip::{Rig, TipProblem};
 use crate::log::columns;
 use crate::log::error::why_unreadable;
 use crate::model::Line;
@@ -263,7 +264,12 @@ fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Re
 fn diagnose_one(settings: &Settings, task: &mut Task) {
     let Settings { rig, lines, seed } = settings;
     match input::observe(&task.path, rig) {
-        Ok(log) => task.row.tell(&diagnose(&log, &catalogue(), lines, *seed)),
+        Ok(log) => task.row.tell(&diagnose(&TipProblem::new(
+            &log,
+            &catalogue(),
+            lines,
+            *seed,
+        ))),
         // where the folder lies does not matter
         Err(e) => {
             let path = task.path.display().to_string();

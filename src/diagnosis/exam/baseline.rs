@@ -7,13 +7,10 @@
 //!   rest solved again until every share exceeds a threshold.
 //! * **Nearest signature**: the effect whose tangent makes the smallest angle with the nominal residual.
 
-use crate::diagnosis::candidate::Candidate;
-use crate::diagnosis::candidates::Candidates;
-use crate::diagnosis::chain::Model;
-use crate::diagnosis::fit::fit;
-use crate::diagnosis::observe::Observed;
-use crate::diagnosis::problem::Problem;
-use crate::diagnosis::tangent::{BaseFit, Tangent};
+use crate::diagnosis::Candidates;
+use crate::diagnosis::tip::fit::{Candidate, LeastSquares, Tangent, fit};
+use crate::diagnosis::tip::model::Model;
+use crate::diagnosis::tip::observed::Observed;
 use crate::model::effects::Effect;
 use crate::model::{Line, NOMINAL, nominal_theta};
 use nalgebra::{DMatrix, DVector};
@@ -65,24 +62,17 @@ struct Library {
 
 impl Library {
     fn new(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3]) -> Self {
-        let problem = Problem::new(log, Model::new(&[]));
-        let (point, _) = fit(&problem, &nominal_theta(lines, log.rig.prior_lag_s), ROUNDS);
-        let tangent = Tangent::new(&problem, &point);
-        let base = BaseFit {
-            problem,
-            point,
-            tangent,
-        };
+        let nominal = LeastSquares::new(log, Model::new(&[]));
+        let mut base = fit(nominal, &nominal_theta(lines, log.rig.prior_lag_s), ROUNDS);
+        base.tangent = Tangent::new(&base.problem, &base.point);
         let (mut columns, mut at) = (base.tangent.clone(), vec![NOMINAL]);
         for e in catalogue {
-            let problem = Problem::new(log, Model::new(&[e.as_ref()]));
+            let problem = LeastSquares::new(log, Model::new(&[e.as_ref()]));
             let here = problem.at([base.point.theta.as_slice(), &e.starts()[0]].concat());
             columns.append(Tangent::grown(&problem, &here, &base), NOMINAL);
             at.push(columns.width());
         }
-        let sums = columns
-            .parts(&base.point, log.bins.len(), 1, |_| Some(0))
-            .swap_remove(0);
+        let sums = columns.whole(&base.point, log.bins.len());
         let (n, k) = (columns.width(), NOMINAL);
         let ridge = DMatrix::identity(k, k) * 1e-6;
         let inverse = (sums.normal.view((0, 0), (k, k)) + ridge)

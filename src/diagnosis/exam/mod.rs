@@ -10,3 +10,10 @@ pub mod record;
 pub mod run;
 pub mod schedule;
 pub mod score;
+
+pub use baseline::Answers;
+pub use question::{Content, Logs, Question, Recorded, difference_deg, questions};
+pub use record::{PERIOD_S, record};
+pub use run::Answer;
+pub use schedule::{DT_S, drive};
+pub use score::{Count, ExamScore, Method, ReliabilityBin, Row, score};

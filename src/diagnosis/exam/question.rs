@@ -4,12 +4,10 @@
 //! calibration is a few percent off. The size of an effect is drawn; one that is too small to be claimed is drawn again, and
 //! the largest is asked for in any case.
 
-use crate::diagnosis::exam::record::{PERIOD_S, record};
-use crate::diagnosis::holdout::CLAIM_DEG;
-use crate::diagnosis::observe::Observed;
-use crate::diagnosis::quantity::{PerQuantity, Quantity};
-use crate::diagnosis::rig::Rig;
-use crate::diagnosis::search::recalibrated;
+use crate::diagnosis::exam::{PERIOD_S, record};
+use crate::diagnosis::tip::fit::CLAIM_DEG;
+use crate::diagnosis::tip::observed::{Observed, PerQuantity, Quantity};
+use crate::diagnosis::tip::{Rig, recalibrated};
 use crate::log::bend_log::BendLog;
 use crate::model::Line;
 use crate::simulation::plant::config::BaseConfig;
@@ -78,48 +76,32 @@ pub fn questions(seed: u64, rounds: usize) -> Vec<Question> {
     let (inside, outside): (Vec<&EffectName>, Vec<&EffectName>) =
         effect_names().partition(|e| e.in_catalogue);
     let mut out = Vec::new();
+    let mut ask = |rng: &mut StdRng, content, names, lab| {
+        let seed = rng.next_u64();
+        out.push(Question {
+            content,
+            names,
+            lab,
+            seed,
+        });
+    };
     for round in 0..rounds {
         for (n, e) in inside.iter().enumerate() {
             let other = inside[(n + rng.random_range(1..inside.len())) % inside.len()];
             for lab in [true, false] {
-                out.push(Question {
-                    content: Content::Single,
-                    names: vec![e.name],
-                    lab,
-                    seed: rng.next_u64(),
-                });
+                ask(&mut rng, Content::Single, vec![e.name], lab);
             }
             let lab = (n + round) % 2 == 0;
-            out.push(Question {
-                content: Content::Pair,
-                names: vec![e.name, other.name],
-                lab,
-                seed: rng.next_u64(),
-            });
-            out.push(Question {
-                content: Content::None,
-                names: vec![],
-                lab,
-                seed: rng.next_u64(),
-            });
+            ask(&mut rng, Content::Pair, vec![e.name, other.name], lab);
+            ask(&mut rng, Content::None, vec![], lab);
         }
         for n in 0..TRIPLES {
             let names = inside.sample(&mut rng, 3).map(|e| e.name).collect();
-            out.push(Question {
-                content: Content::Triple,
-                names,
-                lab: (n + round) % 2 == 0,
-                seed: rng.next_u64(),
-            });
+            ask(&mut rng, Content::Triple, names, (n + round) % 2 == 0);
         }
         for e in &outside {
             for lab in [true, false] {
-                out.push(Question {
-                    content: Content::Outside,
-                    names: vec![e.name],
-                    lab,
-                    seed: rng.next_u64(),
-                });
+                ask(&mut rng, Content::Outside, vec![e.name], lab);
             }
         }
     }
@@ -142,18 +124,14 @@ impl Question {
         });
         let (first, second) = (rng.next_u64(), rng.next_u64());
         let of = |make: &PlantConfig, seed, lab| {
-            record(
-                |noise| Ok(Sim::new(make, 0, noise, PERIOD_S)?),
-                &lines,
-                seed,
-                lab,
-            )
+            let sim = |noise| Ok(Sim::new(make, 0, noise, PERIOD_S)?);
+            record(sim, &lines, seed, lab)
         };
         let mut recorded = Recorded::new(of(&bare, first, true)?, &lines);
         let (mut make, mut hidden) = (bare, false);
         for name in &self.names {
-            for draw in 0..DRAWS {
-                let severity = if draw + 1 == DRAWS {
+            for last in (1..=DRAWS).map(|draw| draw == DRAWS) {
+                let severity = if last {
                     1.0
                 } else {
                     rng.random_range(0.0..1.0)
@@ -161,16 +139,14 @@ impl Question {
                 let with = make.clone().with_effect(name, severity, &mut rng)?;
                 let recorded_with = Recorded::new(of(&with, first, true)?, &lines);
                 let hides = recorded.hides(&recorded_with, self.lab);
-                if draw + 1 == DRAWS || !hides {
+                if last || !hides {
                     (make, recorded, hidden) = (with, recorded_with, hidden || hides);
                     break;
                 }
             }
         }
         let mut log = recorded.log;
-        if !self.lab {
-            log.reference = None;
-        }
+        log.reference = log.reference.filter(|_| self.lab);
         Ok(Logs {
             log,
             fresh: of(&make, second, self.lab)?,
@@ -249,14 +225,13 @@ impl Recorded {
 
 /// Largest RMS difference of a signal between two logs, degrees (°/s for the gyroscope).
 pub fn difference_deg(a: &BendLog, b: &BendLog) -> f64 {
-    let rms = |x: &[Vector3<f64>], y: &[Vector3<f64>], unit: f64| {
-        let (sum, n) = x
-            .iter()
-            .zip(y)
-            .map(|(x, y)| (x - y).norm_squared())
-            .filter(|d| !d.is_nan())
-            .fold((0.0, 0.0), |(s, n), d| (s + d, n + 1.0));
-        (sum / f64::max(n, 1.0)).sqrt() / unit
+    let rms = |squares: &mut dyn Iterator<Item = f64>| {
+        let there = squares.filter(|d| !d.is_nan());
+        let (sum, n) = there.fold((0.0, 0.0), |(s, n), d| (s + d, n + 1.0));
+        (sum / f64::max(n, 1.0)).sqrt()
+    };
+    let apart = |x: &[Vector3<f64>], y: &[Vector3<f64>], unit: f64| {
+        rms(&mut x.iter().zip(y).map(|(x, y)| (x - y).norm_squared())) / unit
     };
     let mut out: f64 = 0.0;
     if let (Some(x), Some(y)) = (&a.imu, &b.imu) {
@@ -266,19 +241,12 @@ pub fn difference_deg(a: &BendLog, b: &BendLog) -> f64 {
             .find(|m| !m.x.is_nan())
             .map_or(48.0, Vector3::norm);
         // recalibration removes a constant difference of rates
-        let apart: Vec<Vector3<f64>> = x
-            .gyr
-            .iter()
-            .zip(&y.gyr)
-            .map(|(x, y)| x - y)
-            .filter(|d| !d.x.is_nan())
-            .collect();
-        let mean = apart.iter().sum::<Vector3<f64>>() / apart.len().max(1) as f64;
-        let rate = rms(&apart, &vec![mean; apart.len()], 1.0);
-        out = rms(&x.acc, &y.acc, 9.81)
-            .max(rms(&x.mag, &y.mag, field))
-            .max(rate)
-            .to_degrees();
+        let rates = x.gyr.iter().zip(&y.gyr).map(|(x, y)| x - y);
+        let rates: Vec<Vector3<f64>> = rates.filter(|d| !d.x.is_nan()).collect();
+        let mean = rates.iter().sum::<Vector3<f64>>() / rates.len().max(1) as f64;
+        let rate = rms(&mut rates.iter().map(|d| (d - mean).norm_squared()));
+        let (acc, mag) = (apart(&x.acc, &y.acc, 9.81), apart(&x.mag, &y.mag, field));
+        out = acc.max(mag).max(rate).to_degrees();
     }
     if let (Some(x), Some(y)) = (&a.reference, &b.reference) {
         let angles = x

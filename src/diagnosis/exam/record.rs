@@ -1,6 +1,7 @@
 //! Bend logs of a simulated machine.
 
-use crate::diagnosis::exam::schedule::{self, DT_S, drive};
+use crate::diagnosis::exam::schedule;
+use crate::diagnosis::exam::{DT_S, drive};
 use crate::log::bend_log::{BendLog, ImuColumns};
 use crate::model::Line;
 use crate::primitives::Steps;

@@ -1,15 +1,11 @@
 //! Answers the questions of an exam.
 
-use crate::diagnosis::check::check;
-use crate::diagnosis::decide::VerdictKind;
-use crate::diagnosis::diagnose::diagnose;
-use crate::diagnosis::document::Diagnosis;
-use crate::diagnosis::exam::baseline::{self, Answers};
-use crate::diagnosis::exam::question::{Content, Logs, Question};
-use crate::diagnosis::observe::Observed;
-use crate::diagnosis::refuse::ObserveError;
-use crate::diagnosis::rig::Rig;
-use crate::diagnosis::saved::SavedModel;
+use crate::diagnosis::diagnose;
+use crate::diagnosis::exam::baseline;
+use crate::diagnosis::exam::{Answers, Content, Logs, Question};
+use crate::diagnosis::tip::observed::{ObserveError, Observed};
+use crate::diagnosis::tip::{Diagnosis, Rig, SavedModel, TipProblem, check};
+use crate::diagnosis::verdict::VerdictKind;
 use crate::model::effects::{self, Effect};
 use crate::supervisor::MachineError;
 use rayon::prelude::*;
@@ -77,7 +73,7 @@ fn answer(
 ) -> Result<Answer, ExamError> {
     let observe = |log| Observed::new(log, &Rig::default()).map_err(|e| ExamError::Observe(n, e));
     let (log, fresh) = (observe(&logs.log)?, observe(&logs.fresh)?);
-    let done = diagnose(&log, catalogue, &logs.lines, n as u64);
+    let done = diagnose(&TipProblem::new(&log, catalogue, &logs.lines, n as u64));
     let saved = SavedModel::new("exam", catalogue, &done);
     let fresh_closed = check(&saved, &fresh, catalogue).closed;
     let left_out = left_out.map(|name| {
@@ -85,7 +81,7 @@ fn answer(
             .into_iter()
             .filter(|e| e.name() != name)
             .collect();
-        diagnose(&log, &rest, &logs.lines, n as u64)
+        diagnose(&TipProblem::new(&log, &rest, &logs.lines, n as u64))
             .document
             .verdict
             .kind

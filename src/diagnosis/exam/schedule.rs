@@ -4,7 +4,8 @@
 //! with a return to rest between them, and quick moves. The pistons follow Eq. 16 with the calibration on straight lines
 //! at the speed of the fastest piston, with rounded corners.
 
-use crate::diagnosis::excite::rows::{Row, rounded};
+use crate::diagnosis::excite::standard::tour;
+use crate::diagnosis::excite::{Row, rounded};
 use crate::model::{Geometry, Line};
 use nalgebra::Vector3;
 use rand::RngExt;
@@ -16,22 +17,12 @@ pub const DT_S: f64 = 0.01;
 
 /// A random schedule of about 250 s.
 pub fn draw(rng: &mut StdRng) -> Vec<Row> {
-    let row = |bend_deg, dir_deg, len_mm, hold_s, speed_mm_s| Row {
-        bend_deg,
-        dir_deg,
-        len_mm,
-        hold_s,
-        speed_mm_s,
-    };
+    let row = Row::new;
     let rest = |hold_s| row(0.0, 0.0, 20.0, hold_s, 20.0);
     let mut out = vec![rest(4.0)];
     let top = rng.random_range(68.0..78.0);
     let turn = rng.random_range(0.0..60.0);
-    for bend in [20.0, 40.0, 60.0] {
-        for d in [0.0, 120.0, 240.0, 60.0, 180.0, 300.0] {
-            out.push(row(bend, d + turn, 20.0, rng.random_range(0.3..0.8), 20.0));
-        }
-    }
+    out.extend(tour().map(|(bend, d)| row(bend, d + turn, 20.0, rng.random_range(0.3..0.8), 20.0)));
     out.push(rest(1.0));
     let mut directions: Vec<f64> = (0..12).map(|k| f64::from(k) * 30.0 + turn).collect();
     directions.shuffle(rng);
@@ -48,24 +39,14 @@ pub fn draw(rng: &mut StdRng) -> Vec<Row> {
     }
     for _ in 0..3 {
         let d = directions[rng.random_range(0..12)];
-        out.push(row(
-            rng.random_range(0.6..1.0) * top,
-            d,
-            20.0 + rng.random_range(0.0..3.0),
-            rng.random_range(7.0..14.0),
-            20.0,
-        ));
+        let [share, longer, hold] = [0.6..1.0, 0.0..3.0, 7.0..14.0].map(|of| rng.random_range(of));
+        out.push(row(share * top, d, 20.0 + longer, hold, 20.0));
         out.push(rest(rng.random_range(2.0..6.0)));
     }
     for _ in 0..10 {
         let d = directions[rng.random_range(0..12)];
-        out.push(row(
-            rng.random_range(10.0..top),
-            d,
-            20.0,
-            rng.random_range(0.2..1.0),
-            rng.random_range(10.0..30.0),
-        ));
+        let [bend, hold, speed] = [10.0..top, 0.2..1.0, 10.0..30.0].map(|of| rng.random_range(of));
+        out.push(row(bend, d, 20.0, hold, speed));
     }
     out.push(rest(4.0));
     out

@@ -1,9 +1,7 @@
 //! Scores of an exam.
 
-use crate::diagnosis::decide::VerdictKind;
-use crate::diagnosis::document::StatementEntry;
-use crate::diagnosis::exam::question::{Content, Question};
-use crate::diagnosis::exam::run::Answer;
+use crate::diagnosis::exam::{Answer, Content, Question};
+use crate::diagnosis::verdict::VerdictKind;
 use crate::model::effects::by_name;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -22,10 +20,13 @@ pub struct Count {
 
 impl Count {
     fn of(marks: impl Iterator<Item = bool>) -> Self {
-        marks.fold(Self::default(), |c, right| Self {
-            right: c.right + usize::from(right),
-            of: c.of + 1,
-        })
+        let mut out = Self::default();
+        marks.for_each(|right| out.add(right));
+        out
+    }
+
+    fn add(&mut self, right: bool) {
+        (self.right, self.of) = (self.right + usize::from(right), self.of + 1);
     }
 
     /// Share of right answers; 0 without answers.
@@ -83,20 +84,11 @@ impl Reliability {
         let mut sums = [(0.0, Count::default()); 10];
         for (p, right) in said {
             let bin = &mut sums[((p * 10.0) as usize).min(9)];
-            *bin = (
-                bin.0 + p,
-                Count {
-                    right: bin.1.right + usize::from(right),
-                    of: bin.1.of + 1,
-                },
-            );
+            bin.0 += p;
+            bin.1.add(right);
         }
         let all: usize = sums.iter().map(|b| b.1.of).sum();
-        let error = sums
-            .iter()
-            .map(|(p, c)| (p - c.right as f64).abs())
-            .sum::<f64>()
-            / all.max(1) as f64;
+        let wrong: f64 = sums.iter().map(|(p, c)| (p - c.right as f64).abs()).sum();
         let filled = sums.iter().filter(|b| b.1.of > 0);
         let bin = |&(p, count): &(f64, Count)| ReliabilityBin {
             stated: p / count.of as f64,
@@ -105,7 +97,7 @@ impl Reliability {
         };
         Self {
             bins: filled.map(bin).collect(),
-            error,
+            error: wrong / all.max(1) as f64,
         }
     }
 }
@@ -191,24 +183,26 @@ impl Report {
     /// Whether it names the true effects, and nothing else. An effect counts as named if it is in a stated group with the
     /// given name.
     fn names_all(&self, truth: &[&str]) -> bool {
-        let same = |name: &str, truth: &str| {
-            name == truth
-                || self
-                    .equivalent
-                    .iter()
-                    .any(|g| g.contains(&name) && g.contains(&truth))
+        let groups = |n: &str, t: &str| {
+            self.equivalent
+                .iter()
+                .any(|g| g.contains(&n) && g.contains(&t))
         };
-        self.kind == VerdictKind::Effects
-            && self.names.len() == truth.len()
-            && truth.iter().all(|t| self.names.iter().any(|n| same(n, t)))
+        let named = |t: &&str| self.names.iter().any(|n| n == t || groups(n, t));
+        let as_many = self.names.len() == truth.len();
+        self.kind == VerdictKind::Effects && as_many && truth.iter().all(named)
     }
 
     fn class(&self) -> String {
-        if self.kind == VerdictKind::Effects {
-            joined(&self.names)
-        } else {
-            self.kind.name().to_owned()
-        }
+        class(self.kind, &self.names)
+    }
+}
+
+/// The names, or the kind of a statement without names.
+fn class(kind: VerdictKind, names: &[&str]) -> String {
+    match kind {
+        VerdictKind::Effects => joined(names),
+        other => other.name().to_owned(),
     }
 }
 
@@ -233,81 +227,58 @@ type Answered<'a> = (&'a Question, &'a Answer);
 pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore {
     let all: Vec<Answered<'_>> = questions.iter().zip(answers).collect();
     let [bic, sparse, nearest] = [0, 1, 2].map(|which| method(&all, |a| Report::other(a, which)));
-    let covered = |a: &Answer| {
-        let ci = a
-            .diagnosis
-            .effects
-            .first()
-            .map_or([0.0, 0.0], |e| e.closed_ci95);
-        (ci[0]..=ci[1]).contains(&a.fresh_closed.clamp(-1.0, 1.0))
+    let says_unknown = |a: &Answer| a.diagnosis.verdict.kind == VerdictKind::Unknown;
+    let covered = |_: &Question, a: &Answer| {
+        let first = a.diagnosis.effects.first();
+        let [low, high] = first.map_or([0.0, 0.0], |e| e.closed_ci95);
+        (low..=high).contains(&a.fresh_closed.clamp(-1.0, 1.0))
     };
     let stage = |q: &Question, a: &Answer| {
         let first = a.diagnosis.location.stages.first().map(|s| s.name);
         first == by_name(q.names[0]).map(|e| e.stage().name())
     };
-    let singles = |lab: bool| {
-        all.iter()
-            .filter(move |(q, _)| q.content == Content::Single && q.lab == lab)
-    };
-    let left_out = |lab| {
-        Count::of(
-            singles(lab)
-                .filter_map(|(_, a)| a.left_out)
-                .map(|kind| kind == VerdictKind::Unknown),
+    let left_out = |_: &Question, a: &Answer| a.left_out.map(|kind| kind == VerdictKind::Unknown);
+    let outside = |q: &Question| q.content == Content::Outside;
+    let unknown = |(q, a): &Answered<'_>| (a.diagnosis.unknown.probability, outside(q));
+    let closed = |lab: bool| {
+        let single = |(q, _): &&Answered<'_>| q.content == Content::Single && q.lab == lab;
+        median(
+            all.iter()
+                .filter(single)
+                .map(|(_, a)| a.fresh_closed)
+                .collect(),
         )
     };
     let known = all
         .iter()
         .filter(|(q, _)| !matches!(q.content, Content::None | Content::Outside));
+    let sizes = all.iter().map(|(_, a)| a.diagnosis.verdict.conformal.len());
+    let grouped = all
+        .iter()
+        .map(|(_, a)| !a.diagnosis.verdict.equivalent.is_empty());
     ExamScore {
         seed,
         logs: all.len(),
         diagnosis: method(&all, Report::own),
         stage: row(&all, Content::Single, stage),
-        outside: outside(&all),
-        outside_visible: outside(
-            &all.iter()
-                .copied()
-                .filter(|(_, a)| !a.hidden)
-                .collect::<Vec<_>>(),
-        ),
-        left_out: Row {
-            lab: left_out(true),
-            field: left_out(false),
-        },
+        outside: row(&all, Content::Outside, |_, a| says_unknown(a)),
+        outside_visible: counted(&all, |q, a| {
+            (outside(q) && !a.hidden).then(|| says_unknown(a))
+        }),
+        left_out: counted(&all, left_out),
         effects: Reliability::of(all.iter().flat_map(said_of_effects)),
-        unknown: Reliability::of(all.iter().map(|(q, a)| {
-            (
-                a.diagnosis.unknown.probability,
-                q.content == Content::Outside,
-            )
-        })),
-        conformal: Row {
-            lab: conformal(&all, true),
-            field: conformal(&all, false),
-        },
-        conformal_size: mean_size(&all),
-        grouped: Count::of(
-            all.iter()
-                .map(|(_, a)| !a.diagnosis.verdict.equivalent.is_empty()),
-        ),
-        known_called_unknown: Count::of(
-            known.map(|(_, a)| a.diagnosis.verdict.kind == VerdictKind::Unknown),
-        ),
-        fresh_closed: [true, false]
-            .map(|lab| median(singles(lab).map(|(_, a)| a.fresh_closed).collect())),
-        coverage: row(&all, Content::Single, |_, a| covered(a)),
+        unknown: Reliability::of(all.iter().map(unknown)),
+        conformal: counted(&all, |q, a| Some(holds_truth(q, a))),
+        conformal_size: sizes.sum::<usize>() as f64 / all.len().max(1) as f64,
+        grouped: Count::of(grouped),
+        known_called_unknown: Count::of(known.map(|(_, a)| says_unknown(a))),
+        fresh_closed: [true, false].map(closed),
+        coverage: row(&all, Content::Single, covered),
         bic,
         sparse,
         nearest,
         confusion: confusion(&all),
     }
-}
-
-/// Mean number of effects in a 95 % set.
-fn mean_size(all: &[Answered<'_>]) -> f64 {
-    let sizes = all.iter().map(|(_, a)| a.diagnosis.verdict.conformal.len());
-    sizes.sum::<usize>() as f64 / all.len().max(1) as f64
 }
 
 /// The probabilities of the effects that an answer holds for possible, and whether each is there.
@@ -320,13 +291,11 @@ fn said_of_effects<'a>((q, a): &Answered<'a>) -> impl Iterator<Item = (f64, bool
     })
 }
 
-fn row(all: &[Answered<'_>], content: Content, right: impl Fn(&Question, &Answer) -> bool) -> Row {
+/// Counts of the answers for which `right` tells whether they are right.
+fn counted(all: &[Answered<'_>], right: impl Fn(&Question, &Answer) -> Option<bool>) -> Row {
     let count = |lab: bool| {
-        Count::of(
-            all.iter()
-                .filter(|(q, _)| q.content == content && q.lab == lab)
-                .map(|(q, a)| right(q, a)),
-        )
+        let here = all.iter().filter(|(q, _)| q.lab == lab);
+        Count::of(here.filter_map(|(q, a)| right(q, a)))
     };
     Row {
         lab: count(true),
@@ -334,17 +303,16 @@ fn row(all: &[Answered<'_>], content: Content, right: impl Fn(&Question, &Answer
     }
 }
 
-fn outside(all: &[Answered<'_>]) -> Row {
-    row(all, Content::Outside, |_, a| {
-        a.diagnosis.verdict.kind == VerdictKind::Unknown
-    })
+fn row(all: &[Answered<'_>], content: Content, right: impl Fn(&Question, &Answer) -> bool) -> Row {
+    counted(all, |q, a| (q.content == content).then(|| right(q, a)))
 }
 
 fn method(all: &[Answered<'_>], report: impl Fn(&Answer) -> Report) -> Method {
+    let right = |q: &Question, a: &Answer| report(a).names_all(&q.names);
     Method {
-        single: row(all, Content::Single, |q, a| report(a).names_all(&q.names)),
-        pair: row(all, Content::Pair, |q, a| report(a).names_all(&q.names)),
-        triple: row(all, Content::Triple, |q, a| report(a).names_all(&q.names)),
+        single: row(all, Content::Single, right),
+        pair: row(all, Content::Pair, right),
+        triple: row(all, Content::Triple, right),
         alarm: row(all, Content::None, |_, a| {
             report(a).kind != VerdictKind::None
         }),
@@ -355,15 +323,12 @@ fn method(all: &[Answered<'_>], report: impl Fn(&Answer) -> Report) -> Method {
 fn confusion(all: &[Answered<'_>]) -> BTreeMap<String, BTreeMap<String, usize>> {
     let mut out: BTreeMap<String, BTreeMap<String, usize>> = BTreeMap::new();
     for (q, a) in all {
-        let truth = if q.content == Content::Outside {
-            format!("unknown ({})", q.names[0])
-        } else {
-            truth(q)
+        let truth = match q.content {
+            Content::Outside => format!("unknown ({})", q.names[0]),
+            _ => truth(q),
         };
-        *out.entry(truth)
-            .or_default()
-            .entry(Report::own(a).class())
-            .or_default() += 1;
+        let answers = out.entry(truth).or_default();
+        *answers.entry(Report::own(a).class()).or_default() += 1;
     }
     out
 }
@@ -381,32 +346,17 @@ fn macro_f1(all: &[Answered<'_>], answer: impl Fn(&Answer) -> String) -> f64 {
     let f1 = |c: &String| {
         let hit = asked.iter().filter(|(t, s)| t == c && s == c).count() as f64;
         let wrong = asked.iter().filter(|(t, s)| (t == c) != (s == c)).count() as f64;
-        if hit > 0.0 {
-            2.0 * hit / (2.0 * hit + wrong)
-        } else {
-            0.0
-        }
+        2.0 * hit / (2.0 * hit + wrong).max(1.0)
     };
     classes.iter().map(|c| f1(c)).sum::<f64>() / classes.len().max(1) as f64
 }
 
-/// Logs whose conformal set contains the true statement.
-fn conformal(all: &[Answered<'_>], lab: bool) -> Count {
-    let holds = |(q, a): &Answered<'_>| {
-        let class = |s: &StatementEntry| {
-            if s.kind == VerdictKind::Effects {
-                joined(&s.names)
-            } else {
-                s.kind.name().to_owned()
-            }
-        };
-        a.diagnosis
-            .verdict
-            .conformal
-            .iter()
-            .any(|s| class(s) == truth(q))
-    };
-    Count::of(all.iter().filter(|(q, _)| q.lab == lab).map(holds))
+/// Whether the conformal set of an answer contains the true statement.
+fn holds_truth(q: &Question, a: &Answer) -> bool {
+    let statements = &a.diagnosis.verdict.conformal;
+    statements
+        .iter()
+        .any(|s| class(s.kind, &s.names) == truth(q))
 }
 
 fn median(mut v: Vec<f64>) -> f64 {

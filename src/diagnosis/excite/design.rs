@@ -6,13 +6,10 @@
 //! for model discrimination: Atkinson and Fedorov, *Biometrika* 1975 (T-optimality); local search after Kirkpatrick,
 //! Gelatt and Vecchi, *Science* 1983. Equal requests give equal schedules.
 
-use crate::diagnosis::confusion::separable;
-use crate::diagnosis::excite::distance::{Distances, information};
-use crate::diagnosis::excite::manoeuvre::{Manoeuvre, first_guess, schedule};
-use crate::diagnosis::excite::points::Rival;
-use crate::diagnosis::excite::rows::{Machine, Row};
-use crate::diagnosis::excite::standard;
-use crate::diagnosis::saved::SavedModel;
+use crate::diagnosis::excite::{
+    Distances, Machine, Manoeuvre, Rival, Row, first_guess, information, schedule, standard,
+};
+use crate::diagnosis::tip::{SavedModel, separable};
 use crate::model::effects::catalogue;
 use nalgebra::DMatrix;
 use rand::rngs::StdRng;
@@ -69,23 +66,14 @@ pub type Pair = (&'static str, &'static str, f64, f64);
 impl Design {
     /// Pairs in question, nearest first.
     pub fn pairs(&self) -> Vec<Pair> {
-        let focus: Vec<usize> = self
-            .focus
-            .iter()
-            .filter_map(|n| self.names.iter().position(|name| name == n))
-            .collect();
-        let pair = |i: usize, j: usize| {
-            (
-                self.names[i],
-                self.names[j],
-                self.distances.of[(i, j)],
-                self.standard.of[(i, j)],
-            )
+        let place = |n: &&str| self.names.iter().position(|name| name == n);
+        let focus: Vec<usize> = self.focus.iter().filter_map(place).collect();
+        let pair = |(i, j): (usize, usize)| {
+            let [designed, standard] = [&self.distances, &self.standard].map(|d| d.of[(i, j)]);
+            (self.names[i], self.names[j], designed, standard)
         };
-        let mut out: Vec<Pair> = (0..focus.len())
-            .flat_map(|a| focus[a + 1..].iter().map(move |&j| (a, j)))
-            .map(|(a, j)| pair(focus[a], j))
-            .collect();
+        let pairs = (0..focus.len()).flat_map(|a| focus[a + 1..].iter().map(move |&j| (a, j)));
+        let mut out: Vec<Pair> = pairs.map(|(a, j)| pair((focus[a], j))).collect();
         out.sort_by(|a, b| a.2.total_cmp(&b.2));
         out
     }
@@ -95,24 +83,19 @@ impl Design {
 pub fn design(request: &Request, progress: &mut dyn FnMut(usize)) -> Design {
     let mut rng = StdRng::seed_from_u64(request.seed);
     let (machine, like) = (&request.machine, request.like.as_ref());
-    let rivals: Vec<Rival> = catalogue()
+    let rivals = catalogue()
         .into_iter()
-        .map(|e| Rival::new(e, like, &mut rng))
-        .collect();
+        .map(|e| Rival::new(e, like, &mut rng));
+    let rivals: Vec<Rival> = rivals.collect();
     let names: Vec<&'static str> = rivals.iter().map(|r| r.effect.name()).collect();
     let focus = focus(like, &names);
     let evaluate =
         |rows: &[Row]| information(machine, rows, &rivals, request.tracker, request.seed);
     let standard = evaluate(&standard::rows(machine));
     let sizes = standard.as_ref().map(|i| i.sizes()).unwrap_or_default();
-    let scale: Vec<Vec<f64>> = sizes
-        .iter()
-        .map(|s| {
-            s.iter()
-                .map(|x| (SIZE / x.max(1e-9)).min(ENLARGED_MAX))
-                .collect()
-        })
-        .collect();
+    let enlarged = |x: &f64| (SIZE / x.max(1e-9)).min(ENLARGED_MAX);
+    let scale = sizes.iter().map(|s| s.iter().map(enlarged).collect());
+    let scale: Vec<Vec<f64>> = scale.collect();
     let distances = |rows: &[Row]| evaluate(rows).map(|i| i.distances(&scale));
     let mut search = LocalSearch {
         machine,
@@ -149,11 +132,9 @@ pub fn design(request: &Request, progress: &mut dyn FnMut(usize)) -> Design {
 
 fn focus(like: Option<&SavedModel>, names: &[&'static str]) -> Vec<&'static str> {
     let asked = like.map(SavedModel::in_question).unwrap_or_default();
+    let mut names = names.to_vec();
+    names.retain(|n| asked.is_empty() || asked.iter().any(|a| a == n));
     names
-        .iter()
-        .copied()
-        .filter(|n| asked.is_empty() || asked.iter().any(|a| a == n))
-        .collect()
 }
 
 fn weights(names: &[&str], focus: &[&str], tracker: bool) -> DMatrix<f64> {
@@ -189,11 +170,8 @@ impl LocalSearch<'_> {
     /// cannot be diagnosed.
     fn evaluate(&self, list: Vec<Manoeuvre>) -> Evaluated {
         let rows = schedule(self.machine, &list);
-        let distances = if self.is_short(&list) {
-            (self.distances)(&rows)
-        } else {
-            None
-        };
+        let short = self.is_short(&list);
+        let distances = short.then(|| (self.distances)(&rows)).flatten();
         let cost = distances.as_ref().map_or(f64::INFINITY, |d| {
             let mut cost = 0.0;
             for i in 0..d.of.nrows() {
@@ -250,7 +228,7 @@ fn neighbour(list: &[Manoeuvre], machine: &Machine, rng: &mut StdRng) -> Vec<Man
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::rig::Rig;
+    use crate::diagnosis::tip::Rig;
     use crate::model::transmission::Line;
 
     const PAPER: [Line; 3] = [

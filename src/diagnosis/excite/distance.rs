@@ -6,15 +6,13 @@
 //! weighted residual differences. Imitation is linearised about the points of each effect (slopes at the first point,
 //! and the other points as directions).
 
-use crate::diagnosis::chain::{Model, run};
-use crate::diagnosis::excite::points::{Rival, counted};
-use crate::diagnosis::excite::rows::{Machine, Row};
-use crate::diagnosis::excite::synthetic;
-use crate::diagnosis::observe::{CORRELATED_S, Observed};
-use crate::diagnosis::sense::{every_bin, sense};
+use crate::diagnosis::excite::{Machine, Rival, Row, counted, synthetic};
+use crate::diagnosis::tip::model::{Model, every_bin, run, sense};
+use crate::diagnosis::tip::observed::{CORRELATED_S, Observed};
 use crate::model::{NOMINAL, nominal_theta};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Largest span over which the bins of a hold are pooled, s.
 const POOLED_S: f64 = 0.5;
@@ -26,10 +24,9 @@ const NOMINAL_SCALE: [f64; 3] = [0.05, 0.1, 0.005];
 const PRIOR: f64 = 1.0;
 
 /// Columns of one effect in the Gram matrix, from and to.
-#[derive(Debug, Clone, Copy)]
 struct Span {
-    slopes: (usize, usize),
-    points: (usize, usize),
+    slopes: Range<usize>,
+    points: Range<usize>,
 }
 
 /// What a schedule reveals about each effect.
@@ -59,16 +56,16 @@ pub fn information(
         difference(&residual(&log, &none, &theta), &base, STEP)
     };
     let mut columns: Vec<Vec<f64>> = (0..NOMINAL).map(slope).collect();
-    let each: Vec<Vec<Vec<f64>>> = rivals
+    let each = rivals
         .par_iter()
-        .map(|r| columns_of(&log, r, &start, &base))
-        .collect();
+        .map(|r| columns_of(&log, r, &start, &base));
+    let each: Vec<Vec<Vec<f64>>> = each.collect();
     let mut spans = Vec::new();
     for (rival, own) in rivals.iter().zip(each) {
         let (first, slopes) = (columns.len(), counted(rival.effect.as_ref()));
         spans.push(Span {
-            slopes: (first, first + slopes),
-            points: (first + slopes, first + own.len()),
+            slopes: first..first + slopes,
+            points: first + slopes..first + own.len(),
         });
         columns.extend(own);
     }
@@ -92,29 +89,17 @@ fn columns_of(log: &Observed, rival: &Rival, start: &[f64], base: &[f64]) -> Vec
     let at = |point: &[f64]| residual(log, &model, &[start, point].concat());
     let here = at(&rival.points[0]);
     let mut out = Vec::new();
-    for (i, p) in rival
-        .effect
-        .params()
-        .iter()
-        .take(counted(rival.effect.as_ref()))
-        .enumerate()
-    {
+    let counted = counted(rival.effect.as_ref());
+    for (i, p) in rival.effect.params().iter().take(counted).enumerate() {
         let mut moved = rival.points[0].clone();
-        let h = STEP
-            * if moved[i] + STEP * p.scale > p.high {
-                -1.0
-            } else {
-                1.0
-            };
+        let beyond = moved[i] + STEP * p.scale > p.high;
+        let h = if beyond { -STEP } else { STEP };
         moved[i] += h * p.scale;
         out.push(difference(&at(&moved), &here, h));
     }
     out.push(difference(&here, base, 1.0));
-    out.extend(
-        rival.points[1..]
-            .iter()
-            .map(|p| difference(&at(p), base, 1.0)),
-    );
+    let further = rival.points[1..].iter();
+    out.extend(further.map(|p| difference(&at(p), base, 1.0)));
     out
 }
 
@@ -133,12 +118,8 @@ fn residual(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Vec<f64> {
         let n = ((to - k) as f64).sqrt();
         for q in log.quantities() {
             for axis in 0..3 {
-                out.push(
-                    (k..to)
-                        .map(|b| residual[q][b][axis] * log.bins[b].weight[q])
-                        .sum::<f64>()
-                        / n,
-                );
+                let weighted = |b: usize| residual[q][b][axis] * log.bins[b].weight[q];
+                out.push((k..to).map(weighted).sum::<f64>() / n);
             }
         }
         k = to;
@@ -171,10 +152,8 @@ impl Information {
     /// Size of every point of every effect after a recalibration, standard deviations.
     pub fn sizes(&self) -> Vec<Vec<f64>> {
         let size = |c: usize| self.gram[(c, c)].max(0.0).sqrt();
-        self.spans
-            .iter()
-            .map(|s| (s.points.0..s.points.1).map(size).collect())
-            .collect()
+        let of = |s: &Span| s.points.clone().map(size).collect();
+        self.spans.iter().map(of).collect()
     }
 
     /// Distances with each point scaled by `scale`.
@@ -182,14 +161,12 @@ impl Information {
         let n = self.spans.len();
         let mut of = DMatrix::from_element(n, n, f64::INFINITY);
         for j in 0..n {
-            let imitate = Imitation::new(self, self.spans[j]);
+            let imitate = Imitation::new(self, &self.spans[j]);
             for i in 0..n {
-                let s = self.spans[i];
-                for (c, size) in (s.points.0..s.points.1).zip(&scale[i]) {
-                    let left = if i == j {
-                        self.gram[(c, c)]
-                    } else {
-                        imitate.left(self, c)
+                for (c, size) in self.spans[i].points.clone().zip(&scale[i]) {
+                    let left = match i == j {
+                        true => self.gram[(c, c)],
+                        false => imitate.left(self, c),
                     };
                     let d = size * left.max(0.0).sqrt();
                     of[(i, j)] = of[(i, j)].min(d);
@@ -211,8 +188,8 @@ struct Imitation {
 }
 
 impl Imitation {
-    fn new(info: &Information, span: Span) -> Self {
-        let columns: Vec<usize> = (span.slopes.0..span.points.1).collect();
+    fn new(info: &Information, span: &Span) -> Self {
+        let columns: Vec<usize> = (span.slopes.start..span.points.end).collect();
         let n = columns.len();
         let gram = DMatrix::from_fn(n, n, |a, b| {
             info.gram[(columns[a], columns[b])] + if a == b { PRIOR } else { 0.0 }
@@ -225,14 +202,9 @@ impl Imitation {
 
     /// Square of what imitation leaves of column `c`.
     fn left(&self, info: &Information, c: usize) -> f64 {
-        let across = DVector::from_iterator(
-            self.columns.len(),
-            self.columns.iter().map(|&k| info.gram[(k, c)]),
-        );
-        let taken = self
-            .solved
-            .as_ref()
-            .map_or(0.0, |s| across.dot(&s.solve(&across)));
-        info.gram[(c, c)] - taken
+        let across = |k: usize, _| info.gram[(self.columns[k], c)];
+        let across = DVector::from_fn(self.columns.len(), across);
+        let solved = self.solved.as_ref();
+        info.gram[(c, c)] - solved.map_or(0.0, |s| across.dot(&s.solve(&across)))
     }
 }

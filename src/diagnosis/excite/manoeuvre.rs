@@ -4,7 +4,7 @@
 //! of a reversal, nested loops memory, quick reversals delays, a stroke at constant bend pressure, a hold creep and leak,
 //! and a rest a dependence on time.
 
-use crate::diagnosis::excite::rows::{Machine, Row};
+use crate::diagnosis::excite::{Machine, Row};
 use rand::RngExt;
 use rand::rngs::StdRng;
 use std::f64::consts::TAU;
@@ -62,39 +62,34 @@ impl Manoeuvre {
     /// Rows of the manoeuvre; the bend of a pose out of reach is reduced until the machine reaches it.
     pub fn rows(&self, machine: &Machine) -> Vec<Row> {
         let rest_mm = machine.rig.geometry.rest_length_mm;
-        let pose = |bend_deg: f64, dir_deg: f64, len_mm: f64, hold_s: f64| Row {
-            bend_deg,
-            dir_deg: dir_deg + if bend_deg < 0.0 { 180.0 } else { 0.0 },
-            len_mm,
-            hold_s,
-            speed_mm_s: self.speed_mm_s,
+        let pose = |bend_deg: f64, dir_deg: f64, len_mm: f64, hold_s: f64| {
+            let turned_deg = if bend_deg < 0.0 { 180.0 } else { 0.0 };
+            Row::new(
+                bend_deg,
+                dir_deg + turned_deg,
+                len_mm,
+                hold_s,
+                self.speed_mm_s,
+            )
         };
         let here = |bend_deg: f64| pose(bend_deg, self.dir_deg, self.len_mm, self.hold_s);
         let n = self.count.max(1);
         let part = |k: usize| k as f64 / n as f64;
+        let side = |k: usize| [1.0, -1.0][k % 2];
         let mut rows: Vec<Row> = match self.kind {
-            ManoeuvreKind::Circle => (0..n)
-                .map(|k| {
-                    pose(
-                        self.bend_deg,
-                        self.dir_deg + 360.0 * part(k),
-                        self.len_mm,
-                        self.hold_s,
-                    )
-                })
-                .collect(),
+            ManoeuvreKind::Circle => {
+                let towards = |k: usize| self.dir_deg + 360.0 * part(k);
+                let round = |k: usize| pose(self.bend_deg, towards(k), self.len_mm, self.hold_s);
+                (0..n).map(round).collect()
+            }
             ManoeuvreKind::Ladder => (1..=n)
                 .chain((1..n).rev())
                 .map(|k| here(self.bend_deg * part(k)))
                 .collect(),
             ManoeuvreKind::Nested => (0..n)
-                .map(|k| {
-                    here(self.bend_deg * (1.0 - part(k)) * if k % 2 == 0 { 1.0 } else { -1.0 })
-                })
+                .map(|k| here(self.bend_deg * (1.0 - part(k)) * side(k)))
                 .collect(),
-            ManoeuvreKind::Reversals => (0..2 * n)
-                .map(|k| here(self.bend_deg * if k % 2 == 0 { 1.0 } else { -1.0 }))
-                .collect(),
+            ManoeuvreKind::Reversals => (0..2 * n).map(|k| here(self.bend_deg * side(k))).collect(),
             ManoeuvreKind::Stroke => {
                 let lengths = [self.len_mm, 2.0 * rest_mm - self.len_mm];
                 (0..2 * n)
@@ -246,7 +241,7 @@ pub fn first_guess(rest_mm: f64) -> Vec<Manoeuvre> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::rig::Rig;
+    use crate::diagnosis::tip::Rig;
     use crate::model::transmission::Line;
     use rand::SeedableRng;
 

@@ -3,7 +3,7 @@
 //! Distances between effects grow with their sizes. The draws determine the direction only; the design gives all effects
 //! the same size, so that a wide prior does not make an effect look easy to find.
 
-use crate::diagnosis::saved::SavedModel;
+use crate::diagnosis::tip::SavedModel;
 use crate::model::effects::{Effect, Param};
 use rand::RngExt;
 use rand::rngs::StdRng;
@@ -29,13 +29,8 @@ impl Rival {
     /// An effect at draws from its prior; events after the second do not happen.
     pub fn drawn(effect: Box<dyn Effect>, rng: &mut StdRng) -> Self {
         let (params, counted) = (effect.params(), counted(effect.as_ref()));
-        let mut point = || {
-            params
-                .iter()
-                .enumerate()
-                .map(|(i, p)| if i < counted { draw(p, rng) } else { p.start })
-                .collect()
-        };
+        let mut value = |(i, p): (usize, &Param)| if i < counted { draw(p, rng) } else { p.start };
+        let mut point = || params.iter().enumerate().map(&mut value).collect();
         Self {
             points: (0..DRAWS).map(|_| point()).collect(),
             effect,
@@ -57,10 +52,9 @@ impl Rival {
 /// Number of parameters by which a schedule is judged.
 pub fn counted(effect: &dyn Effect) -> usize {
     let (all, events) = (effect.params().len(), effect.info().events);
-    if events > EVENTS_MAX {
-        all / events * EVENTS_MAX
-    } else {
-        all
+    match events > EVENTS_MAX {
+        true => all / events * EVENTS_MAX,
+        false => all,
     }
 }
 
@@ -70,11 +64,8 @@ fn draw(p: &Param, rng: &mut StdRng) -> f64 {
         return rng.random_range(EVENTS_S.0..EVENTS_S.1);
     }
     let two_sided = p.low < p.start - 0.1 * p.scale;
-    let sign = if two_sided && rng.random_bool(0.5) {
-        -1.0
-    } else {
-        1.0
-    };
+    let mirrored = two_sided && rng.random_bool(0.5);
+    let sign = if mirrored { -1.0 } else { 1.0 };
     (p.start + sign * p.scale * rng.random_range(0.3..1.2)).clamp(p.low, p.high)
 }
 

@@ -4,7 +4,7 @@
 //! the way, and the hold after arrival. All pistons start and arrive together on straight lines. Eq. 10-11 and Eq. 16
 //! turn poses into piston positions.
 
-use crate::diagnosis::rig::Rig;
+use crate::diagnosis::tip::Rig;
 use crate::log::error::ReadError;
 use crate::log::table::{Schema, Table};
 use crate::model::{Bend, Geometry, Line, Shape, Side, SideState, Wanted};
@@ -40,15 +40,20 @@ pub struct Row {
 }
 
 impl Row {
+    /// The pose with this bend, direction and length, held so long, reached at that speed.
+    pub fn new(bend_deg: f64, dir_deg: f64, len_mm: f64, hold_s: f64, speed_mm_s: f64) -> Self {
+        Self {
+            bend_deg,
+            dir_deg,
+            len_mm,
+            hold_s,
+            speed_mm_s,
+        }
+    }
+
     /// A rest.
     pub fn rest(hold_s: f64, geometry: &Geometry) -> Self {
-        Self {
-            bend_deg: 0.0,
-            dir_deg: 0.0,
-            len_mm: geometry.rest_length_mm,
-            hold_s,
-            speed_mm_s: REST_SPEED_MM_S,
-        }
+        Self::new(0.0, 0.0, geometry.rest_length_mm, hold_s, REST_SPEED_MM_S)
     }
 
     /// Change of bellow lengths, mm.
@@ -62,13 +67,9 @@ impl Row {
     /// The row rounded to the digits that a file holds, so that the designed schedule is the written one.
     pub fn rounded(&self) -> Self {
         let to = |x: f64, digits: f64| (x * digits).round() / digits;
-        Self {
-            bend_deg: to(self.bend_deg, 100.0),
-            dir_deg: to(self.dir_deg.rem_euclid(360.0), 10.0).rem_euclid(360.0),
-            len_mm: to(self.len_mm, 100.0),
-            hold_s: to(self.hold_s, 100.0),
-            speed_mm_s: to(self.speed_mm_s, 10.0),
-        }
+        let [bend, len, hold] = [self.bend_deg, self.len_mm, self.hold_s].map(|x| to(x, 100.0));
+        let dir = to(self.dir_deg.rem_euclid(360.0), 10.0).rem_euclid(360.0);
+        Self::new(bend, dir, len, hold, to(self.speed_mm_s, 10.0))
     }
 }
 
@@ -88,15 +89,12 @@ pub struct Machine {
 impl Machine {
     /// A rig with these gains.
     pub fn new(rig: Rig, lines: [Line; 3]) -> Self {
-        let speed_mm_s = [
-            SPEED_MIN_MM_S,
-            (rig.speed_max_mm_s - SPEED_MARGIN_MM_S).max(SPEED_MIN_MM_S + 1.0),
-        ];
+        let fastest = (rig.speed_max_mm_s - SPEED_MARGIN_MM_S).max(SPEED_MIN_MM_S + 1.0);
         Self {
             rig,
             lines,
             travel_mm: TRAVEL_SHARE * rig.travel_mm,
-            speed_mm_s,
+            speed_mm_s: [SPEED_MIN_MM_S, fastest],
         }
     }
 
@@ -124,14 +122,9 @@ impl Machine {
         for row in rows {
             let q = row.lengths(&self.rig.geometry);
             let to = Vector3::from_fn(|i, _| {
-                let (piston, next) = side.invert(
-                    &self.lines[i],
-                    states[i],
-                    &Wanted {
-                        q_mm: q[i],
-                        dt_s: 1.0,
-                    },
-                );
+                let (q_mm, dt_s) = (q[i], 1.0);
+                let wanted = Wanted { q_mm, dt_s };
+                let (piston, next) = side.invert(&self.lines[i], states[i], &wanted);
                 states[i] = next;
                 piston
             });
@@ -142,10 +135,10 @@ impl Machine {
                 if t > end_s {
                     break;
                 }
-                let share = if move_s > 0.0 {
-                    ((t - begun_s) / move_s).min(1.0)
-                } else {
-                    1.0
+                // a way of no length is done at once
+                let share = match move_s > 0.0 {
+                    true => ((t - begun_s) / move_s).min(1.0),
+                    false => 1.0,
                 };
                 out.t_s.push(t);
                 out.piston_mm.push(from + (to - from) * share);
@@ -241,13 +234,7 @@ pub fn read(path: &Path) -> Result<Vec<Row>, ReadError> {
         }
     }
     let [bend, dir, len, hold, speed] = table.group(names)?.unwrap_or_default();
-    let row = |k: usize| Row {
-        bend_deg: bend[k],
-        dir_deg: dir[k],
-        len_mm: len[k],
-        hold_s: hold[k],
-        speed_mm_s: speed[k],
-    };
+    let row = |k: usize| Row::new(bend[k], dir[k], len[k], hold[k], speed[k]);
     Ok((0..table.rows()).map(row).collect())
 }
 

@@ -1,9 +1,7 @@
 //! The log of a schedule on the nominal machine, relative to which distances are computed.
 
-use crate::diagnosis::bins::{BIN_S, G_M_S2};
-use crate::diagnosis::excite::rows::{Driven, Machine};
-use crate::diagnosis::observe::Observed;
-use crate::diagnosis::refuse::ObserveError;
+use crate::diagnosis::excite::{Driven, Machine};
+use crate::diagnosis::tip::observed::{BIN_S, G_M_S2, ObserveError, Observed};
 use crate::log::bend_log::{BendLog, ImuColumns};
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::rngs::StdRng;
@@ -41,10 +39,9 @@ pub fn observed(
     };
     let mut reference = Vec::new();
     for (k, r) in tips.iter().enumerate() {
-        let turn = if k == 0 {
-            Vector3::zeros()
-        } else {
-            (tips[k - 1].inverse() * r).scaled_axis() / PERIOD_S
+        let turn = match k {
+            0 => Vector3::zeros(),
+            _ => (tips[k - 1].inverse() * r).scaled_axis() / PERIOD_S,
         };
         imu.acc.push(r.inverse() * up + noise(NOISE[0]));
         imu.gyr.push(turn + noise(NOISE[1]));

@@ -3,8 +3,10 @@
 pub mod chance;
 pub mod row;
 
+pub use row::GAINS;
+
 use crate::diagnosis::fleet::chance::{at_least, rank_z, two_sided};
-use crate::diagnosis::fleet::row::{GAINS, Row};
+use crate::diagnosis::fleet::row::Row;
 use crate::model::effects::catalogue;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -111,11 +113,8 @@ enum Quantity {
 
 impl Quantity {
     fn all() -> Vec<Self> {
-        catalogue()
-            .into_iter()
-            .map(|e| Self::Effect(e.name()))
-            .chain(GAINS.map(Self::Gain))
-            .collect()
+        let effects = catalogue().into_iter().map(|e| Self::Effect(e.name()));
+        effects.chain(GAINS.map(Self::Gain)).collect()
     }
 
     /// Its value; `None` if the row does not tell.
@@ -124,11 +123,8 @@ impl Quantity {
             Self::Effect(name) => {
                 Some(f64::from(u8::from(row.names.split('+').any(|n| n == name))))
             }
-            Self::Gain(name) => row
-                .numbers
-                .get(name)
-                .copied()
-                .filter(|_| row.verdict == "none"),
+            Self::Gain(_) if row.verdict != "none" => None,
+            Self::Gain(name) => row.numbers.get(name).copied(),
         }
     }
 
@@ -163,22 +159,14 @@ impl Lot {
         let (mut logs, mut counts) = (0_usize, BTreeMap::new());
         for row in rows {
             logs += 1;
-            let verdict = [row.verdict.as_str()]
-                .into_iter()
-                .filter(|kind| *kind != "effects");
-            for name in row
-                .names
-                .split('+')
-                .filter(|name| !name.is_empty())
-                .chain(verdict)
-            {
+            let verdict = Some(row.verdict.as_str()).filter(|kind| *kind != "effects");
+            let names = row.names.split('+').filter(|name| !name.is_empty());
+            for name in names.chain(verdict) {
                 *counts.entry(name.to_owned()).or_insert(0.0) += 1.0;
             }
         }
-        let mut shares: Vec<(String, f64)> = counts
-            .into_iter()
-            .map(|(name, count)| (name, count / logs as f64))
-            .collect();
+        let share = |(name, count)| (name, count / logs as f64);
+        let mut shares: Vec<(String, f64)> = counts.into_iter().map(share).collect();
         shares.sort_by(|a, b| b.1.total_cmp(&a.1));
         Self {
             name: name.to_owned(),
@@ -194,27 +182,24 @@ impl Survey {
         let told: Vec<&Row> = rows.iter().filter(|row| row.refused.is_empty()).collect();
         let names: BTreeSet<&str> = told.iter().map(|row| row.lot.as_str()).collect();
         let mut lots = vec![Lot::new("all", told.iter().copied())];
-        lots.extend(
-            names
-                .iter()
-                .map(|name| Lot::new(name, told.iter().copied().filter(|row| row.lot == *name))),
-        );
+        for name in &names {
+            lots.push(Lot::new(
+                name,
+                told.iter().copied().filter(|row| row.lot == *name),
+            ));
+        }
         let quantities = Quantity::all();
         // every lot beside the others, its drift, and the common drift, of every quantity (Bonferroni)
         let comparisons = (quantities.len() * (2 * names.len() + 1)) as f64;
         let mut findings = Vec::new();
         for q in quantities {
             findings.extend(lots_apart(&told, q, &names, comparisons));
-            let drifting: Vec<Finding> = names
-                .iter()
-                .filter_map(|lot| drifts(&told, q, Some(lot), comparisons))
-                .collect();
-            let all = if drifting.is_empty() {
-                drifts(&told, q, None, comparisons)
-            } else {
-                None
-            };
-            findings.extend(drifting.into_iter().chain(all));
+            let drift = |lot: Option<&str>| drifts(&told, q, lot, comparisons);
+            let before = findings.len();
+            findings.extend(names.iter().filter_map(|lot| drift(Some(lot))));
+            if findings.len() == before {
+                findings.extend(drift(None));
+            }
         }
         findings.sort_by(|a, b| a.p.total_cmp(&b.p));
         let gain = |name: &&'static str| {
@@ -236,11 +221,12 @@ impl Survey {
 fn lots_apart(rows: &[&Row], q: Quantity, lots: &BTreeSet<&str>, comparisons: f64) -> Vec<Finding> {
     let (mut found, mut rows, mut left) = (Vec::new(), rows.to_vec(), lots.clone());
     while left.len() > 1 {
-        let clearest = left
+        let apart = left
             .iter()
-            .filter_map(|lot| differs(&rows, q, lot, comparisons))
-            .min_by(|a, b| a.p.total_cmp(&b.p));
-        let Some(finding) = clearest else { break };
+            .filter_map(|lot| differs(&rows, q, lot, comparisons));
+        let Some(finding) = apart.min_by(|a, b| a.p.total_cmp(&b.p)) else {
+            break;
+        };
         left.retain(|lot| finding.lot.as_deref() != Some(lot));
         rows.retain(|row| left.contains(row.lot.as_str()));
         found.push(finding);
@@ -251,28 +237,23 @@ fn lots_apart(rows: &[&Row], q: Quantity, lots: &BTreeSet<&str>, comparisons: f6
 /// Compares a lot with the others: whether it has an effect more often, or another gain.
 fn differs(rows: &[&Row], q: Quantity, lot: &str, comparisons: f64) -> Option<Finding> {
     let side = |inside| {
-        rows.iter()
-            .filter(move |row| (row.lot == lot) == inside)
-            .filter_map(|row| q.of(row))
-            .collect::<Vec<f64>>()
+        let rows = rows.iter().filter(|row| (row.lot == lot) == inside);
+        rows.filter_map(|row| q.of(row)).collect::<Vec<f64>>()
     };
     let [here, elsewhere] = [true, false].map(side);
     let p = match q {
         Quantity::Effect(_) => {
-            let hits = |side: &[f64]| side.iter().filter(|x| **x > 0.0).count();
+            let [hits, others] =
+                [&here, &elsewhere].map(|side| side.iter().filter(|x| **x > 0.0).count());
             at_least(
-                hits(&here),
+                hits,
                 here.len(),
-                hits(&here) + hits(&elsewhere),
+                hits + others,
                 here.len() + elsewhere.len(),
             )
         }
         Quantity::Gain(_) => {
-            let side: Vec<f64> = here
-                .iter()
-                .map(|_| 1.0)
-                .chain(elsewhere.iter().map(|_| 0.0))
-                .collect();
+            let side = [vec![1.0; here.len()], vec![0.0; elsewhere.len()]].concat();
             two_sided(rank_z(&side, &[here.as_slice(), &elsewhere].concat()))
         }
     };
@@ -282,22 +263,17 @@ fn differs(rows: &[&Row], q: Quantity, lot: &str, comparisons: f64) -> Option<Fi
 /// Compares later with earlier logs of a lot, or within every lot, so that a difference between lots is no drift.
 fn drifts(rows: &[&Row], q: Quantity, lot: Option<&str>, comparisons: f64) -> Option<Finding> {
     let mut lots: BTreeMap<&str, Vec<(&str, f64)>> = BTreeMap::new();
-    for row in rows
-        .iter()
-        .filter(|row| !row.date.is_empty() && lot.is_none_or(|lot| row.lot == lot))
-    {
-        lots.entry(&row.lot)
-            .or_default()
-            .extend(q.of(row).map(|value| (row.date.as_str(), value)));
+    let asked = |row: &&&Row| !row.date.is_empty() && lot.is_none_or(|lot| row.lot == lot);
+    for row in rows.iter().filter(asked) {
+        let dated = q.of(row).map(|value| (row.date.as_str(), value));
+        lots.entry(&row.lot).or_default().extend(dated);
     }
     let (mut here, mut elsewhere, mut sum) = (Vec::new(), Vec::new(), 0.0);
     for dated in lots.values_mut() {
         dated.sort_by_key(|(date, _)| *date);
         let (dates, values): (Vec<&str>, Vec<f64>) = dated.iter().copied().unzip();
-        let days: Vec<f64> = dates
-            .iter()
-            .map(|day| dates.partition_point(|other| other < day) as f64)
-            .collect();
+        let day = |day| dates.partition_point(|other| other < day) as f64;
+        let days: Vec<f64> = dates.iter().map(day).collect();
         sum += rank_z(&days, &values) * (values.len() as f64).sqrt();
         let (earlier, later) = values.split_at(values.len() / 2);
         elsewhere.extend_from_slice(earlier);
@@ -316,10 +292,8 @@ fn spread(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
     };
     let values: Vec<f64> = values.collect();
     let middle = median(values.clone())?;
-    Some([
-        middle,
-        SIGMA_PER_MAD * median(values.iter().map(|x| (x - middle).abs()).collect())?,
-    ])
+    let apart = values.iter().map(|x| (x - middle).abs()).collect();
+    Some([middle, SIGMA_PER_MAD * median(apart)?])
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! One row per diagnosed log.
 
-use crate::diagnosis::diagnose::Diagnosed;
+use crate::diagnosis::tip::Diagnosed;
 use crate::log::columns::Column;
 use crate::model::lines;
 use serde::{Deserialize, Serialize};
@@ -64,11 +64,8 @@ impl Row {
         let gap = &document.gap;
         let theta = &done.chosen.fitted.theta;
         let lines = lines(theta);
-        let gains = lines
-            .iter()
-            .map(|l| l.k_epsilon)
-            .chain(lines.iter().map(|l| l.k_lambda_mm))
-            .chain([theta[6]]);
+        let (k_epsilon, k_lambda_mm) = (lines.map(|l| l.k_epsilon), lines.map(|l| l.k_lambda_mm));
+        let gains = k_epsilon.into_iter().chain(k_lambda_mm).chain([theta[6]]);
         let named = [
             ("as_configured_deg", gap.as_configured_deg),
             ("recalibrated_deg", gap.recalibrated_deg),
@@ -80,40 +77,28 @@ impl Row {
             .effects
             .iter()
             .map(|e| (format!("p_{}", e.name), e.probability));
-        let named = named
-            .into_iter()
-            .chain(GAINS.into_iter().zip(gains))
-            .map(|(name, value)| (name.to_owned(), value));
-        self.numbers = named
-            .chain(effects)
-            .filter(|(_, value)| value.is_finite())
-            .collect();
+        let named = named.into_iter().chain(GAINS.into_iter().zip(gains));
+        let numbers = named
+            .map(|(name, value)| (name.to_owned(), value))
+            .chain(effects);
+        self.numbers = numbers.filter(|(_, value)| value.is_finite()).collect();
     }
 }
 
 /// Rows as the columns of a table, texts first.
 pub fn table(rows: &[Row]) -> Vec<(String, Column)> {
-    let objects: Vec<Value> = rows
-        .iter()
-        .map(|row| serde_json::to_value(row).unwrap_or_default())
-        .collect();
+    let object = |row| serde_json::to_value(row).unwrap_or_default();
+    let objects: Vec<Value> = rows.iter().map(object).collect();
     let cells = objects.iter().filter_map(Value::as_object).flatten();
     let names: BTreeSet<(bool, &String)> = cells
         .map(|(name, value)| (value.is_number(), name))
         .collect();
+    let text = |cell: &Value| cell.as_str().unwrap_or_default().to_owned();
     let column = |(number, name): (bool, &String)| {
         let cells = objects.iter().map(|object| &object[name.as_str()]);
         let column = match number {
-            true => Column::Numbers(
-                cells
-                    .map(|cell| cell.as_f64().unwrap_or(f64::NAN))
-                    .collect(),
-            ),
-            false => Column::Texts(
-                cells
-                    .map(|cell| cell.as_str().unwrap_or_default().to_owned())
-                    .collect(),
-            ),
+            true => Column::Numbers(cells.map(|c| c.as_f64().unwrap_or(f64::NAN)).collect()),
+            false => Column::Texts(cells.map(text).collect()),
         };
         (name.clone(), column)
     };
@@ -134,16 +119,10 @@ pub fn rows(table: &[(String, Column)]) -> Result<Vec<Row>, serde_json::Error> {
         Column::Texts(all) => Some(all[k].as_str().into()),
     };
     let row = |k| {
-        let cells = table
-            .iter()
-            .filter_map(|(name, column)| Some((name.clone(), cell(column, k)?)));
-        serde_json::from_value(Value::Object(cells.collect::<Map<String, Value>>()))
+        let named = |(name, column): &(String, _)| Some((name.clone(), cell(column, k)?));
+        let cells: Map<String, Value> = table.iter().filter_map(named).collect();
+        serde_json::from_value(Value::Object(cells))
     };
-    (0..table
-        .iter()
-        .map(|(_, column)| length(column))
-        .min()
-        .unwrap_or(0))
-        .map(row)
-        .collect()
+    let rows = table.iter().map(|(_, column)| length(column)).min();
+    (0..rows.unwrap_or(0)).map(row).collect()
 }

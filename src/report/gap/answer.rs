@@ -1,6 +1,6 @@
 //! A diagnosis in words and tables.
 
-use crate::diagnosis::document::{Diagnosis, EffectEntry, LogEntry};
+use crate::diagnosis::tip::{Diagnosis, EffectEntry, LogEntry};
 use crate::report::gap::words::{self, verdict};
 use crate::report::table::titled;
 use std::path::Path;

@@ -1,9 +1,8 @@
 //! A simulator beside a log: the JSON file, and the answer in words.
 
-use crate::diagnosis::diagnose::goes_with;
-use crate::diagnosis::document::{DependenceEntry, Diagnosis};
-use crate::diagnosis::holdout::CLAIM_DEG;
-use crate::diagnosis::observe::Observed;
+use crate::diagnosis::tip::fit::CLAIM_DEG;
+use crate::diagnosis::tip::observed::Observed;
+use crate::diagnosis::tip::{DependenceEntry, Diagnosis, goes_with};
 use crate::experiment::compare::{Compared, Knob};
 use crate::report::table::titled;
 use serde::Serialize;

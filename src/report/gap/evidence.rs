@@ -1,11 +1,8 @@
 //! Data of the charts: residuals of the bins with pose and time, and measured and predicted signals.
 
-use crate::diagnosis::bins::G_M_S2;
-use crate::diagnosis::diagnose::Diagnosed;
-use crate::diagnosis::holdout::HeldOut;
-use crate::diagnosis::location::{commanded_bend, polar_deg};
-use crate::diagnosis::observe::Observed;
-use crate::diagnosis::quantity::Quantity;
+use crate::diagnosis::tip::fit::HeldOut;
+use crate::diagnosis::tip::observed::{G_M_S2, Observed, Quantity};
+use crate::diagnosis::tip::{Diagnosed, commanded_bend, polar_deg};
 use crate::experiment::arm::root_mean;
 use crate::model::{Bend, lines};
 use crate::primitives::Rotation;

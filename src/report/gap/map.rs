@@ -1,8 +1,9 @@
 //! The diagnosis of a mapped log of another rig in words.
 
-use crate::diagnosis::decide::VerdictKind;
-use crate::diagnosis::map::document::{Document, Entry, Parameter};
-use crate::diagnosis::map::operators::kind;
+use crate::diagnosis::rig::document::Parameter;
+use crate::diagnosis::rig::operators::kind;
+use crate::diagnosis::rig::{Document, Entry};
+use crate::diagnosis::verdict::VerdictKind;
 use crate::report::gap::words::verdict;
 use crate::report::table::titled;
 

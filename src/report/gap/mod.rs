@@ -8,8 +8,8 @@ pub mod map;
 pub mod schedule;
 pub mod words;
 
-use crate::diagnosis::decide::VerdictKind;
-use crate::diagnosis::document::{Diagnosis, EffectEntry, ParamValue};
+use crate::diagnosis::tip::{Diagnosis, EffectEntry, ParamValue};
+use crate::diagnosis::verdict::VerdictKind;
 use crate::report::bars::{self, Bar};
 use crate::report::chart::{Axis, Chart, Series, Stroke};
 use crate::report::gap::evidence::{Evidence, Trace};

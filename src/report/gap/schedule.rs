@@ -1,7 +1,7 @@
 //! What a designed schedule separates, in words.
 
-use crate::diagnosis::confusion::separable;
-use crate::diagnosis::excite::design::{APART, Design, LONGEST_S, Pair, Request};
+use crate::diagnosis::excite::{APART, Design, LONGEST_S, Pair, Request};
+use crate::diagnosis::tip::separable;
 use crate::report::table::titled;
 use std::path::Path;
 

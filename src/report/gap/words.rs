@@ -1,10 +1,7 @@
 //! A diagnosis in words.
 
-use crate::diagnosis::decide::VerdictKind;
-use crate::diagnosis::document::{
-    Diagnosis, EffectEntry, ParamValue, StatementEntry, VerdictEntry,
-};
-use crate::diagnosis::remedy::Remedy;
+use crate::diagnosis::tip::{Diagnosis, EffectEntry, ParamValue, Remedy};
+use crate::diagnosis::verdict::{StatementEntry, Verdict, VerdictKind};
 use crate::model::effects::by_name;
 
 /// Name of an effect without underscores.
@@ -301,7 +298,7 @@ pub fn short(x: f64) -> String {
 }
 
 /// A verdict and the effects that it names, in one line.
-pub fn verdict(verdict: &VerdictEntry) -> String {
+pub fn verdict(verdict: &Verdict) -> String {
     let between = if verdict.names.is_empty() { "" } else { ": " };
     let names = verdict.names.join(" and ");
     format!("verdict {}{between}{names}", verdict.kind.name())

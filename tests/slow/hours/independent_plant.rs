@@ -7,10 +7,10 @@ use rand::rngs::StdRng;
 use rand::{Rng, RngExt, SeedableRng};
 use retroflex::config::calib::Calibration;
 use retroflex::config::source;
-use retroflex::diagnosis::exam::question::{Content, Logs, Question, Recorded, questions};
-use retroflex::diagnosis::exam::record::record;
 use retroflex::diagnosis::exam::run::run as answer_all;
-use retroflex::diagnosis::exam::score::{Row, score};
+use retroflex::diagnosis::exam::{
+    Content, Logs, Question, Recorded, Row, questions, record, score,
+};
 use retroflex::experiment::evaluation::Arm;
 use retroflex::model::Line;
 use retroflex::model::effects::catalogue;

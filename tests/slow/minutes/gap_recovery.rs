@@ -6,12 +6,10 @@
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rayon::prelude::*;
-use retroflex::diagnosis::diagnose::diagnose;
-use retroflex::diagnosis::document::Diagnosis;
-use retroflex::diagnosis::exam::question::{Content, Question};
-use retroflex::diagnosis::exam::record::{PERIOD_S, record};
-use retroflex::diagnosis::observe::Observed;
-use retroflex::diagnosis::rig::Rig;
+use retroflex::diagnosis::diagnose;
+use retroflex::diagnosis::exam::{Content, PERIOD_S, Question, record};
+use retroflex::diagnosis::tip::observed::Observed;
+use retroflex::diagnosis::tip::{Diagnosis, Rig, TipProblem};
 use retroflex::log::bend_log::BendLog;
 use retroflex::model::Line;
 use retroflex::model::effects::catalogue;
@@ -39,7 +37,7 @@ fn diagnosis_of(name: &'static str, n: usize) -> Diagnosis {
     };
     let logs = question.draw().unwrap();
     let log = Observed::new(&logs.log, &Rig::default()).unwrap();
-    diagnose(&log, &catalogue(), &logs.lines, 1).document
+    diagnose(&TipProblem::new(&log, &catalogue(), &logs.lines, 1)).document
 }
 
 /// Whether the most probable effect is more likely than not, and is `name` or belongs to a stated group with it.
@@ -123,14 +121,10 @@ fn an_imu_on_the_base_explains_the_motion_of_the_base() {
         )
         .unwrap();
         let verdict = |log: &BendLog| {
-            diagnose(
-                &Observed::new(log, &Rig::default()).unwrap(),
-                &catalogue(),
-                &lines,
-                1,
-            )
-            .document
-            .verdict
+            let log = Observed::new(log, &Rig::default()).unwrap();
+            diagnose(&TipProblem::new(&log, &catalogue(), &lines, 1))
+                .document
+                .verdict
         };
         let with = verdict(&log);
         log.base = None;

@@ -1,0 +1,123 @@
+//! Map files: the meaning of the columns of a bench log of another rig.
+//!
+//! `docs/other-rigs.md` documents every key; unknown keys are errors.
+
+use crate::primitives::{check::Checker, parameters::Check};
+use serde::Deserialize;
+
+/// Nominal model of a rig.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Nominal {
+    /// `y = a + Σ b_i u_i`.
+    #[default]
+    Line,
+    /// `y = a`: no input.
+    Still,
+    /// A linear second-order oscillator driven by the input.
+    Resonance,
+}
+
+/// One column or several.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(untagged)]
+pub enum Columns {
+    /// One.
+    One(String),
+    /// Several.
+    Many(Vec<String>),
+}
+
+impl Columns {
+    /// Names of the columns.
+    pub fn names(&self) -> Vec<&str> {
+        match self {
+            Self::One(name) => vec![name],
+            Self::Many(names) => names.iter().map(String::as_str).collect(),
+        }
+    }
+}
+
+/// A map file.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MapFile {
+    /// Column that drives the rig, or columns, whose best linear combination does; none for `still`.
+    #[serde(default)]
+    pub input: Option<Columns>,
+    /// Output column; of several columns the norm is used.
+    pub output: Columns,
+    /// Column whose speed friction depends on; default the first input.
+    #[serde(default)]
+    pub motion: Option<String>,
+    /// Column of time, s.
+    #[serde(default)]
+    pub time: Option<String>,
+    /// Rows per second, without a column of time.
+    #[serde(default)]
+    pub rate_hz: Option<f64>,
+    /// Unit of the input, for display.
+    #[serde(default)]
+    pub input_unit: String,
+    /// Unit of the output, for display.
+    #[serde(default)]
+    pub output_unit: String,
+    /// Nominal model: `line` (default), `still` or `resonance`.
+    #[serde(default)]
+    pub nominal: Nominal,
+    /// Use every n-th row. Default 1; larger is faster and resolves less.
+    #[serde(default = "one")]
+    pub every: usize,
+}
+
+impl MapFile {
+    /// Names of the inputs.
+    pub fn inputs(&self) -> Vec<&str> {
+        self.input.as_ref().map_or(vec![], Columns::names)
+    }
+}
+
+fn one() -> usize {
+    1
+}
+
+impl Check for MapFile {
+    const REMEDY: &'static str = "docs/maps holds a map for each rig of docs/other-rigs.md";
+
+    fn check(&self, to: &mut Checker) {
+        to.at("every")
+            .range(self.every as f64, 1.0..=10_000.0, "")
+            .hint("1 uses every row");
+        if let Some(rate) = self.rate_hz {
+            to.at("rate_hz")
+                .range(rate, 1e-6..=1e7, "Hz")
+                .hint("rows per second");
+            to.at("rate_hz")
+                .holds(self.time.is_none(), "is given together with `time`")
+                .hint("a log has one clock: remove one of the two");
+        }
+        to.at("output")
+            .holds(!self.output.names().is_empty(), "names no column")
+            .hint("name the output column");
+        let (inputs, driven) = (self.inputs().len(), !self.inputs().is_empty());
+        match self.nominal {
+            Nominal::Still => to
+                .at("input")
+                .holds(!driven, "is given although nominal = \"still\" has none")
+                .hint("remove the input, or set nominal = \"line\""),
+            Nominal::Line => to
+                .at("output")
+                .holds(driven, "has no input")
+                .hint("name the input, or set nominal = \"still\""),
+            Nominal::Resonance => {
+                let clocked = self.rate_hz.is_some() || self.time.is_some();
+                to.at("nominal")
+                    .holds(inputs == 1, "an oscillator has one input")
+                    .hint("name one column");
+                to.at("nominal")
+                    .holds(clocked, "an oscillator needs a clock")
+                    .hint("give `time` or `rate_hz`");
+            }
+        }
+    }
+}

@@ -1,0 +1,447 @@
+//! Operators between the input and the output of a single channel.
+//!
+//! For one value η of its only nonlinear parameter, an operator gives columns of a linear regression beside the nominal
+//! ones. `v` is the nominal prediction scaled to −1..=1, `m` the moving signal scaled to 0..=1; times are in seconds, or
+//! rows if the log has no clock. The state runs through the whole log.
+
+use std::f64::consts::TAU;
+
+/// Signals that an operator acts on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Drive {
+    /// Nominal prediction, scaled to −1..=1.
+    pub v: Vec<f64>,
+    /// Moving signal, scaled to 0..=1.
+    pub m: Vec<f64>,
+    /// Range of the moving signal, in its own unit.
+    pub m_range: f64,
+    /// Time, s or rows.
+    pub t: Vec<f64>,
+    /// `v` at an input of zero.
+    pub zero: f64,
+    /// Parts of `v` due to each input but the first, of several; a time constant changes their weights.
+    pub parts: Vec<Vec<f64>>,
+}
+
+/// An operator.
+#[derive(Debug, Clone, Copy)]
+pub struct Operator {
+    /// Name in reports.
+    pub name: &'static str,
+    /// Meaning of η; empty without η.
+    pub eta: &'static str,
+    /// Grid of η.
+    pub grid: fn(&Drive) -> Vec<f64>,
+    /// Columns at one η.
+    pub columns: fn(&Drive, f64) -> Vec<Vec<f64>>,
+    /// Required sign of the first coefficient; 0 for either.
+    pub sign: i8,
+}
+
+impl Operator {
+    /// An operator whose first coefficient may have either sign.
+    pub const fn new(
+        name: &'static str,
+        eta: &'static str,
+        grid: fn(&Drive) -> Vec<f64>,
+        columns: fn(&Drive, f64) -> Vec<Vec<f64>>,
+    ) -> Self {
+        Self {
+            name,
+            eta,
+            grid,
+            columns,
+            sign: 0,
+        }
+    }
+
+    /// The operator with a required sign of its first coefficient.
+    const fn signed(self, sign: i8) -> Self {
+        Self { sign, ..self }
+    }
+}
+
+/// What operators that a log may not separate have in common.
+pub fn kind(name: &str) -> &'static str {
+    match name {
+        "play" | "hysteresis" | "bouc_wen" | "coulomb" | "load_friction" => "memory of the path",
+        "viscous" | "lag" | "delay" | "creep" | "leak" | "rate_limit" => "memory of the time",
+        "cubic" | "asymmetry" | "saturation" | "dead_band" => "curved characteristic",
+        "periodic_position" | "periodic_time" => "period",
+        _ => "drift",
+    }
+}
+
+/// Ratio of the time constants of the two elements of a creep.
+const SLOWER: f64 = 12.0;
+
+/// Operators for a rig with an input.
+pub const DRIVEN: [Operator; 18] = [
+    // Play operator of one half-width. Separated by nested loops of several sizes.
+    Operator::new("play", "half-width / range", widths, |d, r| {
+        vec![play(&d.v, 2.0 * r)]
+    })
+    .signed(1),
+    // Prandtl-Ishlinskii: eight weighted plays (Kuhnen 2003). Separated by nested loops of several sizes.
+    Operator::new("hysteresis", "", none, |d, _| {
+        (1..=8).map(|k| play(&d.v, 0.12 * f64::from(k))).collect()
+    }),
+    // Bouc-Wen with n = 1 and β = γ (Wen 1976). Separated by nested loops of several sizes.
+    Operator::new("bouc_wen", "yield / range", widths, |d, r| {
+        vec![bouc_wen(&d.v, 2.0 * r)]
+    }),
+    // Sign of the speed. Separated by several speeds, and loops of several sizes.
+    Operator::new("coulomb", "", none, |d, _| vec![sign_of(&d.m, &d.t)]),
+    // Sign of the speed times the load. Separated by two loads.
+    Operator::new("load_friction", "", none, |d, _| {
+        vec![times(&sign_of(&d.m, &d.t), &d.v, 1.0)]
+    }),
+    // Speed. Separated by several speeds.
+    Operator::new("viscous", "", none, |d, _| vec![speed(&d.m, &d.t)]),
+    // Third power: symmetric stiffening or softening. Separated by several amplitudes.
+    Operator::new("cubic", "", none, |d, _| {
+        vec![d.v.iter().map(|v| v * v * v).collect()]
+    }),
+    // Another slope on one side of a corner. Separated by amplitudes to both sides.
+    Operator::new(
+        "asymmetry",
+        "corner / range",
+        |_| (1..10).map(|k| f64::from(k) * 0.1).collect(),
+        |d, c| vec![d.v.iter().map(|v| (v - (2.0 * c - 1.0)).abs()).collect()],
+    ),
+    // No answer to a small input of either sign. Separated by small and large amplitudes.
+    Operator::new("dead_band", "half-width / range", widths, |d, w| {
+        vec![d.v.iter().map(|v| beyond(v - d.zero, 2.0 * w)).collect()]
+    })
+    .signed(1),
+    // Nothing beyond an end, on either side. Separated by amplitudes to both sides.
+    Operator::new(
+        "saturation",
+        "end / half range",
+        |_| (2..20).map(|k| f64::from(k) * 0.05).collect(),
+        |d, c| {
+            let side = |sign: f64| d.v.iter().map(|v| sign * (sign * v - c).max(0.0)).collect();
+            vec![side(1.0), side(-1.0)]
+        },
+    )
+    .signed(-1),
+    // The speed of a servo is limited. Separated by steps of several sizes.
+    Operator::new(
+        "rate_limit",
+        "largest speed, ranges per time",
+        rates,
+        |d, r| vec![limited(&d.v, &d.t, 2.0 * r)],
+    )
+    .signed(1),
+    // First order. Separated by a step and a chirp.
+    Operator::new(
+        "lag",
+        "time constant",
+        |d| times_from(d, 1.0, 0.5),
+        |d, tau| of_each(d, |v| follow(v, &d.t, tau)),
+    )
+    .signed(1),
+    // Delayed input. Separated by a chirp: phase that grows with frequency.
+    Operator::new(
+        "delay",
+        "dead time",
+        |d| times_from(d, 1.0, 0.5),
+        |d, tau| of_each(d, |v| late(v, &d.t, tau)),
+    )
+    .signed(1),
+    // Two Kelvin-Voigt elements, a factor [`SLOWER`] apart. Separated by hold, return, hold.
+    Operator::new(
+        "creep",
+        "time constant",
+        |d| times_from(d, 20.0, 0.5 / SLOWER),
+        |d, tau| vec![follow(&d.v, &d.t, tau), follow(&d.v, &d.t, SLOWER * tau)],
+    )
+    .signed(1),
+    // Exponential return after an input. Separated by a long hold, then a return to zero.
+    Operator::new(
+        "leak",
+        "time constant",
+        |d| times_from(d, 20.0, 0.5),
+        |d, tau| vec![follow(&d.v, &d.t, tau)],
+    )
+    .signed(-1),
+    // Sine of position, with a second harmonic. Separated by two speeds.
+    Operator::new(
+        "periodic_position",
+        "period",
+        |d| periods(d.m_range, &d.m, d.m_range),
+        |d, p| waves(d.m.iter().map(|m| m * d.m_range / p)),
+    ),
+    // Sine of time, with a second harmonic. Separated by two speeds.
+    Operator::new(
+        "periodic_time",
+        "period",
+        |d| periods(d.t[d.t.len() - 1] - d.t[0], &d.t, 1.0),
+        |d, p| waves(d.t.iter().map(|t| t / p)),
+    ),
+    DRIFT,
+];
+
+/// A dependence on time alone: a straight line. Separated by the same motion repeated later.
+const DRIFT: Operator = Operator::new("drift", "", none, |d, _| vec![since(&d.t)]);
+
+/// Operators for a rig without an input.
+pub const STILL: [Operator; 3] = [
+    // Exponential decay. Separated by two pressures, and a temperature record.
+    Operator::new(
+        "leak",
+        "time constant",
+        |d| times_from(d, 3.0, 30.0),
+        |d, tau| vec![since(&d.t).iter().map(|t| (-t / tau).exp()).collect()],
+    ),
+    // Logarithm of time. Separated by a repetition after a long rest.
+    Operator::new(
+        "creep",
+        "onset",
+        |d| times_from(d, 1.0, 0.2),
+        |d, tau| vec![since(&d.t).iter().map(|t| (1.0 + t / tau).ln()).collect()],
+    ),
+    DRIFT,
+];
+
+/// A column of the whole drive, and one of each part of it.
+fn of_each(d: &Drive, column: impl Fn(&[f64]) -> Vec<f64>) -> Vec<Vec<f64>> {
+    [&d.v]
+        .into_iter()
+        .chain(&d.parts)
+        .map(|v| column(v))
+        .collect()
+}
+
+/// The grid of an operator without η.
+pub fn none(_: &Drive) -> Vec<f64> {
+    vec![0.0]
+}
+fn widths(_: &Drive) -> Vec<f64> {
+    spread(0.005, 100.0)
+}
+/// 24 values from the least to a multiple of it, uniform in the logarithm.
+fn spread(low: f64, times: f64) -> Vec<f64> {
+    (0..24)
+        .map(|k| low * times.powf(f64::from(k) / 23.0))
+        .collect()
+}
+/// 24 times from a number of rows to a share of the log, uniform in the logarithm.
+fn times_from(d: &Drive, rows: f64, share: f64) -> Vec<f64> {
+    let span = d.t[d.t.len() - 1] - d.t[0];
+    let low = rows * span / (d.t.len() - 1) as f64;
+    spread(low, (share * span).max(2.0 * low) / low)
+}
+/// Rows that a period has at least.
+const ROWS_PER_PERIOD: f64 = 5.0;
+
+/// Periods of which 6 to 150 fit in a range, a quarter apart, and that a signal of this unit passes in five rows or more; fewer than six
+/// are a trend. The longest is there in any case.
+fn periods(range: f64, x: &[f64], unit: f64) -> Vec<f64> {
+    let steps = x.windows(2).map(|w| (w[1] - w[0]).abs() * unit);
+    let mut steps: Vec<f64> = steps.filter(|s| *s > 0.0).collect();
+    steps.sort_by(f64::total_cmp);
+    let usual = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
+    let period = |k: u32| range * 4.0 / f64::from(k);
+    let passed = |k: &u32| *k == 24 || period(*k) >= ROWS_PER_PERIOD * usual;
+    (24..=600).filter(passed).map(period).collect()
+}
+/// Speeds of the nominal prediction, ranges per time: up to what it rarely exceeds, uniform in the logarithm.
+fn rates(d: &Drive) -> Vec<f64> {
+    let speed = |k: usize| (d.v[k] - d.v[k - 1]).abs() / (d.t[k] - d.t[k - 1]) / 2.0;
+    let mut speeds: Vec<f64> = (1..d.v.len()).map(speed).filter(|s| *s > 0.0).collect();
+    speeds.sort_by(f64::total_cmp);
+    let high = speeds.get(speeds.len() * 99 / 100).copied().unwrap_or(1.0);
+    let span = d.t[d.t.len() - 1] - d.t[0];
+    let low = (1.0 / span).min(high / 2.0);
+    spread(low, high / low)
+}
+fn beyond(x: f64, half: f64) -> f64 {
+    x - x.clamp(-half, half)
+}
+fn limited(v: &[f64], t: &[f64], rate: f64) -> Vec<f64> {
+    let (mut y, mut before) = (v[0], t[0]);
+    let one = |(&x, &now): (&f64, &f64)| {
+        let most = rate * (now - before);
+        before = now;
+        y += (x - y).clamp(-most, most);
+        y
+    };
+    v.iter().zip(t).map(one).collect()
+}
+/// The play operator; it starts centred.
+pub fn play(v: &[f64], r: f64) -> Vec<f64> {
+    let mut w = v[0];
+    let one = |&x: &f64| {
+        w = w.max(x - r).min(x + r);
+        w
+    };
+    v.iter().map(one).collect()
+}
+fn bouc_wen(v: &[f64], z0: f64) -> Vec<f64> {
+    let (mut z, mut before) = (0.0f64, v[0]);
+    let one = |&x: &f64| {
+        let dv = x - before;
+        before = x;
+        let loaded = if dv * z > 0.0 {
+            1.0 - z.abs() / z0
+        } else {
+            1.0
+        };
+        z = (z + dv * loaded).clamp(-z0, z0);
+        z
+    };
+    v.iter().map(one).collect()
+}
+/// Speed of the moving signal over five rows, ranges per second.
+fn speed(m: &[f64], t: &[f64]) -> Vec<f64> {
+    let around = |k: usize| (k.saturating_sub(2), (k + 2).min(m.len() - 1));
+    let rate = |(a, b): (usize, usize)| (m[b] - m[a]) / (t[b] - t[a]);
+    (0..m.len()).map(|k| rate(around(k))).collect()
+}
+fn sign_of(m: &[f64], t: &[f64]) -> Vec<f64> {
+    let s = speed(m, t);
+    let usual = (s.iter().map(|x| x * x).sum::<f64>() / s.len() as f64).sqrt();
+    let unit = (0.1 * usual).max(1e-12);
+    s.iter().map(|x| (x / unit).tanh()).collect()
+}
+fn times(a: &[f64], b: &[f64], shift: f64) -> Vec<f64> {
+    a.iter().zip(b).map(|(x, y)| x * (y + shift)).collect()
+}
+fn follow(v: &[f64], t: &[f64], tau: f64) -> Vec<f64> {
+    let (mut z, mut before) = (v[0], t[0]);
+    let one = |(&x, &now): (&f64, &f64)| {
+        z += (x - z) * (1.0 - (-(now - before) / tau).exp());
+        before = now;
+        z
+    };
+    v.iter().zip(t).map(one).collect()
+}
+fn late(v: &[f64], t: &[f64], by: f64) -> Vec<f64> {
+    let mut a = 0;
+    let one = |&now: &f64| {
+        let then = now - by;
+        while a + 1 < t.len() && t[a + 1] <= then {
+            a += 1;
+        }
+        let b = (a + 1).min(t.len() - 1);
+        let share = |b: usize| ((then - t[a]) / (t[b] - t[a])).clamp(0.0, 1.0);
+        v[a] + (v[b] - v[a]) * if b > a { share(b) } else { 0.0 }
+    };
+    t.iter().map(one).collect()
+}
+fn waves(turns: impl Iterator<Item = f64>) -> Vec<Vec<f64>> {
+    let mut out = vec![vec![]; 4];
+    for x in turns {
+        for harmonic in [1, 2] {
+            let (s, c) = (TAU * x * harmonic as f64).sin_cos();
+            out[2 * harmonic - 2].push(s);
+            out[2 * harmonic - 1].push(c);
+        }
+    }
+    out
+}
+fn since(t: &[f64]) -> Vec<f64> {
+    t.iter().map(|x| x - t[0]).collect()
+}
+
+/// A linear oscillator `ÿ + 2ζω ẏ + ω² y = ω² u` by the bilinear transform, `wh = 2 tan(ω h / 2)`.
+pub fn oscillator(u: &[f64], wh: f64, zeta: f64) -> Vec<f64> {
+    let (mut u1, mut u2, mut y1, mut y2) = (u[0], u[0], u[0], u[0]);
+    let one = |&x: &f64| {
+        let y = oscillator_step([u2, u1, x], [y2, y1], wh, zeta);
+        (u2, u1, y2, y1) = (u1, x, y1, y);
+        y
+    };
+    u.iter().map(one).collect()
+}
+
+/// The next output from the last two inputs and the new one, and the last two outputs.
+pub fn oscillator_step(u: [f64; 3], y: [f64; 2], wh: f64, zeta: f64) -> f64 {
+    let (k, w2) = (4.0 * zeta * wh, wh * wh);
+    (w2 * (u[2] + 2.0 * u[1] + u[0]) - (2.0 * w2 - 8.0) * y[1] - (4.0 - k + w2) * y[0])
+        / (4.0 + k + w2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn play_is_dragged_and_stands_within_its_gap() {
+        assert_eq!(play(&[0.0, 1.0, 0.5, -1.0], 0.25), [0.0, 0.75, 0.75, -0.75]);
+    }
+
+    #[test]
+    fn a_lag_trails_a_ramp_by_its_time_constant_and_a_delay_shifts_it() {
+        let t: Vec<f64> = (0..200).map(|k| f64::from(k) * 0.01).collect();
+        let ramp: Vec<f64> = t.clone();
+        assert!((late(&ramp, &t, 0.05)[100] - 0.95).abs() < 1e-9);
+        assert!((follow(&ramp, &t, 0.05)[199] - (1.99 - 0.05)).abs() < 0.006);
+    }
+
+    #[test]
+    fn a_servo_follows_a_step_at_its_speed_and_a_dead_band_keeps_the_slope() {
+        let t: Vec<f64> = (0..100).map(|k| f64::from(k) * 0.1).collect();
+        let step: Vec<f64> = t.iter().map(|t| f64::from(u8::from(*t >= 1.0))).collect();
+        let y = limited(&step, &t, 0.25);
+        assert!((y[30] - 0.25 * 2.1).abs() < 1e-9 && (y[99] - 1.0).abs() < 1e-12);
+        assert_eq!(
+            [-0.5, 0.1, 0.5].map(|x| beyond(x, 0.25)),
+            [-0.25, 0.0, 0.25]
+        );
+    }
+
+    #[test]
+    fn no_period_is_under_five_rows_and_a_lag_may_be_half_of_the_log() {
+        for (rows, dt) in [(80, 3.0), (200, 1.0), (3000, 0.01)] {
+            let t: Vec<f64> = (0..rows).map(|k| f64::from(k) * dt).collect();
+            let m: Vec<f64> = t.iter().map(|t| (t / dt * 0.3).sin()).collect();
+            let d = Drive {
+                v: m.clone(),
+                m,
+                m_range: 1.0,
+                t,
+                zero: 0.0,
+                parts: vec![],
+            };
+            for o in DRIVEN {
+                let grid = (o.grid)(&d);
+                assert!(
+                    !grid.is_empty() && grid.iter().all(|x| x.is_finite()),
+                    "{}",
+                    o.name
+                );
+                match o.name {
+                    "periodic_time" => assert!(grid[1..].iter().all(|p| *p >= 5.0 * dt)),
+                    "lag" | "delay" => {
+                        let span = f64::from(rows - 1) * dt;
+                        assert!((grid[grid.len() - 1] / span - 0.5).abs() < 1e-9);
+                    }
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn an_oscillator_passes_a_constant_and_rings_at_its_frequency() {
+        assert!(
+            oscillator(&[1.0; 50], 0.3, 0.1)
+                .iter()
+                .all(|y| (y - 1.0).abs() < 1e-12)
+        );
+        let mut kick = vec![0.0; 2000];
+        kick[10] = 1.0;
+        let y = oscillator(&kick, 0.1, 0.01);
+        let zeros: Vec<usize> = (20..600)
+            .filter(|&k| y[k - 1] < 0.0 && y[k] >= 0.0)
+            .collect();
+        let period = (zeros[zeros.len() - 1] - zeros[0]) as f64 / (zeros.len() - 1) as f64;
+        // wh = 2 tan(ω h / 2)
+        assert!(
+            (period - TAU / (2.0 * (0.1f64 / 2.0).atan())).abs() < 0.3,
+            "{period}"
+        );
+    }
+}

@@ -1,0 +1,168 @@
+//! A rig as a problem: its sets, and the features of the statements about it.
+
+use crate::diagnosis::rig::{
+    DRIVEN, Document, RESONANT, RigProblem, STILL, Set, closed_ci95, poor, variance,
+};
+use crate::diagnosis::verdict::{Claim, Head, Layout};
+use crate::diagnosis::{Candidates, Judged, Problem, Scored};
+use std::sync::LazyLock;
+
+/// Surcharge per effect when the best set is chosen, in the unit of a density.
+const PER_EFFECT: f64 = 0.1;
+/// Least ratio of a remainder to what it is compared with that counts.
+const LEAST: f64 = 0.01;
+
+/// Density that tells an effect from noise, and one that tells an effect from its form.
+const SLIGHT: [f64; 2] = [0.03, 0.3];
+/// Logarithm of the part of the gap that a right effect of another form may leave.
+const FORM: f64 = -1.2;
+
+/// The features but for those of the operators. For every statement, what it gains over the nominal model (for `unknown`, the best set):
+/// the density of the long and of the short blocks, and the mean of both up to each of [`SLIGHT`]. For a set: the number of effects
+/// beyond the first, the number of columns, and the two claims of [`Candidates::claims`]. For `none`: one, and the logarithms of what is left
+/// above the noise over the noise, the same where it is negative, and over the output. For `unknown`: one, and the logarithms of what the best
+/// set leaves above the noise over the noise, the same where it is negative, over the gap, and the same above [`FORM`].
+const NAMES: [&[&str]; 4] = [
+    &["density_long", "density_short", "slight", "clear"],
+    &["further_effects", "columns", "claim", "second_claim"],
+    &["none", "none_noise", "none_below_noise", "none_output"],
+    &[
+        "unknown",
+        "unknown_noise",
+        "unknown_below_noise",
+        "unknown_left",
+        "unknown_much_left",
+    ],
+];
+
+/// The weights that diagnoses use.
+static HEAD: LazyLock<Head> = LazyLock::new(|| {
+    let operators = DRIVEN.iter().chain(&STILL).chain(&RESONANT);
+    let mut effects: Vec<&'static str> = operators.map(|o| o.name).collect();
+    effects.sort_unstable();
+    effects.dedup();
+    Head::built_in(
+        include_str!("posterior.toml"),
+        Layout {
+            common: NAMES,
+            effects,
+        },
+    )
+});
+
+/// Half the logarithm of a ratio of squares.
+fn ratio(of: f64, to: f64) -> f64 {
+    (of / to.max(f64::MIN_POSITIVE)).max(LEAST * LEAST).ln() / 2.0
+}
+
+impl RigProblem<'_> {
+    /// What a set gains over the nominal model: density of the long and of the short blocks.
+    fn gained(&self, set: &Set) -> [f64; 2] {
+        let (reference, own) = (self.nominal.scores.density(), set.scores.density());
+        [0, 1].map(|k| reference[k] - own[k])
+    }
+
+    /// Mean square that a set leaves above the noise.
+    fn above(&self, set: &Set) -> f64 {
+        (set.energy() - self.noise * self.noise).max(0.0)
+    }
+
+    /// One, and the logarithm of what a set leaves above the noise over the noise, and the same where it is negative.
+    fn noisy(&self, set: &Set) -> [f64; 3] {
+        let noise = ratio(self.above(set), self.noise * self.noise);
+        [1.0, noise, noise.min(0.0)]
+    }
+}
+
+impl Problem for RigProblem<'_> {
+    type Set = Set;
+    type Trace = ();
+    type Document = Document;
+
+    fn nominal(&self) -> &Set {
+        &self.nominal
+    }
+    fn singles(&self) -> Vec<(Set, ())> {
+        self.alone().into_iter().map(|set| (set, ())).collect()
+    }
+    fn pairs(&self, singles: &[(Set, ())]) -> Vec<Set> {
+        self.promising(&singles.iter().map(|(set, ())| set).collect::<Vec<_>>())
+    }
+    fn triples(&self, pair: &Set) -> Vec<Set> {
+        self.extended(pair)
+    }
+    fn parts(&self, _: &Candidates<Set>, triples: &[Set]) -> Vec<Set> {
+        self.reduced(triples)
+    }
+
+    fn head() -> &'static Head {
+        &HEAD
+    }
+    fn lack(&self, set: &Set) -> f64 {
+        2.0 * PER_EFFECT * set.names.len() as f64 - self.gained(set).iter().sum::<f64>()
+    }
+    fn density(&self, set: &Set) -> Vec<f64> {
+        let [long, short] = self.gained(set);
+        let [slight, clear] = SLIGHT.map(|most| ((long + short) / 2.0 / most).min(1.0));
+        vec![long, short, slight, clear]
+    }
+    fn of_set(&self, found: &Candidates<Set>, set: &Set) -> Vec<f64> {
+        let columns: usize = set.members.iter().map(|m| m.columns.len()).sum();
+        let [claim, second_claim] = found.claims(set);
+        vec![
+            set.names.len() as f64 - 1.0,
+            columns as f64 / 8.0,
+            claim,
+            second_claim,
+        ]
+    }
+    fn of_none(&self) -> Vec<f64> {
+        let output = ratio(self.above(&self.nominal), variance(&self.log.output));
+        [self.noisy(&self.nominal).as_slice(), &[output]].concat()
+    }
+    fn of_unknown(&self, _: &Candidates<Set>, best: &Set) -> Vec<f64> {
+        let left = ratio(self.above(best), self.above(&self.nominal));
+        [self.noisy(best).as_slice(), &[left, (left - FORM).max(0.0)]].concat()
+    }
+    /// The effects that surely close enough of the gap. What the set leaves of the gap beyond noise is unknown in proportion.
+    fn claim(&self, found: &Candidates<Set>, set: &Set) -> Claim {
+        if poor(self.log) {
+            return Claim {
+                names: None,
+                unexplained: 0.0,
+            };
+        }
+        let floor = self.nominal.energy() - self.gap;
+        let sure = |c: &Set, part: &Set| closed_ci95(&part.scores, &c.scores, floor, self.seed)[0];
+        let kept = found.claimable(set, &|c, part| c.gain(part) >= 1.0 && sure(c, part) > 0.0);
+        let above = (kept.energy() - floor).max(0.0);
+        let structured = above / kept.energy().max(f64::MIN_POSITIVE);
+        Claim {
+            names: (!kept.names.is_empty()).then(|| kept.names.clone()),
+            unexplained: (above / self.gap * structured).min(1.0),
+        }
+    }
+
+    fn stand_ins(&self, found: &Candidates<Set>, names: &[&'static str]) -> Vec<&'static str> {
+        let least = found.set(names).unwrap_or(&found.nominal).energy();
+        found
+            .singles
+            .iter()
+            .filter(|s| s.energy() < least)
+            .map(|s| s.names[0])
+            .collect()
+    }
+    fn document(&self, judged: &Judged<Self>) -> Document {
+        self.written(judged)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_weights_in_the_program_can_be_read() {
+        assert!(HEAD.weights[1] > 0.0 && (0.5..1.0).contains(&HEAD.conformal));
+    }
+}

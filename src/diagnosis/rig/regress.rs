@@ -1,0 +1,268 @@
+//! Linear regression with held-out blocks: contiguous blocks alternate between two folds, and each fold is predicted by
+//! a fit to the other. Blocks of two lengths are scored: long ones, which a drift cannot bridge, and short ones.
+
+use nalgebra::{DMatrix, DVector};
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
+
+/// Long blocks of a log.
+const LONG: usize = 12;
+/// Most short blocks.
+const SHORT: usize = 96;
+/// Least rows of a block.
+const ROWS: usize = 5;
+/// Margin at either end of a block that is neither fitted nor scored, as a part of the block.
+const MARGIN: f64 = 0.03;
+/// Draws of the bootstrap.
+const DRAWS: usize = 400;
+
+/// A signal to be explained, in blocks.
+pub struct Task<'a> {
+    /// The signal.
+    pub y: &'a [f64],
+    /// Long and short blocks.
+    blocks: [Blocks; 2],
+}
+
+/// Block of each row; `None` in a margin.
+struct Blocks {
+    of: Vec<Option<usize>>,
+    count: usize,
+}
+
+impl Blocks {
+    fn new(rows: usize, count: usize) -> Self {
+        let length = rows as f64 / count as f64;
+        let scored = |at: &f64| (MARGIN..1.0 - MARGIN).contains(&at.fract());
+        let of = |k: usize| {
+            let at = Some((k as f64 + 0.5) / length).filter(scored)?;
+            Some((at as usize).min(count - 1))
+        };
+        Self {
+            of: (0..rows).map(of).collect(),
+            count,
+        }
+    }
+}
+
+/// Columns of a regression, and the signs that some coefficients must have: index and ±1.
+#[derive(Clone)]
+pub struct Columns<'a> {
+    /// The columns.
+    pub of: Vec<&'a [f64]>,
+    /// The signs.
+    pub signs: Vec<(usize, i8)>,
+}
+
+impl<'a> Columns<'a> {
+    /// Columns whose coefficients may have either sign.
+    pub fn free(of: Vec<&'a [f64]>) -> Self {
+        let signs = vec![];
+        Self { of, signs }
+    }
+}
+
+/// What the columns with these coefficients leave of a signal.
+pub fn left(y: &[f64], columns: &[&[f64]], coefficients: &[f64]) -> Vec<f64> {
+    let one = |k: usize| {
+        let parts = columns.iter().zip(coefficients).map(|(x, c)| x[k] * c);
+        y[k] - parts.sum::<f64>()
+    };
+    (0..y.len()).map(one).collect()
+}
+
+/// Sums of one fold.
+struct Normal {
+    gram: DMatrix<f64>,
+    right: DVector<f64>,
+    square: f64,
+}
+
+impl Normal {
+    fn new(y: &[f64], columns: &[&[f64]], used: impl Fn(usize) -> bool) -> Self {
+        let n = columns.len();
+        let (mut gram, mut right, mut square) = (DMatrix::zeros(n, n), DVector::zeros(n), 0.0);
+        for k in (0..y.len()).filter(|&k| used(k)) {
+            for i in 0..n {
+                let x = columns[i][k];
+                right[i] += x * y[k];
+                for j in 0..=i {
+                    gram[(i, j)] += x * columns[j][k];
+                }
+            }
+            square += y[k] * y[k];
+        }
+        gram.fill_upper_triangle_with_lower_triangle();
+        Self {
+            gram,
+            right,
+            square,
+        }
+    }
+
+    /// Coefficients with the least squares, scaled to a unit diagonal, with a ridge that matters only for nearly equal columns; `None` if
+    /// there are none, or if one does not have its sign.
+    fn solve(&self, signs: &[(usize, i8)]) -> Option<DVector<f64>> {
+        let size = self.gram.diagonal().map(|d| d.max(1e-300).sqrt());
+        let n = self.gram.nrows();
+        let scaled = DMatrix::from_fn(n, n, |i, j| {
+            self.gram[(i, j)] / (size[i] * size[j]) + if i == j { 1e-9 } else { 0.0 }
+        });
+        let c = scaled
+            .cholesky()?
+            .solve(&self.right.component_div(&size))
+            .component_div(&size);
+        let right = |&(i, sign): &(usize, i8)| sign == 0 || c[i] * f64::from(sign) >= 0.0;
+        (c.iter().all(|x| x.is_finite()) && signs.iter().all(right)).then_some(c)
+    }
+}
+
+/// Scores on held-out blocks, and the fit to all rows.
+#[derive(Debug, Clone)]
+pub struct Regressed {
+    /// Sum of squares and number of rows of each long and each short block, predicted by the fit to the other fold.
+    pub blocks: [Vec<(f64, f64)>; 2],
+    /// Coefficients of the fit to all rows.
+    pub coefficients: Vec<f64>,
+}
+
+impl Regressed {
+    /// Index of the blocks, long or short, in which more is left.
+    pub fn worse(&self) -> usize {
+        usize::from(mean_square(&self.blocks[1]) > mean_square(&self.blocks[0]))
+    }
+
+    /// Mean square over the held-out blocks, long or short, in which more is left.
+    pub fn energy(&self) -> f64 {
+        mean_square(&self.blocks[self.worse()])
+    }
+
+    /// Mean over the long and over the short blocks of the logarithm of the mean square: the negative predictive density of residuals
+    /// whose variance is unknown.
+    pub fn density(&self) -> [f64; 2] {
+        let of = |blocks: &Vec<(f64, f64)>| {
+            let log = |(s, n): &(f64, f64)| (s / n).max(f64::MIN_POSITIVE).ln();
+            let logs: Vec<f64> = blocks.iter().filter(|b| b.1 > 0.0).map(log).collect();
+            logs.iter().sum::<f64>() / logs.len().max(1) as f64
+        };
+        [0, 1].map(|k| of(&self.blocks[k]))
+    }
+}
+
+/// Variance of a signal.
+pub fn variance(x: &[f64]) -> f64 {
+    let mean = x.iter().sum::<f64>() / x.len() as f64;
+    x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / x.len() as f64
+}
+
+fn mean_square(blocks: &[(f64, f64)]) -> f64 {
+    let (s, n) = blocks
+        .iter()
+        .fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+    s / f64::max(n, 1.0)
+}
+
+/// 95 % interval of the closed part from blocks drawn with replacement; `floor` is the mean square of the noise.
+pub fn closed_ci95(from: &Regressed, to: &Regressed, floor: f64, seed: u64) -> [f64; 2] {
+    let mut rng = StdRng::seed_from_u64(seed);
+    // the blocks in which the set leaves more
+    let worse = to.worse();
+    let (from, to) = (&from.blocks[worse], &to.blocks[worse]);
+    let mut draw = |_| {
+        let (mut before, mut after, mut rows) = (0.0, 0.0, 0.0);
+        for _ in 0..from.len() {
+            let i = rng.random_range(0..from.len());
+            before += from[i].0;
+            after += to[i].0;
+            rows += from[i].1;
+        }
+        ((before - after) / (before - floor * rows).max(1e-300)).clamp(-1.0, 1.0)
+    };
+    let mut draws: Vec<f64> = (0..DRAWS).map(&mut draw).collect();
+    draws.sort_by(f64::total_cmp);
+    [draws[DRAWS / 40], draws[DRAWS - 1 - DRAWS / 40]]
+}
+
+impl<'a> Task<'a> {
+    /// Divides the rows of a signal into blocks.
+    pub fn new(y: &'a [f64]) -> Self {
+        let short = (y.len() / ROWS).clamp(LONG, SHORT);
+        Self {
+            y,
+            blocks: [LONG, short].map(|count| Blocks::new(y.len(), count)),
+        }
+    }
+
+    /// Sum of squares that a fit to all rows leaves; `None` if the columns do not determine the coefficients, or one does not have its
+    /// sign.
+    pub fn cost(&self, columns: &Columns<'_>) -> Option<f64> {
+        let all = Normal::new(self.y, &columns.of, |_| true);
+        let c = all.solve(&columns.signs)?;
+        Some(all.square - 2.0 * c.dot(&all.right) + c.dot(&(&all.gram * &c)))
+    }
+
+    /// Regresses on the columns; `None` as for [`Task::cost`].
+    pub fn regress(&self, columns: &Columns<'_>) -> Option<Regressed> {
+        let all = Normal::new(self.y, &columns.of, |_| true).solve(&columns.signs)?;
+        let [long, short] = &self.blocks;
+        Some(Regressed {
+            blocks: [
+                self.held_out(columns, long)?,
+                self.held_out(columns, short)?,
+            ],
+            coefficients: all.as_slice().to_vec(),
+        })
+    }
+
+    fn held_out(&self, columns: &Columns<'_>, blocks: &Blocks) -> Option<Vec<(f64, f64)>> {
+        let mut out = vec![(0.0, 0.0); blocks.count];
+        for fold in 0..2 {
+            let other = |k: usize| blocks.of[k].is_some_and(|b| b % 2 != fold);
+            let c = Normal::new(self.y, &columns.of, other).solve(&columns.signs)?;
+            let left = left(self.y, &columns.of, c.as_slice());
+            for (left, block) in left.iter().zip(&blocks.of) {
+                if let Some(b) = block.filter(|b| b % 2 == fold) {
+                    out[b] = (out[b].0 + left * left, out[b].1 + 1.0);
+                }
+            }
+        }
+        Some(out)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_block_is_predicted_by_a_fit_to_the_other_fold() {
+        // the slope differs between the long folds, so their held-out error is large
+        let x: Vec<f64> = (0..1200).map(|k| (f64::from(k) * 0.1).sin()).collect();
+        let y: Vec<f64> = x
+            .iter()
+            .enumerate()
+            .map(|(k, x)| x * if (k / 100) % 2 == 0 { 1.0 } else { 3.0 })
+            .collect();
+        let task = Task::new(&y);
+        let columns = |sign| Columns {
+            of: vec![x.as_slice()],
+            signs: vec![(0, sign)],
+        };
+        let r = task.regress(&columns(0)).unwrap();
+        assert!(
+            (r.coefficients[0] - 2.0).abs() < 0.05,
+            "{:?}",
+            r.coefficients
+        );
+        assert!(
+            (r.energy() - 2.0).abs() < 0.1 && r.worse() == 0,
+            "{}",
+            r.energy()
+        );
+        assert!(
+            (task.cost(&columns(0)).unwrap() / 1200.0 - 0.5).abs() < 0.05,
+            "a fit to all rows leaves a quarter of that"
+        );
+        assert!(task.regress(&columns(-1)).is_none());
+    }
+}

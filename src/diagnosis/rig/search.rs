@@ -1,0 +1,221 @@
+//! The sets of operators that are fitted to the log of a rig.
+//!
+//! Every operator is fitted alone, at the best η of its grid. All pairs are scored at these η and the best refitted; the best single is
+//! extended by every operator anew, and so is the best pair where it leaves something.
+
+use crate::diagnosis::Scored;
+use crate::diagnosis::rig::model::catalogue;
+use crate::diagnosis::rig::{MapBase, MapFile, Member, Operator, Regressed, Signals, Task};
+
+/// Part of the gap that an effect must close to be claimed.
+const WORTH: f64 = 0.03;
+/// Noise, in units of what the nominal model leaves, beyond which the log is too coarse to tell noise.
+const COARSE: f64 = 1.1;
+/// Least part of what the nominal model leaves that counts as the gap.
+const GAP_MIN: f64 = 0.1;
+/// Pairs that are fitted again.
+const REFITTED: usize = 8;
+/// Values of η tried between the neighbours of the best grid point.
+const REFINED: u32 = 12;
+/// Orders of differences from which the noise is estimated.
+const ORDERS: u32 = 8;
+
+/// A set of operators with its scores.
+#[derive(Clone)]
+pub struct Set {
+    /// The operators, in catalogue order.
+    pub members: Vec<Member>,
+    /// Their names.
+    pub names: Vec<&'static str>,
+    /// The scores.
+    pub scores: Regressed,
+    /// Mean square that must be explained to be claimed.
+    bar: f64,
+}
+
+impl Scored for Set {
+    fn names(&self) -> &[&'static str] {
+        &self.names
+    }
+    fn energy(&self) -> f64 {
+        self.scores.energy()
+    }
+    fn gain(&self, beyond: &Self) -> f64 {
+        (beyond.energy() - self.energy()) / self.bar
+    }
+}
+
+/// A log with everything that its sets are scored against.
+pub struct RigProblem<'a> {
+    /// What the columns mean.
+    pub map: &'a MapFile,
+    /// The log.
+    pub log: &'a Signals,
+    /// Other logs of the rig, with their names, on which the fitted model is evaluated.
+    pub fresh: &'a [(String, Signals)],
+    /// Seed of the bootstrap.
+    pub seed: u64,
+    /// White noise of a row, 1 σ.
+    pub noise: f64,
+    /// The nominal model.
+    pub nominal: Set,
+    /// Mean square that it leaves above the noise.
+    pub gap: f64,
+    /// Whether the rows are too far apart to tell noise from signal.
+    pub coarse: bool,
+    /// The nominal model on the log.
+    pub base: MapBase,
+    task: Task<'a>,
+    catalogue: Vec<Operator>,
+}
+
+impl<'a> RigProblem<'a> {
+    /// The problem of a log, with the seed of the bootstrap; `None` if its inputs do not determine the nominal model. `fresh` are other
+    /// logs of the rig.
+    pub fn new(
+        map: &'a MapFile,
+        log: &'a Signals,
+        fresh: &'a [(String, Signals)],
+        seed: u64,
+    ) -> Option<Self> {
+        let (base, task) = (MapBase::new(map, log), Task::new(&log.output));
+        let noise = noise(&log.output);
+        let scores = base.scored(&task, &[])?;
+        let (floor, left) = (noise * noise, scores.energy());
+        let coarse = floor > COARSE * left;
+        let known = if coarse { 0.0 } else { floor };
+        let gap = (left - known).max(GAP_MIN * left).max(1e-300);
+        let nominal = Set {
+            members: vec![],
+            names: vec![],
+            scores,
+            bar: WORTH * gap,
+        };
+        let catalogue = catalogue(map.nominal, log.clocked);
+        Some(Self {
+            map,
+            log,
+            fresh,
+            seed,
+            noise,
+            nominal,
+            gap,
+            coarse,
+            base,
+            task,
+            catalogue,
+        })
+    }
+
+    /// Every operator alone.
+    pub fn alone(&self) -> Vec<Set> {
+        let operators = self.catalogue.iter();
+        operators.filter_map(|o| self.best(&[], o)).collect()
+    }
+
+    /// The best of all pairs, and the best single extended by every operator; the singles are sorted.
+    pub fn promising(&self, singles: &[&Set]) -> Vec<Set> {
+        let grown = singles.first().map_or(vec![], |best| self.grown(best));
+        self.refitted(singles).into_iter().chain(grown).collect()
+    }
+
+    /// A pair extended by every operator, if it leaves enough to be claimed.
+    pub fn extended(&self, pair: &Set) -> Vec<Set> {
+        match pair.energy() > pair.bar {
+            true => self.grown(pair),
+            false => vec![],
+        }
+    }
+
+    /// These sets without each of their members.
+    pub fn reduced(&self, sets: &[Set]) -> Vec<Set> {
+        let without = |set: &Set, k: usize| {
+            let mut rest = set.members.clone();
+            rest.remove(k);
+            self.set(rest)
+        };
+        sets.iter()
+            .flat_map(|set| (0..set.members.len()).filter_map(|k| without(set, k)))
+            .collect()
+    }
+
+    /// The set of these members; `None` if a coefficient does not have its sign.
+    fn set(&self, mut members: Vec<Member>) -> Option<Set> {
+        let place = |name| self.catalogue.iter().position(|o| o.name == name);
+        members.sort_by_key(|m| place(m.operator.name));
+        let scores = self.base.scored(&self.task, &members)?;
+        Some(Set {
+            names: members.iter().map(|m| m.operator.name).collect(),
+            members,
+            scores,
+            bar: self.nominal.bar,
+        })
+    }
+
+    /// `members` and the operator, at the η with the least cost.
+    fn best(&self, members: &[Member], operator: &Operator) -> Option<Set> {
+        let with = |eta: f64| {
+            let member = Member {
+                operator: *operator,
+                eta,
+                columns: (operator.columns)(&self.base.drive, eta),
+            };
+            [members, &[member]].concat()
+        };
+        let cost = |eta: f64| Some((self.base.cost(&self.task, &with(eta))?, eta));
+        let grid = (operator.grid)(&self.base.drive);
+        let costs = (0..grid.len()).filter_map(|k| Some((k, cost(grid[k])?)));
+        let (k, best) = costs.min_by(|a, b| a.1.0.total_cmp(&b.1.0))?;
+        let (low, high) = (grid[k.saturating_sub(1)], grid[(k + 1).min(grid.len() - 1)]);
+        let between = |i: u32| low + (high - low) * f64::from(i) / f64::from(REFINED);
+        let near = (1..REFINED)
+            .filter(|_| high > low)
+            .map(between)
+            .filter_map(cost);
+        let (_, eta) = near.chain([best]).min_by(|a, b| a.0.total_cmp(&b.0))?;
+        self.set(with(eta))
+    }
+
+    /// The set and each operator that is not in it.
+    fn grown(&self, set: &Set) -> Vec<Set> {
+        let others = self
+            .catalogue
+            .iter()
+            .filter(|o| !set.names.contains(&o.name));
+        others.filter_map(|o| self.best(&set.members, o)).collect()
+    }
+
+    /// The best of all pairs, with the η of each member fitted again beside the other.
+    fn refitted(&self, singles: &[&Set]) -> Vec<Set> {
+        let both = |k: usize| {
+            let second = &singles[k].members;
+            let firsts = singles[..k].iter();
+            firsts.filter_map(move |a| self.set([a.members.as_slice(), second].concat()))
+        };
+        let mut pairs: Vec<Set> = (0..singles.len()).flat_map(both).collect();
+        pairs.sort_by(|a, b| a.energy().total_cmp(&b.energy()));
+        pairs.truncate(REFITTED);
+        let again = |pair: Set| {
+            let again = |pair: &Set, k: usize| {
+                self.best(&pair.members[1 - k..2 - k], &pair.members[k].operator)
+            };
+            again(&pair, 0)
+                .and_then(|first| again(&first, 1))
+                .unwrap_or(pair)
+        };
+        pairs.into_iter().map(again).collect()
+    }
+}
+
+/// White noise of a row, 1 σ. Differences of order d have `C(2d, d)` times its variance and contain less of a smooth signal
+/// the higher the order; the least estimate of all orders is used.
+fn noise(y: &[f64]) -> f64 {
+    let mut left = y.to_vec();
+    let (mut least, mut binomial) = (f64::INFINITY, 1.0);
+    for d in 1..=ORDERS {
+        left = left.windows(2).map(|w| w[1] - w[0]).collect();
+        binomial *= f64::from(2 * (2 * d - 1)) / f64::from(d);
+        least = least.min(left.iter().map(|x| x * x).sum::<f64>() / left.len() as f64 / binomial);
+    }
+    least.sqrt()
+}

@@ -1,0 +1,182 @@
+//! Reader of the columns that a map names.
+
+use crate::diagnosis::rig::{MapFile, Nominal};
+use crate::log::error::ReadError;
+use crate::log::table::{Schema, Table};
+use std::path::Path;
+use thiserror::Error;
+
+/// Why a log cannot be used with a map.
+#[derive(Debug, Error)]
+pub enum MapError {
+    /// The table cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// The log is too short to hold out a part of it.
+    #[error(
+        "{0}: {1} rows remain; at least {2} are needed to hold some out: record longer, or lower `every` in the map"
+    )]
+    Short(String, usize, usize),
+    /// A signal is constant.
+    #[error("{0}, column {1}: is constant; record a log in which it changes")]
+    Constant(String, String),
+}
+
+/// Rows needed: five in each of the twelve blocks of [`crate::diagnosis::rig::regress`].
+const ROWS_MIN: usize = 60;
+
+/// Signals of a log as the map defines them, all of equal length.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Signals {
+    /// Inputs.
+    pub inputs: Vec<Vec<f64>>,
+    /// Output.
+    pub output: Vec<f64>,
+    /// Signal whose speed friction depends on, if there is one.
+    pub motion: Option<Vec<f64>>,
+    /// Time, s; row numbers if the log has no clock.
+    pub t: Vec<f64>,
+    /// Whether `t` is time.
+    pub clocked: bool,
+}
+
+/// Reads the columns that a map names.
+///
+/// # Errors
+/// [`MapError`] with file, line and column.
+pub fn read(path: &Path, map: &MapFile) -> Result<Signals, MapError> {
+    let names = names(map);
+    let schema = Schema {
+        required: &names,
+        known: &|n| names.contains(&n),
+        rows_min: 1,
+    };
+    let table = Table::open(path, &schema)?;
+    signals(&path.display().to_string(), &table, map)
+}
+
+fn names(map: &MapFile) -> Vec<&str> {
+    let others = map.motion.as_deref().into_iter().chain(map.time.as_deref());
+    [map.inputs(), map.output.names(), others.collect()].concat()
+}
+
+fn signals(file: &str, table: &Table, map: &MapFile) -> Result<Signals, MapError> {
+    let columns = names(map).into_iter().map(|n| table.required(n));
+    let columns = columns.collect::<Result<Vec<_>, _>>()?;
+    // a row with a missing value is left out
+    let whole = |k: &usize| columns.iter().all(|c| !c[*k].is_nan());
+    let rows: Vec<usize> = (0..table.rows()).step_by(map.every).filter(whole).collect();
+    if rows.len() < ROWS_MIN {
+        return Err(MapError::Short(file.to_owned(), rows.len(), ROWS_MIN));
+    }
+    let taken = |name: &str| -> Result<Vec<f64>, ReadError> {
+        let column = table.required(name)?;
+        Ok(rows.iter().map(|&k| column[k]).collect())
+    };
+    let all = |names: Vec<&str>| names.into_iter().map(taken).collect::<Result<Vec<_>, _>>();
+    let constant = |c: &[f64]| c.iter().all(|v| *v == c[0]);
+    let fails = |names: &[&str]| Err(MapError::Constant(file.to_owned(), names.join(", ")));
+    let inputs = all(map.inputs())?;
+    if map.nominal != Nominal::Still && inputs.len() == 1 && constant(&inputs[0]) {
+        return fails(&map.inputs());
+    }
+    let answers = all(map.output.names())?;
+    let norm = |k: usize| answers.iter().map(|c| c[k] * c[k]).sum::<f64>().sqrt();
+    let output = match answers.as_slice() {
+        [one] => one.clone(),
+        _ => (0..rows.len()).map(norm).collect(),
+    };
+    if constant(&output) {
+        return fails(&map.output.names());
+    }
+    let t = match &map.time {
+        Some(name) => {
+            table.increasing(name, rows.iter().copied())?;
+            taken(name)?
+        }
+        None => {
+            let step = map.rate_hz.map_or(1.0, |r| map.every as f64 / r);
+            (0..rows.len()).map(|k| k as f64 * step).collect()
+        }
+    };
+    let motion = map.motion.as_deref().map(taken).transpose()?;
+    Ok(Signals {
+        motion: motion.or_else(|| inputs.first().cloned()),
+        inputs,
+        output,
+        t,
+        clocked: map.time.is_some() || map.rate_hz.is_some(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn error(map: &str, text: &str) -> String {
+        let map: MapFile = toml::from_str(map).unwrap();
+        let names = names(&map);
+        let table = Table::parse(
+            "x.csv",
+            text.as_bytes(),
+            &Schema {
+                required: &names,
+                known: &|n| names.contains(&n),
+                rows_min: 1,
+            },
+        );
+        table
+            .map_err(MapError::from)
+            .and_then(|t| signals("x.csv", &t, &map))
+            .map_or_else(|e| e.to_string(), |_| String::new())
+    }
+
+    #[test]
+    fn a_log_that_contradicts_its_map_is_refused_by_line_and_column() {
+        let map = "input = \"u\"\noutput = \"y\"\ntime = \"t\"\n";
+        let rows =
+            |f: fn(usize) -> String| format!("t,u,y\n{}", (0..80).map(f).collect::<String>());
+        assert_eq!(error(map, &rows(|k| format!("{k},{k},{}\n", k * k))), "");
+        assert!(
+            error(map, "t,x,y\n0,0,0\n")
+                .contains("line 1, column u: is missing; the header names t, x, y")
+        );
+        assert!(error(map, "t,u,y\n0,0,0\n1,?,0\n").contains("line 3, column u: `?`"));
+        assert!(error(map, "t,u,y\n0,0,0\n").contains("1 rows remain; at least 60"));
+        assert!(
+            error(map, &rows(|k| format!("{},{k},{k}\n", k % 40)))
+                .contains("line 42, column t: 0 s does not come after 39 s")
+        );
+        assert!(error(map, &rows(|k| format!("{k},5,{k}\n"))).contains("column u: is constant"));
+        assert!(
+            error(map, &rows(|k| format!("{k},{k},{k}e120\n")))
+                .contains("line 3, column y: `1e120` is not a number from -1e19 to 1e19")
+        );
+    }
+
+    #[test]
+    fn rows_with_missing_values_are_left_out() {
+        let map: MapFile = toml::from_str("input = \"u\"\noutput = [\"y\", \"z\"]\n").unwrap();
+        let names = names(&map);
+        let text: String = (0..80)
+            .map(|k| {
+                if k == 7 {
+                    "1,,2\n".to_owned()
+                } else {
+                    format!("{k},3,4\n")
+                }
+            })
+            .collect();
+        let schema = Schema {
+            required: &names,
+            known: &|n| names.contains(&n),
+            rows_min: 1,
+        };
+        let table = Table::parse("x.csv", format!("u,y,z\n{text}").as_bytes(), &schema).unwrap();
+        let e = signals("x.csv", &table, &map).unwrap_err().to_string();
+        assert!(
+            e.contains("y, z: is constant"),
+            "the norm is 5 in every complete row: {e}"
+        );
+    }
+}

@@ -1,0 +1,386 @@
+//! The diagnosis as a document. `docs/gap.md` describes the JSON form.
+
+use crate::diagnosis::tip::fit::{Candidate, Compared, HeldOut, closed_ci95, score};
+use crate::diagnosis::tip::model::{Model, every_bin, run, sense};
+use crate::diagnosis::tip::observed::{CORRELATED_S, Observed, PerQuantity, Segment, dependences};
+use crate::diagnosis::tip::{BeforeAfter, StageShare, TipProblem, credits, stages};
+use crate::diagnosis::verdict::Verdict;
+use crate::diagnosis::{Candidates, Judged, Scored, diagnose};
+use crate::model::effects::{Effect, Param};
+use crate::model::{lines, nominal_theta};
+use nalgebra::Vector3;
+use serde::Serialize;
+
+/// Least part of a remainder that a dependence must predict to be told.
+const TOLD: f64 = 0.1;
+/// Compared single effects, and larger sets, in the document.
+const RIVALS: usize = 12;
+
+/// The diagnosis of a tip and what it was made from.
+pub type Diagnosed = diagnose::Diagnosed<Diagnosis, Candidate>;
+
+/// The gap, degrees RMS over the logged quantities.
+#[derive(Debug, Clone, Serialize)]
+pub struct Gap {
+    /// With the calibration as given.
+    pub as_configured_deg: f64,
+    /// After recalibration, on left-out blocks.
+    pub recalibrated_deg: f64,
+    /// With the verdict's effects, on left-out blocks.
+    pub explained_deg: f64,
+    /// White noise alone.
+    pub noise_floor_deg: f64,
+}
+
+/// Error in a region of bend and direction.
+#[derive(Debug, Clone, Serialize)]
+pub struct Region {
+    /// Bend, degrees, from and to.
+    pub bend_deg: [f64; 2],
+    /// Direction, degrees, from and to.
+    pub dir_deg: [f64; 2],
+    /// RMSE of the recalibrated model, degrees.
+    pub rmse_deg: f64,
+    /// RMSE with the verdict's effects, degrees.
+    pub explained_deg: f64,
+}
+
+/// Error in a stretch of time.
+#[derive(Debug, Clone, Serialize)]
+pub struct When {
+    /// Start, s.
+    pub from_s: f64,
+    /// End, s.
+    pub to_s: f64,
+    /// RMSE of the recalibrated model, degrees.
+    pub rmse_deg: f64,
+    /// RMSE with the verdict's effects, degrees.
+    pub explained_deg: f64,
+}
+
+/// Error of one quantity.
+#[derive(Debug, Clone, Serialize)]
+pub struct QuantityShare {
+    /// Name of the quantity.
+    pub name: &'static str,
+    /// RMSE of the recalibrated model, degrees (°/s for the gyroscope).
+    pub rmse_deg: f64,
+    /// RMSE with the verdict's effects.
+    pub explained_deg: f64,
+}
+
+/// Location of the gap.
+#[derive(Debug, Clone, Serialize)]
+pub struct Location {
+    /// Stages, largest share first.
+    pub stages: Vec<StageShare>,
+    /// Groups of stages that this log cannot separate.
+    pub merged: Vec<Vec<&'static str>>,
+    /// By bend and direction.
+    pub regions: Vec<Region>,
+    /// By time.
+    pub when: Vec<When>,
+    /// By quantity.
+    pub kinds: Vec<QuantityShare>,
+}
+
+/// A fitted parameter.
+#[derive(Debug, Clone, Serialize)]
+pub struct ParamValue {
+    /// Name.
+    pub name: &'static str,
+    /// Unit; empty for a plain number.
+    pub unit: &'static str,
+    /// Estimate.
+    pub value: f64,
+    /// 95 % interval.
+    pub ci95: [f64; 2],
+    /// Channel 1 to 3; 0 if the parameter belongs to none.
+    pub channel: u8,
+}
+
+/// An effect of the catalogue.
+#[derive(Debug, Clone, Serialize)]
+pub struct EffectEntry {
+    /// Name.
+    pub name: &'static str,
+    /// Stage.
+    pub stage: &'static str,
+    /// Probability that the effect is present.
+    pub probability: f64,
+    /// RMSE without the effect, degrees.
+    pub gap_before_deg: f64,
+    /// RMSE with the effect, degrees.
+    pub gap_after_deg: f64,
+    /// Part of the gap that the effect closes.
+    pub closed: f64,
+    /// 95 % interval of that part.
+    pub closed_ci95: [f64; 2],
+    /// Parameters.
+    pub params: Vec<ParamValue>,
+}
+
+/// The unexplained remainder.
+#[derive(Debug, Clone, Serialize)]
+pub struct UnknownEntry {
+    /// Probability that a cause outside the catalogue is present.
+    pub probability: f64,
+    /// RMSE left above the noise, degrees.
+    pub rmse_deg: f64,
+    /// What it depends on, the strongest first.
+    pub goes_with: Vec<DependenceEntry>,
+}
+
+/// Something that the remainder depends on.
+#[derive(Debug, Clone, Serialize)]
+pub struct DependenceEntry {
+    /// What.
+    pub name: &'static str,
+    /// Part of the remainder's energy in one sensor that it predicts on left-out blocks.
+    pub share: f64,
+}
+
+/// A set of effects and what it leaves.
+#[derive(Debug, Clone, Serialize)]
+pub struct Rival {
+    /// Names; empty for the nominal model.
+    pub names: Vec<&'static str>,
+    /// Held-out energy over all quantities, deg².
+    pub energy_deg2: f64,
+    /// Held-out RMSE: reference, accelerometer, magnetometer (degrees) and gyroscope (°/s).
+    pub rmse_deg: PerQuantity<f64>,
+    /// Weighted sum of squares in sample.
+    pub cost: f64,
+}
+
+/// One of the logs that were diagnosed together.
+#[derive(Debug, Clone, Serialize)]
+pub struct LogEntry {
+    /// Name of the file.
+    pub file: String,
+    /// RMS of its part of the gap after recalibration, on left-out blocks, degrees.
+    pub recalibrated_deg: f64,
+    /// The same with the verdict's effects.
+    pub explained_deg: f64,
+}
+
+/// A whole diagnosis.
+#[derive(Debug, Clone, Serialize)]
+pub struct Diagnosis {
+    /// Version of this document.
+    pub schema: u32,
+    /// Size of the gap.
+    pub gap: Gap,
+    /// Location of the gap.
+    #[serde(rename = "where")]
+    pub location: Location,
+    /// All effects, most probable first.
+    pub effects: Vec<EffectEntry>,
+    /// Verdict.
+    pub verdict: Verdict,
+    /// Unexplained remainder.
+    pub unknown: UnknownEntry,
+    /// The logs.
+    pub logs: Vec<LogEntry>,
+    /// Compared sets, best first.
+    pub rivals: Vec<Rival>,
+}
+
+impl TipProblem<'_> {
+    /// The document.
+    pub fn written(&self, judged: &Judged<Self>) -> Diagnosis {
+        let (log, nominal, chosen) = (self.log, &self.nominal, judged.chosen());
+        let verdict = judged.verdict.clone();
+        let entry = |e: &Box<dyn Effect>| self.entry(judged, e.as_ref());
+        let mut effects: Vec<EffectEntry> = self.catalogue.iter().map(entry).collect();
+        let credits = credits(&judged.found, chosen, self.gap());
+        let probability = |s: &Candidate| (s.names[0], judged.posterior.effect(s.names[0]));
+        let probabilities: Vec<_> = judged.found.singles.iter().map(probability).collect();
+        effects.sort_by(|a, b| {
+            b.probability
+                .total_cmp(&a.probability)
+                .then(b.closed.total_cmp(&a.closed))
+        });
+        let place = BeforeAfter {
+            log,
+            before: &nominal.held_out,
+            after: &chosen.held_out,
+        };
+        Diagnosis {
+            schema: 1,
+            gap: Gap {
+                as_configured_deg: log.rms_deg(self.as_configured()),
+                recalibrated_deg: log.rms_deg(nominal.energy()),
+                explained_deg: log.rms_deg(chosen.energy()),
+                noise_floor_deg: log.rms_deg(log.noise_energy()),
+            },
+            location: Location {
+                stages: stages(self.catalogue, &credits, &probabilities),
+                merged: self.merged(&verdict.equivalent),
+                regions: place.regions(),
+                when: place.when(),
+                kinds: place.quantities(),
+            },
+            unknown: UnknownEntry {
+                probability: verdict.doubt,
+                rmse_deg: log.rms_deg((chosen.energy() - log.noise_energy()).max(0.0)),
+                goes_with: goes_with(log, &chosen.held_out),
+            },
+            verdict,
+            effects,
+            logs: self.logs(&chosen.held_out),
+            rivals: rivals(&judged.found),
+        }
+    }
+
+    /// The gap that recalibration leaves above noise, deg².
+    fn gap(&self) -> f64 {
+        (self.nominal.energy() - self.log.noise_energy()).max(1e-9)
+    }
+
+    /// Energy with the calibration as given, deg²; only gravity, field and gyroscope bias are solved.
+    fn as_configured(&self) -> f64 {
+        let (log, model) = (self.log, Model::new(&[]));
+        let theta = nominal_theta(self.lines, log.rig.prior_lag_s);
+        let residual = sense(log, &model, &theta, &run(log, &model, &theta), every_bin);
+        score(log, residual, every_bin).energy()
+    }
+
+    /// Each log's part of the gap; the parts of all logs are in the ratio of their left-out residuals.
+    fn logs(&self, chosen: &HeldOut) -> Vec<LogEntry> {
+        let log = self.log;
+        let deg = |of: &HeldOut, part: &Segment| {
+            let energy =
+                |used: &dyn Fn(usize) -> bool| score(log, of.residual.clone(), used).energy();
+            let scored = |k: usize| {
+                log.quantities()
+                    .any(|q| of.residual[q][k] != Vector3::zeros())
+            };
+            let all = energy(&scored).max(f64::MIN_POSITIVE);
+            let own = energy(&|k| part.bins.contains(&k) && scored(k));
+            log.rms_deg(of.energy() * own / all)
+        };
+        let entry = |part: &Segment| LogEntry {
+            file: part.file.clone(),
+            recalibrated_deg: deg(&self.nominal.held_out, part),
+            explained_deg: deg(chosen, part),
+        };
+        log.segments.iter().map(entry).collect()
+    }
+
+    fn entry(&self, judged: &Judged<Self>, e: &dyn Effect) -> EffectEntry {
+        let (log, found, chosen) = (self.log, &judged.found, judged.chosen());
+        let nominal = &self.nominal;
+        // one of several effects is credited with what returns when it is taken out
+        let (before, after) = match chosen.names.contains(&e.name()) {
+            true => (
+                found.without(chosen, e.name()).unwrap_or(nominal),
+                Some(chosen),
+            ),
+            false => (nominal, found.single(e.name())),
+        };
+        let with = after.unwrap_or(nominal);
+        let closed = with.closed(before, self.gap());
+        let compared = Compared {
+            before: &before.held_out,
+            after: &with.held_out,
+            nominal: &nominal.held_out,
+            floor: log.noise_energy(),
+        };
+        EffectEntry {
+            name: e.name(),
+            stage: e.stage().name(),
+            probability: judged.posterior.effect(e.name()),
+            gap_before_deg: log.rms_deg(before.energy()),
+            gap_after_deg: log.rms_deg(with.energy()),
+            closed,
+            closed_ci95: closed_ci95(&compared, closed, self.seed),
+            params: after.map_or(vec![], |c| self.params(e, c)),
+        }
+    }
+
+    /// Parameters of an effect in a candidate, with intervals widened for correlated residuals.
+    fn params(&self, e: &dyn Effect, c: &Candidate) -> Vec<ParamValue> {
+        let log = self.log;
+        let model = Model::named(self.catalogue, &c.names);
+        let Some(i) = model.effects.iter().position(|x| x.name() == e.name()) else {
+            return vec![];
+        };
+        let independent = (log.duration_s() / CORRELATED_S).max(10.0);
+        let variance = c.fitted.cost
+            / (independent * 3.0 * log.quantities().count() as f64)
+            / (log.bins.len() as f64 / independent);
+        let inflation = variance * log.bins.len() as f64 / independent;
+        let mut values = model.of(&c.fitted.theta, i).to_vec();
+        e.canonical(
+            &mut values,
+            &Vector3::from(lines(&c.fitted.theta).map(|l| l.k_epsilon)),
+        );
+        let one = |(k, p): (usize, &Param)| {
+            let at = model.at[i] + k;
+            let (value, half) = (
+                values[k],
+                1.96 * (c.fitted.covariance[(at, at)].max(0.0) * inflation).sqrt(),
+            );
+            let shown = |x: f64| p.shown(x).0;
+            ParamValue {
+                name: p.name,
+                unit: p.shown(value).1,
+                value: shown(value),
+                ci95: [
+                    shown((value - half).max(p.low)),
+                    shown((value + half).min(p.high)),
+                ],
+                channel: p.channel,
+            }
+        };
+        e.params().iter().enumerate().map(one).collect()
+    }
+
+    /// Stages of each group that spans more than one.
+    fn merged(&self, groups: &[Vec<&'static str>]) -> Vec<Vec<&'static str>> {
+        let stage = |name: &str| {
+            self.catalogue
+                .iter()
+                .find(|e| e.name() == name)
+                .map_or("", |e| e.stage().name())
+        };
+        let of = |group: &Vec<&'static str>| {
+            let mut stages: Vec<&'static str> = group.iter().map(|n| stage(n)).collect();
+            stages.dedup();
+            stages
+        };
+        groups.iter().map(of).filter(|s| s.len() > 1).collect()
+    }
+}
+
+/// What the remainder depends on.
+pub fn goes_with(log: &Observed, left: &HeldOut) -> Vec<DependenceEntry> {
+    let mut told = dependences(log, &left.residual).to_vec();
+    told.retain(|d| d.gain > 0.0 && d.share >= TOLD);
+    told.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    told.into_iter()
+        .map(|d| DependenceEntry {
+            name: d.on.name(),
+            share: d.share,
+        })
+        .collect()
+}
+
+fn rivals(found: &Candidates<Candidate>) -> Vec<Rival> {
+    let of = |c: &Candidate| Rival {
+        names: c.names.clone(),
+        energy_deg2: c.energy(),
+        rmse_deg: c.held_out.rmse_deg,
+        cost: c.fitted.cost,
+    };
+    let shown = found
+        .singles
+        .iter()
+        .take(RIVALS)
+        .chain(found.larger.iter().take(RIVALS))
+        .chain([&found.nominal]);
+    let mut out: Vec<Rival> = shown.map(of).collect();
+    out.sort_by(|a, b| a.energy_deg2.total_cmp(&b.energy_deg2));
+    out
+}

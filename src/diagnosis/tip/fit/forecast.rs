@@ -1,0 +1,131 @@
+//! The model that predicts best, for a feedforward or a simulation.
+//!
+//! A verdict names as few causes as the log proves. A prediction may use more: every effect that acts all the time and has few
+//! valleys is fitted at once, under the priors of the catalogue. An effect with many valleys joins them if one step of it
+//! promises enough. Effects whose parameters a Wald test does not separate from their vanishing point are then removed. Of the
+//! nominal model, the verdict's set, the whole and the reduced set, the one that leaves the least on blocks that the fit has not
+//! seen is returned.
+
+use crate::diagnosis::Scored;
+use crate::diagnosis::tip::fit::{
+    BaseFit, Candidate, LeastSquares, Start, best_start, fit, vanishing,
+};
+use crate::diagnosis::tip::model::Model;
+use crate::diagnosis::tip::observed::Observed;
+use crate::model::effects::{Effect, Stage};
+use nalgebra::DVector;
+use rayon::prelude::*;
+
+/// Rounds of a fit.
+const ROUNDS: usize = 8;
+/// Starting points beyond which an effect is fitted only if it promises enough.
+const STARTS_MAX: usize = 3;
+/// The same for the parameters of a sensor effect.
+const PARAMETERS_MAX: usize = 12;
+/// Part of the sum of squares that such an effect must promise to leave at most.
+const PROMISE: f64 = 0.85;
+/// Such effects that are added at most.
+const ADDED_MAX: usize = 2;
+/// Wald statistic per parameter below which an effect is removed: the 2 of Akaike's criterion, times the forty bins over which
+/// the residuals are correlated (2 s).
+const WALD_MIN: f64 = 2.0 * 40.0;
+/// Share by which a reduced set may leave more than the whole.
+const WORSE_MAX: f64 = 1.02;
+
+/// The model that leaves the least on unseen blocks, among those between `nominal` and the whole catalogue.
+pub fn best_predicting(
+    log: &Observed,
+    catalogue: &[Box<dyn Effect>],
+    nominal: &Candidate,
+    chosen: &Candidate,
+) -> Candidate {
+    let used = |e: &&dyn Effect| is_steady(*e) || chosen.names.contains(&e.name());
+    let named: Vec<&dyn Effect> = catalogue.iter().map(AsRef::as_ref).filter(used).collect();
+    let mut base = fitted(log, &named, &start(&named, catalogue, chosen));
+    let mut all = vec![Candidate::new(&base)];
+    for _ in 0..ADDED_MAX {
+        let Some((effects, start)) = promising(log, catalogue, &base) else {
+            break;
+        };
+        base = fitted(log, &effects, &start.theta);
+        all.push(Candidate::new(&base));
+    }
+    let least = all
+        .into_iter()
+        .min_by(|a, b| a.energy().total_cmp(&b.energy()));
+    let whole = least.unwrap_or_else(|| chosen.clone());
+    let spared = match whole.names == base.problem.model.names() {
+        true => weak(&base),
+        false => vec![],
+    };
+    let mut kept = Model::named(catalogue, &whole.names).effects;
+    kept.retain(|e| !spared.contains(&e.name()));
+    let reduced = Candidate::new(&fitted(log, &kept, &start(&kept, catalogue, &whole)));
+    let better = reduced.energy() <= WORSE_MAX * whole.energy();
+    let best = if better { reduced } else { whole };
+    let less = |best: Candidate, other: &Candidate| match other.energy() < best.energy() {
+        true => other.clone(),
+        false => best,
+    };
+    [nominal, chosen].into_iter().fold(best, less)
+}
+
+/// Whether an effect acts all the time, can be fed forward or disturbs the readings, and has few valleys.
+fn is_steady(e: &dyn Effect) -> bool {
+    let info = e.info();
+    let steady = !info.is_event()
+        && !matches!(info.stage, Stage::Timing | Stage::Base)
+        && e.starts().len() <= STARTS_MAX;
+    steady && (info.stage != Stage::Sensor || info.params.len() <= PARAMETERS_MAX)
+}
+
+/// The effects of `base` with the one more that promises most, and its starting point.
+fn promising<'a>(
+    log: &'a Observed,
+    catalogue: &'a [Box<dyn Effect>],
+    base: &BaseFit<'a>,
+) -> Option<(Vec<&'a dyn Effect>, Start)> {
+    let known = base.problem.model.names();
+    let tried = |e: &'a dyn Effect| {
+        let names: Vec<&str> = known.iter().copied().chain([e.name()]).collect();
+        let to = LeastSquares::new(log, Model::named(catalogue, &names));
+        best_start(base, &to, e).map(|s| (to.model.effects, s))
+    };
+    let fresh = catalogue
+        .par_iter()
+        .map(Box::as_ref)
+        .filter(|e| !known.contains(&e.name()));
+    let tried = fresh.filter_map(tried);
+    let best = tried.min_by(|a, b| a.1.predicted.total_cmp(&b.1.predicted))?;
+    (best.1.predicted < PROMISE * base.point.total()).then_some(best)
+}
+
+/// Parameters at which the fit of `effects` starts: those of `from`, and the vanishing point of every other effect.
+fn start(effects: &[&dyn Effect], catalogue: &[Box<dyn Effect>], from: &Candidate) -> Vec<f64> {
+    let known = Model::named(catalogue, &from.names);
+    Model::new(effects).extended(&known, &from.fitted.theta, vanishing)
+}
+
+fn fitted<'a>(log: &'a Observed, effects: &[&'a dyn Effect], start: &[f64]) -> BaseFit<'a> {
+    fit(LeastSquares::new(log, Model::new(effects)), start, ROUNDS)
+}
+
+/// Effects whose parameters the log does not separate from their vanishing point.
+fn weak(base: &BaseFit<'_>) -> Vec<&'static str> {
+    let (problem, point) = (&base.problem, &base.point);
+    let Some(covariance) = base.sums().normal.try_inverse() else {
+        return vec![];
+    };
+    let model = &problem.model;
+    let spared = |&i: &usize| {
+        let (from, n) = (model.at[i], model.at[i + 1] - model.at[i]);
+        let away = DVector::from_fn(n, |k, _| {
+            let bound = &problem.bounds[from + k];
+            (point.theta[from + k] - bound.start) / bound.scale
+        });
+        let own = covariance.view((from, from), (n, n)).into_owned();
+        own.cholesky().map_or(0.0, |c| away.dot(&c.solve(&away))) < WALD_MIN * n as f64
+    };
+    let spared = (0..model.effects.len()).filter(spared);
+    spared.map(|i| model.effects[i].name()).collect()
+}

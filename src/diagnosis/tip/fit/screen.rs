@@ -1,0 +1,116 @@
+//! Which of all pairs of effects are worth a fit.
+//!
+//! The fit of each single effect changes the residuals of the recalibrated model. What two effects do together is about the sum of what
+//! each does alone, from where one step along the tangents of both fits, with the nominal gains, predicts what a fit of the pair would
+//! leave. All pairs share one normal matrix, of the tangents at all singles and of their changes.
+
+use crate::diagnosis::tip::fit::{BaseFit, Candidate, LeastSquares, Start, Sums, Tangent, stepped};
+use crate::diagnosis::tip::model::Model;
+use crate::diagnosis::tip::observed::{CORRELATED_S, Observed};
+use crate::model::NOMINAL;
+use crate::model::effects::Effect;
+use nalgebra::{DMatrix, DVector};
+
+/// The fit of one effect, and what the pairs with it need: the tangent at the fit, without that of the nominal gains, and the change of the
+/// residuals.
+pub type Alone = (Candidate, Tangent);
+
+/// The fit of one effect beside that of the nominal model.
+pub fn alone(nominal: &BaseFit<'_>, fit: BaseFit<'_>) -> Alone {
+    let candidate = Candidate::new(&fit);
+    let residuals = fit.point.residual.iter().zip(&nominal.point.residual);
+    let change = residuals.map(|(r, r0)| (r - r0) as f32).collect();
+    let mut columns = fit.tangent.after(NOMINAL);
+    columns.push(change);
+    (candidate, columns)
+}
+
+/// Schwarz's criterion (1978) of a sum of squares: what a model with this many parameters more leaves, and what they cost.
+pub fn schwarz(log: &Observed, squares: f64, params: usize) -> f64 {
+    let independent = log.duration_s() / CORRELATED_S * 3.0 * log.quantities().count() as f64;
+    independent * squares.ln() + params as f64 * independent.ln()
+}
+
+/// All pairs, the most promising first, with parameters from where a fit starts.
+pub fn screen(
+    nominal: &BaseFit<'_>,
+    catalogue: &[Box<dyn Effect>],
+    alone: &[Alone],
+) -> Vec<([&'static str; 2], Vec<f64>)> {
+    let gram = Gram::new(nominal, alone);
+    let mut out: Vec<([&'static str; 2], f64, Start)> = Vec::new();
+    for a in 0..alone.len() {
+        out.extend((0..a).filter_map(|b| gram.pair(nominal, catalogue, alone, [a, b])));
+    }
+    out.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let starts = out
+        .into_iter()
+        .map(|(names, _, start)| (names, start.theta));
+    starts.collect()
+}
+
+/// Products of all columns with each other and with the residuals of the nominal model.
+struct Gram {
+    sums: Sums,
+    /// First column of each single, and one past the last of all; the last column of each is its change.
+    at: Vec<usize>,
+}
+
+impl Gram {
+    fn new(nominal: &BaseFit<'_>, alone: &[Alone]) -> Self {
+        let (mut columns, mut at) = (nominal.tangent.clone(), vec![NOMINAL]);
+        for (_, own) in alone {
+            columns.append(own.clone(), 0);
+            at.push(columns.width());
+        }
+        Self {
+            sums: columns.whole(&nominal.point, nominal.problem.log.bins.len()),
+            at,
+        }
+    }
+
+    /// Names, [`schwarz`], and the start of a fit of two singles.
+    fn pair(
+        &self,
+        nominal: &BaseFit<'_>,
+        catalogue: &[Box<dyn Effect>],
+        alone: &[Alone],
+        of: [usize; 2],
+    ) -> Option<([&'static str; 2], f64, Start)> {
+        let log = nominal.problem.log;
+        let model = Model::named(catalogue, &of.map(|k| alone[k].0.names[0]));
+        let problem = LeastSquares::new(log, model);
+        let names: [&'static str; 2] = problem.model.names().try_into().ok()?;
+        let of = match alone[of[0]].0.names[0] == names[0] {
+            true => of,
+            false => [of[1], of[0]],
+        };
+        let changes = of.map(|k| self.at[k + 1] - 1);
+        let own = of.into_iter().flat_map(|k| self.at[k]..self.at[k + 1] - 1);
+        let used: Vec<usize> = (0..NOMINAL).chain(own).collect();
+        let Sums { normal, gradient } = &self.sums;
+        // the residuals are those of the nominal model and both changes
+        let along = |i: usize| gradient[i] + changes.iter().map(|&c| normal[(i, c)]).sum::<f64>();
+        let squares =
+            nominal.point.data() + changes.iter().map(|&c| gradient[c] + along(c)).sum::<f64>();
+        let thetas = of.map(|k| &alone[k].0.fitted.theta);
+        let gains = (0..NOMINAL).map(|i| thetas[0][i] + thetas[1][i] - nominal.point.theta[i]);
+        let own = thetas
+            .into_iter()
+            .flat_map(|t| t[NOMINAL..].iter().copied());
+        let theta = gains
+            .chain(own)
+            .zip(&problem.bounds)
+            .map(|(t, b)| t.clamp(b.low, b.high));
+        let theta: Vec<f64> = theta.collect();
+        let n = used.len();
+        let mut sums = Sums {
+            normal: DMatrix::from_fn(n, n, |a, b| normal[(used[a], used[b])]),
+            gradient: DVector::from_fn(n, |a, _| along(used[a])),
+        };
+        sums.add_prior(&problem, &theta);
+        let squares = squares + problem.prior(&theta);
+        let start = stepped(&problem, &theta, squares, &sums, nominal)?;
+        Some((names, schwarz(log, start.predicted, n), start))
+    }
+}

@@ -1,0 +1,203 @@
+//! Tangent of the residuals with respect to the parameters, and sums over it.
+//!
+//! Forward differences; the motion is run again only for parameters that change it. A tangent serves the steps of a
+//! fit, the fits without a block, which are close to the full fit, and the choice of the pairs of effects that are worth a fit.
+
+use crate::diagnosis::tip::fit::{LeastSquares, PRIOR_SLOPE, Point};
+use crate::model::NOMINAL;
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+/// Bins summed at a time: 32 bins × 12 rows × 4 bytes × about 20 columns fit the first-level cache.
+const CHUNK_BINS: usize = 32;
+/// Finite-difference step as a fraction of a parameter's scale.
+const STEP: f64 = 2e-3;
+
+/// ∂(weighted residuals)/∂(θ in units of scale), column by column, in single precision; a full run checks each step.
+#[derive(Debug, Clone)]
+pub struct Tangent {
+    columns: Vec<Vec<f32>>,
+}
+
+/// Normal matrix and gradient of a sum of squares.
+#[derive(Debug, Clone)]
+pub struct Sums {
+    /// `JᵀJ`.
+    pub normal: DMatrix<f64>,
+    /// `Jᵀr`.
+    pub gradient: DVector<f64>,
+}
+
+/// A finished fit.
+pub struct BaseFit<'a> {
+    /// Its problem.
+    pub problem: LeastSquares<'a>,
+    /// Its result.
+    pub point: Point,
+    /// The tangent at the result.
+    pub tangent: Tangent,
+}
+
+/// Column `c` of the tangent at a point.
+fn column(problem: &LeastSquares<'_>, point: &Point, c: usize) -> Vec<f32> {
+    let (mut moved, b) = (point.theta.clone(), &problem.bounds[c]);
+    // away from the upper limit
+    let h = match moved[c] + STEP * b.scale > b.high {
+        true => -STEP * b.scale,
+        false => STEP * b.scale,
+    };
+    moved[c] += h;
+    let residual = match problem.model.sensing_only(c) {
+        true => problem.residual(&moved, &point.motion),
+        false => problem.residual(&moved, &problem.motion(&moved)),
+    };
+    let per_scale = b.scale / h;
+    let moved = residual.iter().zip(&point.residual);
+    moved.map(|(x, r)| ((x - r) * per_scale) as f32).collect()
+}
+
+impl Tangent {
+    /// The tangent at a point.
+    pub fn new(problem: &LeastSquares<'_>, point: &Point) -> Self {
+        let columns = (0..problem.bounds.len()).into_par_iter();
+        Self {
+            columns: columns.map(|c| column(problem, point, c)).collect(),
+        }
+    }
+
+    /// The tangent at a point that adds a small effect to a base fit: only the columns of that effect are computed.
+    pub fn grown(problem: &LeastSquares<'_>, point: &Point, base: &BaseFit<'_>) -> Self {
+        let (model, known) = (&problem.model, &base.problem.model);
+        let mut columns = base.tangent.columns[..NOMINAL].to_vec();
+        for (i, e) in model.effects.iter().enumerate() {
+            match known.effects.iter().position(|x| x.name() == e.name()) {
+                Some(k) => columns.extend_from_slice(known.of(&base.tangent.columns, k)),
+                None => columns.extend(model.place(i).map(|c| column(problem, point, c))),
+            }
+        }
+        Self { columns }
+    }
+
+    /// Number of columns.
+    pub fn width(&self) -> usize {
+        self.columns.len()
+    }
+
+    /// Appends the columns of another tangent from column `from` on.
+    pub fn append(&mut self, other: Self, from: usize) {
+        self.columns.extend(other.columns.into_iter().skip(from));
+    }
+
+    /// The columns from `from` on.
+    #[must_use]
+    pub fn after(self, from: usize) -> Self {
+        Self {
+            columns: self.columns.into_iter().skip(from).collect(),
+        }
+    }
+
+    /// Appends a column.
+    pub fn push(&mut self, column: Vec<f32>) {
+        self.columns.push(column);
+    }
+
+    /// Sums over all bins without the priors.
+    pub fn whole(&self, point: &Point, bins: usize) -> Sums {
+        self.parts(point, bins, 1, |_| Some(0)).swap_remove(0)
+    }
+
+    /// Sums over all bins, including the priors.
+    pub fn sums(&self, problem: &LeastSquares<'_>, point: &Point) -> Sums {
+        let mut sums = self.whole(point, problem.log.bins.len());
+        sums.add_prior(problem, &point.theta);
+        sums
+    }
+
+    /// `Jᵀr` with the residuals of other parameters, including the priors.
+    pub fn gradient(
+        &self,
+        problem: &LeastSquares<'_>,
+        theta: &[f64],
+        residual: &[f64],
+    ) -> DVector<f64> {
+        let residual: Vec<f32> = residual.iter().map(|r| *r as f32).collect();
+        let width = self.columns.len();
+        let mut gradient = DVector::from_fn(width, |c, _| dot(&self.columns[c], &residual));
+        add_prior_gradient(&mut gradient, problem, theta);
+        gradient
+    }
+
+    /// Sums over groups of bins without the priors; `group` gives the group of a bin.
+    pub fn parts(
+        &self,
+        point: &Point,
+        bins: usize,
+        groups: usize,
+        group: impl Fn(usize) -> Option<usize>,
+    ) -> Vec<Sums> {
+        let (n, stride) = (self.columns.len(), point.residual.len() / bins.max(1));
+        let residual: Vec<f32> = point.residual.iter().map(|r| *r as f32).collect();
+        let (normal, gradient) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        let mut out = vec![Sums { normal, gradient }; groups];
+        let mut from = 0;
+        while from < bins {
+            let of = group(from);
+            let mut to = from + 1;
+            while to < bins && to - from < CHUNK_BINS && group(to) == of {
+                to += 1;
+            }
+            if let Some(sums) = of.and_then(|g| out.get_mut(g)) {
+                let rows = from * stride..to * stride;
+                for (a, column) in self.columns.iter().enumerate() {
+                    let column = &column[rows.clone()];
+                    for (b, other) in self.columns[..=a].iter().enumerate() {
+                        sums.normal[(a, b)] += dot(column, &other[rows.clone()]);
+                    }
+                    sums.gradient[a] += dot(column, &residual[rows.clone()]);
+                }
+            }
+            from = to;
+        }
+        out.iter_mut()
+            .for_each(|sums| sums.normal.fill_upper_triangle_with_lower_triangle());
+        out
+    }
+}
+
+impl BaseFit<'_> {
+    /// Sums over all bins, including the priors.
+    pub fn sums(&self) -> Sums {
+        self.tangent.sums(&self.problem, &self.point)
+    }
+}
+
+impl Sums {
+    /// Adds the priors.
+    pub fn add_prior(&mut self, problem: &LeastSquares<'_>, theta: &[f64]) {
+        for i in 0..problem.bounds.len() {
+            self.normal[(i, i)] += PRIOR_SLOPE * PRIOR_SLOPE;
+        }
+        add_prior_gradient(&mut self.gradient, problem, theta);
+    }
+}
+
+fn add_prior_gradient(gradient: &mut DVector<f64>, problem: &LeastSquares<'_>, theta: &[f64]) {
+    for (i, (t, b)) in theta.iter().zip(&problem.bounds).enumerate() {
+        gradient[i] += PRIOR_SLOPE * PRIOR_SLOPE * (t - b.start) / b.scale;
+    }
+}
+
+/// Sum of products in sixteen lanes, which the compiler keeps in vector registers.
+fn dot(a: &[f32], b: &[f32]) -> f64 {
+    const LANES: usize = 16;
+    let mut lanes = [0.0f32; LANES];
+    let (a16, b16) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
+    let rest = a16.remainder().iter().zip(b16.remainder());
+    let rest: f32 = rest.map(|(x, y)| x * y).sum();
+    for (x, y) in a16.zip(b16) {
+        for i in 0..LANES {
+            lanes[i] += x[i] * y[i];
+        }
+    }
+    f64::from(lanes.iter().sum::<f32>() + rest)
+}

@@ -1,0 +1,280 @@
+//! The nominal model run forward from the pistons, with any set of effects in it.
+//!
+//! pistons → play → 1/(1 + k_ε) → first-order lag τ₀ → constant curvature → tip orientation. Each effect changes the
+//! signal at its own stage. The lag integrates a straight line between two instants exactly, so a step may be longer
+//! than τ₀. [`crate::diagnosis::tip::model::sense`] turns the motion into readings.
+
+use crate::diagnosis::tip::observed::{Observed, Segment};
+use crate::model::effects::{Effect, Memory, Pose};
+use crate::model::{Bend, Chain, NOMINAL, places};
+use nalgebra::{Matrix3, Vector3};
+use std::borrow::Cow;
+use std::ops::Range;
+
+/// Largest mechanical lag that counts as nominal, s.
+pub const LAG_MAX_S: f64 = 0.05;
+/// Time step assumed at the first instant, s.
+pub const FIRST_STEP_S: f64 = 0.01;
+
+/// A set of effects in catalogue order, and the place of their parameters in the parameter vector θ.
+#[derive(Clone)]
+pub struct Model<'a> {
+    /// The effects.
+    pub effects: Vec<&'a dyn Effect>,
+    /// First parameter of each effect, and one past the last of all.
+    pub at: Vec<usize>,
+}
+
+impl<'a> Model<'a> {
+    /// The nominal model with these effects.
+    pub fn new(effects: &[&'a dyn Effect]) -> Self {
+        Self {
+            effects: effects.to_vec(),
+            at: places(effects),
+        }
+    }
+
+    /// The nominal model with the named effects of a catalogue.
+    pub fn named(catalogue: &'a [Box<dyn Effect>], names: &[&str]) -> Self {
+        let all = catalogue.iter().map(AsRef::as_ref);
+        Self::new(
+            &all.filter(|e| names.contains(&e.name()))
+                .collect::<Vec<_>>(),
+        )
+    }
+
+    /// Names of the effects.
+    pub fn names(&self) -> Vec<&'static str> {
+        self.effects.iter().map(|e| e.name()).collect()
+    }
+
+    /// Parameters of effect `i`.
+    pub fn of<'p, T>(&self, theta: &'p [T], i: usize) -> &'p [T] {
+        &theta[self.place(i)]
+    }
+
+    /// Place of the parameters of effect `i`.
+    pub fn place(&self, i: usize) -> Range<usize> {
+        self.at[i]..self.at[i + 1]
+    }
+
+    /// Effects with their parameters.
+    pub fn each<'p>(
+        &'p self,
+        theta: &'p [f64],
+    ) -> impl Iterator<Item = (&'a dyn Effect, &'p [f64])> {
+        let effects = self.effects.iter().enumerate();
+        effects.map(move |(i, e)| (*e, self.of(theta, i)))
+    }
+
+    /// Parameters of this model from those of another one: shared effects keep theirs, a new effect takes those of `fresh`.
+    pub fn extended(
+        &self,
+        from: &Model<'_>,
+        theta: &[f64],
+        fresh: impl Fn(&dyn Effect) -> Vec<f64>,
+    ) -> Vec<f64> {
+        let mut out = theta[..NOMINAL].to_vec();
+        for e in &self.effects {
+            match from.effects.iter().position(|x| x.name() == e.name()) {
+                Some(i) => out.extend_from_slice(from.of(theta, i)),
+                None => out.extend(fresh(*e)),
+            }
+        }
+        out
+    }
+
+    /// Events of all effects.
+    pub fn all_events(&self) -> impl Iterator<Item = Event> {
+        (0..self.effects.len()).flat_map(|i| self.events(i))
+    }
+
+    /// Events of effect `i`, which has one group of parameters per event.
+    pub fn events(&self, i: usize) -> impl Iterator<Item = Event> + use<> {
+        let (e, first) = (self.effects[i], self.at[i]);
+        let events = e.info().events;
+        let size = e.params().len() / events.max(1);
+        (0..events).map(move |k| {
+            let from = first + k * size;
+            Event {
+                time: from,
+                lasting: (size > 4).then_some(from + 1),
+                offsets: std::array::from_fn(|i| from + size - 3 + i),
+            }
+        })
+    }
+
+    /// Whether parameter `j` changes only the readings, not the motion.
+    pub fn sensing_only(&self, j: usize) -> bool {
+        let mut effects = self.effects.iter().enumerate();
+        effects.any(|(i, e)| self.place(i).contains(&j) && e.sensing_only())
+    }
+}
+
+/// Tip in the base frame, instant by instant; zero at instants that no sensor samples.
+pub type Motion = Vec<Matrix3<f64>>;
+
+/// One event of an effect that happens once: indices in θ of its time, of its duration if it has one, and of its offsets.
+#[derive(Debug, Clone, Copy)]
+pub struct Event {
+    /// Time, s after the start of the first log.
+    pub time: usize,
+    /// Duration, s.
+    pub lasting: Option<usize>,
+    /// Offsets of the three channels or axes.
+    pub offsets: [usize; 3],
+}
+
+/// Parameters as a segment has them: the times of its own events count from its start, and other segments' events are absent.
+pub fn parameters<'p>(
+    log: &Observed,
+    segment: &Segment,
+    model: &Model<'_>,
+    theta: &'p [f64],
+) -> Cow<'p, [f64]> {
+    if log.segments.len() == 1 {
+        return Cow::Borrowed(theta);
+    }
+    let mut own = theta.to_vec();
+    for event in model.all_events() {
+        let at_s = log.start_s() + theta[event.time];
+        let of = log.segments.iter().rev().find(|s| s.start_s <= at_s);
+        if of.unwrap_or(&log.segments[0]) == segment {
+            own[event.time] = at_s - segment.start_s;
+        } else {
+            event.offsets.iter().for_each(|&o| own[o] = 0.0);
+        }
+    }
+    Cow::Owned(own)
+}
+
+/// Runs the model through the whole log.
+pub fn run(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Motion {
+    let mut out = Vec::with_capacity(log.t_s.len());
+    for segment in &log.segments {
+        let own = parameters(log, segment, model, theta);
+        run_segment(log, segment, model, &own, &mut out);
+        from_rest(&mut out[segment.instants.clone()]);
+    }
+    out
+}
+
+/// Appends the motion of one segment, which starts at rest.
+fn run_segment(
+    log: &Observed,
+    segment: &Segment,
+    model: &Model<'_>,
+    theta: &[f64],
+    out: &mut Motion,
+) {
+    let lag_s = theta[6].max(1e-3);
+    let behind_s: f64 = model.each(theta).map(|(e, p)| e.transport_s(p)).sum();
+    // a late sensor also samples between the middles of bins
+    let every = model.each(theta).any(|(e, p)| e.latency_s(p) > 0.0);
+    let chain = Chain::new(log.rig.geometry, &model.effects, &model.at, theta);
+    let mut memory = vec![Memory::default(); model.effects.len()];
+    let mut at = chain.moment(segment.up_base, FIRST_STEP_S);
+    let mut delayed = Delayed {
+        log,
+        behind_s,
+        at: segment.rows.start,
+    };
+    let (mut w, mut lagged, mut before) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
+    let (mut keep, mut keep_dt) = (0.0, -1.0);
+    for k in segment.instants.clone() {
+        let dt_s = match k == segment.instants.start {
+            true => FIRST_STEP_S,
+            false => log.t_s[k] - log.t_s[k - 1],
+        };
+        (at.t_s, at.dt_s, at.counted_mm, at.idle_s) = (
+            log.t_s[k] - segment.start_s,
+            dt_s,
+            delayed.piston(k),
+            log.idle_s[k],
+        );
+        if (dt_s - keep_dt).abs() > 1e-7 {
+            (keep, keep_dt) = ((-dt_s / lag_s).exp(), dt_s);
+        }
+        w = chain.play(&w, &chain.pistons(&mut memory, &at, &at.counted_mm));
+        let q = chain.bellows(&mut memory, &at, &w);
+        // the response to a ramp trails it by slope · τ₀
+        let behind = (q - before) * (lag_s / dt_s);
+        lagged = q - behind + (lagged - before + behind) * keep;
+        before = q;
+        out.push(match every || log.middle[k] {
+            true => orientation(&chain.pose(&mut memory, &at, &lagged)),
+            false => Matrix3::zeros(),
+        });
+    }
+}
+
+/// Expresses the motion relative to its first orientation: the initial rest *defines* zero bend and the base frame,
+/// also for a tip that sags before anything moves.
+fn from_rest(motion: &mut [Matrix3<f64>]) {
+    let Some(back) = motion.first().map(Matrix3::transpose) else {
+        return;
+    };
+    if back != Matrix3::identity() {
+        for r in motion.iter_mut() {
+            *r = back * *r;
+        }
+    }
+}
+
+/// Tip orientation of a pose, tip → base.
+fn orientation(pose: &Pose) -> Matrix3<f64> {
+    let bent = rotation(&Bend(pose.bend));
+    if pose.twist == 0.0 {
+        return bent;
+    }
+    let (s, c) = pose.twist.sin_cos();
+    bent * Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
+}
+
+/// Rodrigues' formula for the axis (b_y, b_x, 0): Eq. 7 as a matrix.
+fn rotation(bend: &Bend) -> Matrix3<f64> {
+    let beta2 = bend.0.norm_squared();
+    let beta = beta2.sqrt();
+    let (s, v) = match beta < 1e-6 {
+        true => (1.0, 0.5),
+        false => (beta.sin() / beta, (1.0 - beta.cos()) / beta2),
+    };
+    let (x, y) = (bend.0.y, bend.0.x);
+    let first = [1.0 - v * y * y, v * x * y, -s * y];
+    let second = [v * x * y, 1.0 - v * x * x, s * x];
+    Matrix3::from([first, second, [s * y, -s * x, 1.0 - v * beta2]])
+}
+
+/// Pistons as counted a dead time ago.
+struct Delayed<'a> {
+    log: &'a Observed,
+    behind_s: f64,
+    at: usize,
+}
+
+impl Delayed<'_> {
+    /// Pistons for instant `k`, mm; `k` must not decrease from call to call.
+    fn piston(&mut self, k: usize) -> Vector3<f64> {
+        if self.behind_s <= 0.0 {
+            return self.log.piston_mm[k];
+        }
+        let (rows, t) = (&self.log.rows, self.log.t_s[k] - self.behind_s);
+        while rows.t_s.get(self.at + 1).is_some_and(|&next| next <= t) {
+            self.at += 1;
+        }
+        rows.piston_after(self.at, t)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_matrix_equals_the_rotation_of_the_bend_model() {
+        for (x, y) in [(0.0, 0.0), (0.5, -0.3), (-1.2, 0.9), (1e-8, 0.0)] {
+            let b = Bend(nalgebra::Vector2::new(x, y));
+            assert!((rotation(&b) - b.rotation().matrix()).norm() < 1e-12);
+        }
+    }
+}

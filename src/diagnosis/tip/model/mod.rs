@@ -1,0 +1,7 @@
+//! The model of a tip: from the pistons to the motion, and from the motion to the readings.
+
+pub mod chain;
+pub mod sense;
+
+pub use chain::{Event, FIRST_STEP_S, LAG_MAX_S, Model, Motion, parameters, run};
+pub use sense::{Residuals, between, every_bin, sense};

@@ -1,0 +1,198 @@
+//! The sets of effects that are fitted to the log of a tip.
+//!
+//! Every single effect is fitted to the whole log from its most promising start and scored on left-out blocks. Pairs that are worth a fit
+//! are those that extend the best single, by the tangent there, and the best of all pairs by the normal matrix of all singles
+//! ([`crate::diagnosis::tip::fit::screen`]).
+
+use crate::diagnosis::Candidates;
+use crate::diagnosis::tip::fit::{
+    Alone, BaseFit, CLAIM_DEG, Candidate, HeldOut, LeastSquares, Start, alone, best_start,
+    dated_again, fit, schwarz, screen,
+};
+use crate::diagnosis::tip::model::Model;
+use crate::diagnosis::tip::observed::Observed;
+use crate::model::effects::Effect;
+use crate::model::{Line, nominal_theta};
+use rayon::prelude::*;
+
+/// Rounds of a fit.
+const ROUNDS: usize = 8;
+/// Sets that are fitted: pairs that extend the best single, the best of all pairs, triples that extend the best pair.
+const FITTED: [usize; 3] = [4, 8, 3];
+/// Most rounds in which events are dated again after a fit, for a single effect and for a larger set: the first of a pair has been dated.
+const DATED: [usize; 2] = [4, 1];
+/// A fit with events dated again is kept if it leaves less than this part of the cost.
+const DATED_GAIN: f64 = 0.99;
+
+/// The log of a tip, and the catalogue that may explain it.
+pub struct TipProblem<'a> {
+    /// The log.
+    pub log: &'a Observed,
+    /// The effects.
+    pub catalogue: &'a [Box<dyn Effect>],
+    /// The calibration that the log was driven with, from which the recalibration starts.
+    pub lines: &'a [Line; 3],
+    /// Seed of the bootstrap.
+    pub seed: u64,
+    /// The recalibrated nominal model.
+    pub nominal: Candidate,
+    base: BaseFit<'a>,
+}
+
+impl<'a> TipProblem<'a> {
+    /// The problem of a log that was driven with the calibration `lines`; `seed` is that of the bootstrap.
+    pub fn new(
+        log: &'a Observed,
+        catalogue: &'a [Box<dyn Effect>],
+        lines: &'a [Line; 3],
+        seed: u64,
+    ) -> Self {
+        let base = recalibration(log, lines);
+        Self {
+            log,
+            catalogue,
+            lines,
+            seed,
+            nominal: Candidate::new(&base),
+            base,
+        }
+    }
+
+    fn model(&self, names: &[&str]) -> Model<'a> {
+        Model::named(self.catalogue, names)
+    }
+
+    /// The fit of the named effects from this start.
+    fn fitted(&self, names: &[&str], start: &[f64]) -> Candidate {
+        Candidate::new(&settle(
+            LeastSquares::new(self.log, self.model(names)),
+            start,
+        ))
+    }
+
+    /// The fit of every single effect.
+    pub fn alone(&self) -> Vec<Alone> {
+        let single = |e: &dyn Effect| {
+            let (base, to) = (&self.base, LeastSquares::new(self.log, Model::new(&[e])));
+            let start =
+                best_start(base, &to, e).map_or_else(|| base.point.theta.clone(), |s| s.theta);
+            alone(base, settle(to, &start))
+        };
+        self.catalogue
+            .par_iter()
+            .map(|e| single(e.as_ref()))
+            .collect()
+    }
+
+    /// The pairs that are worth a fit: none where no two effects could be claimed, and half as many where the best single leaves less than
+    /// can be claimed, because a single that is not in the log can stand for two that are.
+    pub fn promising(&self, alone: &[Alone]) -> Vec<Candidate> {
+        let Some((best, _)) = alone.first() else {
+            return vec![];
+        };
+        let [extended, screened, _] = match self.leaves(&best.held_out) {
+            _ if self.leaves(&self.nominal.held_out) < CLAIM_DEG => return vec![],
+            left if left > CLAIM_DEG => FITTED,
+            left if left > CLAIM_DEG / 2.0 => FITTED.map(|n| n / 2),
+            _ => return vec![],
+        };
+        let mut out = self.grown(best, extended);
+        let known = |names: &[&str]| out.iter().any(|c| c.names == names);
+        let mut screen = screen(&self.base, self.catalogue, alone);
+        screen.retain(|(names, _)| !known(names));
+        screen.truncate(screened);
+        out.par_extend(
+            screen
+                .par_iter()
+                .map(|(names, theta)| self.fitted(names, theta)),
+        );
+        out
+    }
+
+    /// The triples that are worth a fit: none where the best pair leaves less than can be claimed.
+    pub fn extended(&self, pair: &Candidate) -> Vec<Candidate> {
+        match self.leaves(&pair.held_out) > CLAIM_DEG {
+            true => self.grown(pair, FITTED[2]),
+            false => vec![],
+        }
+    }
+
+    /// The most that a sensor's RMSE is above its noise, degrees or °/s.
+    fn leaves(&self, h: &HeldOut) -> f64 {
+        let above = |q| h.rmse_deg[q] - 3f64.sqrt() * self.log.noise_deg[q];
+        self.log.quantities().map(above).fold(0.0, f64::max)
+    }
+
+    /// The most promising extensions of a set by one effect, by Schwarz's criterion.
+    fn grown(&self, set: &Candidate, wanted: usize) -> Vec<Candidate> {
+        let seed = LeastSquares::new(self.log, self.model(&set.names));
+        let base = settle(seed, &set.fitted.theta);
+        let names = |e: &dyn Effect| [set.names.as_slice(), &[e.name()]].concat();
+        let start = |e: &'a dyn Effect| {
+            let to = LeastSquares::new(self.log, self.model(&names(e)));
+            best_start(&base, &to, e).map(|s| (e, s))
+        };
+        let mut promising: Vec<(&dyn Effect, Start)> = self
+            .catalogue
+            .par_iter()
+            .map(AsRef::as_ref)
+            .filter(|e| !set.names.contains(&e.name()))
+            .filter_map(start)
+            .collect();
+        let criterion =
+            |(e, s): &(&dyn Effect, Start)| schwarz(self.log, s.predicted, e.params().len());
+        promising.sort_by(|a, b| criterion(a).total_cmp(&criterion(b)));
+        promising.truncate(wanted);
+        promising
+            .par_iter()
+            .map(|(e, s)| self.fitted(&names(*e), &s.theta))
+            .collect()
+    }
+
+    /// The pairs in these triples that have not been fitted.
+    pub fn missing(&self, found: &Candidates<Candidate>, triples: &[Candidate]) -> Vec<Candidate> {
+        let mut missing: Vec<(Vec<&str>, Vec<f64>)> = Vec::new();
+        for triple in triples {
+            for left_out in &triple.names {
+                let mut names = triple.names.clone();
+                names.retain(|n| n != left_out);
+                let (whole, part) = (self.model(&triple.names), self.model(&names));
+                let start = part.extended(&whole, &triple.fitted.theta, |_| vec![]);
+                if found.set(&names).is_none() && missing.iter().all(|(known, _)| *known != names) {
+                    missing.push((names, start));
+                }
+            }
+        }
+        missing
+            .par_iter()
+            .map(|(names, start)| self.fitted(names, start))
+            .collect()
+    }
+}
+
+/// The recalibrated nominal model of a log that was driven with the calibration `lines`.
+pub fn recalibrated(log: &Observed, lines: &[Line; 3]) -> Candidate {
+    Candidate::new(&recalibration(log, lines))
+}
+
+fn recalibration<'a>(log: &'a Observed, lines: &[Line; 3]) -> BaseFit<'a> {
+    let start = nominal_theta(lines, log.rig.prior_lag_s);
+    settle(LeastSquares::new(log, Model::new(&[])), &start)
+}
+
+/// Fits a problem until it converges.
+fn settle<'a>(problem: LeastSquares<'a>, start: &[f64]) -> BaseFit<'a> {
+    let mut best = fit(problem, start, ROUNDS);
+    let several = best.problem.model.effects.len() > 1;
+    for _ in 0..DATED[usize::from(several)] {
+        let again = |slow_too: bool| {
+            let next = fit(best.problem.clone(), &dated_again(&best, slow_too)?, ROUNDS);
+            Some(next).filter(|next| next.point.data() < DATED_GAIN * best.point.data())
+        };
+        match again(false).or_else(|| (!several).then(|| again(true))?) {
+            Some(next) => best = next,
+            None => break,
+        }
+    }
+    best
+}

@@ -1,0 +1,321 @@
+//! Probabilities of what can be said of a log: a set of effects explains it, the nominal model does, or nothing in the catalogue does.
+//!
+//! Each statement has features and a score, their weighted sum; the probabilities are the softmax of the scores (a multinomial logistic
+//! regression). The weights are a [`Head`], fitted by `examples/gap_train` to logs of random machines: one for a tip, one for other rigs
+//! ([`crate::diagnosis::problem::Problem::head`]).
+
+use serde::Deserialize;
+use std::collections::BTreeMap;
+
+/// Weights of features, and the level of the sets that are probable together.
+pub struct Head {
+    /// The features.
+    pub layout: Layout,
+    /// Weight of each feature.
+    pub weights: Vec<f64>,
+    /// Probability that the statements of a conformal set have together.
+    pub conformal: f64,
+}
+
+/// A head as its file has it; the weight of a feature that it lacks is 0.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct HeadFile {
+    conformal: f64,
+    weight: BTreeMap<String, f64>,
+}
+
+impl Head {
+    /// The weights of these features that are a part of the program.
+    ///
+    /// # Panics
+    /// On a text that is not TOML, or names another feature; a test reads each.
+    #[expect(
+        clippy::expect_used,
+        reason = "the text is a part of the program, and a test reads it"
+    )]
+    pub fn built_in(text: &str, layout: Layout) -> Self {
+        let HeadFile {
+            conformal,
+            mut weight,
+        } = toml::from_str(text).expect("a head is TOML");
+        let weights = layout
+            .names()
+            .iter()
+            .map(|n| weight.remove(n).unwrap_or(0.0))
+            .collect();
+        assert!(weight.is_empty(), "no features: {weight:?}");
+        Self {
+            layout,
+            weights,
+            conformal,
+        }
+    }
+}
+
+/// Names of the features: common ones, and one of each effect, `form_` and its name, for `unknown` where the best set has the effect. A
+/// right effect whose law has another form leaves something too, more for some effects than for others.
+pub struct Layout {
+    /// Common features: of every statement, of a set, of `none` and of `unknown`.
+    pub common: [&'static [&'static str]; 4],
+    /// Names of the effects.
+    pub effects: Vec<&'static str>,
+}
+
+impl Layout {
+    /// Names of all features.
+    pub fn names(&self) -> Vec<String> {
+        let common = self
+            .common
+            .iter()
+            .copied()
+            .flatten()
+            .map(|n| (*n).to_owned());
+        common
+            .chain(self.effects.iter().map(|n| format!("form_{n}")))
+            .collect()
+    }
+
+    /// All features: the common ones, 0 where they are not of the statement, and those of the effects in `best`.
+    pub fn features(&self, common: [&[f64]; 4], best: &[&str]) -> Vec<f64> {
+        let value = |own: &[f64], k: usize| own.get(k).copied().unwrap_or(0.0);
+        let padded = |(names, own): (&&[&str], &'_ [f64])| {
+            (0..names.len())
+                .map(|k| value(own, k))
+                .collect::<Vec<f64>>()
+        };
+        let forms = self
+            .effects
+            .iter()
+            .map(|name| f64::from(u8::from(best.contains(name))));
+        self.common
+            .iter()
+            .zip(common)
+            .flat_map(padded)
+            .chain(forms)
+            .collect()
+    }
+}
+
+/// A statement about a log.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Statement {
+    /// The effects that explain the log, none for the nominal model; `None` for `unknown`.
+    pub names: Option<Vec<&'static str>>,
+    /// The features, in the order of a [`Head`].
+    pub features: Vec<f64>,
+    /// What may be claimed of the set; of no meaning for `unknown`.
+    pub claim: Claim,
+}
+
+/// Probabilities of statements with these features.
+pub fn probabilities<'a>(features: impl Iterator<Item = &'a [f64]>, weights: &[f64]) -> Vec<f64> {
+    let scores: Vec<f64> = features
+        .map(|x| x.iter().zip(weights).map(|(x, w)| x * w).sum())
+        .collect();
+    let best = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let total: f64 = scores.iter().map(|s| (s - best).exp()).sum();
+    scores.iter().map(|s| (s - best).exp() / total).collect()
+}
+
+/// The statements that have at least `level` of the probability together, the most probable first.
+pub fn conformal_set(p: &[f64], level: f64) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..p.len()).collect();
+    order.sort_by(|&a, &b| p[b].total_cmp(&p[a]));
+    let mut sum = 0.0;
+    let enough = order.iter().position(|&i| {
+        sum += p[i];
+        sum >= level
+    });
+    order.truncate(enough.map_or(p.len(), |n| n + 1));
+    order
+}
+
+/// Statements with their probabilities: the names of a set, or `None` for `unknown`.
+pub type Said = (Option<Vec<&'static str>>, f64);
+
+/// What may be claimed of a set of effects.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Claim {
+    /// The effects that explain enough; `None` for a set that says nothing.
+    pub names: Option<Vec<&'static str>>,
+    /// Part of the probability that goes to `unknown`, because the set leaves more than an effect of another form would.
+    pub unexplained: f64,
+}
+
+impl Claim {
+    /// The claim of these effects, which leave nothing.
+    pub fn of(names: Vec<&'static str>) -> Self {
+        Self {
+            names: Some(names),
+            unexplained: 0.0,
+        }
+    }
+
+    /// The claims of a statement that has the probability `p`.
+    pub fn said(self, p: f64) -> Vec<Said> {
+        let Self { names, unexplained } = self;
+        names.map_or(vec![], |names| {
+            vec![
+                (Some(names), p * (1.0 - unexplained)),
+                (None, p * unexplained),
+            ]
+        })
+    }
+}
+
+/// Adds the probabilities of equal statements and divides them by the sum of all; the most probable comes first. Without any, it is
+/// `unknown`.
+fn ranked(said: impl IntoIterator<Item = Said>) -> Vec<Said> {
+    let mut out: Vec<Said> = Vec::new();
+    for (names, p) in said {
+        match out.iter_mut().find(|(known, _)| *known == names) {
+            Some((_, sum)) => *sum += p,
+            None => out.push((names, p)),
+        }
+    }
+    let total: f64 = out.iter().map(|s| s.1).sum();
+    if total > 0.0 {
+        out.iter_mut().for_each(|s| s.1 /= total);
+    } else {
+        out = vec![(None, 1.0)];
+    }
+    out.sort_by(|a, b| b.1.total_cmp(&a.1));
+    out
+}
+
+/// Statements about a log with their probabilities.
+#[derive(Debug, Clone)]
+pub struct Posterior {
+    /// The statements, the most probable first.
+    pub ranked: Vec<Said>,
+    /// How many of them make up the conformal set.
+    pub conformal: usize,
+    /// Probability that the statements of a conformal set have together.
+    level: f64,
+}
+
+impl Posterior {
+    /// The posterior of what may be claimed: a probability is that of an effect that is present and above the bar. A set of which nothing
+    /// may be claimed is left out.
+    pub fn new(head: &Head, statements: Vec<Statement>) -> Self {
+        let p = probabilities(
+            statements.iter().map(|s| s.features.as_slice()),
+            &head.weights,
+        );
+        let said = statements.into_iter().zip(p);
+        Self::of(
+            said.flat_map(|(s, p)| match s.names {
+                Some(_) => s.claim.said(p),
+                None => vec![(None, p)],
+            }),
+            head.conformal,
+        )
+    }
+
+    /// The posterior of statements with these probabilities.
+    pub fn of(said: impl IntoIterator<Item = Said>, level: f64) -> Self {
+        let ranked = ranked(said);
+        let p: Vec<f64> = ranked.iter().map(|s| s.1).collect();
+        Self {
+            conformal: conformal_set(&p, level).len(),
+            ranked,
+            level,
+        }
+    }
+
+    /// The posterior of a log that cannot tell the effects of these pairs apart: they share the probability.
+    #[must_use]
+    pub fn shared(mut self, alike: &[[&'static str; 2]]) -> Self {
+        for pair in alike {
+            let of = |(names, p): Said| -> Vec<Said> {
+                match names.as_deref().and_then(|names| exchanged(names, pair)) {
+                    Some(other) => vec![(names, p / 2.0), (Some(other), p / 2.0)],
+                    None => vec![(names, p)],
+                }
+            };
+            self = Self::of(self.ranked.into_iter().flat_map(of), self.level);
+        }
+        self
+    }
+
+    /// Probability that a statement for which `of` holds is true.
+    fn sum(&self, of: impl Fn(Option<&[&'static str]>) -> bool) -> f64 {
+        self.ranked
+            .iter()
+            .filter(|(s, _)| of(s.as_deref()))
+            .map(|(_, p)| p)
+            .sum()
+    }
+
+    /// Probability that these effects, and no others, explain the log.
+    pub fn set(&self, names: &[&str]) -> f64 {
+        self.sum(|s| s.is_some_and(|s| s == names))
+    }
+
+    /// Probability that an effect is present.
+    pub fn effect(&self, name: &str) -> f64 {
+        self.sum(|s| s.is_some_and(|s| s.contains(&name)))
+    }
+
+    /// Probability that nothing in the catalogue explains the log.
+    pub fn unknown(&self) -> f64 {
+        self.sum(|s| s.is_none())
+    }
+}
+
+/// A set with one effect of a pair in place of the other; `None` for a set with both or neither.
+pub fn exchanged(names: &[&'static str], pair: &[&'static str; 2]) -> Option<Vec<&'static str>> {
+    let [a, b] = pair.map(|name| names.iter().position(|n| *n == name));
+    let (at, other) = match (a, b) {
+        (Some(at), None) => (at, pair[1]),
+        (None, Some(at)) => (at, pair[0]),
+        _ => return None,
+    };
+    let mut names = names.to_vec();
+    names[at] = other;
+    Some(names)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_feature_that_a_statement_lacks_is_zero_and_a_head_names_only_features() {
+        let layout = || Layout {
+            common: [&["density"], &["claim", "unusual"], &[], &[]],
+            effects: vec!["leak"],
+        };
+        assert_eq!(
+            layout().features([&[2.0], &[], &[], &[]], &["leak"]),
+            [2.0, 0.0, 0.0, 1.0]
+        );
+        let head = |name: &str| {
+            Head::built_in(
+                &format!("conformal = 0.9\n[weight]\n{name} = 3.5\n"),
+                layout(),
+            )
+        };
+        assert_eq!(head("claim").weights, [0.0, 3.5, 0.0, 0.0]);
+        assert!(std::panic::catch_unwind(|| head("clam")).is_err());
+    }
+
+    #[test]
+    fn equal_statements_share_the_probability_and_a_conformal_set_has_both() {
+        let p = probabilities(
+            [[1.0, 4.0], [4.0, 1.0], [-3.0, 0.0]]
+                .iter()
+                .map(<[f64; 2]>::as_slice),
+            &[1.0; 2],
+        );
+        assert!(
+            (p[0] - 0.5).abs() < 1e-3 && (p.iter().sum::<f64>() - 1.0).abs() < 1e-12,
+            "{p:?}"
+        );
+        let mut set = conformal_set(&p, 0.95);
+        set.sort_unstable();
+        assert_eq!(set, [0, 1]);
+        assert_eq!(conformal_set(&[0.97, 0.02, 0.01], 0.95), [0]);
+    }
+}
