@@ -11,9 +11,11 @@ use crate::model::effects::catalogue;
 use crate::report::gap::answer::summary;
 use crate::report::gap::evidence::Evidence;
 use crate::report::gap::page;
+use crate::service::flight::cycle::fnv;
 use miette::{IntoDiagnostic, Result, bail};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
+use time::OffsetDateTime;
 
 /// Arguments of `gap diagnose`.
 #[derive(Debug, clap::Args)]
@@ -83,6 +85,9 @@ pub fn run(args: &Args) -> Result<()> {
     bar.finish_and_clear();
     for (path, text) in files(args, &observed, &done)? {
         output::write(path, &text)?;
+        if path != Path::new("-") {
+            eprintln!("written: {}", path.display());
+        }
     }
     output::show(
         summary(&done.document, args.save.as_deref()) + "\n",
@@ -103,7 +108,8 @@ fn files<'a>(
     }
     if let Some(path) = &args.html {
         let (logs, evidence) = (listed(&args.logs, file_name), Evidence::new(observed, done));
-        out.push((path, page(&logs, &done.document, &evidence)));
+        let made = made_from(args, observed)?;
+        out.push((path, page(&logs, &done.document, &evidence, &made)));
     }
     if let Some(path) = &args.save {
         let (logs, catalogue) = (
@@ -115,6 +121,25 @@ fn files<'a>(
         out.push((path, toml::to_string(&model).into_diagnostic()?));
     }
     Ok(out)
+}
+
+/// What a diagnosis was made from and with, so that its page can be told from that of another day.
+fn made_from(args: &Args, observed: &Observed) -> Result<Vec<[String; 2]>> {
+    let row = |name: &str, value: String| [name.to_owned(), value];
+    let mut made = vec![
+        row("retroflex", env!("CARGO_PKG_VERSION").to_owned()),
+        row("date", OffsetDateTime::now_utc().date().to_string()),
+    ];
+    for (log, part) in args.logs.iter().zip(&observed.segments) {
+        let hash = fnv(std::fs::read(log).into_diagnostic()?);
+        let duration_s = observed.t_s[part.instants.end - 1] - observed.t_s[part.instants.start];
+        let shown = format!("{duration_s:.0} s, hash {hash:016x}");
+        made.push(row(&file_name(log), shown));
+    }
+    let [board, calib] = args.driven.named();
+    made.extend([row("board", board), row("calibration", calib)]);
+    made.push(row("seed", args.seed.to_string()));
+    Ok(made)
 }
 
 fn listed(logs: &[PathBuf], name: impl Fn(&Path) -> String) -> String {

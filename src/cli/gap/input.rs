@@ -40,6 +40,15 @@ pub struct DrivenArgs {
 }
 
 impl DrivenArgs {
+    /// Names of the board file and of the calibration.
+    pub fn named(&self) -> [String; 2] {
+        let name = |file: &Option<PathBuf>| {
+            let own = || "that of the paper".to_owned();
+            file.as_deref().map_or_else(own, file_name)
+        };
+        [name(&self.machine.board), name(&self.calib)]
+    }
+
     /// The gains of the calibration.
     ///
     /// # Errors

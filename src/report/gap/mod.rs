@@ -24,8 +24,8 @@ const STRETCHES: usize = 80;
 /// Length of a shown trace, s.
 const TRACE_S: f64 = 25.0;
 
-/// The page; `source` names the log.
-pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence) -> String {
+/// The page; `source` names the log, and `made` states what it was made from and with, by name.
+pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence, made: &[[String; 2]]) -> String {
     let mut page = Page::new(&format!("Gap diagnosis: {source}"));
     page.text(&words::headline(d));
     page.text(&words::place(d));
@@ -55,6 +55,9 @@ pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence) -> String {
     page.heading("By sensor");
     let header = ["sensor", "recalibrated", "with effects", "unit"];
     page.table(&header, &sensors(d));
+    page.heading("Made from");
+    page.table(&["", ""], made);
+    page.quiet("docs/gap.md of the program explains how to read this page.");
     page.html()
 }
 
