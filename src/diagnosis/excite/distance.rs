@@ -7,7 +7,7 @@
 //! and the other points as directions).
 
 use crate::diagnosis::excite::{Machine, Rival, Row, counted, synthetic};
-use crate::diagnosis::tip::model::{Model, every_bin, run, sense};
+use crate::diagnosis::tip::model::{Model, residuals};
 use crate::diagnosis::tip::observed::{CORRELATED_S, Observed};
 use crate::model::{NOMINAL, nominal_theta};
 use nalgebra::{DMatrix, DVector};
@@ -105,7 +105,7 @@ fn columns_of(log: &Observed, rival: &Rival, start: &[f64], base: &[f64]) -> Vec
 
 /// Weighted residuals, the bins of a hold pooled.
 fn residual(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Vec<f64> {
-    let residual = sense(log, model, theta, &run(log, model, theta), every_bin);
+    let residual = residuals(log, model, theta);
     let mut out = Vec::new();
     let mut k = 0;
     while k < log.bins.len() {

@@ -1,7 +1,7 @@
 //! A saved model on a fresh log: whether it fits this machine, belongs to another unit, or does worse than nothing.
 
-use crate::diagnosis::tip::fit::{CLAIM_DEG, HeldOut, LeastSquares, fit, score};
-use crate::diagnosis::tip::model::{Model, every_bin, run, sense};
+use crate::diagnosis::tip::fit::{CLAIM_DEG, HeldOut, LeastSquares, fit, scored};
+use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::tip::{SavedGains, SavedModel};
 use crate::model::effects::Effect;
@@ -45,12 +45,6 @@ pub struct Checked {
     pub closed: f64,
     /// Effects that are left out, because they happen once and not again on a fresh log.
     pub left_out: Vec<&'static str>,
-}
-
-/// Scores of a model with these parameters; gravity, field and gyroscope bias are solved.
-fn scored(log: &Observed, model: &Model<'_>, theta: &[f64]) -> HeldOut {
-    let residual = sense(log, model, theta, &run(log, model, theta), every_bin);
-    score(log, residual, every_bin)
 }
 
 /// Runs both models over a fresh log. Only gravity, field and gyroscope bias (base frame and references) are solved again. Effects that

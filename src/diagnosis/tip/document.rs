@@ -1,7 +1,7 @@
 //! The diagnosis as a document. `docs/gap.md` describes the JSON form.
 
-use crate::diagnosis::tip::fit::{Candidate, Compared, HeldOut, closed_ci95, score};
-use crate::diagnosis::tip::model::{Model, every_bin, run, sense};
+use crate::diagnosis::tip::fit::{Candidate, Compared, HeldOut, closed_ci95, score, scored};
+use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::{CORRELATED_S, Observed, PerQuantity, Segment, dependences};
 use crate::diagnosis::tip::{BeforeAfter, StageShare, TipProblem, credits, stages};
 use crate::diagnosis::verdict::Verdict;
@@ -242,8 +242,7 @@ impl TipProblem<'_> {
     fn as_configured(&self) -> f64 {
         let (log, model) = (self.log, Model::new(&[]));
         let theta = nominal_theta(self.lines, log.rig.prior_lag_s);
-        let residual = sense(log, &model, &theta, &run(log, &model, &theta), every_bin);
-        score(log, residual, every_bin).energy()
+        scored(log, &model, &theta).energy()
     }
 
     /// Each log's part of the gap; the parts of all logs are in the ratio of their left-out residuals.
@@ -252,12 +251,10 @@ impl TipProblem<'_> {
         let deg = |of: &HeldOut, part: &Segment| {
             let energy =
                 |used: &dyn Fn(usize) -> bool| score(log, of.residual.clone(), used).energy();
-            let scored = |k: usize| {
-                log.quantities()
-                    .any(|q| of.residual[q][k] != Vector3::zeros())
-            };
-            let all = energy(&scored).max(f64::MIN_POSITIVE);
-            let own = energy(&|k| part.bins.contains(&k) && scored(k));
+            let there = |k: usize, q| of.residual[q][k] != Vector3::zeros();
+            let known = |k: usize| log.quantities().any(|q| there(k, q));
+            let all = energy(&known).max(f64::MIN_POSITIVE);
+            let own = energy(&|k| part.bins.contains(&k) && known(k));
             log.rms_deg(of.energy() * own / all)
         };
         let entry = |part: &Segment| LogEntry {
@@ -272,11 +269,9 @@ impl TipProblem<'_> {
         let (log, found, chosen) = (self.log, &judged.found, judged.chosen());
         let nominal = &self.nominal;
         // one of several effects is credited with what returns when it is taken out
+        let rest = found.without(chosen, e.name()).unwrap_or(nominal);
         let (before, after) = match chosen.names.contains(&e.name()) {
-            true => (
-                found.without(chosen, e.name()).unwrap_or(nominal),
-                Some(chosen),
-            ),
+            true => (rest, Some(chosen)),
             false => (nominal, found.single(e.name())),
         };
         let with = after.unwrap_or(nominal);
@@ -312,16 +307,12 @@ impl TipProblem<'_> {
             / (log.bins.len() as f64 / independent);
         let inflation = variance * log.bins.len() as f64 / independent;
         let mut values = model.of(&c.fitted.theta, i).to_vec();
-        e.canonical(
-            &mut values,
-            &Vector3::from(lines(&c.fitted.theta).map(|l| l.k_epsilon)),
-        );
+        let gains = lines(&c.fitted.theta).map(|l| l.k_epsilon);
+        e.canonical(&mut values, &gains.into());
         let one = |(k, p): (usize, &Param)| {
             let at = model.at[i] + k;
-            let (value, half) = (
-                values[k],
-                1.96 * (c.fitted.covariance[(at, at)].max(0.0) * inflation).sqrt(),
-            );
+            let variance = c.fitted.covariance[(at, at)].max(0.0) * inflation;
+            let (value, half) = (values[k], 1.96 * variance.sqrt());
             let shown = |x: f64| p.shown(x).0;
             ParamValue {
                 name: p.name,

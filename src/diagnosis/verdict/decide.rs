@@ -95,14 +95,13 @@ pub fn decide(
     };
     // of equal sets the first, which was fitted
     let most = |sets: &mut dyn Iterator<Item = &'_ [&'static str]>| {
-        sets.fold((vec![], 0.0), |best: (Vec<&'static str>, f64), names| {
-            let p = pooled(names);
-            if p > best.1 {
-                (names.to_vec(), p)
-            } else {
-                best
-            }
-        })
+        sets.fold(
+            (vec![], 0.0),
+            |best: (Vec<&'static str>, f64), names| match pooled(names) {
+                p if p > best.1 => (names.to_vec(), p),
+                _ => best,
+            },
+        )
     };
     let (best, p) = most(&mut sets());
     let kind = VerdictKind::new(best.is_empty(), doubt > p);
@@ -115,28 +114,24 @@ pub fn decide(
         VerdictKind::Unknown => vec![],
         _ => best,
     };
-    let equivalent = if kind == VerdictKind::Effects {
-        groups(posterior, &names, alike, &better(&names))
-    } else {
-        vec![]
+    let equivalent = match kind {
+        VerdictKind::Effects => groups(posterior, &names, alike, &better(&names)),
+        _ => vec![],
     };
+    let same = || sets().filter(|set| stands_for(set, &names, &equivalent));
     let probability = match kind {
         VerdictKind::None => posterior.set(&[]),
         VerdictKind::Unknown => doubt,
-        VerdictKind::Effects => sets()
-            .filter(|set| stands_for(set, &names, &equivalent))
-            .map(|set| posterior.set(set))
-            .sum(),
+        VerdictKind::Effects => same().map(|set| posterior.set(set)).sum(),
     };
+    let conformal = posterior.ranked.iter().take(posterior.conformal);
+    let conformal = conformal.map(StatementEntry::new).collect();
     Verdict {
         kind,
         names,
         probability,
         equivalent,
-        conformal: posterior.ranked[..posterior.conformal]
-            .iter()
-            .map(StatementEntry::new)
-            .collect(),
+        conformal,
         doubt,
     }
 }
@@ -159,21 +154,13 @@ fn groups(
 ) -> Vec<Vec<&'static str>> {
     let least = posterior.set(chosen) / UNDECIDED;
     let of = |name: &&'static str| {
-        let rest = |names: &[&str]| {
-            chosen
-                .iter()
-                .filter(|n| *n != name)
-                .all(|n| names.contains(n))
+        let rest = |names: &[&str]| chosen.iter().all(|n| n == name || names.contains(n));
+        let beside = |names: &&[&'static str]| {
+            names.len() == chosen.len() && !names.contains(name) && rest(names)
         };
-        let others = posterior
-            .ranked
-            .iter()
-            .filter(|(_, p)| *p >= least)
-            .filter_map(|(s, _)| s.as_deref());
-        let others = others
-            .filter(|names| names.len() == chosen.len() && !names.contains(name) && rest(names));
-        let stand_in =
-            others.flat_map(|names| names.iter().copied().filter(|n| !chosen.contains(n)));
+        let probable = posterior.ranked.iter().filter(|(_, p)| *p >= least);
+        let others = probable.filter_map(|(s, _)| s.as_deref()).filter(beside);
+        let stand_in = others.flatten().copied();
         let partner = alike
             .iter()
             .filter_map(|pair| exchanged(&[*name], pair))
@@ -187,11 +174,8 @@ fn groups(
         }
         group
     };
-    chosen
-        .iter()
-        .map(of)
-        .filter(|group| group.len() > 1)
-        .collect()
+    let groups = chosen.iter().map(of);
+    groups.filter(|group| group.len() > 1).collect()
 }
 
 #[cfg(test)]

@@ -78,22 +78,14 @@ impl Layout {
 
     /// All features: the common ones, 0 where they are not of the statement, and those of the effects in `best`.
     pub fn features(&self, common: [&[f64]; 4], best: &[&str]) -> Vec<f64> {
-        let value = |own: &[f64], k: usize| own.get(k).copied().unwrap_or(0.0);
-        let padded = |(names, own): (&&[&str], &'_ [f64])| {
-            (0..names.len())
-                .map(|k| value(own, k))
-                .collect::<Vec<f64>>()
+        let padded = |(names, own): (&&[&str], &[f64])| {
+            let mut own = own.to_vec();
+            own.resize(names.len(), 0.0);
+            own
         };
-        let forms = self
-            .effects
-            .iter()
-            .map(|name| f64::from(u8::from(best.contains(name))));
-        self.common
-            .iter()
-            .zip(common)
-            .flat_map(padded)
-            .chain(forms)
-            .collect()
+        let form = |name: &&str| f64::from(u8::from(best.contains(name)));
+        let common = self.common.iter().zip(common).flat_map(padded);
+        common.chain(self.effects.iter().map(form)).collect()
     }
 }
 
@@ -110,9 +102,8 @@ pub struct Statement {
 
 /// Probabilities of statements with these features.
 pub fn probabilities<'a>(features: impl Iterator<Item = &'a [f64]>, weights: &[f64]) -> Vec<f64> {
-    let scores: Vec<f64> = features
-        .map(|x| x.iter().zip(weights).map(|(x, w)| x * w).sum())
-        .collect();
+    let score = |x: &[f64]| x.iter().zip(weights).map(|(x, w)| x * w).sum();
+    let scores: Vec<f64> = features.map(score).collect();
     let best = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let total: f64 = scores.iter().map(|s| (s - best).exp()).sum();
     scores.iter().map(|s| (s - best).exp() / total).collect()
@@ -154,13 +145,9 @@ impl Claim {
 
     /// The claims of a statement that has the probability `p`.
     pub fn said(self, p: f64) -> Vec<Said> {
-        let Self { names, unexplained } = self;
-        names.map_or(vec![], |names| {
-            vec![
-                (Some(names), p * (1.0 - unexplained)),
-                (None, p * unexplained),
-            ]
-        })
+        let explained = 1.0 - self.unexplained;
+        let said = |names| vec![(Some(names), p * explained), (None, p * self.unexplained)];
+        self.names.map_or(vec![], said)
     }
 }
 
@@ -199,18 +186,13 @@ impl Posterior {
     /// The posterior of what may be claimed: a probability is that of an effect that is present and above the bar. A set of which nothing
     /// may be claimed is left out.
     pub fn new(head: &Head, statements: Vec<Statement>) -> Self {
-        let p = probabilities(
-            statements.iter().map(|s| s.features.as_slice()),
-            &head.weights,
-        );
-        let said = statements.into_iter().zip(p);
-        Self::of(
-            said.flat_map(|(s, p)| match s.names {
-                Some(_) => s.claim.said(p),
-                None => vec![(None, p)],
-            }),
-            head.conformal,
-        )
+        let features = statements.iter().map(|s| s.features.as_slice());
+        let p = probabilities(features, &head.weights);
+        let said = |(s, p): (Statement, f64)| match s.names {
+            Some(_) => s.claim.said(p),
+            None => vec![(None, p)],
+        };
+        Self::of(statements.into_iter().zip(p).flat_map(said), head.conformal)
     }
 
     /// The posterior of statements with these probabilities.
@@ -241,11 +223,8 @@ impl Posterior {
 
     /// Probability that a statement for which `of` holds is true.
     fn sum(&self, of: impl Fn(Option<&[&'static str]>) -> bool) -> f64 {
-        self.ranked
-            .iter()
-            .filter(|(s, _)| of(s.as_deref()))
-            .map(|(_, p)| p)
-            .sum()
+        let true_of = self.ranked.iter().filter(|(s, _)| of(s.as_deref()));
+        true_of.map(|(_, p)| p).sum()
     }
 
     /// Probability that these effects, and no others, explain the log.

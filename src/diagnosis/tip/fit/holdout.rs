@@ -6,7 +6,7 @@
 //! until a step gains next to nothing; its prediction is a full run.
 
 use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, Sums, dates, step, weighted};
-use crate::diagnosis::tip::model::{Motion, Residuals};
+use crate::diagnosis::tip::model::{Model, Motion, Residuals, every_bin, residuals};
 use crate::diagnosis::tip::observed::{BIN_S, Observed, PerQuantity, Quantity};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
@@ -192,6 +192,11 @@ pub fn density(log: &Observed, residual: &Residuals, block_s: f64) -> PerQuantit
         logs.sum::<f64>() / blocks.len().max(1) as f64
     };
     PerQuantity::from_fn(of)
+}
+
+/// Scores on all bins of a model with these parameters.
+pub fn scored(log: &Observed, model: &Model<'_>, theta: &[f64]) -> HeldOut {
+    score(log, residuals(log, model, theta), every_bin)
 }
 
 /// RMSE of each quantity and energy of each block of the residuals of the `used` bins.

@@ -15,7 +15,7 @@ pub mod tangent;
 
 pub use candidate::Candidate;
 pub use forecast::best_predicting;
-pub use holdout::{BLOCKS_S, CLAIM_DEG, HeldOut, density, leave_out, score};
+pub use holdout::{BLOCKS_S, CLAIM_DEG, HeldOut, density, leave_out, score, scored};
 pub use interval::{Compared, closed_ci95};
 pub use least_squares::{LeastSquares, PRIOR_SLOPE, Point, weighted};
 pub use screen::{Alone, alone, schwarz, screen};

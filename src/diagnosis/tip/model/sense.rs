@@ -3,7 +3,7 @@
 //! Gravity and field in the base frame and the constant gyroscope bias enter linearly. Every evaluation solves them
 //! (variable projection, Golub & Pereyra 1973) from the bins that a mask selects.
 
-use crate::diagnosis::tip::model::{FIRST_STEP_S, Model, Motion, parameters};
+use crate::diagnosis::tip::model::{FIRST_STEP_S, Model, Motion, parameters, run};
 use crate::diagnosis::tip::observed::{Bin, G_M_S2, Observed, PerQuantity, Quantity, Segment};
 use crate::model::effects::{ImuPrediction, Memory, Moment, Stage};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -45,6 +45,11 @@ pub fn sense(
     residual
 }
 
+/// Residuals of the motion with these parameters, with every bin selected.
+pub fn residuals(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Residuals {
+    sense(log, model, theta, &run(log, model, theta), every_bin)
+}
+
 /// One log of those that are diagnosed together; its bins are counted from its first.
 struct Part<'a> {
     log: &'a Observed,
@@ -58,27 +63,23 @@ struct Part<'a> {
 impl Part<'_> {
     fn sense(&self, mask: &impl Fn(usize) -> bool, residual: &mut Residuals) {
         let inertial = self.log.quantities().any(|q| q != Quantity::Reference);
-        let imu = if inertial {
-            Imu::new(self)
-        } else {
-            Imu::default()
+        let imu = match inertial {
+            true => Imu::new(self),
+            false => Imu::default(),
         };
         let linear = imu.solve(self, mask);
         let age_s = imu.rate_age_s(self, &linear.gyr, mask);
         let field_ut = linear.mag.norm().max(1.0);
         for (k, bin) in self.bins.iter().enumerate() {
             for q in self.log.quantities().filter(|&q| bin.weight[q] > 0.0) {
+                let (change, tip) = (&imu.change[k], &imu.tip[k]);
                 residual[q][self.segment.bins.start + k] = match q {
                     Quantity::Reference => between(&self.motion[bin.at], &bin.reference),
-                    Quantity::Acc => {
-                        (bin.acc - imu.change[k].acc - back(&imu.tip[k], &linear.acc)) / G_M_S2
-                    }
-                    Quantity::Mag => {
-                        (bin.mag - imu.change[k].mag - back(&imu.tip[k], &linear.mag)) / field_ut
-                    }
+                    Quantity::Acc => (bin.acc - change.acc - back(tip, &linear.acc)) / G_M_S2,
+                    Quantity::Mag => (bin.mag - change.mag - back(tip, &linear.mag)) / field_ut,
                     Quantity::Gyro => {
-                        bin.gyr - imu.change[k].gyr - imu.rate[k] - linear.gyr
-                            + imu.rate_slope(self, k) * age_s
+                        let slope = imu.rate_slope(self, k);
+                        bin.gyr - change.gyr - imu.rate[k] - linear.gyr + slope * age_s
                     }
                 };
             }
@@ -100,10 +101,11 @@ impl Part<'_> {
 
     fn base_turn(&self, t_s: f64) -> Option<Matrix3<f64>> {
         let at = self.moment(self.segment.rows.start, t_s);
-        self.model
+        let turn = self
+            .model
             .each(self.theta)
-            .find_map(|(e, p)| e.base(p, &at))
-            .map(|q| q.to_rotation_matrix().into_inner())
+            .find_map(|(e, p)| e.base(p, &at));
+        turn.map(|q| q.to_rotation_matrix().into_inner())
     }
 }
 
@@ -128,27 +130,18 @@ struct Imu {
 
 impl Imu {
     fn new(part: &Part<'_>) -> Self {
-        let &Part {
-            log,
-            segment,
-            bins,
-            model,
-            theta,
-            motion,
-        } = part;
+        let (model, theta, bins) = (part.model, part.theta, part.bins);
         let behind_s: f64 = model.each(theta).map(|(e, p)| e.latency_s(p)).sum();
-        let mount = model
-            .each(theta)
-            .filter_map(|(e, p)| e.mount(p))
-            .fold(UnitQuaternion::identity(), |a, b| a * b);
+        let mounts = model.each(theta).filter_map(|(e, p)| e.mount(p));
+        let mount = mounts.fold(UnitQuaternion::identity(), |a, b| a * b);
         let mount: Option<Matrix3<f64>> =
             (mount.angle() > 0.0).then(|| mount.to_rotation_matrix().into_inner());
         let base_moves = model.effects.iter().any(|e| e.stage() == Stage::Base);
         let mut late = Late {
-            log,
-            motion,
+            log: part.log,
+            motion: part.motion,
             behind_s,
-            at: segment.instants.start,
+            at: part.segment.instants.start,
         };
         let mut imu = Self {
             tip: Vec::with_capacity(bins.len()),
@@ -158,19 +151,14 @@ impl Imu {
         let mut before: Option<(Matrix3<f64>, f64)> = None;
         for bin in bins {
             let mut here = bin.base * late.at(bin.at);
-            if let Some(turn) = if base_moves {
-                part.base_turn(bin.t_s)
-            } else {
-                None
-            } {
+            if let Some(turn) = base_moves.then(|| part.base_turn(bin.t_s)).flatten() {
                 here = turn * here;
             }
             if let Some(mount) = &mount {
                 here *= mount;
             }
-            imu.rate.push(before.map_or(Vector3::zeros(), |(r, t)| {
-                between(&r, &here) / (bin.t_s - t)
-            }));
+            let rate = |(r, t): (Matrix3<f64>, f64)| between(&r, &here) / (bin.t_s - t);
+            imu.rate.push(before.map_or(Vector3::zeros(), rate));
             imu.tip.push(here);
             before = Some((here, bin.t_s));
         }
@@ -195,10 +183,9 @@ impl Imu {
                 weight[1] += gyr;
             }
         }
-        let up = if sum.acc.norm() > 0.0 {
-            sum.acc.normalize()
-        } else {
-            part.segment.up_base
+        let up = match sum.acc.norm() > 0.0 {
+            true => sum.acc.normalize(),
+            false => part.segment.up_base,
         };
         Readings {
             acc: up * G_M_S2,
@@ -211,10 +198,9 @@ impl Imu {
     fn rate_slope(&self, part: &Part<'_>, k: usize) -> Vector3<f64> {
         let (a, b) = (k.saturating_sub(1), (k + 1).min(self.rate.len() - 1));
         let span_s = part.bins[b].t_s - part.bins[a].t_s;
-        if span_s > SLOPE_SPAN_S {
-            Vector3::zeros()
-        } else {
-            (self.rate[b] - self.rate[a]) / span_s
+        match span_s > SLOPE_SPAN_S {
+            true => Vector3::zeros(),
+            false => (self.rate[b] - self.rate[a]) / span_s,
         }
     }
 
@@ -226,12 +212,8 @@ impl Imu {
         mask: &impl Fn(usize) -> bool,
     ) -> f64 {
         let (mut up, mut down) = (0.0, 1e-12);
-        for (k, bin) in part
-            .bins
-            .iter()
-            .enumerate()
-            .filter(|(k, b)| mask(*k) && b.weight[Quantity::Gyro] > 0.0)
-        {
+        let used = |(k, b): &(usize, &Bin)| mask(*k) && b.weight[Quantity::Gyro] > 0.0;
+        for (k, bin) in part.bins.iter().enumerate().filter(used) {
             let (slope, w) = (self.rate_slope(part, k), bin.weight[Quantity::Gyro].powi(2));
             up -= w * slope.dot(&(bin.gyr - self.change[k].gyr - self.rate[k] - bias));
             down += w * slope.norm_squared();
@@ -240,31 +222,21 @@ impl Imu {
     }
 
     fn changes(&self, part: &Part<'_>) -> Vec<Readings> {
-        let &Part {
-            log,
-            segment,
-            bins,
-            model,
-            theta,
-            ..
-        } = part;
+        let (segment, bins) = (part.segment, part.bins);
         let mut out = vec![Readings::default(); bins.len()];
-        for (e, p) in model
-            .each(theta)
-            .filter(|(e, p)| e.sensing_only() && e.mount(p).is_none())
-        {
+        let sensing = part.model.each(part.theta);
+        for (e, p) in sensing.filter(|(e, p)| e.sensing_only() && e.mount(p).is_none()) {
             let mut memory = Memory::default();
             for (k, bin) in bins.iter().enumerate() {
                 let r = self.tip[k];
+                let turned = Rotation3::from_matrix_unchecked(r);
                 let before = ImuPrediction {
                     acc_m_s2: back(&r, &segment.up_base) * G_M_S2,
                     gyro_rad_s: self.rate[k],
                     mag_ut: back(&r, &segment.field_base_ut),
-                    r_base_sensor: UnitQuaternion::from_rotation_matrix(
-                        &Rotation3::from_matrix_unchecked(r),
-                    ),
+                    r_base_sensor: UnitQuaternion::from_rotation_matrix(&turned),
                 };
-                let rows = rows_of(log, bin, e.follows_motors());
+                let rows = rows_of(part.log, bin, e.follows_motors());
                 let n = rows.len() as f64;
                 for row in rows {
                     let mut reading = before;
@@ -311,10 +283,9 @@ impl Late<'_> {
             self.at += 1;
         }
         let (a, b) = (self.at, (self.at + 1).min(times.len() - 1));
-        let share = if b > a {
-            ((t - times[a]) / (times[b] - times[a])).clamp(0.0, 1.0)
-        } else {
-            0.0
+        let share = match b > a {
+            true => ((t - times[a]) / (times[b] - times[a])).clamp(0.0, 1.0),
+            false => 0.0,
         };
         self.motion[a] * (1.0 - share) + self.motion[b] * share
     }
