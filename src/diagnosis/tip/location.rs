@@ -81,10 +81,8 @@ impl BeforeAfter<'_> {
 
     /// Errors by time.
     pub fn when(&self) -> Vec<When> {
-        let (start_s, length_s) = (
-            self.log.start_s(),
-            self.log.duration_s() / f64::from(STRETCHES),
-        );
+        let start_s = self.log.start_s();
+        let length_s = self.log.duration_s() / f64::from(STRETCHES);
         let stretch = |k: u32| {
             let [from_s, to_s] = [k, k + 1].map(|k| start_s + length_s * f64::from(k));
             let rmse = self.pooled(|k| (from_s..to_s).contains(&self.log.bins[k].t_s));
