@@ -5,7 +5,7 @@ use super::unit::Unit;
 use retroflex::diagnosis::rig::RigProblem;
 use retroflex::diagnosis::tip::observed::{ObserveError, Observed};
 use retroflex::diagnosis::tip::{Rig, TipProblem};
-use retroflex::diagnosis::verdict::posterior::{self, Posterior};
+use retroflex::diagnosis::verdict::posterior;
 use retroflex::diagnosis::verdict::{Posterior, statements};
 use retroflex::diagnosis::{Problem, search};
 use retroflex::model::effects::catalogue;

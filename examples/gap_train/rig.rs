@@ -10,7 +10,7 @@ use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use retroflex::diagnosis::rig::file::Columns;
 use retroflex::diagnosis::rig::model::catalogue;
-use retroflex::diagnosis::rig::regress::{self, Task, variance};
+use retroflex::diagnosis::rig::regress;
 use retroflex::diagnosis::rig::{
     DRIVEN, Drive, MapFile, Nominal, Operator, RESONANT, Signals, Task, variance,
 };
@@ -366,21 +366,10 @@ fn recalibrated(y: &[f64], inputs: &[Vec<f64>]) -> Vec<f64> {
         .into_iter()
         .chain(inputs.iter().map(Vec::as_slice))
         .collect();
-    let Some(r) = Task::new(y).regress(&regress::Columns {
-        of: of.clone(),
-        signs: vec![],
-    }) else {
+    let Some(r) = Task::new(y).regress(&regress::Columns::free(of.clone())) else {
         return y.to_vec();
     };
-    (0..y.len())
-        .map(|k| {
-            y[k] - of
-                .iter()
-                .zip(&r.coefficients)
-                .map(|(x, c)| x[k] * c)
-                .sum::<f64>()
-        })
-        .collect()
+    regress::left(y, &of, &r.coefficients)
 }
 
 #[cfg(test)]

@@ -58,9 +58,8 @@ impl<C: Scored> Candidates<C> {
 
     /// The candidate of these effects, if it was fitted.
     pub fn set(&self, names: &[&str]) -> Option<&C> {
-        self.sets()
-            .chain([&self.nominal])
-            .find(|c| c.names() == names)
+        let mut all = self.sets().chain([&self.nominal]);
+        all.find(|c| c.names() == names)
     }
 
     /// The candidate with all effects of a set but one, if it was fitted.
@@ -79,19 +78,19 @@ impl<C: Scored> Candidates<C> {
         if self.parts(c).all(|part| enough(c, part)) {
             return c;
         }
-        self.parts(c)
-            .min_by(|a, b| a.energy().total_cmp(&b.energy()))
-            .map_or(&self.nominal, |part| self.claimable(part, enough))
+        let best = self
+            .parts(c)
+            .min_by(|a, b| a.energy().total_cmp(&b.energy()));
+        best.map_or(&self.nominal, |part| self.claimable(part, enough))
     }
 
     /// Logarithms, where they are negative, of what a set explains beyond the nominal model, and of the least that one of several effects
     /// explains beyond the others.
     pub fn claims(&self, c: &C) -> [f64; 2] {
         let claim = |part: &C| c.gain(part).max(ALIKE).ln().min(0.0);
-        let least = if c.names().len() > 1 {
-            self.parts(c).map(claim).fold(0.0, f64::min)
-        } else {
-            0.0
+        let least = match c.names().len() > 1 {
+            true => self.parts(c).map(claim).fold(0.0, f64::min),
+            false => 0.0,
         };
         [claim(&self.nominal), least]
     }

@@ -1,6 +1,6 @@
 //! Which set of effects explains the log: every single effect, the pairs that may explain more, and triples where a pair leaves something.
 //!
-//! [`crate::diagnosis::verdict::decide`] checks whether a set needs all its members.
+//! [`mod@crate::diagnosis::verdict::decide`] checks whether a set needs all its members.
 
 use crate::diagnosis::{Candidates, Problem, Scored};
 

@@ -1,7 +1,7 @@
 //! A simulator beside a log: driven with the counted pistons of the log, it moves its tip, and what the sensors would have measured of that
 //! motion is compared with what they did.
 //!
-//! Gravity, field and gyroscope bias are solved as for the nominal model ([`sense`]). Parameters of the simulator are found by
+//! Gravity, field and gyroscope bias are solved as for the nominal model ([`mod@sense`]). Parameters of the simulator are found by
 //! Levenberg-Marquardt (Marquardt 1963) over runs of it. What is left is scored on blocks that the fit has not seen, along the tangent of
 //! the fit, and the intervals are those of the jackknife over blocks (Efron 1982), because residuals of neighbouring bins are alike.
 

@@ -43,11 +43,9 @@ fn bic(log: &Observed, found: &Candidates<Candidate>) -> Vec<&'static str> {
     let rows = log.bins.len() as f64 * n / (log.duration_s() / CORRELATED_S).max(1.0);
     let value =
         |c: &Candidate| n * (c.fitted.cost / rows).ln() + c.fitted.theta.len() as f64 * n.ln();
-    found
-        .sets()
-        .chain([&found.nominal])
-        .min_by(|a, b| value(a).total_cmp(&value(b)))
-        .map_or(vec![], |c| c.names.clone())
+    let all = found.sets().chain([&found.nominal]);
+    let least = all.min_by(|a, b| value(a).total_cmp(&value(b)));
+    least.map_or(vec![], |c| c.names.clone())
 }
 
 /// Sums over the tangents of the whole catalogue at the nominal fit, with the nominal parameters eliminated.
@@ -75,9 +73,8 @@ impl Library {
         let sums = columns.whole(&base.point, log.bins.len());
         let (n, k) = (columns.width(), NOMINAL);
         let ridge = DMatrix::identity(k, k) * 1e-6;
-        let inverse = (sums.normal.view((0, 0), (k, k)) + ridge)
-            .try_inverse()
-            .unwrap_or_else(|| DMatrix::zeros(k, k));
+        let inverse = (sums.normal.view((0, 0), (k, k)) + ridge).try_inverse();
+        let inverse = inverse.unwrap_or_else(|| DMatrix::zeros(k, k));
         let across = sums.normal.view((k, 0), (n - k, k)).clone_owned();
         let normal =
             sums.normal.view((k, k), (n - k, n - k)) - &across * &inverse * across.transpose();
@@ -94,18 +91,15 @@ impl Library {
 
     /// Squares that these effects explain together.
     fn explained(&self, effects: &[usize]) -> f64 {
-        let columns: Vec<usize> = effects
-            .iter()
-            .flat_map(|&g| self.at[g]..self.at[g + 1])
-            .collect();
+        let columns = effects.iter().flat_map(|&g| self.at[g]..self.at[g + 1]);
+        let columns: Vec<usize> = columns.collect();
         let n = columns.len();
         let normal = DMatrix::from_fn(n, n, |a, b| {
             self.normal[(columns[a], columns[b])] + if a == b { 1.0 } else { 0.0 }
         });
         let gradient = DVector::from_fn(n, |a, _| self.gradient[columns[a]]);
-        normal
-            .cholesky()
-            .map_or(0.0, |c| c.solve(&gradient).dot(&gradient))
+        let solved = normal.cholesky();
+        solved.map_or(0.0, |c| c.solve(&gradient).dot(&gradient))
     }
 
     fn sparse(&self) -> Vec<&'static str> {
@@ -118,11 +112,8 @@ impl Library {
             let without = |g: usize| {
                 self.explained(&kept.iter().copied().filter(|&k| k != g).collect::<Vec<_>>())
             };
-            let share = kept
-                .iter()
-                .map(|&g| (g, (whole - without(g)) / whole))
-                .min_by(|a, b| a.1.total_cmp(&b.1));
-            match share {
+            let shares = kept.iter().map(|&g| (g, (whole - without(g)) / whole));
+            match shares.min_by(|a, b| a.1.total_cmp(&b.1)) {
                 Some((g, share)) if share < SPARSE && kept.len() > 1 => kept.retain(|&k| k != g),
                 _ => return kept.iter().map(|&k| self.names[k]).collect(),
             }

@@ -2,7 +2,7 @@
 //!
 //! The truth is the built-in plant, whose laws differ in form from the catalogue's and which has effects that the
 //! catalogue lacks. Units, schedules, calibrations and noise are drawn from a seed. All logs are diagnosed first; only
-//! then are the true labels used for scoring ([`score`]). Three other methods answer the same questions ([`baseline`]).
+//! then are the true labels used for scoring ([`mod@score`]). Three other methods answer the same questions ([`baseline`]).
 
 pub mod baseline;
 pub mod question;

@@ -131,10 +131,9 @@ impl Question {
         let (mut make, mut hidden) = (bare, false);
         for name in &self.names {
             for last in (1..=DRAWS).map(|draw| draw == DRAWS) {
-                let severity = if last {
-                    1.0
-                } else {
-                    rng.random_range(0.0..1.0)
+                let severity = match last {
+                    true => 1.0,
+                    false => rng.random_range(0.0..1.0),
                 };
                 let with = make.clone().with_effect(name, severity, &mut rng)?;
                 let recorded_with = Recorded::new(of(&with, first, true)?, &lines);
@@ -201,9 +200,8 @@ pub struct Recorded {
 impl Recorded {
     /// Recalibrates the model of a log that was driven with the calibration `lines`.
     pub fn new(log: BendLog, lines: &[Line; 3]) -> Self {
-        let left_deg = Observed::new(&log, &Rig::default())
-            .map(|o| recalibrated(&o, lines).held_out.rmse_deg)
-            .ok();
+        let observed = Observed::new(&log, &Rig::default()).ok();
+        let left_deg = observed.map(|o| recalibrated(&o, lines).held_out.rmse_deg);
         Self { log, left_deg }
     }
 
@@ -214,12 +212,9 @@ impl Recorded {
         let (Some(before), Some(after)) = (&self.left_deg, &with.left_deg) else {
             return true;
         };
-        let seen = |q: &Quantity| lab || *q != Quantity::Reference;
-        difference_deg(&self.log, &with.log) < VISIBLE_DEG
-            || Quantity::ALL
-                .into_iter()
-                .filter(seen)
-                .all(|q| after[q] - before[q] < CLAIM_DEG)
+        let unseen = |q| q == Quantity::Reference && !lab;
+        let slight = |q| unseen(q) || after[q] - before[q] < CLAIM_DEG;
+        difference_deg(&self.log, &with.log) < VISIBLE_DEG || Quantity::ALL.into_iter().all(slight)
     }
 }
 
@@ -253,8 +248,8 @@ pub fn difference_deg(a: &BendLog, b: &BendLog) -> f64 {
             .iter()
             .zip(y)
             .filter_map(|(x, y)| Some(x.as_ref()?.angle_to(y.as_ref()?).powi(2)));
-        let n = x.len().max(1) as f64;
-        out = out.max((angles.sum::<f64>() / n).sqrt().to_degrees());
+        let mean = angles.sum::<f64>() / x.len().max(1) as f64;
+        out = out.max(mean.sqrt().to_degrees());
     }
     out
 }

@@ -55,9 +55,8 @@ pub fn run(
         .par_iter()
         .enumerate()
         .map(|(n, q)| {
-            let left_out =
-                (q.content == Content::Single && n % LEFT_OUT_EVERY == 0).then(|| q.names[0]);
-            let answer = answer(n, &draw(q)?, catalogue, left_out);
+            let again = q.content == Content::Single && n % LEFT_OUT_EVERY == 0;
+            let answer = answer(n, &draw(q)?, catalogue, again.then(|| q.names[0]));
             done();
             answer
         })
@@ -77,14 +76,10 @@ fn answer(
     let saved = SavedModel::new("exam", catalogue, &done);
     let fresh_closed = check(&saved, &fresh, catalogue).closed;
     let left_out = left_out.map(|name| {
-        let rest: Vec<Box<dyn Effect>> = effects::catalogue()
-            .into_iter()
-            .filter(|e| e.name() != name)
-            .collect();
-        diagnose(&TipProblem::new(&log, &rest, &logs.lines, n as u64))
-            .document
-            .verdict
-            .kind
+        let mut rest = effects::catalogue();
+        rest.retain(|e| e.name() != name);
+        let without = diagnose(&TipProblem::new(&log, &rest, &logs.lines, n as u64));
+        without.document.verdict.kind
     });
     let others = baseline::answer(&log, catalogue, &logs.lines, &done.found);
     Ok(Answer {

@@ -1,6 +1,6 @@
 //! The diagnosis of a mapped rig as a document.
 
-use crate::diagnosis::rig::{MapFile, RigProblem, Set, Signals, closed_ci95, notes};
+use crate::diagnosis::rig::{MapFile, Member, RigProblem, Set, Signals, closed_ci95, notes};
 use crate::diagnosis::verdict::Verdict;
 use crate::diagnosis::{Judged, Scored, diagnose};
 use serde::Serialize;
@@ -183,6 +183,11 @@ impl RigProblem<'_> {
         let [low, high] =
             closed_ci95(&from.scores, &set.scores, floor, self.seed).map(|c| c * part);
         let params = set.members.iter().filter(|m| !m.operator.eta.is_empty());
+        let parameter = |m: &Member| Parameter {
+            of: m.operator.name,
+            name: m.operator.eta,
+            value: m.eta,
+        };
         Entry {
             name: set.names.join(" + "),
             probability: match set.names.as_slice() {
@@ -193,13 +198,7 @@ impl RigProblem<'_> {
             rmse_after: set.energy().sqrt(),
             closed,
             closed_ci95: [low.min(closed), high.max(closed)],
-            params: params
-                .map(|m| Parameter {
-                    of: m.operator.name,
-                    name: m.operator.eta,
-                    value: m.eta,
-                })
-                .collect(),
+            params: params.map(parameter).collect(),
         }
     }
 

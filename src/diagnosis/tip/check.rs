@@ -52,16 +52,11 @@ pub struct Checked {
 pub fn check(saved: &SavedModel, log: &Observed, catalogue: &[Box<dyn Effect>]) -> Checked {
     let gains = |g: &SavedGains| nominal_theta(&g.lines(), g.lag_s);
     let names: Vec<&str> = saved.effect.iter().map(|e| e.name.as_str()).collect();
-    let (events, lasting): (Vec<&dyn Effect>, Vec<&dyn Effect>) = Model::named(catalogue, &names)
-        .effects
-        .into_iter()
-        .partition(|e| e.info().is_event());
+    let effects = Model::named(catalogue, &names).effects.into_iter();
+    let (events, lasting): (Vec<&dyn Effect>, Vec<_>) = effects.partition(|e| e.info().is_event());
     let (bare, with) = (Model::new(&[]), Model::new(&lasting));
-    let effects = lasting.iter().filter_map(|e| saved.params_of(*e)).flatten();
-    let theta: Vec<f64> = gains(&saved.with_effects)
-        .into_iter()
-        .chain(effects)
-        .collect();
+    let mut theta = gains(&saved.with_effects);
+    theta.extend(lasting.iter().filter_map(|e| saved.params_of(*e)).flatten());
     let before = scored(log, &bare, &gains(&saved.nominal));
     let after = scored(log, &with, &theta);
     let mended = scored(log, &bare, &gains(&saved.with_effects));

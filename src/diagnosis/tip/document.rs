@@ -2,7 +2,9 @@
 
 use crate::diagnosis::tip::fit::{Candidate, Compared, HeldOut, closed_ci95, score, scored};
 use crate::diagnosis::tip::model::Model;
-use crate::diagnosis::tip::observed::{CORRELATED_S, Observed, PerQuantity, Segment, dependences};
+use crate::diagnosis::tip::observed::{
+    CORRELATED_S, Depends, Observed, PerQuantity, Segment, dependences,
+};
 use crate::diagnosis::tip::{BeforeAfter, StageShare, TipProblem, credits, stages};
 use crate::diagnosis::verdict::Verdict;
 use crate::diagnosis::{Candidates, Judged, Scored, diagnose};
@@ -191,8 +193,11 @@ impl TipProblem<'_> {
     pub fn written(&self, judged: &Judged<Self>) -> Diagnosis {
         let (log, nominal, chosen) = (self.log, &self.nominal, judged.chosen());
         let verdict = judged.verdict.clone();
-        let entry = |e: &Box<dyn Effect>| self.entry(judged, e.as_ref());
-        let mut effects: Vec<EffectEntry> = self.catalogue.iter().map(entry).collect();
+        let effects = self
+            .catalogue
+            .iter()
+            .map(|e| self.entry(judged, e.as_ref()));
+        let mut effects: Vec<EffectEntry> = effects.collect();
         let credits = credits(&judged.found, chosen, self.gap());
         let probability = |s: &Candidate| (s.names[0], judged.posterior.effect(s.names[0]));
         let probabilities: Vec<_> = judged.found.singles.iter().map(probability).collect();
@@ -350,12 +355,11 @@ pub fn goes_with(log: &Observed, left: &HeldOut) -> Vec<DependenceEntry> {
     let mut told = dependences(log, &left.residual).to_vec();
     told.retain(|d| d.gain > 0.0 && d.share >= TOLD);
     told.sort_by(|a, b| b.gain.total_cmp(&a.gain));
-    told.into_iter()
-        .map(|d| DependenceEntry {
-            name: d.on.name(),
-            share: d.share,
-        })
-        .collect()
+    let entry = |d: Depends| DependenceEntry {
+        name: d.on.name(),
+        share: d.share,
+    };
+    told.into_iter().map(entry).collect()
 }
 
 fn rivals(found: &Candidates<Candidate>) -> Vec<Rival> {
@@ -365,12 +369,8 @@ fn rivals(found: &Candidates<Candidate>) -> Vec<Rival> {
         rmse_deg: c.held_out.rmse_deg,
         cost: c.fitted.cost,
     };
-    let shown = found
-        .singles
-        .iter()
-        .take(RIVALS)
-        .chain(found.larger.iter().take(RIVALS))
-        .chain([&found.nominal]);
+    let [singles, larger] = [&found.singles, &found.larger].map(|all| all.iter().take(RIVALS));
+    let shown = singles.chain(larger).chain([&found.nominal]);
     let mut out: Vec<Rival> = shown.map(of).collect();
     out.sort_by(|a, b| a.energy_deg2.total_cmp(&b.energy_deg2));
     out

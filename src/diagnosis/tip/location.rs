@@ -65,28 +65,24 @@ impl BeforeAfter<'_> {
         let span = |k: u32, width: f64| [f64::from(k) * width, f64::from(k + 1) * width];
         let cells = (0..REGIONS.0)
             .flat_map(|b| (0..REGIONS.1).map(move |d| (span(b, RING_DEG), span(d, SECTOR_DEG))));
-        cells
-            .filter_map(|(bend_deg, dir_deg)| {
-                let inside = |k: usize| {
-                    (bend_deg[0]..bend_deg[1]).contains(&poses[k].0)
-                        && (dir_deg[0]..dir_deg[1]).contains(&poses[k].1)
-                };
-                self.pooled(inside).map(|(rmse_deg, explained_deg)| Region {
-                    bend_deg,
-                    dir_deg,
-                    rmse_deg,
-                    explained_deg,
-                })
+        let region = |(bend_deg, dir_deg): ([f64; 2], [f64; 2])| {
+            let within = |[from, to]: [f64; 2], x: f64| (from..to).contains(&x);
+            let inside = |k: usize| within(bend_deg, poses[k].0) && within(dir_deg, poses[k].1);
+            let (rmse_deg, explained_deg) = self.pooled(inside)?;
+            Some(Region {
+                bend_deg,
+                dir_deg,
+                rmse_deg,
+                explained_deg,
             })
-            .collect()
+        };
+        cells.filter_map(region).collect()
     }
 
     /// Errors by time.
     pub fn when(&self) -> Vec<When> {
-        let (start_s, length_s) = (
-            self.log.start_s(),
-            self.log.duration_s() / f64::from(STRETCHES),
-        );
+        let start_s = self.log.start_s();
+        let length_s = self.log.duration_s() / f64::from(STRETCHES);
         let stretch = |k: u32| {
             let [from_s, to_s] = [k, k + 1].map(|k| start_s + length_s * f64::from(k));
             let rmse = self.pooled(|k| (from_s..to_s).contains(&self.log.bins[k].t_s));

@@ -1,4 +1,8 @@
 //! Diagnosis of a bending tip.
+//!
+//! [`observed`] turns a log into weighted bins. [`model`] runs the controller's own model forward from the pistons to the readings, with any
+//! set of catalogue effects in it. [`fit`] estimates nominal gains and effect parameters jointly and scores a fit on parts of the log it has
+//! not seen. [`TipProblem`] is the whole as a [`crate::diagnosis::Problem`], and [`document`] what is written of it.
 
 pub mod check;
 pub mod confusion;

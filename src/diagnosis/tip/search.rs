@@ -2,7 +2,7 @@
 //!
 //! Every single effect is fitted to the whole log from its most promising start and scored on left-out blocks. Pairs that are worth a fit
 //! are those that extend the best single, by the tangent there, and the best of all pairs by the normal matrix of all singles
-//! ([`crate::diagnosis::tip::fit::screen`]).
+//! ([`mod@crate::diagnosis::tip::fit::screen`]).
 
 use crate::diagnosis::Candidates;
 use crate::diagnosis::tip::fit::{

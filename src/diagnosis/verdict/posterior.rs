@@ -35,20 +35,14 @@ impl Head {
         reason = "the text is a part of the program, and a test reads it"
     )]
     pub fn built_in(text: &str, layout: Layout) -> Self {
-        let HeadFile {
-            conformal,
-            mut weight,
-        } = toml::from_str(text).expect("a head is TOML");
-        let weights = layout
-            .names()
-            .iter()
-            .map(|n| weight.remove(n).unwrap_or(0.0))
-            .collect();
-        assert!(weight.is_empty(), "no features: {weight:?}");
+        let mut file: HeadFile = toml::from_str(text).expect("a head is TOML");
+        let mut weight = |name: &String| file.weight.remove(name).unwrap_or(0.0);
+        let weights = layout.names().iter().map(&mut weight).collect();
+        assert!(file.weight.is_empty(), "no features: {:?}", file.weight);
         Self {
             layout,
             weights,
-            conformal,
+            conformal: file.conformal,
         }
     }
 }

@@ -32,46 +32,38 @@ pub struct Compared<'a> {
 
 /// The interval around `value`, the closed part on the whole log.
 pub fn closed_ci95(c: &Compared<'_>, value: f64, seed: u64) -> [f64; 2] {
-    let n = c
-        .before
-        .blocks
-        .len()
-        .min(c.after.blocks.len())
-        .min(c.nominal.blocks.len());
+    let [before, after, nominal] = [c.before, c.after, c.nominal].map(|h| h.blocks.as_slice());
+    let n = before.len().min(after.len()).min(nominal.len());
     if n == 0 {
         return [value, value];
     }
     let left = (1.0 - value).max(LEFT_MIN);
     let mut rng = StdRng::seed_from_u64(seed);
-    let square: f64 = (0..DRAWS)
-        .map(|_| {
-            let (mut before, mut after, mut gap) = (0.0, 0.0, -c.floor);
-            for _ in 0..n {
-                let i = rng.random_range(0..n);
-                before += c.before.blocks[i];
-                after += c.after.blocks[i];
-                gap += c.nominal.blocks[i];
-            }
-            let closed = if gap > 0.0 {
-                (before - after) / gap
-            } else {
-                value
-            };
-            ((1.0 - closed).max(LEFT_MIN) / left).ln().powi(2)
-        })
-        .sum();
+    let draw = |_| {
+        let (mut without, mut with, mut gap) = (0.0, 0.0, -c.floor);
+        for _ in 0..n {
+            let i = rng.random_range(0..n);
+            without += before[i];
+            with += after[i];
+            gap += nominal[i];
+        }
+        let closed = if gap > 0.0 {
+            (without - with) / gap
+        } else {
+            value
+        };
+        ((1.0 - closed).max(LEFT_MIN) / left).ln().powi(2)
+    };
+    let square: f64 = (0..DRAWS).map(draw).sum();
     // an effect that closes nothing leaves the same on every log
     let between = BETWEEN_LOGS * value.clamp(0.0, 1.0);
     let half = 1.96 * (square / DRAWS as f64 + between * between).sqrt();
     let least = left * (-half).exp();
-    [
-        (1.0 - left * half.exp()).max(-1.0),
-        if least < LEFT_MIN {
-            1.0
-        } else {
-            (1.0 - least).max(value).min(1.0)
-        },
-    ]
+    let high = match least < LEFT_MIN {
+        true => 1.0,
+        false => (1.0 - least).max(value).min(1.0),
+    };
+    [(1.0 - left * half.exp()).max(-1.0), high]
 }
 
 #[cfg(test)]

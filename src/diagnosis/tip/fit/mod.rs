@@ -2,7 +2,7 @@
 //!
 //! Levenberg-Marquardt (Marquardt 1963) on the weighted residuals of all quantities, with Gaussian priors on the
 //! parameters. The recalibration comprises gravity, field and gyroscope bias, solved inside every evaluation
-//! ([`crate::diagnosis::tip::model::sense`]), and k_ε, k_λ and τ₀. What it closes is not credited to an effect.
+//! ([`mod@crate::diagnosis::tip::model::sense`]), and k_ε, k_λ and τ₀. What it closes is not credited to an effect.
 
 pub mod candidate;
 pub mod forecast;

@@ -2,7 +2,7 @@
 //!
 //! pistons → play → 1/(1 + k_ε) → first-order lag τ₀ → constant curvature → tip orientation. Each effect changes the
 //! signal at its own stage. The lag integrates a straight line between two instants exactly, so a step may be longer
-//! than τ₀. [`crate::diagnosis::tip::model::sense`] turns the motion into readings.
+//! than τ₀. [`mod@crate::diagnosis::tip::model::sense`] turns the motion into readings.
 
 use crate::diagnosis::tip::observed::{Observed, Segment};
 use crate::model::effects::{Effect, Memory, Pose};

@@ -256,11 +256,10 @@ fn rows_of(log: &Observed, bin: &Bin, follows_motors: bool) -> std::ops::Range<u
     let (from, to) = bin.rows;
     let moving =
         || log.rows.piston_mm[from] != log.rows.piston_mm[to - 1] || bin.idle_s < bin.lasting_s;
-    if follows_motors && moving() {
-        from..to
-    } else {
-        let middle = (from + to - 1) / 2;
-        middle..middle + 1
+    let middle = (from + to - 1) / 2;
+    match follows_motors && moving() {
+        true => from..to,
+        false => middle..middle + 1,
     }
 }
 

@@ -10,7 +10,7 @@ pub mod quantity;
 pub mod refuse;
 
 pub use bins::{BIN_S, Bin, G_M_S2};
-pub use dependence::dependences;
+pub use dependence::{Depends, dependences};
 pub use quantity::{PerQuantity, Quantity};
 pub use refuse::ObserveError;
 
