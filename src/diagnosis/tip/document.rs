@@ -5,7 +5,7 @@ use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::{
     CORRELATED_S, Depends, Observed, PerQuantity, Segment, dependences,
 };
-use crate::diagnosis::tip::{BeforeAfter, StageShare, TipProblem, credits, stages};
+use crate::diagnosis::tip::{BeforeAfter, Location, TipProblem, credits, stages};
 use crate::diagnosis::verdict::Verdict;
 use crate::diagnosis::{Candidates, Judged, Scored, diagnose};
 use crate::model::effects::{Effect, Param};
@@ -32,58 +32,6 @@ pub struct Gap {
     pub explained_deg: f64,
     /// White noise alone.
     pub noise_floor_deg: f64,
-}
-
-/// Error in a region of bend and direction.
-#[derive(Debug, Clone, Serialize)]
-pub struct Region {
-    /// Bend, degrees, from and to.
-    pub bend_deg: [f64; 2],
-    /// Direction, degrees, from and to.
-    pub dir_deg: [f64; 2],
-    /// RMSE of the recalibrated model, degrees.
-    pub rmse_deg: f64,
-    /// RMSE with the verdict's effects, degrees.
-    pub explained_deg: f64,
-}
-
-/// Error in a stretch of time.
-#[derive(Debug, Clone, Serialize)]
-pub struct When {
-    /// Start, s.
-    pub from_s: f64,
-    /// End, s.
-    pub to_s: f64,
-    /// RMSE of the recalibrated model, degrees.
-    pub rmse_deg: f64,
-    /// RMSE with the verdict's effects, degrees.
-    pub explained_deg: f64,
-}
-
-/// Error of one quantity.
-#[derive(Debug, Clone, Serialize)]
-pub struct QuantityShare {
-    /// Name of the quantity.
-    pub name: &'static str,
-    /// RMSE of the recalibrated model, degrees (°/s for the gyroscope).
-    pub rmse_deg: f64,
-    /// RMSE with the verdict's effects.
-    pub explained_deg: f64,
-}
-
-/// Location of the gap.
-#[derive(Debug, Clone, Serialize)]
-pub struct Location {
-    /// Stages, largest share first.
-    pub stages: Vec<StageShare>,
-    /// Groups of stages that this log cannot separate.
-    pub merged: Vec<Vec<&'static str>>,
-    /// By bend and direction.
-    pub regions: Vec<Region>,
-    /// By time.
-    pub when: Vec<When>,
-    /// By quantity.
-    pub kinds: Vec<QuantityShare>,
 }
 
 /// A fitted parameter.

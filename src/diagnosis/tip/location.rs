@@ -1,10 +1,63 @@
 //! Where and when a log shows the gap.
 
+use crate::diagnosis::tip::StageShare;
 use crate::diagnosis::tip::fit::HeldOut;
 use crate::diagnosis::tip::observed::{Observed, Quantity};
-use crate::diagnosis::tip::{QuantityShare, Region, When};
 use crate::model::{Bend, Line};
 use nalgebra::Vector3;
+use serde::Serialize;
+
+/// Error in a region of bend and direction.
+#[derive(Debug, Clone, Serialize)]
+pub struct Region {
+    /// Bend, degrees, from and to.
+    pub bend_deg: [f64; 2],
+    /// Direction, degrees, from and to.
+    pub dir_deg: [f64; 2],
+    /// RMSE of the recalibrated model, degrees.
+    pub rmse_deg: f64,
+    /// RMSE with the verdict's effects, degrees.
+    pub explained_deg: f64,
+}
+
+/// Error in a stretch of time.
+#[derive(Debug, Clone, Serialize)]
+pub struct When {
+    /// Start, s.
+    pub from_s: f64,
+    /// End, s.
+    pub to_s: f64,
+    /// RMSE of the recalibrated model, degrees.
+    pub rmse_deg: f64,
+    /// RMSE with the verdict's effects, degrees.
+    pub explained_deg: f64,
+}
+
+/// Error of one quantity.
+#[derive(Debug, Clone, Serialize)]
+pub struct QuantityShare {
+    /// Name of the quantity.
+    pub name: &'static str,
+    /// RMSE of the recalibrated model, degrees (°/s for the gyroscope).
+    pub rmse_deg: f64,
+    /// RMSE with the verdict's effects.
+    pub explained_deg: f64,
+}
+
+/// Location of the gap.
+#[derive(Debug, Clone, Serialize)]
+pub struct Location {
+    /// Stages, largest share first.
+    pub stages: Vec<StageShare>,
+    /// Groups of stages that this log cannot separate.
+    pub merged: Vec<Vec<&'static str>>,
+    /// By bend and direction.
+    pub regions: Vec<Region>,
+    /// By time.
+    pub when: Vec<When>,
+    /// By quantity.
+    pub kinds: Vec<QuantityShare>,
+}
 
 /// Regions: rings of bend × sectors of direction.
 const REGIONS: (u32, u32) = (3, 6);

@@ -22,10 +22,10 @@ pub use check::{Checked, Judgement, check};
 pub use confusion::{alike, confused_with, separable};
 pub use credit::{StageShare, credits, stages};
 pub use document::{
-    DependenceEntry, Diagnosed, Diagnosis, EffectEntry, Gap, Location, LogEntry, ParamValue,
-    QuantityShare, Region, UnknownEntry, When, goes_with,
+    DependenceEntry, Diagnosed, Diagnosis, EffectEntry, Gap, LogEntry, ParamValue, UnknownEntry,
+    goes_with,
 };
-pub use location::{BeforeAfter, commanded_bend, polar_deg};
+pub use location::{BeforeAfter, Location, QuantityShare, Region, When, commanded_bend, polar_deg};
 pub use remedy::Remedy;
 pub use rig::Rig;
 pub use saved::{SavedGains, SavedModel};
