@@ -171,7 +171,11 @@ fn a_viewer_sees_what_the_flight_log_holds() {
         );
     }
     // a motion is followed, in its own time
-    daemon.command("bend 40 --toward 0").unwrap();
+    let bent = Command::new(PROGRAM)
+        .args(["bend", "40", "--toward", "0", "--socket"])
+        .arg(&daemon.sockets()[0])
+        .status();
+    assert!(bent.unwrap().success());
     let reached = |topic: &str, fields: &Value| {
         topic == "/angles" && fields["bend_deg"].as_f64().is_some_and(|deg| deg > 35.0)
     };
