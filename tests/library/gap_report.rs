@@ -112,6 +112,11 @@ fn evidence() -> Evidence {
     }
 }
 
+/// What a page was made from.
+fn made() -> [[String; 2]; 2] {
+    [["small.csv", "20 s, hash 00"], ["seed", "1"]].map(|row| row.map(str::to_owned))
+}
+
 #[test]
 fn the_page_equals_its_snapshot() {
     let d = diagnosis(
@@ -119,7 +124,7 @@ fn the_page_equals_its_snapshot() {
         &["sensor_latency"],
         &[&["transport_delay", "sensor_latency"]],
     );
-    insta::assert_snapshot!(page("small.csv", &d, &evidence()));
+    insta::assert_snapshot!(page("small.csv", &d, &evidence(), &made()));
 }
 
 #[test]
@@ -129,7 +134,7 @@ fn the_page_is_complete_and_one_file_without_scripts() {
         &["sensor_latency"],
         &[&["transport_delay", "sensor_latency"]],
     );
-    let html = page("a<b>.csv", &d, &evidence());
+    let html = page("a<b>.csv", &d, &evidence(), &made());
     for word in [
         "a&lt;b&gt;.csv",
         "transport delay",
