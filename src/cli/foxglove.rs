@@ -94,7 +94,7 @@ impl Followed {
         folders: &[PathBuf],
     ) -> std::io::Result<Option<(Vec<mcap::Message<'static>>, Option<f64>)>> {
         if let Some((_, tail)) = &mut self.log
-            && let Some(messages) = tail.next()?
+            && let Some(messages) = tail.next_record()?
         {
             let pace = self.live.then_some(PACE[usize::from(self.behind)]);
             self.behind = true;

@@ -177,7 +177,8 @@ fn a_viewer_sees_what_the_flight_log_holds() {
         .status();
     assert!(bent.unwrap().success());
     let reached = |topic: &str, fields: &Value| {
-        topic == "/angles" && fields["bend_deg"].as_f64().is_some_and(|deg| deg > 35.0)
+        let bend_deg = fields["estimate"]["bend_deg"].as_f64();
+        topic == "/angles" && bend_deg.is_some_and(|deg| deg > 35.0)
     };
     let all = viewer.until(reached);
     assert!(all["/imu"].len() > 20 && all["/tf"].len() > 10);

@@ -444,7 +444,7 @@ fn the_service_plays_a_path_and_streams_set_points_with_times() {
         let mut rows = "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n".to_owned();
         for k in 0..count {
             let bend_deg = if k == wrong {
-                88.0
+                150.0
             } else {
                 rng.random_range(0.0..40.0)
             };
@@ -454,7 +454,7 @@ fn the_service_plays_a_path_and_streams_set_points_with_times() {
         let path = folder.path().join("poses.csv");
         std::fs::write(&path, rows).unwrap();
         let named = format!(
-            "poses.csv, row {}, bend_deg 88: expected within reach",
+            "poses.csv, row {}, bend_deg 150: expected within reach",
             wrong + 1
         );
         expect(&["play", path.to_str().unwrap()], "", 2, &named);

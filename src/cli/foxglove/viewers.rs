@@ -93,6 +93,7 @@ impl Viewers {
 }
 
 /// Agrees on the protocol.
+#[allow(clippy::result_large_err, reason = "`tungstenite` defines the type")]
 fn agree(request: &Request, mut response: Response) -> Result<Response, ErrorResponse> {
     let offers = request.headers().get_all(SEC_WEBSOCKET_PROTOCOL).iter();
     let offered: Vec<&str> = offers

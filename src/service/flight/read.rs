@@ -225,7 +225,7 @@ impl Tail {
     ///
     /// # Errors
     /// The operating system's.
-    pub fn next(&mut self) -> io::Result<Option<Vec<Message<'static>>>> {
+    pub fn next_record(&mut self) -> io::Result<Option<Vec<Message<'static>>>> {
         self.source.seek(SeekFrom::Start(self.at))?;
         match self.log.record(&mut self.source) {
             Ok(Some((length, messages))) => {
