@@ -172,16 +172,17 @@ fn a_viewer_sees_what_the_flight_log_holds() {
     }
     // a motion is followed, in its own time
     let bent = Command::new(PROGRAM)
-        .args(["bend", "40", "--toward", "0", "--socket"])
+        .args(["bend", "20", "--toward", "180", "--socket"])
         .arg(&daemon.sockets()[0])
         .status();
     assert!(bent.unwrap().success());
     let reached = |topic: &str, fields: &Value| {
-        let bend_deg = fields["estimate"]["bend_deg"].as_f64();
-        topic == "/angles" && bend_deg.is_some_and(|deg| deg > 35.0)
+        let dir_deg = fields["estimate"]["dir_deg"].as_f64();
+        topic == "/angles" && dir_deg.is_some_and(|deg| deg.abs() > 170.0)
     };
     let all = viewer.until(reached);
-    assert!(all["/imu"].len() > 20 && all["/tf"].len() > 10);
+    let counts: BTreeMap<&str, usize> = all.iter().map(|(t, m)| (t.as_str(), m.len())).collect();
+    assert!(counts["/imu"] > 20 && counts["/tf"] > 10, "{counts:?}");
     for (topic, messages) in &all {
         let times = messages.windows(2).all(|pair| pair[1].0 >= pair[0].0);
         assert!(times, "{topic} is not in the order of time");
