@@ -52,17 +52,36 @@ pub fn run(args: &Args) -> Result<()> {
     let listener = TcpListener::bind(args.listen).map_err(fail)?;
     print(format!("ws://{}\n", listener.local_addr().map_err(fail)?));
     let viewers = Viewers::start(listener).into_diagnostic()?;
-    let mut followed = Followed::default();
+    let (mut followed, mut said) = (Followed::default(), String::new());
     loop {
-        let written = followed.next(&folders).unwrap_or_else(|e| {
-            eprintln!("the flight log cannot be read: {e}");
-            None
-        });
+        let (written, remark) = match followed.next(&folders) {
+            Ok(None) if followed.log.is_none() => (None, waiting(&folders)),
+            Ok(written) => (written, String::new()),
+            Err(e) => (None, format!("the flight log cannot be read: {e}\n")),
+        };
+        // once, and again only after something else
+        if remark != said {
+            eprint!("{remark}");
+            said = remark;
+        }
         match written {
             Some((messages, pace)) => serve(&viewers, messages, pace),
             None => std::thread::sleep(AGAIN),
         }
     }
+}
+
+/// What is said as long as no service writes a log.
+fn waiting(folders: &[PathBuf]) -> String {
+    let found = folders.iter().map(|folder| {
+        let why = flights(folder).map_or_else(|e| e.kind().to_string(), |_| "empty".to_owned());
+        format!("{} ({why})", folder.display())
+    });
+    let found: Vec<String> = found.collect();
+    format!(
+        "there is no flight log yet; waiting for one in {}\n",
+        found.join(" or ")
+    )
 }
 
 /// Serves messages in their own time; without a pace they are only kept.

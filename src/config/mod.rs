@@ -6,7 +6,6 @@
 
 pub mod board;
 pub mod calib;
-pub mod from_model;
 pub mod gains;
 pub mod message;
 pub mod place;

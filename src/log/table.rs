@@ -23,7 +23,7 @@ const VALUES_MAX: usize = 90_000_000;
 /// Longest time between two rows: this, s, or this many times the usual one.
 const STEP_MAX_S: f64 = 86_400.0;
 const STEP_MAX_PERIODS: f64 = 1e4;
-/// A shorter step in the median of all is none.
+/// A clock stands between two rows that are nearer than this share of the median step.
 const STEP_MIN_PERIODS: f64 = 1e-6;
 /// Most bytes of a text that is read as a whole.
 const TEXT_MAX: u64 = 1 << 20;
@@ -524,6 +524,14 @@ mod tests {
             ("t,x\n0,inf\n", "line 2, column x: `inf`"),
             ("t,x\n0,0\n,0\n", "line 3, column t: `` is not a number"),
             ("t,x\nNaN,0\n", "line 2, column t: `nan` is not a number"),
+            (
+                "t,x\n0,0\n1e-320,0\n1,0\n2,0\n",
+                "line 3, column t: 1e-320 s does not come after 0 s",
+            ),
+            (
+                "t,x\n1700000000,0\n1700000005,0\n1700000005.0000004,0\n1700000010,0\n",
+                "line 4, column t",
+            ),
             (
                 "t,x\n1e5,0\n0,0\n",
                 "line 3, column t: 0 s does not come after 100000 s",

@@ -39,8 +39,9 @@ struct Reader {
 fn bend_log(rows: u32) -> String {
     let mut text = "time_s,cmd_bend_deg,cmd_dir_deg,cmd_len_mm,piston1_mm,piston2_mm,piston3_mm,acc_x_m_s2,acc_y_m_s2,acc_z_m_s2,gyr_x_rad_s,gyr_y_rad_s,gyr_z_rad_s,mag_x_ut,mag_y_ut,mag_z_ut,temp_c,pressure1_kpa,pressure2_kpa,pressure3_kpa,base_acc_x_m_s2,base_acc_y_m_s2,base_acc_z_m_s2,base_gyr_x_rad_s,base_gyr_y_rad_s,base_gyr_z_rad_s,base_mag_x_ut,base_mag_y_ut,base_mag_z_ut\n".to_owned();
     for k in 0..rows {
-        let (t_s, phase) = (f64::from(k) * 0.02, f64::from(k) * 0.01);
-        let mm = [0.0, 2.1, 4.2].map(|a: f64| 3.0 * (phase + a).sin());
+        // at rest first
+        let (t_s, phase) = (f64::from(k) * 0.02, f64::from(k.saturating_sub(150)) * 0.01);
+        let mm = [0.0, 2.1, 4.2].map(|a: f64| 3.0 * ((phase + a).sin() - a.sin()));
         let (s, c) = (0.3 * phase.sin()).sin_cos();
         let _ = writeln!(
             text,
@@ -50,7 +51,7 @@ fn bend_log(rows: u32) -> String {
             mm[2],
             9.81 * s,
             9.81 * c,
-            0.15 * phase.cos(),
+            if k > 150 { 0.15 * phase.cos() } else { 0.0 },
             20.0 * c
         );
     }

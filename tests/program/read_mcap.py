@@ -1,7 +1,11 @@
 """Reads the flight logs of a run with the packages `mcap` and `mcap-protobuf-support`: checks every checksum, decodes every message of
-every topic, and prints the channels and attachments of the last one. All files have the same schemas."""
+every topic, and prints the channels and attachments of the last one. All files have the same schemas. Where Rerun is installed, it
+converts the last one, and shows the tip as a transform and the journal as text."""
 import json
+import os
+import subprocess
 import sys
+import tempfile
 
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
@@ -45,10 +49,27 @@ def check(path, schemas):
             assert decoded.get(channel.topic, 0) == counts.get(channel.id, 0), channel.topic
         lines += [f"{attachment.name} {len(attachment.data)}" for attachment in reader.iter_attachments()]
         lines += [f"{metadata.name} {metadata.metadata}" for metadata in reader.iter_metadata()]
-        return lines
+        return lines, decoded
+
+
+def convert(path, topics):
+    rerun = os.path.join(os.path.dirname(sys.executable), "rerun")
+    if not os.path.exists(rerun):
+        print("skipped: Rerun (PyPI rerun-sdk) is not installed", file=sys.stderr)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        out = os.path.join(folder, "flight.rrd")
+        run = {"check": True, "capture_output": True, "text": True, "env": {**os.environ, "HOME": folder}}
+        subprocess.run([rerun, "mcap", "convert", path, "-o", out], **run)
+        shown = subprocess.run([rerun, "rrd", "print", out], **run).stdout
+    for topic in topics:
+        assert f" {topic} " in shown, f"Rerun does not show {topic}"
+    for topic, component in [("/tf", "Transform3D:quaternion"), ("/log", "TextLog:text")]:
+        assert any(f" {topic} " in line and component in line for line in shown.splitlines()), f"Rerun: {topic} is no {component}"
 
 
 schemas = {}
 for path in sys.argv[1:]:
-    lines = check(path, schemas)
+    lines, decoded = check(path, schemas)
+convert(sys.argv[-1], decoded)
 print("\n".join(lines))

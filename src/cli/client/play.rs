@@ -99,7 +99,9 @@ impl Schedule {
     fn path(&self) -> Vec<PathRow> {
         match self {
             Self::Poses(rows) => {
-                let timed = rows.iter().zip(0_u32..);
+                // two rows make a path
+                let again = rows.first().filter(|_| rows.len() == 1);
+                let timed = rows.iter().chain(again).zip(0_u32..);
                 timed
                     .map(|(r, k)| (f64::from(k) * 1e-3, r.bend_deg, r.dir_deg, Some(r.len_mm)))
                     .collect()

@@ -11,8 +11,8 @@ use serde_json::json;
 use std::collections::HashMap;
 use std::io::{self, ErrorKind};
 use std::net::{TcpListener, TcpStream};
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
 use tungstenite::handshake::server::{ErrorResponse, Request, Response};
 use tungstenite::http::{HeaderValue, StatusCode, header::SEC_WEBSOCKET_PROTOCOL};
@@ -38,7 +38,8 @@ type Shown = Arc<(usize, u64, Vec<u8>)>;
 /// The queues of the viewers, and what each topic has shown last.
 #[derive(Default)]
 struct Shared {
-    queues: Vec<SyncSender<Shown>>,
+    /// The queue of each viewer, and whether its thread still attends it.
+    queues: Vec<(SyncSender<Shown>, Weak<()>)>,
     last: HashMap<usize, Shown>,
 }
 
@@ -57,13 +58,17 @@ impl Viewers {
             for stream in listener.incoming().flatten() {
                 let (sender, queue) = sync_channel(QUEUE);
                 let mut all = own.lock().unwrap_or_else(PoisonError::into_inner);
-                // one that has left is noticed at the next message
+                all.queues
+                    .retain(|(_, attended)| attended.strong_count() > 0);
                 if all.queues.len() < VIEWERS_MAX {
-                    all.queues.push(sender);
+                    let attended = Arc::new(());
+                    all.queues.push((sender, Arc::downgrade(&attended)));
                     let shared = Arc::clone(&own);
                     // without a thread there is no viewer
-                    let _ =
-                        std::thread::Builder::new().spawn(move || attend(stream, &queue, &shared));
+                    let _ = std::thread::Builder::new().spawn(move || {
+                        attend(stream, &queue, &shared);
+                        drop(attended);
+                    });
                 }
             }
         })?;
@@ -76,18 +81,16 @@ impl Viewers {
         let Some(number) = schema::TOPICS.iter().position(|(name, _)| *name == topic) else {
             return;
         };
-        if topic == EXACT[0] {
+        // an older program wrote other messages
+        if topic == EXACT[0] || *message.channel.message_encoding != *ENCODING {
             return;
         }
         let shown = Arc::new((number, message.log_time, message.data.to_vec()));
         let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        all.queues.retain(|queue| {
-            let sent = match live {
-                true => queue.try_send(Arc::clone(&shown)),
-                false => Ok(()),
-            };
-            !matches!(sent, Err(TrySendError::Disconnected(_)))
-        });
+        for (queue, _) in all.queues.iter().filter(|_| live) {
+            // one that does not keep up misses it
+            let _ = queue.try_send(Arc::clone(&shown));
+        }
         all.last.insert(number, shown);
     }
 }

@@ -1,9 +1,9 @@
 //! `retroflex gap apply`: writes what a calibration file can hold of a saved model, and says what it cannot.
 
 use crate::cli::calibrate::today;
+use crate::cli::gap::from_model::{Place, calibration, place};
 use crate::cli::gap::input;
 use crate::cli::output::{self, ResultFile};
-use crate::config::from_model::{Place, calibration, place};
 use crate::diagnosis::tip::{Remedy, SavedModel};
 use crate::model::effects::{Effect, by_name};
 use crate::report::gap::words::plain;

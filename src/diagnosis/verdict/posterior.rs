@@ -218,7 +218,7 @@ impl Posterior {
     /// Probability that a statement for which `of` holds is true.
     fn sum(&self, of: impl Fn(Option<&[&'static str]>) -> bool) -> f64 {
         let true_of = self.ranked.iter().filter(|(s, _)| of(s.as_deref()));
-        true_of.map(|(_, p)| p).sum()
+        true_of.fold(0.0, |sum, (_, p)| sum + p)
     }
 
     /// Probability that these effects, and no others, explain the log.
