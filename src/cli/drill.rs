@@ -6,7 +6,7 @@ use crate::cli::output::{self, ResultFile};
 use crate::config::Gains;
 use crate::drill::bench::BenchConfig;
 use crate::drill::process::{self, Harm};
-use crate::drill::row::Row;
+use crate::drill::row::FaultResult;
 use crate::drill::run::{Allowance, fly};
 use crate::drill::{list, soak};
 use crate::report::page::Page;
@@ -99,7 +99,7 @@ fn simulation() -> Result<BenchConfig> {
     })
 }
 
-fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<Row>> {
+fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<FaultResult>> {
     let only = args.only.as_deref().unwrap_or_default();
     let selected = |name: &str| name.contains(only);
     let mut rows = Vec::new();
@@ -152,12 +152,12 @@ fn run_soak(args: &Args, config: &BenchConfig, hours: f64) -> Result<bool> {
     Ok(soak.ok)
 }
 
-fn show(rows: &[Row], args: &Args) -> Result<()> {
+fn show(rows: &[FaultResult], args: &Args) -> Result<()> {
     let time = |s: f64| match s < 1.0 {
         true => format!("{:.0} ms", s * 1e3),
         false => format!("{s:.1} s"),
     };
-    let cells = |r: &Row| {
+    let cells = |r: &FaultResult| {
         let (ok, why) = if r.ok { ("yes", "") } else { ("NO", &*r.why) };
         let between = if r.ok { "" } else { " · " };
         [

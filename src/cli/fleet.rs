@@ -3,7 +3,7 @@
 use crate::cli::gap::rows::read;
 use crate::cli::output::{self, ResultFile};
 use crate::config::Calibration;
-use crate::diagnosis::fleet::row::Row;
+use crate::diagnosis::fleet::row::FleetRow;
 use crate::diagnosis::fleet::{GAINS, Survey, row};
 use crate::log::columns;
 use crate::report::fleet::{page, summary};
@@ -42,7 +42,7 @@ pub struct Args {
 /// # Errors
 /// A report that names the faulty file.
 pub fn run(args: &Args) -> Result<()> {
-    let mut rows: BTreeMap<String, Row> = BTreeMap::new();
+    let mut rows: BTreeMap<String, FleetRow> = BTreeMap::new();
     for table in &args.tables {
         for row in read(table)? {
             let log = row.log.clone();
@@ -55,7 +55,7 @@ pub fn run(args: &Args) -> Result<()> {
             rows.insert(log, row);
         }
     }
-    let rows: Vec<Row> = rows.into_values().collect();
+    let rows: Vec<FleetRow> = rows.into_values().collect();
     let survey = Survey::new(&rows);
     output::write_some(&args.prior, || {
         toml::to_string(&prior(&survey)?).into_diagnostic()

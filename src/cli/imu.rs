@@ -2,7 +2,7 @@
 
 use crate::cli::output::{self, ResultFile};
 use crate::estimation::fusion::FilterName;
-use crate::estimation::score::{self, Row, Score};
+use crate::estimation::score::{self, FileScore, Score};
 use miette::{IntoDiagnostic, Result};
 use std::path::PathBuf;
 
@@ -52,7 +52,7 @@ pub fn run(args: &ScoreArgs) -> Result<()> {
 }
 
 /// A line for each recording and filter, and the means of several recordings.
-fn table(rows: &[Row]) -> String {
+fn table(rows: &[FileScore]) -> String {
     let line = |file: &str, filter: FilterName, s: &Score| {
         let figures = [s.total_deg, s.heading_deg, s.inclination_deg].map(|x| format!("{x:.2}"));
         [vec![file.to_owned(), filter.to_string()], figures.into()].concat()

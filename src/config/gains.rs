@@ -14,7 +14,7 @@ parameters! {
     /// Gains: how the loop behaves. Every key may be left out; its default then applies.
     pub struct Gains: Copy {
         /// The outer loop.
-        outer as "loop": FeedbackConfig;
+        feedback as "loop": FeedbackConfig;
         /// Speed and acceleration of the set-point.
         pace: PaceSection;
         /// Backlash compensation.
@@ -99,7 +99,7 @@ impl Gains {
             observer: self.observer,
             periodic: self.periodic,
             obstruction: self.obstruction,
-            ..self.outer
+            ..self.feedback
         }
     }
 }

@@ -1,12 +1,12 @@
 //! The messages of serde and TOML in the words of whoever wrote the file: keys, values, lists and tables instead of types.
 
-use crate::primitives::{Allowed, Row};
+use crate::primitives::{Allowed, Parameter};
 
 /// Longest list of known keys in a message; `board show` prints longer ones.
 const LISTED_MAX: usize = 9;
 
 /// A message of serde about `key`, whose row, if it is a parameter, gives range and unit.
-pub fn plain(message: &str, key: &str, row: Option<&Row>) -> String {
+pub fn plain(message: &str, key: &str, row: Option<&Parameter>) -> String {
     // a list of tables begins where its first table begins
     let key = if message.starts_with("invalid length") {
         key.trim_end_matches(|c: char| "[]".contains(c) || c.is_ascii_digit())
@@ -62,7 +62,7 @@ pub fn near<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a 
 }
 
 /// A value of the wrong type or a list of the wrong length.
-fn typed(message: &str, row: Option<&Row>) -> String {
+fn typed(message: &str, row: Option<&Parameter>) -> String {
     const VALUES: [(&str, &str); 10] = [
         ("invalid type: ", ""),
         ("invalid value: ", ""),

@@ -1,6 +1,6 @@
 //! A resolved file as TOML, with the paragraph, default and range of every key.
 
-use crate::primitives::{Allowed, Parameters, Row, Shape, Table, join};
+use crate::primitives::{Allowed, Parameter, Parameters, Shape, Table, join};
 use std::fmt::Write;
 use toml::{Table as Values, Value};
 
@@ -56,7 +56,7 @@ impl Page {
 
     fn sub_table(
         &mut self,
-        row: &Row,
+        row: &Parameter,
         shape: &Shape,
         at: &str,
         value: Option<&Value>,
@@ -112,7 +112,14 @@ impl Page {
         }
     }
 
-    fn table(&mut self, row: &Row, table: &Table, at: &str, values: &Values, defaults: &Values) {
+    fn table(
+        &mut self,
+        row: &Parameter,
+        table: &Table,
+        at: &str,
+        values: &Values,
+        defaults: &Values,
+    ) {
         self.line("");
         self.comment(row.paragraph);
         self.line(&format!("[{at}]"));
@@ -129,7 +136,7 @@ fn is_table(shape: &Shape) -> bool {
 }
 
 /// Default and accepted values, as a sentence: `Default 0.1 s; 0.01 to 10.`
-fn limits(row: &Row, default: Option<&Value>) -> String {
+fn limits(row: &Parameter, default: Option<&Value>) -> String {
     let unit = if row.unit.is_empty() || row.unit == OCTAL {
         String::new()
     } else {
@@ -154,7 +161,7 @@ fn limits(row: &Row, default: Option<&Value>) -> String {
 /// Unit of permission bits, which are written in octal.
 pub const OCTAL: &str = "octal";
 
-fn written(row: &Row, value: &Value) -> String {
+fn written(row: &Parameter, value: &Value) -> String {
     match value {
         Value::Integer(bits) if row.unit == OCTAL => format!("{bits:#o}"),
         value => value.to_string(),

@@ -74,7 +74,7 @@ impl Rule {
         self.rests_s = if moving { 0.0 } else { self.rests_s + dt_s };
     }
 
-    /// Takes the answer to the last move. A disturbed tip teaches nothing.
+    /// Takes the answer to the last move. A disturbed tip is no measurement.
     pub fn answer(
         &mut self,
         dynamics: &Dynamics,

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 /// One fault and its result.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
-pub struct Row {
+pub struct FaultResult {
     /// Name of the fault.
     pub fault: String,
     /// Time from the injection to the first detection, s; `null` without one.
@@ -29,7 +29,7 @@ pub struct Row {
     pub why: String,
 }
 
-impl Row {
+impl FaultResult {
     /// A row without a failure, and what it requires.
     pub fn new(fault: &str, requires: impl Into<String>) -> Self {
         Self {

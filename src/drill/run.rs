@@ -1,7 +1,7 @@
 //! One flight: bend, inject a fault during the next move, observe, repair, and bend again.
 
 use crate::drill::bench::{Bench, BenchConfig, bend};
-use crate::drill::row::Row;
+use crate::drill::row::FaultResult;
 use crate::drill::spec::{Bound, Detector, Injection, Situation, Spec};
 use crate::supervisor::{CycleOutput, MachineError, Mode, Order, Refusal, SafeState};
 
@@ -107,10 +107,14 @@ fn take_off(bench: &mut Bench) -> Result<Option<CycleOutput>, MachineError> {
 ///
 /// # Errors
 /// [`MachineError`].
-pub fn fly(config: &BenchConfig, spec: &Spec, allowance: &Allowance) -> Result<Row, MachineError> {
+pub fn fly(
+    config: &BenchConfig,
+    spec: &Spec,
+    allowance: &Allowance,
+) -> Result<FaultResult, MachineError> {
     let steps_allowed = allowance.of(spec.bound);
     let requires = spec.words(steps_allowed, AFTER_MAX_DEG);
-    let mut row = Row::new(spec.name, requires).ending("boot");
+    let mut row = FaultResult::new(spec.name, requires).ending("boot");
     row.steps_allowed = steps_allowed;
     let mut config = config.clone();
     if spec.situation == Situation::Returning {
@@ -182,7 +186,7 @@ fn observe(
     bench: &mut Bench,
     spec: &Spec,
     before: CycleOutput,
-    row: &mut Row,
+    row: &mut FaultResult,
 ) -> Result<CycleOutput, MachineError> {
     let start_s = bench.now_s;
     let [mut order, mut next] = spec.injection.apply(bench);
@@ -231,7 +235,7 @@ fn observe(
 
 /// The operator's procedure: clear the fault, return to rest, repair, align again if necessary, and move to the next pose.
 /// Returns the error of that pose, degrees.
-fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, MachineError> {
+fn recover(bench: &mut Bench, spec: &Spec, row: &mut FaultResult) -> Result<f64, MachineError> {
     if matches!(spec.injection, Injection::Stop) {
         if bench.runner.supervisor.mode() == Mode::Faulted {
             order(bench, Order::Reset, row)?;
@@ -297,7 +301,7 @@ fn return_to_rest(
     bench: &mut Bench,
     spec: &Spec,
     zero: bool,
-    row: &mut Row,
+    row: &mut FaultResult,
 ) -> Result<(), MachineError> {
     let supervisor = &bench.runner.supervisor;
     if supervisor.mode() != Mode::Relaxing && supervisor.keep().steps.0 != [0; 3] {
@@ -317,7 +321,7 @@ fn return_to_rest(
 }
 
 /// Gives an order; a refusal is a failure.
-fn order(bench: &mut Bench, order: Order, row: &mut Row) -> Result<(), MachineError> {
+fn order(bench: &mut Bench, order: Order, row: &mut FaultResult) -> Result<(), MachineError> {
     if let Some(Err(why)) = bench.turn(Some(order))?.answer {
         row.fail(format!("{order:?} was refused: {why}"));
     }

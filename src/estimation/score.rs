@@ -36,7 +36,7 @@ pub struct Score {
 
 /// One row of the JSON of `imu score`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Row {
+pub struct FileScore {
     /// File name of the recording.
     pub file: String,
     /// The filter.
@@ -143,13 +143,13 @@ pub fn run(
     files: &[PathBuf],
     filter: Option<FilterName>,
     all: bool,
-) -> Result<Vec<Row>, ScoreError> {
+) -> Result<Vec<FileScore>, ScoreError> {
     if files.is_empty() {
         return Err(ScoreError::NoFiles);
     }
     let one = [filter.unwrap_or(DEFAULT_FILTER)];
     let filters: &[FilterName] = if all { &FilterName::ALL } else { &one };
-    let scored: Vec<Result<Vec<Row>, ScoreError>> = files
+    let scored: Vec<Result<Vec<FileScore>, ScoreError>> = files
         .iter()
         .map(|file| {
             let recording = recording::read(file)?;
@@ -161,7 +161,7 @@ pub fn run(
             filters
                 .iter()
                 .map(|&filter| {
-                    Ok(Row {
+                    Ok(FileScore {
                         file: file(),
                         filter,
                         score: score(&recording, filter)?,
@@ -171,12 +171,12 @@ pub fn run(
                 .collect()
         })
         .collect();
-    let rows: Vec<Vec<Row>> = scored.into_iter().collect::<Result<_, _>>()?;
+    let rows: Vec<Vec<FileScore>> = scored.into_iter().collect::<Result<_, _>>()?;
     Ok(rows.into_iter().flatten().collect())
 }
 
 /// Mean of one filter over the recordings; `None` if it has no row.
-pub fn mean(rows: &[Row], filter: FilterName) -> Option<Score> {
+pub fn mean(rows: &[FileScore], filter: FilterName) -> Option<Score> {
     let of: Vec<&Score> = rows
         .iter()
         .filter(|r| r.filter == filter)
@@ -263,7 +263,7 @@ mod tests {
         referenced: impl Fn(usize) -> bool,
     ) -> Recording {
         let reference = rotation(0.0, 0.0, yaw_deg);
-        let row = |k: usize| recording::Row {
+        let row = |k: usize| recording::RecordingRow {
             sample: ImuSample {
                 t: Seconds(k as f64 * 0.01),
                 gyro_rad_s: Vector3::zeros(),
@@ -311,7 +311,7 @@ mod tests {
             heading_deg: 1.0,
             inclination_deg: 0.5,
         };
-        let row = |file: &str, filter, total_deg| Row {
+        let row = |file: &str, filter, total_deg| FileScore {
             file: file.into(),
             filter,
             score: score(total_deg),

@@ -1,26 +1,28 @@
-//! What each mechanism of the loop contributes: the closed loop with one of them off at a time.
-//!
-//! Every second unit has slow lines, because some mechanisms act on nothing else.
+//! What each mechanism of loop and estimate contributes: the closed loop with one of them off at a time, under every condition of the
+//! sweep.
 
 use crate::control::{FeedbackConfig, LoopConfig};
+use crate::estimation::fusion::bend::BendFilterConfig;
 use crate::estimation::fusion::estimator::EstimatorName;
 use crate::estimation::fusion::registry::FilterName;
 use crate::experiment::arm::{percentile, root_mean};
 use crate::experiment::evaluation::Arm;
 use crate::experiment::rig::RigError;
-use crate::experiment::schedule::{DIRECTIONS, HOLD_S};
-use crate::experiment::sweep::Study;
+use crate::experiment::schedule::HOLD_S;
+use crate::experiment::sweep::{Condition, DIRECTIONS, Study, TURN_DEG, rows};
 use rayon::prelude::*;
 use serde::Serialize;
-
-/// Lag of the slow lines, s.
-const SLOW_LAG_S: f64 = 0.25;
 
 /// A mechanism and the configuration of the loop without it.
 type Mechanism = (&'static str, fn(&mut LoopConfig));
 
+/// Too small a standard deviation for anything to be learned.
+const NEVER: f64 = 1e-6;
+/// Too large a standard deviation for anything to be believed.
+const ANY: f64 = 1e3;
+
 /// The loop as configured, then each mechanism.
-pub const MECHANISMS: [Mechanism; 15] = [
+pub const MECHANISMS: [Mechanism; 27] = [
     ("nothing", |_| ()),
     ("online k_eps, k_lambda", |c| c.refine.enabled = false),
     ("learned curves", |c| {
@@ -35,8 +37,21 @@ pub const MECHANISMS: [Mechanism; 15] = [
     ("learned leaks", |c| {
         feedback(c, |f| f.observer.leak_sigma_1_s = 0.0)
     }),
+    ("learned rotation and offset", |c| {
+        feedback(c, |f| {
+            (f.observer.rotation_sigma_deg, f.observer.offset_sigma_deg) = (0.0, 0.0)
+        })
+    }),
+    ("what no law explains", |c| {
+        feedback(c, |f| (f.observer.residual_deg, f.ki_1_s) = (NEVER, NEVER))
+    }),
     ("dynamics bank", |c| {
         feedback(c, |f| f.learn_dynamics = false)
+    }),
+    ("doubt about timing", |c| {
+        feedback(c, |f| {
+            (f.observer.timing_s, f.observer.timing_share) = (0.0, 0.0)
+        })
     }),
     ("periodic disturbance", |c| {
         feedback(c, |f| f.periodic.enabled = false)
@@ -49,7 +64,32 @@ pub const MECHANISMS: [Mechanism; 15] = [
         feedback(c, |f| f.calm.after_s = f64::INFINITY)
     }),
     ("set-point lead", |c| feedback(c, |f| f.lead = 0.0)),
+    ("obstruction", |c| {
+        feedback(c, |f| f.obstruction.push_deg = f64::INFINITY)
+    }),
     ("base watch", |c| c.fuse.watch.enabled = false),
+    ("bias that drifts", |c| {
+        bend(c, |b| b.gyro_drift_rad_s_rts = b.gyro_walk_rad_s_rts)
+    }),
+    ("rate that is wrong", |c| {
+        bend(c, |b| b.wrong_rate_error = b.rate_error)
+    }),
+    ("scale of the gyroscope", |c| {
+        bend(c, |b| b.gyro_scale_sigma = NEVER)
+    }),
+    ("torsion", |c| {
+        bend(c, |b| (b.twist_sigma, b.twist_walk) = (NEVER, 0.0))
+    }),
+    ("tilted chip", |c| bend(c, |b| b.mount_sigma_rad = NEVER)),
+    ("standstill", |c| {
+        bend(c, |b| {
+            (b.still_rate_sigma_rad_s, b.still_twist_sigma_rad_s) = (ANY, ANY)
+        })
+    }),
+    ("acceleration of the arc", |c| {
+        bend(c, |b| (b.arc_mm, b.beyond_mm) = (0.0, 0.0))
+    }),
+    ("magnetometer", |c| bend(c, |b| b.use_mag = false)),
     ("bend filter (vqf)", |c| {
         c.fuse.filter = EstimatorName::Generic(FilterName::Vqf)
     }),
@@ -62,60 +102,75 @@ fn feedback(config: &mut LoopConfig, change: fn(&mut FeedbackConfig)) {
     config.feedback.iter_mut().for_each(change);
 }
 
-/// The closed loop without one mechanism, over all units.
+fn bend(config: &mut LoopConfig, change: fn(&mut BendFilterConfig)) {
+    change(&mut config.fuse.bend);
+}
+
+/// The closed loop without one mechanism, under all conditions.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AblationRow {
     /// The mechanism that is off.
     pub without: &'static str,
-    /// Bend RMSE of all units, degrees.
+    /// Bend RMSE, mean over the conditions, degrees.
     pub bend_rmse_deg: f64,
-    /// Bend RMSE of the worst unit, degrees.
-    pub worst_deg: f64,
+    /// The RMSE without the mechanism relative to that with it, geometric mean over the conditions.
+    pub ratio: f64,
     /// Median settling time to 1°, s, as in [`crate::experiment::arm::ArmResult`].
     pub settle_s_median: f64,
-    /// 95th percentile of the settling time, s.
-    pub settle_s_p95: f64,
     /// States that do not settle.
     pub unsettled: usize,
-    /// Largest motion within a scored part, peak to peak, degrees.
-    pub peak_to_peak_max_deg: f64,
+    /// The condition that needs the mechanism most: its name, value, and ratio.
+    pub needed: (&'static str, f64, f64),
 }
 
-/// Runs every row; `progress` is called after each unit of a row, from several threads.
+/// One condition without a mechanism: bend RMSE, degrees, and the settling time of each state, s.
+type Outcome = (f64, Vec<Option<f64>>);
+
+/// Runs every row; `progress` is called after each unit of a condition, from several threads.
 ///
 /// # Errors
 /// [`RigError`] from a plant.
 pub fn run(
     study: &Study,
     mechanisms: &[Mechanism],
+    conditions: &[Condition],
     progress: &(dyn Fn() + Sync),
 ) -> Result<Vec<AblationRow>, RigError> {
-    let row = |&(without, change): &Mechanism| {
+    let rows = rows(conditions);
+    let without = |&(_, change): &Mechanism| -> Result<Vec<Outcome>, RigError> {
         let mut config = study.config.clone();
         change(&mut config);
-        let unit = |n: u64| {
-            let mut unit = study.unit(n);
-            if n % 2 == 1 {
-                unit.effects.line_lag.get_or_insert_default().lag_s = [SLOW_LAG_S; 3];
-            }
-            let result = study.run(&config, Arm::Closed, &unit, n, DIRECTIONS);
-            progress();
-            result
+        let outcome = |&(condition, value): &(&Condition, f64)| {
+            let units = (0..study.units).map(|n| {
+                let mut unit = study.unit(n);
+                condition.apply(&mut unit, value, TURN_DEG * n as f64 % 360.0);
+                let result = study.run(&config, Arm::Closed, &unit, n, DIRECTIONS);
+                progress();
+                result
+            });
+            let units = units.collect::<Result<Vec<_>, _>>()?;
+            let held = || units.iter().flat_map(|u| &u.held);
+            let rmse_deg = root_mean(held().map(|h| h.bend_error_sq));
+            Ok((rmse_deg, held().map(|h| h.settle_s).collect()))
         };
-        let units: Result<Vec<_>, _> = (0..study.units).into_par_iter().map(unit).collect();
-        let units = units?;
-        let held = || units.iter().flat_map(|u| &u.held);
-        let settle = |share: f64| percentile(held().map(|h| h.settle_s.unwrap_or(HOLD_S)), share);
-        let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
-        Ok(AblationRow {
-            without,
-            bend_rmse_deg: root_mean(held().map(|h| h.bend_error_sq)),
-            worst_deg: largest(&mut units.iter().map(|u| u.bend_rmse_deg)),
-            settle_s_median: settle(0.5),
-            settle_s_p95: settle(0.95),
-            unsettled: held().filter(|h| h.settle_s.is_none()).count(),
-            peak_to_peak_max_deg: largest(&mut held().map(|h| h.peak_to_peak_deg)),
-        })
+        rows.par_iter().map(outcome).collect()
     };
-    mechanisms.par_iter().map(row).collect()
+    let outcomes: Result<Vec<_>, _> = mechanisms.par_iter().map(without).collect();
+    let outcomes = outcomes?;
+    let row = |((name, _), outcome): (&Mechanism, &Vec<Outcome>)| {
+        let ratios = outcome.iter().zip(&outcomes[0]);
+        let ratios: Vec<f64> = ratios.map(|((off, _), (on, _))| off / on).collect();
+        let most = (0..rows.len()).max_by(|&a, &b| ratios[a].total_cmp(&ratios[b]));
+        let (condition, value) = rows[most.unwrap_or(0)];
+        let settled = || outcome.iter().flat_map(|(_, settle_s)| settle_s);
+        AblationRow {
+            without: name,
+            bend_rmse_deg: outcome.iter().map(|(deg, _)| deg).sum::<f64>() / rows.len() as f64,
+            ratio: (ratios.iter().map(|r| r.ln()).sum::<f64>() / rows.len() as f64).exp(),
+            settle_s_median: percentile(settled().map(|s| s.unwrap_or(HOLD_S)), 0.5),
+            unsettled: settled().filter(|s| s.is_none()).count(),
+            needed: (condition.name, value, ratios[most.unwrap_or(0)]),
+        }
+    };
+    Ok(mechanisms.iter().zip(&outcomes).map(row).collect())
 }

@@ -115,7 +115,7 @@ pub struct ChannelFigures {
 
 /// The bend RMSE of an open-loop arm, and what two simulations foretell of it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Foretold {
+pub struct Predicted {
     /// Arm name.
     pub name: String,
     /// On the machine, degrees.
@@ -140,7 +140,7 @@ pub struct Evaluation {
     pub track: Option<TrackResult>,
     /// What simulations foretell of the open-loop arms, where a described machine was used.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub foretold: Vec<Foretold>,
+    pub foretold: Vec<Predicted>,
     /// Extension gains used.
     pub k_eps: [f64; 3],
     /// Backlash half-widths used, mm.
@@ -300,7 +300,7 @@ fn foretell(
     machine: &DescribedMachine,
     seed: u64,
     arms: &[ArmResult],
-) -> Result<Vec<Foretold>, RigError> {
+) -> Result<Vec<Predicted>, RigError> {
     let theta = nominal_theta(&base.lines, base.dynamics.expected.lag_s);
     let nominal = DescribedMachine::new(machine.geometry, machine.rest, &theta, vec![]);
     let run = |machine: &DescribedMachine, arm: Arm| -> Result<f64, RigError> {
@@ -323,7 +323,7 @@ fn foretell(
     });
     let one = |(arm, machine_deg): (Arm, f64)| {
         let (twin_deg, nominal_deg) = (run(machine, arm)?, run(&nominal, arm)?);
-        Ok(Foretold {
+        Ok(Predicted {
             name: arm.name().to_owned(),
             machine_deg,
             twin_deg,

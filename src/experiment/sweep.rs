@@ -221,10 +221,6 @@ pub fn run(
     conditions: &[Condition],
     progress: &(dyn Fn() + Sync),
 ) -> Result<Vec<SweepRow>, RigError> {
-    let all = conditions
-        .iter()
-        .flat_map(|c| c.values.iter().map(move |&v| (c, v)));
-    let rows: Vec<(&Condition, f64)> = all.collect();
     let row = |&(condition, value): &(&Condition, f64)| {
         let unit = |n: u64| {
             let mut unit = study.unit(n);
@@ -236,7 +232,16 @@ pub fn run(
         let units: Result<Vec<_>, _> = (0..study.units).into_par_iter().map(unit).collect();
         Ok(judge(condition.name, value, &units?))
     };
-    rows.par_iter().map(row).collect()
+    rows(conditions).par_iter().map(row).collect()
+}
+
+/// Every value of every condition.
+pub fn rows(conditions: &[Condition]) -> Vec<(&Condition, f64)> {
+    let row = |c| move |&v| (c, v);
+    conditions
+        .iter()
+        .flat_map(|c: &Condition| c.values.iter().map(row(c)))
+        .collect()
 }
 
 /// The row of the units, each with its arms in the order of [`Arm::PAPER`].

@@ -26,12 +26,12 @@ pub struct Recording {
     /// Name of the file without its folder.
     pub name: String,
     /// Rows in time order.
-    pub rows: Vec<Row>,
+    pub rows: Vec<RecordingRow>,
 }
 
 /// One row of a recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Row {
+pub struct RecordingRow {
     /// Readings of the sensor; a missing reading is NaN (field: `None`).
     pub sample: ImuSample,
     /// True orientation, where the optical system saw the markers.
@@ -97,7 +97,7 @@ fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
     if let Some((k, value)) = flags.find(|(_, v)| **v != 0.0 && **v != 1.0) {
         return Err(table.refuse(k, MOVING, &value.to_string(), "0 or 1"));
     }
-    let row = |(k, sample): (usize, ImuSample)| Row {
+    let row = |(k, sample): (usize, ImuSample)| RecordingRow {
         sample,
         reference: reference.as_ref().and_then(|r| r[k]).map(world_from_enu),
         moving: moving.is_none_or(|m| m[k] == 1.0),
@@ -107,7 +107,7 @@ fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
         .unwrap_or(path.as_os_str())
         .to_string_lossy()
         .into_owned();
-    let rows: Vec<Row> = ImuColumns { acc, gyr, mag }
+    let rows: Vec<RecordingRow> = ImuColumns { acc, gyr, mag }
         .samples(t)
         .enumerate()
         .map(row)

@@ -81,7 +81,7 @@ pub struct SideState {
     /// Position of the piston in its gap: −1..=1, 0 before the first motion (play starts centred).
     pub side: f64,
     /// Direction of the last motion: −1, 1, or 0 before the first.
-    pub way: f64,
+    pub direction: f64,
 }
 
 /// Commanded motion of one tick, for [`Side::invert`].
@@ -104,7 +104,7 @@ impl Side {
                 SideState {
                     w_mm: want,
                     side: (rate / rate_mm_s).tanh(),
-                    way: rate.signum(),
+                    direction: rate.signum(),
                 }
             }
         };
@@ -115,18 +115,18 @@ impl Side {
 /// Follows motion in the direction of the last; ignores a reversal up to the band; otherwise reverses.
 fn band(state: SideState, want: f64, band_mm: f64) -> SideState {
     let ahead = want - state.w_mm;
-    if ahead * state.way > 0.0 {
+    if ahead * state.direction > 0.0 {
         SideState {
             w_mm: want,
-            side: state.way,
+            side: state.direction,
             ..state
         }
     } else if ahead.abs() > band_mm {
-        let way = ahead.signum();
+        let direction = ahead.signum();
         SideState {
             w_mm: want,
-            side: way,
-            way,
+            side: direction,
+            direction,
         }
     } else {
         state
@@ -193,7 +193,7 @@ mod tests {
             let smooth = Side::Smooth { rate_mm_s: 1e-3 };
             let (u, _) = smooth.invert(&l, SideState::default(), &wanted(q));
             prop_assert!((u - l.piston_mm(q, 1.0)).abs() < 1e-9);
-            let held = SideState { w_mm: l.play_output_mm(q), side: 1.0, way: 1.0 };
+            let held = SideState { w_mm: l.play_output_mm(q), side: 1.0, direction: 1.0 };
             let (u, _) = smooth.invert(&l, held, &wanted(q));
             prop_assert!((u - l.play_output_mm(q)).abs() < 1e-9);
         }

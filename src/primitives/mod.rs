@@ -8,6 +8,6 @@ pub mod units;
 
 pub use check::{Checker, Invalid, shown};
 pub use frames::{Base, Rotation, Sensor, Tip, World};
-pub use parameters::{Allowed, Check, Parameters, Row, Setting, Shape, Table, join};
+pub use parameters::{Allowed, Check, Parameter, Parameters, Setting, Shape, Table, join};
 pub use sample::ImuSample;
 pub use units::{Mm, Rad, Seconds, Steps};

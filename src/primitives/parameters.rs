@@ -31,12 +31,12 @@ pub struct Table {
     /// Lines of the description.
     pub about: &'static [&'static str],
     /// The parameters, in the order of the file.
-    pub rows: &'static [Row],
+    pub rows: &'static [Parameter],
 }
 
 /// One parameter.
 #[derive(Debug)]
-pub struct Row {
+pub struct Parameter {
     /// Key in the file.
     pub key: &'static str,
     /// Lines of the paragraph: meaning, and the effect of a larger value.
@@ -190,7 +190,7 @@ impl Table {
     }
 
     /// The row of a dotted key; the indices of lists are passed over. `None` if the key is not known or depends on a word.
-    pub fn row(&self, key: &str) -> Option<&'static Row>
+    pub fn row(&self, key: &str) -> Option<&'static Parameter>
     where
         Self: 'static,
     {
@@ -219,7 +219,7 @@ impl Shape {
     }
 }
 
-impl Row {
+impl Parameter {
     fn check(&self, shape: &Shape, value: &Value, key: &str, whole: bool, to: &mut Checker) {
         match (shape, value) {
             (Shape::Optional(inner), value) => self.check(inner, value, key, whole, to),
@@ -311,7 +311,7 @@ macro_rules! parameters {
         impl $crate::primitives::parameters::Parameters for $name {
             const TABLE: &'static $crate::primitives::parameters::Table = &$crate::primitives::parameters::Table {
                 about: &[$($about),+],
-                rows: &[$($crate::primitives::parameters::Row {
+                rows: &[$($crate::primitives::parameters::Parameter {
                     key: $crate::parameters!(@key $field $($key)?),
                     paragraph: &[$($paragraph),+],
                     unit: concat!($($unit)?),

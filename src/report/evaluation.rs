@@ -5,7 +5,7 @@
 //! dashed, because backlash separates them.
 
 use crate::experiment::arm::{ArmResult, Held};
-use crate::experiment::evaluation::{Arm, ChannelFigures, Evaluation, Foretold};
+use crate::experiment::evaluation::{Arm, ChannelFigures, Evaluation, Predicted};
 use crate::experiment::schedule::{ANGLES_DEG, HOLD_S};
 use crate::experiment::track::TrackResult;
 use crate::report::chart::{Axis, Chart, Series, Stroke, sheet};
@@ -306,7 +306,7 @@ pub fn summary(e: &Evaluation) -> String {
     let figures = ARM_COLUMNS.iter().enumerate().skip(1);
     let figures = figures.map(|(c, title)| line(c, title));
     let arms = titled(&line(0, "").join("|"), 1..e.arms.len() + 1, figures);
-    let row = |f: &Foretold| {
+    let row = |f: &Predicted| {
         let figures = [f.machine_deg, f.twin_deg, f.nominal_deg].map(|x| format!("{x:.1}°"));
         [vec![f.name.clone()], figures.into()].concat()
     };

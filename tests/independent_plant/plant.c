@@ -2,7 +2,7 @@
  *
  *     cc -O2 -o plant plant.c -lm
  *     retroflex evaluate --plant 'exec:./plant --effect leak --seed 3'
- *     ./plant --base-imu --effect sway    adds an IMU on the base, mounted within 3 degrees of the tip's
+ *     ./plant --base-imu --effect base_motion.sway    adds an IMU on the base, mounted within 3 degrees of the tip's
  *     ./plant --list                      prints the names that --effect accepts
  *     ./plant --calib --seed 3            prints the gains of that unit as a calibration file
  *
@@ -106,7 +106,7 @@ static const char *NAMES[EFFECTS] = {
     "none", "missed_steps", "gear_periodic", "leak", "gas_compression", "line_lag", "thermal_drift", "crosstalk", "stiffening",
     "asymmetry", "hysteresis", "creep", "softening", "gravity", "curvature", "clocking", "cable_stiffness", "torsion", "contact",
     "gyro_bias", "accel_bias", "hard_iron", "motor_field", "mount_misalignment", "transport_delay", "sensor_latency",
-    "base_motion", "stick_slip", "respiration", "pinch", "sway", "soft_wall", "wall_release", "short_reach"};
+    "base_motion", "stick_slip", "respiration", "pinch", "base_motion.sway", "contact.soft", "wall_release", "short_reach"};
 static int active[EFFECTS];
 static int calibrated; /* the sensors' constant errors are those that a calibration leaves */
 static double size = 1.0, value_override = NAN;
@@ -170,7 +170,8 @@ static void draw_unit(void) {
     p_cable = active[CABLE_STIFFNESS] ? figure(0.05, 0.4) : 0, p_cable_dir = draw(0, PI);
     p_twist = active[TORSION] ? figure(0.03, 0.25) * sign_draw() : 0;
     int wall = active[CONTACT] || active[SOFT_WALL] || active[WALL_RELEASE];
-    p_wall = wall ? figure(0.5, 1.0) : 1e9, p_wall_dir = dir, p_wall_yield = active[SOFT_WALL] ? 0.1 : draw(0.03, 0.2);
+    /* a larger wall is a nearer one */
+    p_wall = wall ? isnan(value_override) ? draw(0.5, 1.0) / size : value_override : 1e9, p_wall_dir = dir, p_wall_yield = active[SOFT_WALL] ? 0.1 : draw(0.03, 0.2);
     p_release_t = active[WALL_RELEASE] ? draw(60, 120) : 1e9;
     double gyro = active[GYRO_BIAS] ? figure(0.002, 0.03) : 0;
     for (int i = 0; i < 3; i++) p_gyro_drift[i] = gyro * gauss_of(&rng_state);

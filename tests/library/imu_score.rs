@@ -6,7 +6,7 @@
 use nalgebra::Vector2;
 use retroflex::estimation::fusion::FilterName;
 use retroflex::estimation::fusion::mekf::saturation::Saturation;
-use retroflex::estimation::score::{self, Row, Score};
+use retroflex::estimation::score::{self, FileScore, Score};
 use retroflex::log::recording::{self, Recording};
 use std::path::PathBuf;
 use std::sync::OnceLock;
@@ -31,8 +31,8 @@ fn folder() -> Option<PathBuf> {
 }
 
 /// All rows of all filters, computed once; `None` without recordings.
-fn rows() -> Option<&'static [Row]> {
-    static ROWS: OnceLock<Option<Vec<Row>>> = OnceLock::new();
+fn rows() -> Option<&'static [FileScore]> {
+    static ROWS: OnceLock<Option<Vec<FileScore>>> = OnceLock::new();
     ROWS.get_or_init(|| {
         let folder = folder()?;
         let files: Vec<PathBuf> = VQF_PUBLISHED

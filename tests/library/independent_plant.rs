@@ -29,7 +29,7 @@ fn the_loop_helps_on_an_independent_plant() {
 fn a_base_imu_keeps_the_bend_while_the_base_sways() {
     let Some(folder) = compiled() else { return };
     let case = Case {
-        effect: "sway",
+        effect: "base_motion.sway",
         value: Some(0.17),
         seed: 2,
         cold: Cold::Own,

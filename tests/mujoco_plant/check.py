@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 
-from exam import HERE, pistons, record
+from record import HERE, pistons, record
 
 RETROFLEX = sys.argv[1] if len(sys.argv) > 1 else "target/release/retroflex"
 TIP = [sys.executable, str(HERE / "tip.py")]

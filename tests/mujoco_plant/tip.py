@@ -50,7 +50,7 @@ EFFECTS = {
     "stiffening": (0.12, 0.6, "share at 5 mm", "the walls of a bellow stiffen with stretch"),
     "asymmetry": (0.1, 0.4, "share", "walls stiffer in extension than in contraction, or the other way round"),
     "hysteresis": (0.06, 0.25, "share", "dry friction in every joint, each with another threshold"),
-    "fold_friction": (0.06, 0.25, "share", "hysteresis again: dry friction between the folds of each bellow"),
+    "hysteresis.folds": (0.06, 0.25, "share", "dry friction between the folds of each bellow"),
     "creep": (0.08, 0.4, "share", "two Maxwell branches beside the walls"),
     "softening": (0.2, 0.6, "share", "walls that soften up to their largest stretch"),
     "gravity": (3, 9, "g", "a heavy head on a tilted base"),
@@ -142,7 +142,8 @@ class Unit:
         for name, size in effects.items():
             d = self.draw(name)
             low, high = EFFECTS[name][:2]
-            drawn, sign = d.uniform(low, high) * scale, d.choice((-1, 1)) if name in SIGNED else 1
+            # a larger wall is a nearer one
+            drawn, sign = d.uniform(low, high) * (1 / scale if name == "contact" else scale), d.choice((-1, 1)) if name in SIGNED else 1
             if name == "curvature" and sign < 0:
                 sign = -0.7  # a core that softens more would buckle
             self.size[name] = drawn * sign if size is None else size
@@ -279,7 +280,7 @@ class Rubber:
         self.branches = [[d.uniform(1.5, 5), 0.0], [d.uniform(15, 50), 0.0]]
         self.longest = 0.0
         # springs whose feet slip: stiffness, threshold, foot
-        folds = unit.of("fold_friction") / 6
+        folds = unit.of("hysteresis.folds") / 6
         self.folds = [[4 * folds, 4 * folds * (0.2 + 0.4 * j), 0.0] for j in range(6)] if folds else []
         self.any = any((self.stiff, self.asym, self.soft, self.creep, self.folds))
 

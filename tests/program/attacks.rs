@@ -5,7 +5,7 @@ use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::drill::bench::BenchConfig;
 use retroflex::drill::process::{self, Plan};
-use retroflex::drill::row::Row;
+use retroflex::drill::row::FaultResult;
 use std::path::Path;
 
 fn config() -> BenchConfig {
@@ -35,7 +35,7 @@ fn plan<'a>(
     }
 }
 
-fn assert_all(rows: &[Row]) {
+fn assert_all(rows: &[FaultResult]) {
     rows.iter()
         .for_each(|r| eprintln!("{}: {} {}", r.fault, r.message, r.why));
     let failed: Vec<_> = rows

@@ -5,7 +5,7 @@ use flate2::read::GzDecoder;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal};
-use retroflex::diagnosis::fleet::row::{Row, rows, table};
+use retroflex::diagnosis::fleet::row::{FleetRow, rows, table};
 use retroflex::diagnosis::fleet::{GAINS, Survey};
 use retroflex::log::columns;
 use std::io::Read;
@@ -231,7 +231,7 @@ fn dask_gives_the_same_rows_although_a_worker_dies() {
 }
 
 /// Rows of 1,000 sound units in four lots, 4 % of which have one of five effects.
-fn fleet(rng: &mut StdRng) -> Vec<Row> {
+fn fleet(rng: &mut StdRng) -> Vec<FleetRow> {
     let spread = Normal::new(0.0, 0.06).unwrap();
     let row = |n: usize| {
         let names = if rng.random_bool(0.04) {
@@ -239,7 +239,7 @@ fn fleet(rng: &mut StdRng) -> Vec<Row> {
         } else {
             ""
         };
-        Row {
+        FleetRow {
             log: format!("{n:04}"),
             lot: ["A", "B", "C", "D"][n % 4].to_owned(),
             date: format!(
@@ -253,13 +253,13 @@ fn fleet(rng: &mut StdRng) -> Vec<Row> {
                 .iter()
                 .map(|gain| ((*gain).to_owned(), 2.2 + spread.sample(rng)))
                 .collect(),
-            ..Row::default()
+            ..FleetRow::default()
         }
     };
     (0..1000).map(row).collect()
 }
 
-fn found(rows: &[Row]) -> Vec<(String, Option<String>, bool)> {
+fn found(rows: &[FleetRow]) -> Vec<(String, Option<String>, bool)> {
     let mut found: Vec<_> = Survey::new(rows)
         .findings
         .into_iter()

@@ -6,7 +6,7 @@
 use super::args::PlayArgs;
 use super::connection::{ask, connect, report, status, words};
 use crate::cli::{Refused, output};
-use crate::diagnosis::excite::{Row, rows};
+use crate::diagnosis::excite::{ScheduleRow, rows};
 use crate::experiment::path::PathFile;
 use crate::log::table::{Schema, Table};
 use crate::model::{Bend, Geometry};
@@ -61,7 +61,7 @@ pub fn play(args: &PlayArgs) -> Result<()> {
         eprintln!("note: {remark}; `retroflex zero` first measures against the present attitude");
     }
     // after an earlier motion the straight tip is not quite where the first row is
-    let rest = Row::rest(AT_REST_S, &Geometry::default());
+    let rest = ScheduleRow::rest(AT_REST_S, &Geometry::default());
     let rested = arrive_and_hold(&mut connection, now.t, 0.0, &rest);
     let outcome = rested.and_then(|()| schedule.run(&mut connection));
     let recorded = ask(&mut connection, &request(RecordAction::Stop));
@@ -74,7 +74,7 @@ pub fn play(args: &PlayArgs) -> Result<()> {
 /// What is played.
 enum Schedule {
     /// Poses with speeds and holds.
-    Poses(Vec<Row>),
+    Poses(Vec<ScheduleRow>),
     /// A path.
     Path(PathFile),
 }
@@ -155,11 +155,11 @@ impl Schedule {
 fn run_path(connection: &mut Connection, rows: &[PathRow]) -> Result<()> {
     let now = status(connection)?;
     let (_, bend_deg, dir_deg, length_mm) = rows[0];
-    let first = Row {
+    let first = ScheduleRow {
         bend_deg,
         dir_deg,
         hold_s: AT_FIRST_S,
-        ..Row::rest(0.0, &Geometry::default())
+        ..ScheduleRow::rest(0.0, &Geometry::default())
     };
     let request = Request::bend(bend_deg, dir_deg, length_mm);
     ask(connection, &request)?;
@@ -195,9 +195,9 @@ pub(super) fn halted(s: &Status) -> Option<String> {
     }
 }
 
-fn run_rows(connection: &mut Connection, rows: &[Row]) -> Result<()> {
+fn run_rows(connection: &mut Connection, rows: &[ScheduleRow]) -> Result<()> {
     let bar = output::bar(rows.len() as u64, "row {pos} of {len}");
-    let mut before = Row::rest(0.0, &Geometry::default());
+    let mut before = ScheduleRow::rest(0.0, &Geometry::default());
     for row in rows {
         let now = status(connection)?;
         let (seconds, speed_deg_s) = segment(&before, row, &now);
@@ -217,14 +217,14 @@ fn run_rows(connection: &mut Connection, rows: &[Row]) -> Result<()> {
 }
 
 /// Duration of the segment between two rows, s, and the speed of its set-point, °/s (`None` if it does not bend).
-fn segment(from: &Row, to: &Row, status: &Status) -> (f64, Option<f64>) {
+fn segment(from: &ScheduleRow, to: &ScheduleRow, status: &Status) -> (f64, Option<f64>) {
     let geometry = Geometry::default();
     let k_epsilon = status.k_epsilon.unwrap_or([K_EPSILON; 3]);
     let change = to.lengths(&geometry) - from.lengths(&geometry);
     let piston_mm = |i: usize| (change[i] * (1.0 + k_epsilon[i])).abs();
     let fastest_mm = (0..3).map(piston_mm).fold(0.0, f64::max);
     let seconds = fastest_mm / to.speed_mm_s;
-    let bend = |r: &Row| Bend::from_deg(r.bend_deg, r.dir_deg).0;
+    let bend = |r: &ScheduleRow| Bend::from_deg(r.bend_deg, r.dir_deg).0;
     let bend_deg = (bend(to) - bend(from)).norm().to_degrees();
     // the service accepts 0.1 to 720 °/s
     (
@@ -239,14 +239,14 @@ fn arrive_and_hold(
     connection: &mut Connection,
     started_s: f64,
     seconds: f64,
-    row: &Row,
+    row: &ScheduleRow,
 ) -> Result<()> {
     let mut arrived_s: Option<f64> = None;
     loop {
         std::thread::sleep(Duration::from_millis(5));
         let s = status(connection)?;
         if let Some(why) = halted(&s) {
-            let Row {
+            let ScheduleRow {
                 bend_deg, dir_deg, ..
             } = row;
             let text = format!("the schedule ended at bend {bend_deg}° toward {dir_deg}°: {why}");

@@ -47,13 +47,13 @@ pub struct Args {
     pub(super) seed: u64,
     /// Instead of the arms: the closed loop and the best open loop over conditions, with the paper's calibration unless
     /// another is given; exit code 1 if a row fails.
-    #[arg(long, conflicts_with_all = ["plant", "html", "arms", "ablate", "track"])]
+    #[arg(long, group = "study", conflicts_with_all = ["plant", "html", "arms", "ablate", "track"])]
     pub(super) sweep: bool,
-    /// With --sweep: only the conditions whose name contains this text.
-    #[arg(long, requires = "sweep", value_name = "TEXT")]
+    /// With --sweep or --ablate: only the conditions whose name contains this text.
+    #[arg(long, requires = "study", value_name = "TEXT")]
     pub(super) only: Option<String>,
-    /// Instead of the arms: the closed loop with each of its mechanisms off in turn.
-    #[arg(long, conflicts_with_all = ["plant", "html", "svg", "arms", "track"])]
+    /// Instead of the arms: the closed loop with each of its mechanisms off in turn, over the conditions of --sweep.
+    #[arg(long, group = "study", conflicts_with_all = ["plant", "html", "svg", "arms", "track"])]
     pub(super) ablate: bool,
 }
 

@@ -13,7 +13,7 @@ use std::time::Instant;
 
 /// Units of a row of the sweep, and of the ablation.
 const SWEEP_UNITS: u64 = 5;
-const ABLATION_UNITS: u64 = 10;
+const ABLATION_UNITS: u64 = 1;
 
 /// Runs a study on the plant of `section`.
 ///
@@ -45,15 +45,9 @@ pub(super) fn run(
 
 fn run_sweep(args: &Args, study: &Study) -> Result<bool> {
     let start = Instant::now();
-    let only = args.only.as_deref().unwrap_or_default();
-    let mut conditions: Vec<Condition> = CONDITIONS.to_vec();
-    conditions.retain(|c| c.name.contains(only));
-    if conditions.is_empty() {
-        let names = CONDITIONS.map(|c| c.name).join(", ");
-        bail!("--only {only}: no condition has a name that contains this text; there are {names}");
-    }
-    let rows: usize = conditions.iter().map(|c| c.values.len()).sum();
-    let bar = output::bar(rows as u64 * study.units, "units,");
+    let conditions = conditions(args)?;
+    let rows = sweep::rows(&conditions).len() as u64;
+    let bar = output::bar(rows * study.units, "units,");
     let rows = sweep::run(study, &conditions, &|| bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
     let result = json!({ "seed": study.seed, "units": study.units, "sweep": rows });
@@ -68,6 +62,18 @@ fn run_sweep(args: &Args, study: &Study) -> Result<bool> {
     );
     output::answer(&args.json, &result, text)?;
     Ok(failed == 0)
+}
+
+/// The conditions that `--only` selects.
+fn conditions(args: &Args) -> Result<Vec<Condition>> {
+    let only = args.only.as_deref().unwrap_or_default();
+    let mut conditions: Vec<Condition> = CONDITIONS.to_vec();
+    conditions.retain(|c| c.name.contains(only));
+    if conditions.is_empty() {
+        let names = CONDITIONS.map(|c| c.name).join(", ");
+        bail!("--only {only}: no condition has a name that contains this text; there are {names}");
+    }
+    Ok(conditions)
 }
 
 fn sweep_row(r: &SweepRow) -> Vec<String> {
@@ -86,26 +92,30 @@ fn sweep_row(r: &SweepRow) -> Vec<String> {
 }
 
 fn run_ablation(args: &Args, study: &Study) -> Result<()> {
-    let bar = output::bar(MECHANISMS.len() as u64 * study.units, "units,");
-    let rows = ablation::run(study, &MECHANISMS, &|| bar.inc(1)).into_diagnostic()?;
+    let conditions = conditions(args)?;
+    let each = sweep::rows(&conditions).len();
+    let all = (MECHANISMS.len() * each) as u64 * study.units;
+    let bar = output::bar(all, "units,");
+    let rows = ablation::run(study, &MECHANISMS, &conditions, &|| bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
     let result = json!({ "seed": study.seed, "units": study.units, "ablate": rows });
-    let header = "without|bend RMSE|worst unit|median to 1°|95 % to 1°|never to 1°|peak to peak";
-    let table = output::table(header, 1..7, rows.iter().map(ablation_row));
+    let header = "without|RMSE|ratio|to 1°|never|needed most by|ratio";
+    let table = output::table(header, 1..5, rows.iter().map(ablation_row));
     let (units, with) = (study.units, calibration(args));
-    let text = format!("{table}\nclosed loop, {units} units, {with}\n");
+    let text = format!("{table}\nclosed loop, {each} conditions, {units} units each, {with}\n");
     output::answer(&args.json, &result, text)
 }
 
 fn ablation_row(r: &AblationRow) -> Vec<String> {
+    let (condition, value, most) = r.needed;
     vec![
         r.without.to_owned(),
         format!("{:.3}°", r.bend_rmse_deg),
-        format!("{:.3}°", r.worst_deg),
+        format!("{:.2}", r.ratio),
         settle(r.settle_s_median),
-        settle(r.settle_s_p95),
         r.unsettled.to_string(),
-        format!("{:.2}°", r.peak_to_peak_max_deg),
+        format!("{condition} {value}"),
+        format!("{most:.2}"),
     ]
 }
 

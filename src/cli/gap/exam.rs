@@ -1,18 +1,26 @@
-//! `retroflex gap exam`: tests the diagnosis on logs of the built-in plant.
+//! `retroflex gap exam`: tests the diagnosis on logs of the built-in plant, or of another simulator.
 
+mod simulator;
+
+use crate::cli::inputs;
 use crate::cli::output::{self, ResultFile};
 use crate::diagnosis::exam::run::run as answer_all;
-use crate::diagnosis::exam::{Answer, ExamScore, Question, questions, score};
+use crate::diagnosis::exam::{Answer, ExamScore, Known, Question, questions, score};
 use crate::diagnosis::tip::Diagnosis;
 use crate::diagnosis::verdict::VerdictKind;
 use crate::model::effects::catalogue;
 use crate::report::exam::summary;
 use miette::{IntoDiagnostic, Result};
 use serde::Serialize;
+use simulator::Simulator;
 
 /// Arguments of `gap exam`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
+    /// Simulator to ask about, `exec:PROGRAM ARG…`, which speaks the plant link and knows `--list`, `--seed`, `--effect`, `--size` and
+    /// `--calib` (docs/gap.md); the default is the built-in plant.
+    #[arg(long)]
+    plant: Option<String>,
     /// Write the score and every answer as JSON.
     #[arg(long)]
     json: Option<ResultFile>,
@@ -54,14 +62,19 @@ struct Document<'a> {
 /// # Errors
 /// A report if a file cannot be written.
 pub fn run(args: &Args) -> Result<()> {
-    let asked: Vec<Question> = questions(args.seed, args.rounds.max(1))
+    let simulator = args.plant.as_deref().map(inputs::program).transpose()?;
+    let simulator = simulator.map(Simulator::new);
+    let known = simulator
+        .as_ref()
+        .map_or_else(|| Ok(Known::built_in()), Simulator::effects);
+    let asked: Vec<Question> = questions(args.seed, args.rounds.max(1), &known.into_diagnostic()?)
         .into_iter()
         .step_by(args.every.max(1))
         .collect();
+    let draw = |q: &Question| simulator.as_ref().map_or_else(|| q.draw(), |s| s.draw(q));
     eprintln!("seed {}, {} logs", args.seed, asked.len());
     let bar = output::bar(asked.len() as u64, "{pos} of {len} logs, {eta} left,");
-    let answers =
-        answer_all(&asked, Question::draw, &catalogue(), || bar.inc(1)).into_diagnostic()?;
+    let answers = answer_all(&asked, draw, &catalogue(), || bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
     let score = score(args.seed, &asked, &answers);
     let text = summary(&score) + "\n";

@@ -7,7 +7,7 @@ use crate::cli::gap::input;
 use crate::cli::output::{self, ResultFile};
 use crate::diagnosis::diagnose;
 use crate::diagnosis::fleet::row;
-use crate::diagnosis::fleet::row::Row;
+use crate::diagnosis::fleet::row::FleetRow;
 use crate::diagnosis::tip::{Rig, TipProblem};
 use crate::log::columns;
 use crate::log::error::why_unreadable;
@@ -44,7 +44,7 @@ impl std::str::FromStr for Shard {
 /// A log and its row, which may not be filled in yet.
 struct Task {
     path: PathBuf,
-    row: Row,
+    row: FleetRow,
 }
 
 /// Options of a run over many logs.
@@ -112,7 +112,7 @@ pub fn run(logs: &[PathBuf], settings: &Settings, args: &RowsArgs, table: &Path)
     }
     let new = open.len();
     diagnose_all(settings, open, &journal)?;
-    let rows: Vec<Row> = tasks.into_iter().map(|task| task.row).collect();
+    let rows: Vec<FleetRow> = tasks.into_iter().map(|task| task.row).collect();
     let content = columns::write(&row::table(&rows), &[]).into_diagnostic()?;
     output::write(table, content)?;
     // the table holds all that it holds
@@ -179,11 +179,11 @@ fn collect(path: &Path, folder: &Path, into: &mut Vec<Task>) -> Result<()> {
     if let Some(unit) = plain.strip_suffix(".csv") {
         let (lot, unit) = unit.rsplit_once('/').unwrap_or(("", unit));
         let [unit, lot, log] = [unit, lot, &log].map(str::to_owned);
-        let row = Row {
+        let row = FleetRow {
             unit,
             lot,
             log,
-            ..Row::default()
+            ..FleetRow::default()
         };
         let path = path.to_owned();
         into.push(Task { path, row });
@@ -192,7 +192,7 @@ fn collect(path: &Path, folder: &Path, into: &mut Vec<Task>) -> Result<()> {
 }
 
 /// Rows of an earlier run, by log: those of its table, and those of its journal if it did not end.
-fn known(table: &Path, journal: &Path) -> Result<HashMap<String, Row>> {
+fn known(table: &Path, journal: &Path) -> Result<HashMap<String, FleetRow>> {
     let mut rows = Vec::new();
     if table.is_file() {
         rows = read(table)?;
@@ -200,7 +200,7 @@ fn known(table: &Path, journal: &Path) -> Result<HashMap<String, Row>> {
     let text = fs::read(journal).unwrap_or_default();
     let lines = text.split(|b| *b == b'\n');
     // a row that was being written as the run ended is no row
-    rows.extend(lines.filter_map(|line| serde_json::from_slice::<Row>(line).ok()));
+    rows.extend(lines.filter_map(|line| serde_json::from_slice::<FleetRow>(line).ok()));
     Ok(rows.into_iter().map(|row| (row.log.clone(), row)).collect())
 }
 
@@ -208,7 +208,7 @@ fn known(table: &Path, journal: &Path) -> Result<HashMap<String, Row>> {
 ///
 /// # Errors
 /// A report that names the file.
-pub fn read(table: &Path) -> Result<Vec<Row>> {
+pub fn read(table: &Path) -> Result<Vec<FleetRow>> {
     let file = table.display();
     let other = |why: &str| miette!("{file}: this is no table of `gap diagnose --rows`: {why}");
     let open = File::open(table).map_err(|e| miette!("{file}: {}", why_unreadable(table, &e)))?;

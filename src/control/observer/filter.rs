@@ -76,7 +76,8 @@ pub struct Observer {
     /// The channels at the counted steps, and at those of the dead time ago.
     pub now: Channels,
     then: Channels,
-    history: [(Vector3<f64>, Vector2<f64>); HISTORY],
+    /// Counted pistons and given bend of the last ticks; on the heap, so that a state is moved cheaply.
+    history: Box<[(Vector3<f64>, Vector2<f64>)]>,
     head: usize,
     /// Bend of the model without learned columns: now, rad.
     given: Vector2<f64>,
@@ -126,7 +127,7 @@ impl Observer {
             known,
             now: Channels::default(),
             then: Channels::default(),
-            history: [(Vector3::zeros(), Vector2::zeros()); HISTORY],
+            history: vec![(Vector3::zeros(), Vector2::zeros()); HISTORY].into(),
             head: 0,
             given: Vector2::zeros(),
             lagged: Vector2::zeros(),
@@ -554,7 +555,7 @@ mod tests {
     }
 
     /// An observer that has seen `poses` held poses of a tip, and its error at a last one that it has not seen, rad.
-    fn taught(poses: usize, truth: [Line; 3]) -> (Observer, f64) {
+    fn learned(poses: usize, truth: [Line; 3]) -> (Observer, f64) {
         let (config, geometry) = (ObserverConfig::default(), Geometry::default());
         let mut observer = Observer::new(
             &config,
@@ -603,9 +604,9 @@ mod tests {
     #[test]
     fn poses_teach_gains_and_backlash_for_poses_that_were_not_seen() {
         let truth = other([1.8, 2.6, 2.3], [0.7, 1.1, 0.85]);
-        let (before, after) = (taught(1, truth).1, taught(30, truth).1);
+        let (before, after) = (learned(1, truth).1, learned(30, truth).1);
         assert!(before > 0.05 && after < 0.006, "{before} then {after} rad");
-        let (observer, _) = taught(30, truth);
+        let (observer, _) = learned(30, truth);
         for (i, line) in truth.iter().enumerate() {
             let found = observer.lines[i].k_lambda_mm;
             let sigma = observer.half_width_sigma_mm(i);
@@ -618,7 +619,7 @@ mod tests {
 
     #[test]
     fn at_rest_the_residual_follows_and_the_laws_stay() {
-        let (mut observer, _) = taught(30, LINES);
+        let (mut observer, _) = learned(30, LINES);
         let config = ObserverConfig::default();
         let at = observer.history[observer.head].0;
         let (laws, bend) = (observer.theta(), observer.settled_by_laws());
@@ -666,7 +667,7 @@ mod tests {
 
     #[test]
     fn the_covariance_stays_a_covariance() {
-        let (observer, _) = taught(60, other([1.2, 3.4, 2.0], [0.4, 1.3, 0.9]));
+        let (observer, _) = learned(60, other([1.2, 3.4, 2.0], [0.4, 1.3, 0.9]));
         let least = observer.known.p.symmetric_eigenvalues().min();
         assert!(least > -1e-9, "{least}");
     }

@@ -109,7 +109,7 @@ pub(super) fn bellow_motion(
     ])
 }
 
-/// A play output on its way: position in mm, speed and acceleration of the reference in mm/s and mm/s².
+/// A play output on its direction: position in mm, speed and acceleration of the reference in mm/s and mm/s².
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Passing {
     pub(super) w_mm: f64,
@@ -140,16 +140,16 @@ pub(super) fn invert(
     let crossing_s = (2.0 * (2.0 * CROSSING_COST_MM / acceleration.abs().max(1e-9)).sqrt())
         .clamp(CROSSING_S.0, CROSSING_S.1);
     let heading = speed + acceleration * crossing_s / 2.0;
-    let way = if heading.abs() > TURN_MM_S || before.way == 0.0 {
+    let direction = if heading.abs() > TURN_MM_S || before.direction == 0.0 {
         heading.signum()
     } else {
-        before.way
+        before.direction
     };
     let most = 2.0 * dt_s / (crossing_s - STARTING_S);
     let next = SideState {
         w_mm,
-        side: before.side + (way - before.side).clamp(-most, most),
-        way,
+        side: before.side + (direction - before.side).clamp(-most, most),
+        direction,
     };
     let velocity_mm_s = speed.clamp(-limits.speed_max_mm_s, limits.speed_max_mm_s);
     let position_mm = w_mm + half_width_mm * next.side;
@@ -188,7 +188,7 @@ mod tests {
                 acceleration: -6.0 * rate * rate * sin,
             };
             let (_, next) = invert(1.0, side, &passing, &limits, dt_s);
-            if next.way != side.way {
+            if next.direction != side.direction {
                 turned.push(t);
             }
             side = next;
@@ -213,7 +213,7 @@ mod tests {
             SideState {
                 w_mm: 3.0,
                 side: 1.0,
-                way: 1.0,
+                direction: 1.0,
             },
             &passing,
             &limits,

@@ -266,7 +266,7 @@ impl LoopState {
             SideState {
                 w_mm: play.w_mm,
                 side: -play.slope,
-                way: -play.slope,
+                direction: -play.slope,
             }
         });
     }

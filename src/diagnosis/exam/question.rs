@@ -10,16 +10,18 @@ use crate::diagnosis::tip::observed::{Observed, PerQuantity, Quantity};
 use crate::diagnosis::tip::{Rig, recalibrated};
 use crate::log::bend_log::BendLog;
 use crate::model::Line;
+use crate::model::effects;
 use crate::simulation::plant::config::BaseConfig;
 use crate::simulation::plant::imu::chip::ImuConfig;
 use crate::simulation::plant::spread::Spread;
-use crate::simulation::plant::{EffectName, PlantConfig, effect_names};
+use crate::simulation::plant::{PlantConfig, effect_names};
 use crate::simulation::sim::Sim;
 use crate::supervisor::MachineError;
 use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
+use std::collections::BTreeSet;
 
 /// Least RMS change of some signal by an effect, degrees (°/s for the gyroscope).
 pub const VISIBLE_DEG: f64 = 0.8;
@@ -48,7 +50,7 @@ pub enum Content {
 pub struct Question {
     /// Effects in the log.
     pub content: Content,
-    /// Names of the effects.
+    /// Names of the effects, as the plant knows them.
     pub names: Vec<&'static str>,
     /// Whether a tracker records the log.
     pub lab: bool,
@@ -69,12 +71,39 @@ pub struct Logs {
     pub hidden: bool,
 }
 
+/// The effects that a plant can have, by the names that the plant knows. What stands after a dot is a variant: `hysteresis.folds` is an
+/// effect of the catalogue.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Known {
+    /// Effects of the diagnosis catalogue.
+    pub inside: Vec<&'static str>,
+    /// Others.
+    pub outside: Vec<&'static str>,
+}
+
+impl Known {
+    /// The effects of the built-in plant.
+    pub fn built_in() -> Self {
+        Self::new(effect_names().map(|e| e.name))
+    }
+
+    /// The effects of these names.
+    pub fn new(names: impl Iterator<Item = &'static str>) -> Self {
+        let (inside, outside) = names.partition(|name| effects::by_name(entry(name)).is_some());
+        Self { inside, outside }
+    }
+}
+
+/// Name in the catalogue of an effect or of its variant.
+fn entry(name: &'static str) -> &'static str {
+    name.split_once('.').map_or(name, |(entry, _)| entry)
+}
+
 /// Questions of an exam, in random order: every effect of the catalogue and outside it `rounds` times with and without a
 /// tracker, one pair and one effect-free log per catalogue effect and round, and nine triples a round.
-pub fn questions(seed: u64, rounds: usize) -> Vec<Question> {
+pub fn questions(seed: u64, rounds: usize, known: &Known) -> Vec<Question> {
     let mut rng = StdRng::seed_from_u64(seed);
-    let (inside, outside): (Vec<&EffectName>, Vec<&EffectName>) =
-        effect_names().partition(|e| e.in_catalogue);
+    let (inside, outside) = (&known.inside, &known.outside);
     let mut out = Vec::new();
     let mut ask = |rng: &mut StdRng, content, names, lab| {
         let seed = rng.next_u64();
@@ -86,22 +115,28 @@ pub fn questions(seed: u64, rounds: usize) -> Vec<Question> {
         });
     };
     for round in 0..rounds {
-        for (n, e) in inside.iter().enumerate() {
-            let other = inside[(n + rng.random_range(1..inside.len())) % inside.len()];
+        for (n, name) in inside.iter().enumerate() {
+            let others = 1..inside.len().max(2);
+            let other = inside[(n + rng.random_range(others)) % inside.len()];
             for lab in [true, false] {
-                ask(&mut rng, Content::Single, vec![e.name], lab);
+                ask(&mut rng, Content::Single, vec![name], lab);
             }
             let lab = (n + round) % 2 == 0;
-            ask(&mut rng, Content::Pair, vec![e.name, other.name], lab);
+            if entry(other) != entry(name) {
+                ask(&mut rng, Content::Pair, vec![name, other], lab);
+            }
             ask(&mut rng, Content::None, vec![], lab);
         }
         for n in 0..TRIPLES {
-            let names = inside.sample(&mut rng, 3).map(|e| e.name).collect();
-            ask(&mut rng, Content::Triple, names, (n + round) % 2 == 0);
+            let names: Vec<_> = inside.sample(&mut rng, 3).copied().collect();
+            let entries: BTreeSet<_> = names.iter().map(|name| entry(name)).collect();
+            if entries.len() == 3 {
+                ask(&mut rng, Content::Triple, names, (n + round) % 2 == 0);
+            }
         }
-        for e in &outside {
+        for name in outside {
             for lab in [true, false] {
-                ask(&mut rng, Content::Outside, vec![e.name], lab);
+                ask(&mut rng, Content::Outside, vec![name], lab);
             }
         }
     }
@@ -111,7 +146,12 @@ pub fn questions(seed: u64, rounds: usize) -> Vec<Question> {
 }
 
 impl Question {
-    /// Draws the unit and records its logs.
+    /// The true effects, as the catalogue names them.
+    pub fn truth(&self) -> Vec<&'static str> {
+        self.names.iter().map(|name| entry(name)).collect()
+    }
+
+    /// Draws a unit of the built-in plant and records its logs.
     ///
     /// # Errors
     /// [`MachineError`] for a plant that cannot run.

@@ -56,7 +56,7 @@ pub fn run(
         .enumerate()
         .map(|(n, q)| {
             let again = q.content == Content::Single && n % LEFT_OUT_EVERY == 0;
-            let answer = answer(n, &draw(q)?, catalogue, again.then(|| q.names[0]));
+            let answer = answer(n, &draw(q)?, catalogue, again.then(|| q.truth()[0]));
             done();
             answer
         })

@@ -5,7 +5,7 @@
 //! at the speed of the fastest piston, with rounded corners.
 
 use crate::diagnosis::excite::standard::tour;
-use crate::diagnosis::excite::{Row, rounded};
+use crate::diagnosis::excite::{ScheduleRow, rounded};
 use crate::model::{Geometry, Line};
 use nalgebra::Vector3;
 use rand::RngExt;
@@ -16,8 +16,8 @@ use rand::seq::SliceRandom;
 pub const DT_S: f64 = 0.01;
 
 /// A random schedule of about 250 s.
-pub fn draw(rng: &mut StdRng) -> Vec<Row> {
-    let row = Row::new;
+pub fn draw(rng: &mut StdRng) -> Vec<ScheduleRow> {
+    let row = ScheduleRow::new;
     let rest = |hold_s| row(0.0, 0.0, 20.0, hold_s, 20.0);
     let mut out = vec![rest(4.0)];
     let top = rng.random_range(68.0..78.0);
@@ -54,7 +54,7 @@ pub fn draw(rng: &mut StdRng) -> Vec<Row> {
 
 /// Counted pistons row by row, mm, and the commanded bend, direction and length.
 pub fn drive(
-    rows: &[Row],
+    rows: &[ScheduleRow],
     lines: &[Line; 3],
     rounding: usize,
 ) -> (Vec<Vector3<f64>>, Vec<Vector3<f64>>) {

@@ -37,7 +37,7 @@ impl Count {
 
 /// Counts with a tracker and without.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Row {
+pub struct LabAndField {
     /// With the tracker.
     pub lab: Count,
     /// With the IMU alone.
@@ -48,13 +48,13 @@ pub struct Row {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Method {
     /// The single effect named, and nothing else.
-    pub single: Row,
+    pub single: LabAndField,
     /// Both effects of a pair named, and nothing else.
-    pub pair: Row,
+    pub pair: LabAndField,
     /// All effects of three named, and nothing else.
-    pub triple: Row,
+    pub triple: LabAndField,
     /// Effect-free logs with a claim (`right` counts the claims).
-    pub alarm: Row,
+    pub alarm: LabAndField,
     /// Mean F1 over all effects, `none` and `unknown`.
     pub macro_f1: f64,
 }
@@ -119,19 +119,19 @@ pub struct ExamScore {
     /// The diagnosis.
     pub diagnosis: Method,
     /// Stage with the largest share right, on single effects.
-    pub stage: Row,
+    pub stage: LabAndField,
     /// `unknown` for effects outside the catalogue.
-    pub outside: Row,
+    pub outside: LabAndField,
     /// The same for those of them that are not too small to be claimed.
-    pub outside_visible: Row,
+    pub outside_visible: LabAndField,
     /// `unknown` for effects whose entry was removed from the catalogue.
-    pub left_out: Row,
+    pub left_out: LabAndField,
     /// Probabilities of effects, on all logs.
     pub effects: Reliability,
     /// Probability of a cause outside the catalogue, on all logs.
     pub unknown: Reliability,
     /// Conformal sets that contain the truth.
-    pub conformal: Row,
+    pub conformal: LabAndField,
     /// Mean number of statements in a conformal set.
     pub conformal_size: f64,
     /// Logs with a stated group of effects that the log cannot separate.
@@ -141,7 +141,7 @@ pub struct ExamScore {
     /// Median part of the gap closed on a fresh log, single effects: with the tracker and without.
     pub fresh_closed: [f64; 2],
     /// Stated 95 % intervals that contain the part closed on the fresh log.
-    pub coverage: Row,
+    pub coverage: LabAndField,
     /// In-sample BIC.
     pub bic: Method,
     /// Sparse regression.
@@ -217,7 +217,7 @@ fn truth(q: &Question) -> String {
     match q.content {
         Content::None => VerdictKind::None.name().to_owned(),
         Content::Outside => VerdictKind::Unknown.name().to_owned(),
-        Content::Single | Content::Pair | Content::Triple => joined(&q.names),
+        Content::Single | Content::Pair | Content::Triple => joined(&q.truth()),
     }
 }
 
@@ -235,7 +235,7 @@ pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore
     };
     let stage = |q: &Question, a: &Answer| {
         let first = a.diagnosis.location.stages.first().map(|s| s.name);
-        first == by_name(q.names[0]).map(|e| e.stage().name())
+        first == by_name(q.truth()[0]).map(|e| e.stage().name())
     };
     let left_out = |_: &Question, a: &Answer| a.left_out.map(|kind| kind == VerdictKind::Unknown);
     let outside = |q: &Question| q.content == Content::Outside;
@@ -286,29 +286,36 @@ fn said_of_effects<'a>((q, a): &Answered<'a>) -> impl Iterator<Item = (f64, bool
     let (q, effects) = (*q, &a.diagnosis.effects);
     let said = effects.iter().filter(|e| e.probability > PROBABLE);
     said.map(move |e| {
-        let there = q.names.contains(&e.name) && q.content != Content::Outside;
+        let there = q.truth().contains(&e.name) && q.content != Content::Outside;
         (e.probability, there)
     })
 }
 
 /// Counts of the answers for which `right` tells whether they are right.
-fn counted(all: &[Answered<'_>], right: impl Fn(&Question, &Answer) -> Option<bool>) -> Row {
+fn counted(
+    all: &[Answered<'_>],
+    right: impl Fn(&Question, &Answer) -> Option<bool>,
+) -> LabAndField {
     let count = |lab: bool| {
         let here = all.iter().filter(|(q, _)| q.lab == lab);
         Count::of(here.filter_map(|(q, a)| right(q, a)))
     };
-    Row {
+    LabAndField {
         lab: count(true),
         field: count(false),
     }
 }
 
-fn row(all: &[Answered<'_>], content: Content, right: impl Fn(&Question, &Answer) -> bool) -> Row {
+fn row(
+    all: &[Answered<'_>],
+    content: Content,
+    right: impl Fn(&Question, &Answer) -> bool,
+) -> LabAndField {
     counted(all, |q, a| (q.content == content).then(|| right(q, a)))
 }
 
 fn method(all: &[Answered<'_>], report: impl Fn(&Answer) -> Report) -> Method {
-    let right = |q: &Question, a: &Answer| report(a).names_all(&q.names);
+    let right = |q: &Question, a: &Answer| report(a).names_all(&q.truth());
     Method {
         single: row(all, Content::Single, right),
         pair: row(all, Content::Pair, right),

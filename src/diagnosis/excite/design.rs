@@ -7,7 +7,7 @@
 //! Gelatt and Vecchi, *Science* 1983. Equal requests give equal schedules.
 
 use crate::diagnosis::excite::{
-    Distances, Machine, Manoeuvre, Rival, Row, first_guess, information, schedule, standard,
+    Distances, Machine, Manoeuvre, Rival, ScheduleRow, first_guess, information, schedule, standard,
 };
 use crate::diagnosis::tip::{SavedModel, separable};
 use crate::model::effects::catalogue;
@@ -49,7 +49,7 @@ pub struct Request {
 #[derive(Debug, Clone)]
 pub struct Design {
     /// Rows.
-    pub rows: Vec<Row>,
+    pub rows: Vec<ScheduleRow>,
     /// Names of the effects, in the order of the distances.
     pub names: Vec<&'static str>,
     /// Names in question: the effects of the saved diagnosis and those confusable with them, or all.
@@ -90,13 +90,13 @@ pub fn design(request: &Request, progress: &mut dyn FnMut(usize)) -> Design {
     let names: Vec<&'static str> = rivals.iter().map(|r| r.effect.name()).collect();
     let focus = focus(like, &names);
     let evaluate =
-        |rows: &[Row]| information(machine, rows, &rivals, request.tracker, request.seed);
+        |rows: &[ScheduleRow]| information(machine, rows, &rivals, request.tracker, request.seed);
     let standard = evaluate(&standard::rows(machine));
     let sizes = standard.as_ref().map(|i| i.sizes()).unwrap_or_default();
     let enlarged = |x: &f64| (SIZE / x.max(1e-9)).min(ENLARGED_MAX);
     let scale = sizes.iter().map(|s| s.iter().map(enlarged).collect());
     let scale: Vec<Vec<f64>> = scale.collect();
-    let distances = |rows: &[Row]| evaluate(rows).map(|i| i.distances(&scale));
+    let distances = |rows: &[ScheduleRow]| evaluate(rows).map(|i| i.distances(&scale));
     let mut search = LocalSearch {
         machine,
         distances: &distances,
@@ -159,7 +159,7 @@ struct Evaluated {
 /// The search.
 struct LocalSearch<'a> {
     machine: &'a Machine,
-    distances: &'a dyn Fn(&[Row]) -> Option<Distances>,
+    distances: &'a dyn Fn(&[ScheduleRow]) -> Option<Distances>,
     weight: DMatrix<f64>,
     enough: f64,
     best: Evaluated,

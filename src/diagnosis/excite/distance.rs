@@ -6,7 +6,7 @@
 //! weighted residual differences. Imitation is linearised about the points of each effect (slopes at the first point,
 //! and the other points as directions).
 
-use crate::diagnosis::excite::{Machine, Rival, Row, counted, synthetic};
+use crate::diagnosis::excite::{Machine, Rival, ScheduleRow, counted, synthetic};
 use crate::diagnosis::tip::model::{Model, residuals};
 use crate::diagnosis::tip::observed::{CORRELATED_S, Observed};
 use crate::model::{NOMINAL, nominal_theta};
@@ -40,7 +40,7 @@ pub struct Information {
 /// Runs every rival over a schedule; `None` if the schedule is too short or moves too little to be diagnosed.
 pub fn information(
     machine: &Machine,
-    rows: &[Row],
+    rows: &[ScheduleRow],
     rivals: &[Rival],
     tracker: bool,
     seed: u64,

@@ -4,7 +4,7 @@
 //! of a reversal, nested loops memory, quick reversals delays, a stroke at constant bend pressure, a hold creep and leak,
 //! and a rest a dependence on time.
 
-use crate::diagnosis::excite::{Machine, Row};
+use crate::diagnosis::excite::{Machine, ScheduleRow};
 use rand::RngExt;
 use rand::rngs::StdRng;
 use std::f64::consts::TAU;
@@ -60,11 +60,11 @@ pub struct Manoeuvre {
 
 impl Manoeuvre {
     /// Rows of the manoeuvre; the bend of a pose out of reach is reduced until the machine reaches it.
-    pub fn rows(&self, machine: &Machine) -> Vec<Row> {
+    pub fn rows(&self, machine: &Machine) -> Vec<ScheduleRow> {
         let rest_mm = machine.rig.geometry.rest_length_mm;
         let pose = |bend_deg: f64, dir_deg: f64, len_mm: f64, hold_s: f64| {
             let turned_deg = if bend_deg < 0.0 { 180.0 } else { 0.0 };
-            Row::new(
+            ScheduleRow::new(
                 bend_deg,
                 dir_deg + turned_deg,
                 len_mm,
@@ -76,7 +76,7 @@ impl Manoeuvre {
         let n = self.count.max(1);
         let part = |k: usize| k as f64 / n as f64;
         let side = |k: usize| [1.0, -1.0][k % 2];
-        let mut rows: Vec<Row> = match self.kind {
+        let mut rows: Vec<ScheduleRow> = match self.kind {
             ManoeuvreKind::Circle => {
                 let towards = |k: usize| self.dir_deg + 360.0 * part(k);
                 let round = |k: usize| pose(self.bend_deg, towards(k), self.len_mm, self.hold_s);
@@ -183,10 +183,10 @@ fn single(machine: &Machine, i: usize, bend_deg: f64) -> [(f64, f64, f64); 2] {
 }
 
 /// The pose with its bend and its change of length scaled down until it is in reach.
-fn within(machine: &Machine, row: &Row) -> Row {
+fn within(machine: &Machine, row: &ScheduleRow) -> ScheduleRow {
     let rest_mm = machine.rig.geometry.rest_length_mm;
     let scaled = |s: f64| {
-        Row {
+        ScheduleRow {
             bend_deg: row.bend_deg.abs() * s,
             len_mm: rest_mm + (row.len_mm - rest_mm) * s,
             ..*row
@@ -200,10 +200,10 @@ fn within(machine: &Machine, row: &Row) -> Row {
 }
 
 /// Rows of a whole schedule: rest, manoeuvres, rest.
-pub fn schedule(machine: &Machine, manoeuvres: &[Manoeuvre]) -> Vec<Row> {
-    let mut rows = vec![Row::rest(REST_S, &machine.rig.geometry)];
+pub fn schedule(machine: &Machine, manoeuvres: &[Manoeuvre]) -> Vec<ScheduleRow> {
+    let mut rows = vec![ScheduleRow::rest(REST_S, &machine.rig.geometry)];
     rows.extend(manoeuvres.iter().flat_map(|m| m.rows(machine)));
-    rows.push(Row::rest(2.0, &machine.rig.geometry));
+    rows.push(ScheduleRow::rest(2.0, &machine.rig.geometry));
     rows
 }
 
@@ -285,7 +285,7 @@ mod tests {
         );
         for i in 0..3 {
             for (bend_deg, dir_deg, len_mm) in single(&machine, i, 30.0) {
-                let q = Row {
+                let q = ScheduleRow {
                     bend_deg,
                     dir_deg,
                     len_mm,

@@ -12,4 +12,4 @@ pub use design::{APART, Design, LONGEST_S, Pair, Request, design};
 pub use distance::{Distances, information};
 pub use manoeuvre::{Manoeuvre, first_guess, schedule};
 pub use points::{Rival, counted};
-pub use rows::{Driven, Machine, Row, rounded};
+pub use rows::{Driven, Machine, ScheduleRow, rounded};

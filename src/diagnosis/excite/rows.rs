@@ -26,7 +26,7 @@ const BAND_MM: f64 = 0.03;
 
 /// One pose of a schedule.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Row {
+pub struct ScheduleRow {
     /// Bend β, degrees.
     pub bend_deg: f64,
     /// Direction δ, degrees, 0..360.
@@ -39,7 +39,7 @@ pub struct Row {
     pub speed_mm_s: f64,
 }
 
-impl Row {
+impl ScheduleRow {
     /// The pose with this bend, direction and length, held so long, reached at that speed.
     pub fn new(bend_deg: f64, dir_deg: f64, len_mm: f64, hold_s: f64, speed_mm_s: f64) -> Self {
         Self {
@@ -99,7 +99,7 @@ impl Machine {
     }
 
     /// Whether the machine reaches a pose from either side of the backlash.
-    pub fn reaches(&self, row: &Row) -> bool {
+    pub fn reaches(&self, row: &ScheduleRow) -> bool {
         let q = row.lengths(&self.rig.geometry);
         (0..3).all(|i| {
             let bellow = self.rig.geometry.rest_length_mm + q[i];
@@ -110,7 +110,7 @@ impl Machine {
     }
 
     /// Pistons along a schedule, every `period_s`. They start at zero with the play centred.
-    pub fn drive(&self, rows: &[Row], period_s: f64) -> Driven {
+    pub fn drive(&self, rows: &[ScheduleRow], period_s: f64) -> Driven {
         let side = Side::Band { band_mm: BAND_MM };
         let mut states = [SideState::default(); 3];
         let (mut from, mut begun_s) = (Vector3::zeros(), 0.0);
@@ -150,7 +150,7 @@ impl Machine {
     }
 
     /// Length of a schedule, s.
-    pub fn duration_s(&self, rows: &[Row]) -> f64 {
+    pub fn duration_s(&self, rows: &[ScheduleRow]) -> f64 {
         self.drive(rows, 10.0).duration_s
     }
 }
@@ -186,7 +186,7 @@ pub fn rounded(path: &[Vector3<f64>], window: usize) -> Vec<Vector3<f64>> {
 }
 
 /// A schedule as CSV text.
-pub fn csv(rows: &[Row]) -> String {
+pub fn csv(rows: &[ScheduleRow]) -> String {
     let mut out = String::from("bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n");
     for r in rows {
         // writing to a String cannot fail
@@ -212,7 +212,7 @@ const COLUMNS: [(&str, std::ops::RangeInclusive<f64>); 5] = [
 ///
 /// # Errors
 /// [`ReadError`] with file, line and column.
-pub fn read(path: &Path) -> Result<Vec<Row>, ReadError> {
+pub fn read(path: &Path) -> Result<Vec<ScheduleRow>, ReadError> {
     let names = COLUMNS.map(|c| c.0);
     let table = Table::open(
         path,
@@ -234,7 +234,7 @@ pub fn read(path: &Path) -> Result<Vec<Row>, ReadError> {
         }
     }
     let [bend, dir, len, hold, speed] = table.group(names)?.unwrap_or_default();
-    let row = |k: usize| Row::new(bend[k], dir[k], len[k], hold[k], speed[k]);
+    let row = |k: usize| ScheduleRow::new(bend[k], dir[k], len[k], hold[k], speed[k]);
     Ok((0..table.rows()).map(row).collect())
 }
 
@@ -251,8 +251,8 @@ mod tests {
     fn the_fastest_piston_has_the_speed_of_the_row_and_all_arrive_together() {
         let machine = Machine::new(Rig::default(), [PAPER; 3]);
         let rows = [
-            Row::rest(4.0, &machine.rig.geometry),
-            Row {
+            ScheduleRow::rest(4.0, &machine.rig.geometry),
+            ScheduleRow {
                 bend_deg: 60.0,
                 dir_deg: 30.0,
                 len_mm: 21.0,
@@ -283,7 +283,7 @@ mod tests {
     #[test]
     fn a_pose_beyond_bellow_or_travel_is_out_of_reach() {
         let machine = Machine::new(Rig::default(), [PAPER; 3]);
-        let row = |bend_deg, len_mm| Row {
+        let row = |bend_deg, len_mm| ScheduleRow {
             bend_deg,
             dir_deg: 0.0,
             len_mm,
@@ -303,7 +303,7 @@ mod tests {
 
     #[test]
     fn a_file_holds_the_rounded_row() {
-        let row = Row {
+        let row = ScheduleRow {
             bend_deg: 33.333_3,
             dir_deg: -0.04,
             len_mm: 20.0,
@@ -323,8 +323,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.csv");
         let rows = [
-            Row::rest(4.0, &Geometry::default()),
-            Row {
+            ScheduleRow::rest(4.0, &Geometry::default()),
+            ScheduleRow {
                 bend_deg: 60.0,
                 dir_deg: 30.0,
                 len_mm: 21.0,

@@ -3,7 +3,7 @@
 //! Circles at three bends, ladders in twelve directions at three lengths, random poses at three speeds, and three long
 //! holds: about four minutes.
 
-use crate::diagnosis::excite::{Machine, Row};
+use crate::diagnosis::excite::{Machine, ScheduleRow};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
@@ -19,12 +19,12 @@ pub fn tour() -> impl Iterator<Item = (f64, f64)> {
 }
 
 /// Rows of the standard schedule.
-pub fn rows(machine: &Machine) -> Vec<Row> {
+pub fn rows(machine: &Machine) -> Vec<ScheduleRow> {
     let rest_mm = machine.rig.geometry.rest_length_mm;
     let mut rng = StdRng::seed_from_u64(42);
-    let mut rows = vec![Row::rest(4.0, &machine.rig.geometry)];
+    let mut rows = vec![ScheduleRow::rest(4.0, &machine.rig.geometry)];
     let mut add = |bend: f64, dir: f64, len_mm: f64, hold_s: f64, speed_mm_s: f64| {
-        rows.push(Row::new(bend, dir, len_mm, hold_s, speed_mm_s).rounded());
+        rows.push(ScheduleRow::new(bend, dir, len_mm, hold_s, speed_mm_s).rounded());
     };
     for (bend, dir) in tour() {
         add(bend, dir, rest_mm, 0.5, 20.0);

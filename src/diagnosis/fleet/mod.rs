@@ -6,7 +6,7 @@ pub mod row;
 pub use row::GAINS;
 
 use crate::diagnosis::fleet::chance::{at_least, rank_z, two_sided};
-use crate::diagnosis::fleet::row::Row;
+use crate::diagnosis::fleet::row::FleetRow;
 use crate::model::effects::catalogue;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -118,7 +118,7 @@ impl Quantity {
     }
 
     /// Its value; `None` if the row does not tell.
-    fn of(self, row: &Row) -> Option<f64> {
+    fn of(self, row: &FleetRow) -> Option<f64> {
         match self {
             Self::Effect(name) => {
                 Some(f64::from(u8::from(row.names.split('+').any(|n| n == name))))
@@ -155,7 +155,7 @@ impl Quantity {
 }
 
 impl Lot {
-    fn new<'a>(name: &str, rows: impl Iterator<Item = &'a Row>) -> Self {
+    fn new<'a>(name: &str, rows: impl Iterator<Item = &'a FleetRow>) -> Self {
         let (mut logs, mut counts) = (0_usize, BTreeMap::new());
         for row in rows {
             logs += 1;
@@ -178,8 +178,8 @@ impl Lot {
 
 impl Survey {
     /// Surveys the rows of a fleet.
-    pub fn new(rows: &[Row]) -> Self {
-        let told: Vec<&Row> = rows.iter().filter(|row| row.refused.is_empty()).collect();
+    pub fn new(rows: &[FleetRow]) -> Self {
+        let told: Vec<&FleetRow> = rows.iter().filter(|row| row.refused.is_empty()).collect();
         let names: BTreeSet<&str> = told.iter().map(|row| row.lot.as_str()).collect();
         let mut lots = vec![Lot::new("all", told.iter().copied())];
         for name in &names {
@@ -218,7 +218,12 @@ impl Survey {
 
 /// The lots that differ, the clearest first. A lot that was found is left out of the comparisons of the others: beside it they
 /// would differ too.
-fn lots_apart(rows: &[&Row], q: Quantity, lots: &BTreeSet<&str>, comparisons: f64) -> Vec<Finding> {
+fn lots_apart(
+    rows: &[&FleetRow],
+    q: Quantity,
+    lots: &BTreeSet<&str>,
+    comparisons: f64,
+) -> Vec<Finding> {
     let (mut found, mut rows, mut left) = (Vec::new(), rows.to_vec(), lots.clone());
     while left.len() > 1 {
         let apart = left
@@ -235,7 +240,7 @@ fn lots_apart(rows: &[&Row], q: Quantity, lots: &BTreeSet<&str>, comparisons: f6
 }
 
 /// Compares a lot with the others: whether it has an effect more often, or another gain.
-fn differs(rows: &[&Row], q: Quantity, lot: &str, comparisons: f64) -> Option<Finding> {
+fn differs(rows: &[&FleetRow], q: Quantity, lot: &str, comparisons: f64) -> Option<Finding> {
     let side = |inside| {
         let rows = rows.iter().filter(|row| (row.lot == lot) == inside);
         rows.filter_map(|row| q.of(row)).collect::<Vec<f64>>()
@@ -261,9 +266,9 @@ fn differs(rows: &[&Row], q: Quantity, lot: &str, comparisons: f64) -> Option<Fi
 }
 
 /// Compares later with earlier logs of a lot, or within every lot, so that a difference between lots is no drift.
-fn drifts(rows: &[&Row], q: Quantity, lot: Option<&str>, comparisons: f64) -> Option<Finding> {
+fn drifts(rows: &[&FleetRow], q: Quantity, lot: Option<&str>, comparisons: f64) -> Option<Finding> {
     let mut lots: BTreeMap<&str, Vec<(&str, f64)>> = BTreeMap::new();
-    let asked = |row: &&&Row| !row.date.is_empty() && lot.is_none_or(|lot| row.lot == lot);
+    let asked = |row: &&&FleetRow| !row.date.is_empty() && lot.is_none_or(|lot| row.lot == lot);
     for row in rows.iter().filter(asked) {
         let dated = q.of(row).map(|value| (row.date.as_str(), value));
         lots.entry(&row.lot).or_default().extend(dated);

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Names of the gains in [`Row::numbers`]: k_ε and k_λ of the channels, and the lag of the pistons.
+/// Names of the gains in [`FleetRow::numbers`]: k_ε and k_λ of the channels, and the lag of the pistons.
 pub const GAINS: [&str; 7] = [
     "k_epsilon_1",
     "k_epsilon_2",
@@ -21,7 +21,7 @@ pub const GAINS: [&str; 7] = [
 /// What is kept of the diagnosis of a log. A text that does not apply is empty.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Row {
+pub struct FleetRow {
     /// Path of the log below its folder.
     pub log: String,
     /// Hash of the log.
@@ -45,7 +45,7 @@ pub struct Row {
     pub numbers: BTreeMap<String, f64>,
 }
 
-impl Row {
+impl FleetRow {
     /// Takes over the result of another row of the same log.
     pub fn take_result(&mut self, other: &Self) {
         self.numbers.clone_from(&other.numbers);
@@ -86,7 +86,7 @@ impl Row {
 }
 
 /// Rows as the columns of a table, texts first.
-pub fn table(rows: &[Row]) -> Vec<(String, Column)> {
+pub fn table(rows: &[FleetRow]) -> Vec<(String, Column)> {
     let object = |row| serde_json::to_value(row).unwrap_or_default();
     let objects: Vec<Value> = rows.iter().map(object).collect();
     let cells = objects.iter().filter_map(Value::as_object).flatten();
@@ -109,7 +109,7 @@ pub fn table(rows: &[Row]) -> Vec<(String, Column)> {
 ///
 /// # Errors
 /// A column that is missing or has the wrong type.
-pub fn rows(table: &[(String, Column)]) -> Result<Vec<Row>, serde_json::Error> {
+pub fn rows(table: &[(String, Column)]) -> Result<Vec<FleetRow>, serde_json::Error> {
     let length = |column: &Column| match column {
         Column::Numbers(all) => all.len(),
         Column::Texts(all) => all.len(),

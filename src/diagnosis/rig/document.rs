@@ -30,7 +30,7 @@ pub struct Parameter {
 /// An effect, or the whole set of the verdict.
 #[derive(Debug, Clone, Serialize)]
 pub struct Entry {
-    /// Name.
+    /// As in the catalogue; the effects of a set are joined by ` + `.
     pub name: String,
     /// Probability that the effect is present; for a set, that its effects are present and no others.
     pub probability: f64,

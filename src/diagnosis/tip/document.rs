@@ -37,7 +37,7 @@ pub struct Gap {
 /// A fitted parameter.
 #[derive(Debug, Clone, Serialize)]
 pub struct ParamValue {
-    /// Name.
+    /// As the law names it; an effect may have it once per channel.
     pub name: &'static str,
     /// Unit; empty for a plain number.
     pub unit: &'static str,
@@ -52,9 +52,9 @@ pub struct ParamValue {
 /// An effect of the catalogue.
 #[derive(Debug, Clone, Serialize)]
 pub struct EffectEntry {
-    /// Name.
+    /// As in the catalogue.
     pub name: &'static str,
-    /// Stage.
+    /// Stage of the chain in which it acts.
     pub stage: &'static str,
     /// Probability that the effect is present.
     pub probability: f64,

@@ -30,7 +30,7 @@ pub struct SavedGains {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SavedEffect {
-    /// Name.
+    /// As in the catalogue.
     pub name: String,
     /// Values by parameter name, `name` or `name@channel`.
     pub params: BTreeMap<String, f64>,

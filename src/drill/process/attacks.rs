@@ -4,7 +4,7 @@ use super::attack::Attack::{self, Connect, Flood, Hang, Keep};
 use super::attack::Attackers;
 use super::daemon::{Daemon, WATCHDOG_S, ask, connect, insist, mode_of};
 use super::plan::Plan;
-use crate::drill::row::Row;
+use crate::drill::row::FaultResult;
 use crate::drill::run::Allowance;
 use crate::service::protocol::Request;
 use serde_json::Value;
@@ -52,7 +52,7 @@ const HUNG_COMMANDS: &str = "hung_command_thread";
 ///
 /// # Errors
 /// A service that does not start.
-pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
+pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<FaultResult>> {
     let Plan {
         config,
         program,
@@ -68,22 +68,23 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
         "{tries} of {tries} stops are answered, on the socket within {socket_s} s, by the command line within {line_s} s; \
          at most {steps_allowed} microsteps follow; the watchdog is fed"
     );
-    let run = |name: &str, requires: &str, test: &dyn Fn(&Daemon, &mut Row) -> io::Result<()>| {
-        let mut row = Row::new(name, requires);
-        row.steps_allowed = steps_allowed;
-        let tested = Daemon::start(program, &folder.join(name)).and_then(|daemon| {
-            daemon.take_off()?;
-            daemon.until(5.0, "motion", |s| s["mode"] == "tracking")?;
-            test(&daemon, &mut row)
-        });
-        if let Err(e) = tested {
-            row.fail(e.to_string());
-        }
-        row
-    };
+    let run =
+        |name: &str, requires: &str, test: &dyn Fn(&Daemon, &mut FaultResult) -> io::Result<()>| {
+            let mut row = FaultResult::new(name, requires);
+            row.steps_allowed = steps_allowed;
+            let tested = Daemon::start(program, &folder.join(name)).and_then(|daemon| {
+                daemon.take_off()?;
+                daemon.until(5.0, "motion", |s| s["mode"] == "tracking")?;
+                test(&daemon, &mut row)
+            });
+            if let Err(e) = tested {
+                row.fail(e.to_string());
+            }
+            row
+        };
     let mut rows = Vec::new();
     for (name, attack, moves) in ATTACKS.into_iter().filter(|(name, ..)| selected(name)) {
-        let test = |daemon: &Daemon, row: &mut Row| one(daemon, attack, tries, moves, row);
+        let test = |daemon: &Daemon, row: &mut FaultResult| one(daemon, attack, tries, moves, row);
         rows.push(run(name, &requires, &test));
     }
     if selected(HUNG_COMMANDS) {
@@ -93,7 +94,13 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
     Ok(rows)
 }
 
-fn one(daemon: &Daemon, attack: Attack, tries: u32, moves: bool, row: &mut Row) -> io::Result<()> {
+fn one(
+    daemon: &Daemon,
+    attack: Attack,
+    tries: u32,
+    moves: bool,
+    row: &mut FaultResult,
+) -> io::Result<()> {
     while daemon.notification().is_some() {}
     let began = Instant::now();
     let attackers = attack.start(daemon)?;
@@ -180,7 +187,7 @@ fn travelled(daemon: &Daemon) -> io::Result<i64> {
     Ok(most)
 }
 
-fn hung_commands(daemon: &Daemon, row: &mut Row) -> io::Result<()> {
+fn hung_commands(daemon: &Daemon, row: &mut FaultResult) -> io::Result<()> {
     let started = Instant::now();
     let _attackers: Attackers = Hang("control").start(daemon)?;
     let mut reader = connect(&daemon.sockets()[1])?;

@@ -1,7 +1,7 @@
 //! Clients that contradict each other, fall silent or die, of a service that runs in real time.
 
 use super::daemon::{Daemon, ask, insist, mode_of};
-use crate::drill::row::Row;
+use crate::drill::row::FaultResult;
 use crate::service::protocol::{RecordAction, Request};
 use std::io;
 use std::path::Path;
@@ -19,7 +19,7 @@ pub const NAMES: [&str; 4] = [
 const BRAKED_MAX_S: f64 = 1.0;
 
 /// All rows, on one service.
-pub fn rows(program: &Path, folder: &Path) -> io::Result<Vec<Row>> {
+pub fn rows(program: &Path, folder: &Path) -> io::Result<Vec<FaultResult>> {
     let daemon = Daemon::start(program, folder)?;
     daemon.take_off()?;
     let mut rows = vec![
@@ -29,7 +29,7 @@ pub fn rows(program: &Path, folder: &Path) -> io::Result<Vec<Row>> {
     ];
     let (success, took_s) = daemon.end()?;
     let requires = "the tip returns to rest, then the service ends with success";
-    let mut row = Row::new(NAMES[3], requires).ending("relaxed");
+    let mut row = FaultResult::new(NAMES[3], requires).ending("relaxed");
     row.detected_s = Some(took_s);
     row.message = format!("relaxed and ended within {took_s:.1} s");
     row.require(success, |_| "the service did not end with success");
@@ -38,14 +38,14 @@ pub fn rows(program: &Path, folder: &Path) -> io::Result<Vec<Row>> {
 }
 
 /// A row that is detected now, with the mode of the service.
-fn row(daemon: &Daemon, name: &str, requires: &str, started: Instant) -> io::Result<Row> {
+fn row(daemon: &Daemon, name: &str, requires: &str, started: Instant) -> io::Result<FaultResult> {
     let detected_s = Some(started.elapsed().as_secs_f64());
     let status = ask(&mut daemon.client()?, &Request::Status {})?;
-    let row = Row::new(name, requires).ending(&mode_of(&status));
-    Ok(Row { detected_s, ..row })
+    let row = FaultResult::new(name, requires).ending(&mode_of(&status));
+    Ok(FaultResult { detected_s, ..row })
 }
 
-fn two_clients(daemon: &Daemon) -> io::Result<Row> {
+fn two_clients(daemon: &Daemon) -> io::Result<FaultResult> {
     let started = Instant::now();
     let commanding = |bend_deg: f64| {
         let client = daemon.client();
@@ -78,7 +78,7 @@ fn two_clients(daemon: &Daemon) -> io::Result<Row> {
 }
 
 /// A stream of set-points that falls silent.
-fn dead_man(daemon: &Daemon) -> io::Result<Row> {
+fn dead_man(daemon: &Daemon) -> io::Result<FaultResult> {
     let mut client = daemon.client()?;
     let (dir_deg, length_mm, t_s) = (30.0, None, None);
     let mut stream = |bend_deg| {
@@ -114,7 +114,7 @@ fn dead_man(daemon: &Daemon) -> io::Result<Row> {
 }
 
 /// A client that attends its motion and dies: the tip holds, and its recording ends.
-fn abandoned(daemon: &Daemon) -> io::Result<Row> {
+fn abandoned(daemon: &Daemon) -> io::Result<FaultResult> {
     let mut client = daemon.client()?;
     let (action, name) = (RecordAction::Start, Some("x".to_owned()));
     let owned = true;

@@ -2,7 +2,7 @@
 
 use crate::control::RestartState;
 use crate::drill::bench::{BenchConfig, bend};
-use crate::drill::row::Row;
+use crate::drill::row::FaultResult;
 use crate::service::memory::Memory;
 use crate::service::store::Store;
 use crate::supervisor::{Mode, Order};
@@ -122,7 +122,7 @@ fn do_harm(folder: &Path, harm: Harm) -> io::Result<()> {
 }
 
 /// A file system that becomes full: the reserved slots can still be overwritten.
-pub fn full(program: &Path, folder: &Path) -> io::Result<Row> {
+pub fn full(program: &Path, folder: &Path) -> io::Result<FaultResult> {
     let mut row = harmed("disk_full", program, folder, Harm::Fill)?;
     let kept = row.message.contains("0 writes failed");
     row.require(kept, |_| "writes in place failed on a full disk");
@@ -130,7 +130,7 @@ pub fn full(program: &Path, folder: &Path) -> io::Result<Row> {
 }
 
 /// A file system that becomes read-only: the drivers are not armed any more, and nothing is lost.
-pub fn read_only(program: &Path, folder: &Path) -> io::Result<Row> {
+pub fn read_only(program: &Path, folder: &Path) -> io::Result<FaultResult> {
     let mut row = harmed("read_only_fs", program, folder, Harm::ReadOnly)?;
     row.require(
         !row.message.contains(" 0 writes failed"),
@@ -140,7 +140,7 @@ pub fn read_only(program: &Path, folder: &Path) -> io::Result<Row> {
 }
 
 /// Runs an exercise on a small file system of its own or, where that is not permitted, with a limit on file size.
-fn harmed(name: &str, program: &Path, folder: &Path, harm: Harm) -> io::Result<Row> {
+fn harmed(name: &str, program: &Path, folder: &Path, harm: Harm) -> io::Result<FaultResult> {
     std::fs::create_dir_all(folder)?;
     let argument = match harm {
         Harm::Fill => "fill",
@@ -179,9 +179,9 @@ fn harmed(name: &str, program: &Path, folder: &Path, harm: Harm) -> io::Result<R
 }
 
 /// Assesses the output of an exercise.
-fn assess(name: &str, text: &str, how: &str, took_s: f64) -> Row {
+fn assess(name: &str, text: &str, how: &str, took_s: f64) -> FaultResult {
     let requires = "the last acknowledged write is recalled; drivers are armed only if the state could be written";
-    let mut row = Row::new(name, requires).ending("disarmed");
+    let mut row = FaultResult::new(name, requires).ending("disarmed");
     row.detected_s = Some(took_s);
     let after = || text.lines().skip_while(|l| !l.starts_with("harm:"));
     row.require(after().count() > 0, |_| {

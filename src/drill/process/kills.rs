@@ -3,7 +3,7 @@
 use super::plan::Plan;
 use super::restart::distance;
 use crate::drill::bench::{Bench, BenchConfig, FaultyMachine};
-use crate::drill::row::Row;
+use crate::drill::row::FaultResult;
 use crate::service::belief::Belief;
 use crate::service::start::Start;
 use crate::service::store::{Found, Recall, Store};
@@ -58,7 +58,7 @@ impl Damage {
 }
 
 /// One row for each damage, which is done to a copy of the memory after each of the kills.
-pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
+pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<FaultResult>> {
     let Plan {
         config,
         program,
@@ -68,9 +68,9 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
         ..
     } = *plan;
     let folder = &scratch.join("kill");
-    let mut rows: Vec<(Damage, Row, [u32; 3])> = Vec::new();
+    let mut rows: Vec<(Damage, FaultResult, [u32; 3])> = Vec::new();
     for (damage, name) in Damage::ALL.into_iter().filter(|(_, name)| selected(name)) {
-        let row = Row::new(name, damage.requires()).ending("lost");
+        let row = FaultResult::new(name, damage.requires()).ending("lost");
         rows.push((damage, row, [0; 3]));
     }
     // xorshift (Marsaglia 2003)
@@ -113,7 +113,7 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
             }] += 1;
         }
     }
-    let concluded = |(_, mut row, [believed, lost, undecided]): (Damage, Row, [u32; 3])| {
+    let concluded = |(_, mut row, [believed, lost, undecided]): (Damage, FaultResult, [u32; 3])| {
         row.require(undecided == 0, |_| {
             format!("{undecided} starts came to no decision")
         });
@@ -128,7 +128,7 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
 fn start_at_rest(
     config: &BenchConfig,
     recall: &Recall,
-    row: &mut Row,
+    row: &mut FaultResult,
     n: u32,
 ) -> Result<Mode, MachineError> {
     let machine = FaultyMachine::new(config.sim(0, 3)?, &config.board.drive_limits());

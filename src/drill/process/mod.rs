@@ -17,7 +17,7 @@ pub use disk::{Harm, exercise};
 pub use kills::rows as kills;
 pub use plan::Plan;
 
-use crate::drill::row::Row;
+use crate::drill::row::FaultResult;
 use std::io;
 use std::path::Path;
 
@@ -25,7 +25,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// The operating system's, if the service of the client rows cannot be started.
-pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
+pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<FaultResult>> {
     let Plan {
         config,
         program,
@@ -34,7 +34,7 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
         ..
     } = *plan;
     let folder = |name: &str| scratch.join(name);
-    type Single<'a> = (&'static str, &'a dyn Fn(&Path) -> io::Result<Row>);
+    type Single<'a> = (&'static str, &'a dyn Fn(&Path) -> io::Result<FaultResult>);
     let single: [Single<'_>; 6] = [
         ("sigstop", &|folder| restart::stopped(program, folder)),
         ("disk_full", &|folder| disk::full(program, folder)),
@@ -64,8 +64,8 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
 }
 
 /// The row of a fault that could not be injected.
-fn not_run(name: &str, e: &io::Error) -> Row {
-    let mut row = Row::new(name, "runs at all");
+fn not_run(name: &str, e: &io::Error) -> FaultResult {
+    let mut row = FaultResult::new(name, "runs at all");
     row.fail(format!("could not be run: {e}"));
     row
 }

@@ -2,7 +2,7 @@
 
 use super::daemon::{Daemon, WATCHDOG_S, mode_of};
 use crate::drill::bench::{Bench, BenchConfig, bend};
-use crate::drill::row::Row;
+use crate::drill::row::FaultResult;
 use crate::service::protocol::Request;
 use crate::simulation::plant::InjectedFault;
 use crate::supervisor::{MachineError, Mode, Order};
@@ -19,10 +19,10 @@ pub fn distance(a: &[i32; 3], b: &[i32; 3]) -> i64 {
 
 /// SIGSTOP during a move: the heartbeat stops, the manager kills the service and starts it again, and the new service, whose
 /// plant begins at rest, does not move before `arm`.
-pub fn stopped(program: &Path, folder: &Path) -> io::Result<Row> {
+pub fn stopped(program: &Path, folder: &Path) -> io::Result<FaultResult> {
     let requires =
         "the heartbeat stops; the next service is disarmed, at rest, and moves only after `arm`";
-    let mut row = Row::new("sigstop", requires);
+    let mut row = FaultResult::new("sigstop", requires);
     let daemon = Daemon::start(program, folder)?;
     daemon.take_off()?;
     daemon.until(5.0, "motion", |s| s["mode"] == "tracking")?;
@@ -72,9 +72,9 @@ pub fn stopped(program: &Path, folder: &Path) -> io::Result<Row> {
 
 /// A restart with a bent tip. If the tip is where it was, the service continues; if it was moved meanwhile, `zero` is
 /// required. In neither case does it move.
-pub fn while_bent(config: &BenchConfig) -> io::Result<Row> {
+pub fn while_bent(config: &BenchConfig) -> io::Result<FaultResult> {
     let requires = "no microstep; an unmoved tip continues within 2.5°, a moved one is lost";
-    let mut row = Row::new("restart_while_bent", requires).ending("disarmed");
+    let mut row = FaultResult::new("restart_while_bent", requires).ending("disarmed");
     let mut restart_both = || -> Result<(), MachineError> {
         for moved in [false, true] {
             let mut bench = config.bench(0, 1)?;
@@ -95,7 +95,7 @@ fn restart_bent(
     config: &BenchConfig,
     before: Bench,
     moved: bool,
-    row: &mut Row,
+    row: &mut FaultResult,
 ) -> Result<(), MachineError> {
     let (restart, now_s) = (before.runner.supervisor.keep(), before.now_s);
     let mut machine = before.runner.machine;
@@ -137,9 +137,9 @@ fn restart_bent(
 }
 
 /// A calibration of another tip.
-pub fn stale(program: &Path, folder: &Path) -> io::Result<Row> {
+pub fn stale(program: &Path, folder: &Path) -> io::Result<FaultResult> {
     let text = "[transmission]\nk_epsilon = [2.2, 2.5, 2.2]\nk_lambda_mm = [0.9, 0.9, 0.8]\ntip = \"A-17\"\n";
-    let row = Row::new("stale_calibration", REFUSED);
+    let row = FaultResult::new("stale_calibration", REFUSED);
     refused_start(
         program,
         folder,
@@ -151,9 +151,9 @@ pub fn stale(program: &Path, folder: &Path) -> io::Result<Row> {
 }
 
 /// An invalid board file.
-pub fn wrong_board(program: &Path, folder: &Path) -> io::Result<Row> {
+pub fn wrong_board(program: &Path, folder: &Path) -> io::Result<FaultResult> {
     let text = "[limits]\ntravel_mm = 3000.0\n\n[plant]\n";
-    let row = Row::new("wrong_board_file", REFUSED);
+    let row = FaultResult::new("wrong_board_file", REFUSED);
     refused_start(
         program,
         folder,
@@ -171,11 +171,11 @@ const REFUSED: &str =
 fn refused_start(
     program: &Path,
     folder: &Path,
-    row: Row,
+    row: FaultResult,
     options: &[&str],
     text: &str,
     parts: &[&str],
-) -> io::Result<Row> {
+) -> io::Result<FaultResult> {
     std::fs::create_dir_all(folder)?;
     let (file, socket) = (folder.join("file.toml"), folder.join("control.sock"));
     std::fs::write(&file, text)?;

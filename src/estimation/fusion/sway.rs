@@ -27,8 +27,8 @@ const SWAY_PER_TWIST: f64 = 6.0;
 /// counts, rad (6°).
 const TWIST_MIN_RAD: f64 = 0.014;
 const TWIST_MAX_RAD: f64 = 0.105;
-/// Feedback on a sway does as much harm as is missed of a disturbance of the tip of twice its mean square.
-const HARM: f64 = 2.0;
+/// Cost of a false correction, of a sway, relative to that of a missed one, of a disturbance of the tip.
+const FALSE_CORRECTION_COST: f64 = 2.0;
 /// Bend since the beginning of a hold above which it counts no further, rad (3°): one turn of the base is no disturbance that repeats.
 const DISTURBANCE_RAD: f64 = 0.052;
 /// Root mean square of that bend above which something disturbs the tip again and again, rad (1.5°).
@@ -112,7 +112,7 @@ impl Sway {
 
     /// Share of the unexplained bend that is due to the tip and not to a swaying base, 0 to 1; 1 for a base that stands.
     pub fn share_of_tip(&self) -> f64 {
-        let sway2 = HARM * self.mean_square();
+        let sway2 = FALSE_CORRECTION_COST * self.mean_square();
         if sway2 > 0.0 {
             (1.0 - sway2 / self.unexplained2).clamp(0.0, 1.0)
         } else {

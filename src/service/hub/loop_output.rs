@@ -1,6 +1,6 @@
 //! What comes from the loop: frames and answers.
 
-use super::state::{Hub, Mover, Pending, unix_s};
+use super::state::{Hub, MotionOwner, Pending, unix_s};
 use crate::service::calibrate::{Found, Next};
 use crate::service::flight::start::{Event, Logged};
 use crate::service::memory::{LearnedGains, RecordedFault};
@@ -86,12 +86,12 @@ impl Hub {
         }
         match pending.order {
             order if order.leads_setpoint() || order == Order::Calibrate(true) => {
-                self.mover = Some(Mover {
+                self.motion_owner = Some(MotionOwner {
                     client: pending.caller.client,
                     since: Instant::now(),
                 });
             }
-            Order::Hold | Order::Disarm | Order::Relax => self.mover = None,
+            Order::Hold | Order::Disarm | Order::Relax => self.motion_owner = None,
             _ => {}
         }
         self.reply(&pending.caller, &Ok(result));

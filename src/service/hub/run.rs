@@ -1,6 +1,6 @@
 //! The rounds of the hub, and the end of the service.
 
-use super::state::{Hub, Mover};
+use super::state::{Hub, MotionOwner};
 use crate::hardware::{rt, supply};
 use crate::service::error::ServiceError;
 use crate::service::port::{FromPort, Port};
@@ -152,11 +152,11 @@ impl Hub {
             self.recording_ended = Some("the client that asked for it disconnected".to_owned());
             state.recording.finish();
         }
-        let attended = |m: &Mover| {
+        let attended = |m: &MotionOwner| {
             m.client == client && m.since.elapsed().as_secs_f64() > self.config.service.attended_s
         };
-        if self.mover.as_ref().is_some_and(attended) {
-            self.mover = None;
+        if self.motion_owner.as_ref().is_some_and(attended) {
+            self.motion_owner = None;
             let order = match self.mode() {
                 Mode::Tracking => Order::Hold,
                 Mode::Calibrating => Order::Calibrate(false),

@@ -80,7 +80,7 @@ pub(super) struct Pending {
 }
 
 /// The client whose command moves the tip, and when it was accepted.
-pub(super) struct Mover {
+pub(super) struct MotionOwner {
     pub(super) client: u64,
     pub(super) since: Instant,
 }
@@ -131,7 +131,7 @@ pub struct Hub {
     pub(super) recording: Option<RecordingState>,
     /// Why the last recording ended, unless a client ended it.
     pub(super) recording_ended: Option<String>,
-    pub(super) mover: Option<Mover>,
+    pub(super) motion_owner: Option<MotionOwner>,
     /// Since when the tip has held its pose without a stop, by the loop's clock, s.
     pub(super) held_since_s: Option<f64>,
     /// The status of this round, once a client has asked for it.
@@ -218,7 +218,7 @@ impl Hub {
             changes: VecDeque::new(),
             recording: None,
             recording_ended: None,
-            mover: None,
+            motion_owner: None,
             held_since_s: None,
             status_cache: None,
             calibration: None,

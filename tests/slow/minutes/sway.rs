@@ -5,8 +5,12 @@ use crate::plant_in_c::{Case, Cold, Figures, compiled, measure_all, rows, variab
 /// Sways of 3 and 10 degrees, and of 3 degrees with turns, on five units from `first` on, with their own gains.
 fn swaying(folder: &tempfile::TempDir, first: u64) -> Vec<(Case, Figures)> {
     let sizes = |seed| {
-        [("sway", 0.05), ("sway", 0.17), ("sway,base_motion", 0.05)]
-            .map(|(effect, value)| (effect, Some(value), seed))
+        [
+            ("base_motion.sway", 0.05),
+            ("base_motion.sway", 0.17),
+            ("base_motion.sway,base_motion", 0.05),
+        ]
+        .map(|(effect, value)| (effect, Some(value), seed))
     };
     let case = |(effect, value, seed)| Case {
         effect,
