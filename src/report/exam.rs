@@ -1,6 +1,6 @@
 //! The score of an exam of the diagnosis, in words and tables.
 
-use crate::diagnosis::exam::{Count, ExamScore, LabAndField, Method, ReliabilityBin};
+use crate::diagnosis::exam::{Count, Counts, ExamScore, Method, ReliabilityBin};
 use crate::report::table::titled;
 use comfy_table::Table;
 
@@ -28,7 +28,7 @@ pub fn summary(s: &ExamScore) -> String {
 /// Table of the diagnosis alone.
 fn own(s: &ExamScore) -> Table {
     let both = |name: &str, lab: String, field: String| [name.to_owned(), lab, field];
-    let row = |name: &str, r: &LabAndField| both(name, share(&r.lab), share(&r.field));
+    let row = |name: &str, r: &Counts| both(name, share(&r.lab), share(&r.field));
     let all = |name: &str, count: &Count| both(name, share(count), String::new());
     let [lab, field] = s.fresh_closed.map(|x| format!("{:.0} %", x * 100.0));
     let rows = [

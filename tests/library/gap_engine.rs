@@ -2,14 +2,15 @@
 
 use retroflex::diagnosis::diagnose;
 use retroflex::diagnosis::exam::run::run;
-use retroflex::diagnosis::exam::{Content, Known, Question, questions, score};
+use retroflex::diagnosis::exam::{Content, Question, questions, score};
 use retroflex::diagnosis::tip::observed::Observed;
 use retroflex::diagnosis::tip::{
     Diagnosis, Judgement, ParamValue, Rig, SavedModel, TipProblem, check,
 };
 use retroflex::diagnosis::verdict::VerdictKind;
 use retroflex::log::bend_log::BendLog;
-use retroflex::model::effects::catalogue;
+use retroflex::model::effects::{by_catalogue, catalogue};
+use retroflex::simulation::plant::effect_names;
 
 fn question(content: Content, names: &[&'static str], lab: bool, seed: u64) -> Question {
     Question {
@@ -22,9 +23,10 @@ fn question(content: Content, names: &[&'static str], lab: bool, seed: u64) -> Q
 
 #[test]
 fn an_exam_asks_about_every_effect_and_is_reproducible() {
-    let asked = questions(5, 1, &Known::built_in());
-    assert_eq!(asked, questions(5, 1, &Known::built_in()));
-    assert_ne!(asked, questions(6, 1, &Known::built_in()));
+    let names = by_catalogue(effect_names().map(|e| e.name));
+    let asked = questions(5, 1, &names);
+    assert_eq!(asked, questions(5, 1, &names));
+    assert_ne!(asked, questions(6, 1, &names));
     for e in catalogue() {
         for lab in [true, false] {
             assert!(

@@ -5,11 +5,12 @@ mod simulator;
 use crate::cli::inputs;
 use crate::cli::output::{self, ResultFile};
 use crate::diagnosis::exam::run::run as answer_all;
-use crate::diagnosis::exam::{Answer, ExamScore, Known, Question, questions, score};
+use crate::diagnosis::exam::{Answer, ExamScore, Question, questions, score};
 use crate::diagnosis::tip::Diagnosis;
 use crate::diagnosis::verdict::VerdictKind;
-use crate::model::effects::catalogue;
+use crate::model::effects::{by_catalogue, catalogue};
 use crate::report::exam::summary;
+use crate::simulation::plant::effect_names;
 use miette::{IntoDiagnostic, Result};
 use serde::Serialize;
 use simulator::Simulator;
@@ -64,9 +65,10 @@ struct Document<'a> {
 pub fn run(args: &Args) -> Result<()> {
     let simulator = args.plant.as_deref().map(inputs::program).transpose()?;
     let simulator = simulator.map(Simulator::new);
-    let known = simulator
-        .as_ref()
-        .map_or_else(|| Ok(Known::built_in()), Simulator::effects);
+    let known = simulator.as_ref().map_or_else(
+        || Ok(by_catalogue(effect_names().map(|e| e.name))),
+        Simulator::effects,
+    );
     let asked: Vec<Question> = questions(args.seed, args.rounds.max(1), &known.into_diagnostic()?)
         .into_iter()
         .step_by(args.every.max(1))

@@ -10,11 +10,11 @@ use crate::diagnosis::tip::observed::{Observed, PerQuantity, Quantity};
 use crate::diagnosis::tip::{Rig, recalibrated};
 use crate::log::bend_log::BendLog;
 use crate::model::Line;
-use crate::model::effects;
+use crate::model::effects::entry;
+use crate::simulation::plant::PlantConfig;
 use crate::simulation::plant::config::BaseConfig;
 use crate::simulation::plant::imu::chip::ImuConfig;
 use crate::simulation::plant::spread::Spread;
-use crate::simulation::plant::{PlantConfig, effect_names};
 use crate::simulation::sim::Sim;
 use crate::supervisor::MachineError;
 use nalgebra::Vector3;
@@ -71,68 +71,38 @@ pub struct Logs {
     pub hidden: bool,
 }
 
-/// The effects that a plant can have, by the names that the plant knows. What stands after a dot is a variant: `hysteresis.folds` is an
-/// effect of the catalogue.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Known {
-    /// Effects of the diagnosis catalogue.
-    pub inside: Vec<&'static str>,
-    /// Others.
-    pub outside: Vec<&'static str>,
-}
-
-impl Known {
-    /// The effects of the built-in plant.
-    pub fn built_in() -> Self {
-        Self::new(effect_names().map(|e| e.name))
-    }
-
-    /// The effects of these names.
-    pub fn new(names: impl Iterator<Item = &'static str>) -> Self {
-        let (inside, outside) = names.partition(|name| effects::by_name(entry(name)).is_some());
-        Self { inside, outside }
-    }
-}
-
-/// Name in the catalogue of an effect or of its variant.
-fn entry(name: &'static str) -> &'static str {
-    name.split_once('.').map_or(name, |(entry, _)| entry)
-}
-
 /// Questions of an exam, in random order: every effect of the catalogue and outside it `rounds` times with and without a
-/// tracker, one pair and one effect-free log per catalogue effect and round, and nine triples a round.
-pub fn questions(seed: u64, rounds: usize, known: &Known) -> Vec<Question> {
+/// tracker, one pair and one effect-free log per catalogue effect and round, and nine triples a round. `names` are the effects that the
+/// plant can have, as [`crate::model::effects::by_catalogue`] divides them.
+pub fn questions(seed: u64, rounds: usize, names: &[Vec<&'static str>; 2]) -> Vec<Question> {
     let mut rng = StdRng::seed_from_u64(seed);
-    let (inside, outside) = (&known.inside, &known.outside);
-    let mut out = Vec::new();
-    let mut ask = |rng: &mut StdRng, content, names, lab| {
+    let [inside, outside] = names;
+    let mut out: Vec<Question> = Vec::new();
+    let mut ask = |rng: &mut StdRng, content, names: Vec<&'static str>, lab| {
         let seed = rng.next_u64();
-        out.push(Question {
+        let entries: BTreeSet<_> = names.iter().map(|name| entry(name)).collect();
+        // not two variants of one effect
+        out.extend((entries.len() == names.len()).then_some(Question {
             content,
             names,
             lab,
             seed,
-        });
+        }));
     };
     for round in 0..rounds {
         for (n, name) in inside.iter().enumerate() {
-            let others = 1..inside.len().max(2);
-            let other = inside[(n + rng.random_range(others)) % inside.len()];
+            let other = rng.random_range(1..inside.len().max(2));
+            let other = inside[(n + other) % inside.len()];
             for lab in [true, false] {
                 ask(&mut rng, Content::Single, vec![name], lab);
             }
             let lab = (n + round) % 2 == 0;
-            if entry(other) != entry(name) {
-                ask(&mut rng, Content::Pair, vec![name, other], lab);
-            }
+            ask(&mut rng, Content::Pair, vec![name, other], lab);
             ask(&mut rng, Content::None, vec![], lab);
         }
         for n in 0..TRIPLES {
-            let names: Vec<_> = inside.sample(&mut rng, 3).copied().collect();
-            let entries: BTreeSet<_> = names.iter().map(|name| entry(name)).collect();
-            if entries.len() == 3 {
-                ask(&mut rng, Content::Triple, names, (n + round) % 2 == 0);
-            }
+            let names = inside.sample(&mut rng, 3).copied().collect();
+            ask(&mut rng, Content::Triple, names, (n + round) % 2 == 0);
         }
         for name in outside {
             for lab in [true, false] {

@@ -33,9 +33,8 @@ pub fn draw(rng: &mut StdRng) -> Vec<ScheduleRow> {
     }
     for (bend, speed, back) in [(45.0, 8.0, false), (60.0, 24.0, true)] {
         let way = |k: i32| f64::from(if back { -k } else { k }) * 15.0 + turn;
-        out.extend(
-            (0..=24).map(|k| row(bend, way(k), 20.0, if k == 0 { 0.6 } else { 0.0 }, speed)),
-        );
+        let hold_s = |k: i32| if k == 0 { 0.6 } else { 0.0 };
+        out.extend((0..=24).map(|k| row(bend, way(k), 20.0, hold_s(k), speed)));
     }
     for _ in 0..3 {
         let d = directions[rng.random_range(0..12)];

@@ -4,7 +4,7 @@ use crate::diagnosis::exam::{Answer, Content, Question};
 use crate::diagnosis::verdict::VerdictKind;
 use crate::model::effects::by_name;
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Least probability of an effect that enters the reliability: the many improbable effects would hide the error of the others.
 const PROBABLE: f64 = 0.02;
@@ -37,7 +37,7 @@ impl Count {
 
 /// Counts with a tracker and without.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct LabAndField {
+pub struct Counts {
     /// With the tracker.
     pub lab: Count,
     /// With the IMU alone.
@@ -48,13 +48,13 @@ pub struct LabAndField {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Method {
     /// The single effect named, and nothing else.
-    pub single: LabAndField,
+    pub single: Counts,
     /// Both effects of a pair named, and nothing else.
-    pub pair: LabAndField,
+    pub pair: Counts,
     /// All effects of three named, and nothing else.
-    pub triple: LabAndField,
+    pub triple: Counts,
     /// Effect-free logs with a claim (`right` counts the claims).
-    pub alarm: LabAndField,
+    pub alarm: Counts,
     /// Mean F1 over all effects, `none` and `unknown`.
     pub macro_f1: f64,
 }
@@ -119,19 +119,19 @@ pub struct ExamScore {
     /// The diagnosis.
     pub diagnosis: Method,
     /// Stage with the largest share right, on single effects.
-    pub stage: LabAndField,
+    pub stage: Counts,
     /// `unknown` for effects outside the catalogue.
-    pub outside: LabAndField,
+    pub outside: Counts,
     /// The same for those of them that are not too small to be claimed.
-    pub outside_visible: LabAndField,
+    pub outside_visible: Counts,
     /// `unknown` for effects whose entry was removed from the catalogue.
-    pub left_out: LabAndField,
+    pub left_out: Counts,
     /// Probabilities of effects, on all logs.
     pub effects: Reliability,
     /// Probability of a cause outside the catalogue, on all logs.
     pub unknown: Reliability,
     /// Conformal sets that contain the truth.
-    pub conformal: LabAndField,
+    pub conformal: Counts,
     /// Mean number of statements in a conformal set.
     pub conformal_size: f64,
     /// Logs with a stated group of effects that the log cannot separate.
@@ -141,7 +141,7 @@ pub struct ExamScore {
     /// Median part of the gap closed on a fresh log, single effects: with the tracker and without.
     pub fresh_closed: [f64; 2],
     /// Stated 95 % intervals that contain the part closed on the fresh log.
-    pub coverage: LabAndField,
+    pub coverage: Counts,
     /// In-sample BIC.
     pub bic: Method,
     /// Sparse regression.
@@ -193,7 +193,7 @@ impl Report {
         self.kind == VerdictKind::Effects && as_many && truth.iter().all(named)
     }
 
-    fn class(&self) -> String {
+    fn class(self) -> String {
         class(self.kind, &self.names)
     }
 }
@@ -239,32 +239,25 @@ pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore
     };
     let left_out = |_: &Question, a: &Answer| a.left_out.map(|kind| kind == VerdictKind::Unknown);
     let outside = |q: &Question| q.content == Content::Outside;
+    let visible = |q: &Question, a: &Answer| (outside(q) && !a.hidden).then(|| says_unknown(a));
     let unknown = |(q, a): &Answered<'_>| (a.diagnosis.unknown.probability, outside(q));
     let closed = |lab: bool| {
         let single = |(q, _): &&Answered<'_>| q.content == Content::Single && q.lab == lab;
-        median(
-            all.iter()
-                .filter(single)
-                .map(|(_, a)| a.fresh_closed)
-                .collect(),
-        )
+        let closed = all.iter().filter(single).map(|(_, a)| a.fresh_closed);
+        median(closed.collect())
     };
-    let known = all
-        .iter()
-        .filter(|(q, _)| !matches!(q.content, Content::None | Content::Outside));
-    let sizes = all.iter().map(|(_, a)| a.diagnosis.verdict.conformal.len());
-    let grouped = all
-        .iter()
-        .map(|(_, a)| !a.diagnosis.verdict.equivalent.is_empty());
+    let known = |q: &Question| !matches!(q.content, Content::None | Content::Outside);
+    let known = all.iter().filter(|(q, _)| known(q));
+    let verdicts = || all.iter().map(|(_, a)| &a.diagnosis.verdict);
+    let sizes = verdicts().map(|v| v.conformal.len());
+    let grouped = verdicts().map(|v| !v.equivalent.is_empty());
     ExamScore {
         seed,
         logs: all.len(),
         diagnosis: method(&all, Report::own),
         stage: row(&all, Content::Single, stage),
         outside: row(&all, Content::Outside, |_, a| says_unknown(a)),
-        outside_visible: counted(&all, |q, a| {
-            (outside(q) && !a.hidden).then(|| says_unknown(a))
-        }),
+        outside_visible: counted(&all, visible),
         left_out: counted(&all, left_out),
         effects: Reliability::of(all.iter().flat_map(said_of_effects)),
         unknown: Reliability::of(all.iter().map(unknown)),
@@ -292,15 +285,12 @@ fn said_of_effects<'a>((q, a): &Answered<'a>) -> impl Iterator<Item = (f64, bool
 }
 
 /// Counts of the answers for which `right` tells whether they are right.
-fn counted(
-    all: &[Answered<'_>],
-    right: impl Fn(&Question, &Answer) -> Option<bool>,
-) -> LabAndField {
+fn counted(all: &[Answered<'_>], right: impl Fn(&Question, &Answer) -> Option<bool>) -> Counts {
     let count = |lab: bool| {
         let here = all.iter().filter(|(q, _)| q.lab == lab);
         Count::of(here.filter_map(|(q, a)| right(q, a)))
     };
-    LabAndField {
+    Counts {
         lab: count(true),
         field: count(false),
     }
@@ -310,7 +300,7 @@ fn row(
     all: &[Answered<'_>],
     content: Content,
     right: impl Fn(&Question, &Answer) -> bool,
-) -> LabAndField {
+) -> Counts {
     counted(all, |q, a| (q.content == content).then(|| right(q, a)))
 }
 
@@ -342,28 +332,22 @@ fn confusion(all: &[Answered<'_>]) -> BTreeMap<String, BTreeMap<String, usize>> 
 
 /// Mean F1 over the classes of single effects, effect-free logs and outside effects.
 fn macro_f1(all: &[Answered<'_>], answer: impl Fn(&Answer) -> String) -> f64 {
-    let asked: Vec<(String, String)> = all
-        .iter()
-        .filter(|(q, _)| !matches!(q.content, Content::Pair | Content::Triple))
-        .map(|(q, a)| (truth(q), answer(a)))
-        .collect();
-    let mut classes: Vec<&String> = asked.iter().map(|(t, _)| t).collect();
-    classes.sort();
-    classes.dedup();
-    let f1 = |c: &String| {
-        let hit = asked.iter().filter(|(t, s)| t == c && s == c).count() as f64;
-        let wrong = asked.iter().filter(|(t, s)| (t == c) != (s == c)).count() as f64;
+    let alone = |(q, _): &&Answered<'_>| !matches!(q.content, Content::Pair | Content::Triple);
+    let asked = all.iter().filter(alone);
+    let asked: Vec<(String, String)> = asked.map(|(q, a)| (truth(q), answer(a))).collect();
+    let classes: BTreeSet<&String> = asked.iter().map(|(t, _)| t).collect();
+    let f1 = |c: &&String| {
+        let hit = asked.iter().filter(|(t, s)| t == *c && s == *c).count() as f64;
+        let wrong = asked.iter().filter(|(t, s)| (t == *c) != (s == *c)).count() as f64;
         2.0 * hit / (2.0 * hit + wrong).max(1.0)
     };
-    classes.iter().map(|c| f1(c)).sum::<f64>() / classes.len().max(1) as f64
+    classes.iter().map(f1).sum::<f64>() / classes.len().max(1) as f64
 }
 
 /// Whether the conformal set of an answer contains the true statement.
 fn holds_truth(q: &Question, a: &Answer) -> bool {
-    let statements = &a.diagnosis.verdict.conformal;
-    statements
-        .iter()
-        .any(|s| class(s.kind, &s.names) == truth(q))
+    let mut statements = a.diagnosis.verdict.conformal.iter();
+    statements.any(|s| class(s.kind, &s.names) == truth(q))
 }
 
 fn median(mut v: Vec<f64>) -> f64 {

@@ -274,5 +274,16 @@ pub fn by_name(name: &str) -> Option<Box<dyn Effect>> {
     catalogue().into_iter().find(|e| e.name() == name)
 }
 
+/// Name in the catalogue of an effect or of its variant: what follows a dot is a variant, so `hysteresis.folds` is a hysteresis.
+pub fn entry(name: &'static str) -> &'static str {
+    name.split_once('.').map_or(name, |(entry, _)| entry)
+}
+
+/// Names of effects, divided into those that the catalogue has and the others.
+pub fn by_catalogue(names: impl Iterator<Item = &'static str>) -> [Vec<&'static str>; 2] {
+    let (inside, outside) = names.partition(|name| by_name(entry(name)).is_some());
+    [inside, outside]
+}
+
 #[cfg(test)]
 mod tests;

@@ -10,9 +10,10 @@
 
 use crate::config::calib::Calibration;
 use crate::config::source;
-use crate::diagnosis::exam::{Known, Logs, Question, Recorded, record};
+use crate::diagnosis::exam::{Logs, Question, Recorded, record};
 use crate::log::bend_log::BendLog;
 use crate::model::Line;
+use crate::model::effects::by_catalogue;
 use crate::simulation::link::Link;
 use crate::supervisor::MachineError;
 use rand::rngs::StdRng;
@@ -55,17 +56,17 @@ impl Simulator {
         Ok(String::from_utf8_lossy(&out.stdout).into_owned())
     }
 
-    /// The effects that the program lists.
+    /// The effects that the program lists, those of the catalogue and others.
     ///
     /// # Errors
     /// [`MachineError`] if it lists none.
-    pub fn effects(&self) -> Result<Known, MachineError> {
+    pub fn effects(&self) -> Result<[Vec<&'static str>; 2], MachineError> {
         let text = self.print(&["--list".to_owned()])?;
         let names = text.lines().filter_map(|l| l.split_whitespace().next());
         // as long-lived as the names of the built-in plant
         let names = names.map(|name| &*name.to_owned().leak());
-        let known = Known::new(names.filter(|name| *name != "none"));
-        if known.inside.is_empty() {
+        let known = by_catalogue(names.filter(|name| *name != "none"));
+        if known[0].is_empty() {
             return Err(MachineError::Malformed {
                 line: text.lines().next().unwrap_or_default().to_owned(),
                 problem: "the program lists no effect of the catalogue; with --list it prints one effect a line, its name first".to_owned(),
