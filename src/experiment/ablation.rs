@@ -174,3 +174,27 @@ pub fn run(
     };
     Ok(mechanisms.iter().zip(&outcomes).map(row).collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Board, Calibration, Gains, assemble, source};
+
+    /// A row whose switch changes nothing would say that its mechanism earns nothing.
+    #[test]
+    fn every_mechanism_but_the_first_is_switched_off_and_each_is_another() {
+        let board: Board =
+            source::parse("sim.toml", include_str!("../../boards/sim.toml")).unwrap();
+        let calib: Calibration =
+            source::parse("paper.toml", include_str!("../../calib/paper.toml")).unwrap();
+        let whole = assemble(&board, &calib, &Gains::default());
+        let mut seen: Vec<LoopConfig> = Vec::new();
+        for (name, change) in MECHANISMS {
+            let mut config = whole.clone();
+            change(&mut config);
+            assert_eq!(config == whole, name == "nothing", "{name}");
+            assert!(!seen.contains(&config), "{name}");
+            seen.push(config);
+        }
+    }
+}

@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 /// A device with its terminals, from top to bottom.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Device {
-    /// What is written above it, for example `driver 1`.
+    /// What is written above it, for example `driver of bellow 1`.
     pub name: String,
     /// Name of a terminal, and what it is wired to.
     pub terminals: Vec<(String, Wire)>,

@@ -108,20 +108,13 @@ impl Simulator {
         let recorded = |names: &[&str], size| {
             log(names, size, first, true).map(|log| Recorded::new(log, &lines))
         };
-        let bare = recorded(&[], 1.0)?;
-        let hides = |name: &str, with: &Recorded, size: f64| {
-            let rest: Vec<&str> = q.names.iter().filter(|n| **n != name).copied().collect();
-            Ok::<_, MachineError>(match rest.is_empty() {
-                true => bare.hides(with, q.lab),
-                false => recorded(&rest, size)?.hides(with, q.lab),
-            })
-        };
         let mut size = 1.0;
         let (with, hidden) = loop {
             let with = recorded(&q.names, size)?;
             let mut hidden = false;
             for name in &q.names {
-                hidden = hidden || hides(name, &with, size)?;
+                let rest: Vec<&str> = q.names.iter().filter(|n| *n != name).copied().collect();
+                hidden = hidden || recorded(&rest, size)?.hides(&with, q.lab);
             }
             if !hidden || size * GROWTH > SIZE_MAX {
                 break (with, hidden);
