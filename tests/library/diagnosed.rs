@@ -55,7 +55,7 @@ fn a_described_machine_does_not_mislead_the_closed_loop() {
         ("leak", &[0.009, 0.008, 0.009, 1.0]),
         ("curvature", &[0.3, 0.2]),
         ("gravity", &[0.15, 0.8]),
-        ("line_lag", &[0.3, 0.25, 0.35, 0.1]),
+        ("line_lag", &[0.3, 0.25, 0.35, 0.1, 0.1]),
         ("gear_periodic", &[0.2, -0.1, 0.15, 0.1, 0.05, -0.1, 3.2]),
     ];
     for (name, parameters) in laws {
