@@ -13,8 +13,6 @@ const TRAVEL_MM: f64 = 8.0;
 const TIME_S: f64 = 60.0;
 /// Factors by which the travel and the time of a wave may be shorter.
 const SHORTER: [f64; 2] = [4.0, 10.0];
-/// When a law that acts during a part of the log may begin or end, s.
-const BOUND_S: std::ops::Range<f64> = 40.0..200.0;
 /// Standard deviation of the waves' amplitudes in a law that the catalogue lacks.
 pub const FOREIGN_DEPTH: f64 = 0.8;
 
@@ -25,8 +23,6 @@ pub struct Form {
     waves: [(f64, Vector3<f64>, f64, f64); 3],
     /// Mean: 1, or 0 if the sign changes.
     mean: f64,
-    /// Time before or after which the function is 0, s.
-    bounds_s: [f64; 2],
 }
 
 impl Form {
@@ -43,25 +39,11 @@ impl Form {
                 rng.random_range(0.0..TAU),
             )
         });
-        Self {
-            waves,
-            mean,
-            bounds_s: [f64::NEG_INFINITY, f64::INFINITY],
-        }
-    }
-
-    /// The same function, which begins or ends within the log.
-    fn bounded(mut self, rng: &mut StdRng) -> Self {
-        self.bounds_s[rng.random_range(0..2)] = rng.random_range(BOUND_S);
-        self
+        Self { waves, mean }
     }
 
     /// The function at these pistons, mm, and this time, s.
     pub fn at(&self, pistons_mm: &Vector3<f64>, t_s: f64) -> f64 {
-        let [from_s, until_s] = self.bounds_s;
-        if !(from_s..until_s).contains(&t_s) {
-            return 0.0;
-        }
         let wave = |(size, travel, time, phase): &(f64, Vector3<f64>, f64, f64)| {
             size * (travel.dot(pistons_mm) + time * t_s + phase).sin()
         };
@@ -95,13 +77,12 @@ impl Deformed {
         }
     }
 
-    /// A law that the catalogue lacks: the effect with a factor whose sign changes, or during a part of the log.
-    pub fn foreign(effect: Box<dyn Effect>, rng: &mut StdRng, depth: f64) -> Self {
-        let form = match rng.random_bool(0.5) {
-            true => Form::draw(rng, 0.0, FOREIGN_DEPTH),
-            false => Form::draw(rng, 1.0, depth).bounded(rng),
-        };
-        Self { effect, form }
+    /// A law that the catalogue lacks: the effect with a factor whose sign changes.
+    pub fn foreign(effect: Box<dyn Effect>, rng: &mut StdRng) -> Self {
+        Self {
+            effect,
+            form: Form::draw(rng, 0.0, FOREIGN_DEPTH),
+        }
     }
 
     fn change(&self, at: &Moment, signal: &mut Vector3<f64>, law: impl FnOnce(&mut Vector3<f64>)) {

@@ -1,7 +1,4 @@
 //! The weights of the features: maximum likelihood with a ridge, by Newton's method. The likelihood is concave.
-//!
-//! Weights that are known from other logs go on from there: they count as if each of those logs had told as much as a new one does,
-//! which is Laplace's approximation of their likelihood.
 
 use super::case::{Case, known};
 use nalgebra::{DMatrix, DVector};
@@ -38,43 +35,9 @@ pub struct Trained {
     pub loss: f64,
 }
 
-/// What is known of the weights before a fit: a Gaussian.
-#[derive(Debug, Clone)]
-pub struct Prior {
-    mean: DVector<f64>,
-    precision: DMatrix<f64>,
-}
-
-impl Prior {
-    /// The ridge.
-    fn ridge(size: usize) -> Self {
-        Self {
-            mean: DVector::zeros(size),
-            precision: DMatrix::identity(size, size) * (2.0 * RIDGE),
-        }
-    }
-
-    /// The ridge and weights from this many other logs per new one; a feature of weight 0 is new.
-    fn known(cases: &[(&Case, usize)], weights: &[f64], share: f64) -> Self {
-        let mean = DVector::from_column_slice(weights);
-        let mut precision = slopes(cases, &mean, &Self::ridge(mean.len())).1 * share;
-        for i in (0..mean.len()).filter(|i| mean[*i] == 0.0) {
-            precision.row_mut(i).fill(0.0);
-            precision.column_mut(i).fill(0.0);
-            precision[(i, i)] = 2.0 * RIDGE;
-        }
-        Self { mean, precision }
-    }
-
-    fn log_density(&self, w: &DVector<f64>) -> f64 {
-        let away = w - &self.mean;
-        -0.5 * (&self.precision * &away).dot(&away)
-    }
-}
-
 /// Fits the weights of the named features to the cases with an even seed and checks them on those with an odd one, which also give the
-/// level of the conformal sets. `known` are the weights that this many other logs gave.
-pub fn fit(cases: &[Case], names: Vec<String>, known: Option<(&[f64], u64)>) -> Trained {
+/// level of the conformal sets.
+pub fn fit(cases: &[Case], names: Vec<String>) -> Trained {
     let of = |odd: u64| {
         cases
             .iter()
@@ -82,20 +45,16 @@ pub fn fit(cases: &[Case], names: Vec<String>, known: Option<(&[f64], u64)>) -> 
             .filter_map(|c| Some((c, c.right()?)))
     };
     let (fitted, check): (Vec<_>, Vec<_>) = (of(0).collect(), of(1).collect());
-    let prior = known.map_or_else(
-        || Prior::ridge(names.len()),
-        |(w, logs)| Prior::known(&fitted, w, logs as f64 / fitted.len().max(1) as f64),
-    );
-    let mut w = prior.mean.clone();
-    let mut value = likelihood(&fitted, &w, &prior);
+    let mut w = DVector::zeros(names.len());
+    let mut value = likelihood(&fitted, &w);
     for _ in 0..STEPS {
-        let (gradient, curvature) = slopes(&fitted, &w, &prior);
+        let (gradient, curvature) = slopes(&fitted, &w);
         let Some(step) = curvature.cholesky().map(|c| c.solve(&gradient)) else {
             break;
         };
         let tried = (0..20)
             .map(|k| &w + &step * 0.5f64.powi(k))
-            .map(|next| (likelihood(&fitted, &next, &prior), next));
+            .map(|next| (likelihood(&fitted, &next), next));
         let Some((better, next)) = tried.into_iter().find(|(v, _)| *v > value) else {
             break;
         };
@@ -151,25 +110,21 @@ fn level(p: &[(f64, f64)]) -> f64 {
     needed.get(at).map_or(COVERED, |x| (x + 1e-6).min(1.0))
 }
 
-/// Mean log-likelihood with the prior.
-fn likelihood(cases: &[(&Case, usize)], w: &DVector<f64>, prior: &Prior) -> f64 {
+/// Mean log-likelihood with the ridge.
+fn likelihood(cases: &[(&Case, usize)], w: &DVector<f64>) -> f64 {
     let of = |(c, right): &(&Case, usize)| {
         probabilities(c.features(), w.as_slice())[*right]
             .max(f64::MIN_POSITIVE)
             .ln()
     };
-    cases.iter().map(of).sum::<f64>() / cases.len().max(1) as f64 + prior.log_density(w)
+    cases.iter().map(of).sum::<f64>() / cases.len().max(1) as f64 - RIDGE * w.norm_squared()
 }
 
 /// Gradient and negative curvature of the same.
-fn slopes(
-    cases: &[(&Case, usize)],
-    w: &DVector<f64>,
-    prior: &Prior,
-) -> (DVector<f64>, DMatrix<f64>) {
+fn slopes(cases: &[(&Case, usize)], w: &DVector<f64>) -> (DVector<f64>, DMatrix<f64>) {
     let (n, size) = (cases.len().max(1) as f64, w.len());
-    let mut curvature = prior.precision.clone();
-    let mut gradient = &curvature * (&prior.mean - w);
+    let mut gradient = -w * (2.0 * RIDGE);
+    let mut curvature = DMatrix::identity(size, size) * (2.0 * RIDGE);
     for (c, right) in cases {
         let p = probabilities(c.features(), w.as_slice());
         let mut mean = DVector::zeros(size);
@@ -228,8 +183,7 @@ mod tests {
             }
         };
         let cases: Vec<Case> = (0..12_000).map(&mut case).collect();
-        let names = || (10..22).map(|k: u8| k.to_string()).collect();
-        let trained = fit(&cases, names(), None);
+        let trained = fit(&cases, (10..22).map(|k: u8| k.to_string()).collect());
         let found: &Vec<f64> = &trained.head.weight.values().copied().collect();
         assert!(
             found.iter().zip(&truth).all(|(f, t)| (f - t).abs() < 0.15),
@@ -245,17 +199,5 @@ mod tests {
         let held = fresh.iter().filter(holds).count();
         assert!((2790..=2910).contains(&held), "95 % of 3,000: {held}");
         assert_eq!(trained.logs, [6000, 6000, 0]);
-        // a tenth of the cases, and what the others told
-        let few = fit(&cases[..1200], names(), Some((found, 6000)));
-        let apart = |w: &[f64]| {
-            w.iter()
-                .zip(&truth)
-                .map(|(w, t)| (w - t).powi(2))
-                .sum::<f64>()
-        };
-        let few: Vec<f64> = few.head.weight.values().copied().collect();
-        let alone = fit(&cases[..1200], names(), None);
-        let alone: Vec<f64> = alone.head.weight.values().copied().collect();
-        assert!(apart(&few) < 0.5 * apart(&alone), "{few:?} {alone:?}");
     }
 }

@@ -47,9 +47,6 @@ struct Args {
     /// Seed of the first unit; the others follow.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Go on from the weights in the program, which this many logs gave.
-    #[arg(long, value_name = "LOGS")]
-    update: Option<u64>,
 }
 
 /// Records and searches the logs that are missing, and writes the weights.
@@ -93,17 +90,14 @@ fn main() -> Result<()> {
     } else {
         TipProblem::head()
     };
-    let known = args.update.map(|logs| (head.weights.as_slice(), logs));
-    let trained = fit::fit(&cases, head.layout.names(), known);
+    let trained = fit::fit(&cases, head.layout.names());
     let [fitted, check, lost] = trained.logs;
     let head = format!(
-        "# Weights of the posterior (src/diagnosis/verdict/posterior.rs), made by\n# cargo run --release --example gap_train --{} --logs {} --seed {}{}\n\
+        "# Weights of the posterior (src/diagnosis/verdict/posterior.rs), made by\n# cargo run --release --example gap_train --{} --logs {} --seed {}\n\
          # {fitted} logs fitted; {check} others checked: the truth has {:.2} on the geometric mean; {lost} logs whose true set the search misses.\n",
         if args.map { " --map" } else { "" },
         args.logs,
         args.seed,
-        args.update
-            .map_or(String::new(), |logs| format!(" --update {logs}")),
         (-trained.loss).exp()
     );
     let text = head + &toml::to_string(&trained.head).into_diagnostic()?;

@@ -34,13 +34,10 @@ const ARM_M: std::ops::Range<f64> = 0.0..0.015;
 const UNUSUAL: f64 = 0.1;
 /// When an event may happen, s.
 const EVENT_S: std::ops::Range<f64> = 15.0..235.0;
-/// Share of the laws outside the catalogue that are a law of it with a factor that changes its sign, or during a part of the log.
-const FOREIGN: f64 = 0.4;
+/// Share of the laws outside the catalogue that are a law of it with a factor that changes its sign.
+const FOREIGN: f64 = 0.3;
 /// Effects that are a constant mount or delay, which has no form.
 const KEEP_THEIR_FORM: [&str; 3] = ["mount_misalignment", "transport_delay", "sensor_latency"];
-
-/// Effects that are a function of time alone.
-const DRIFTS: [&str; 2] = ["thermal_drift", "gyro_bias"];
 
 /// A training log.
 pub struct Unit {
@@ -205,19 +202,17 @@ fn cause(name: Option<&'static str>, seed: u64, size: f64) -> Cause {
 }
 
 /// A law that the catalogue lacks: a random one, or one of the catalogue's with a factor that changes its sign along the pistons and in
-/// time, or during a part of the log.
+/// time.
 fn outside(rng: &mut StdRng, size: f64) -> Cause {
     if !rng.random_bool(FOREIGN) {
         return (Box::new(Outside::draw(rng, size)), vec![]);
     }
     let mut all = catalogue();
-    // a constant mount or delay keeps its form, and a drift has any
-    let kept = |name| KEEP_THEIR_FORM.contains(&name) || DRIFTS.contains(&name);
-    all.retain(|e| !kept(e.name()) && !e.info().is_event());
+    // a constant mount or delay keeps its form
+    all.retain(|e| !KEEP_THEIR_FORM.contains(&e.name()) && !e.info().is_event());
     let e = all.swap_remove(rng.random_range(0..all.len()));
     let p = usual_parameters(e.as_ref(), rng, size);
-    let depth = rng.random_range(0.0..DEPTH);
-    (Box::new(Deformed::foreign(e, rng, depth)), p)
+    (Box::new(Deformed::foreign(e, rng)), p)
 }
 
 /// An effect with parameters drawn from `size` times its prior, and a form of its own.

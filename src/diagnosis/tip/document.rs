@@ -177,7 +177,7 @@ impl TipProblem<'_> {
             unknown: UnknownEntry {
                 probability: verdict.doubt,
                 rmse_deg: log.rms_deg((chosen.energy() - log.noise_energy()).max(0.0)),
-                goes_with: goes_with(log, &chosen.held_out, &nominal.held_out),
+                goes_with: goes_with(log, &chosen.held_out),
             },
             verdict,
             effects,
@@ -298,9 +298,9 @@ impl TipProblem<'_> {
     }
 }
 
-/// What the remainder of a set of effects depends on.
-pub fn goes_with(log: &Observed, left: &HeldOut, nominal: &HeldOut) -> Vec<DependenceEntry> {
-    let mut told = dependences(log, &left.residual, &nominal.residual).to_vec();
+/// What the remainder depends on.
+pub fn goes_with(log: &Observed, left: &HeldOut) -> Vec<DependenceEntry> {
+    let mut told = dependences(log, &left.residual).to_vec();
     told.retain(|d| d.gain > 0.0 && d.share >= TOLD);
     told.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     let entry = |d: Depends| DependenceEntry {

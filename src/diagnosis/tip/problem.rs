@@ -18,19 +18,14 @@ const PER_EFFECT: f64 = 0.15;
 /// other effects, fitted again without it, take over another part.
 const SHOWN: f64 = 2.0 / 3.0;
 
-/// Share of the blocks that are the worst.
-const WORST: f64 = 0.1;
-/// Part of them below which nothing is left.
-const LEAST_LEFT: f64 = 0.01;
-
 /// The features but for those of the effects. For every statement, the density of the left-out short blocks: the mean over the sensors,
 /// and that of the gyroscope (for `unknown`, of the best set). For a set: the number of effects beyond the first; what the log tells about
 /// its parameters ([`crate::diagnosis::tip::fit::Fitted::information`]); the logarithm of the largest gain of a sensor over the least that is
 /// claimed, where it is less; for several effects, the same of the least of what each adds to the others; and the part of the parameters
 /// that no usual form of the cause has. For `none`, the logarithm of the largest RMS of a sensor above the noise, degrees. For `unknown`: the
 /// same with the best set, the density of its long blocks, that of the short blocks with the nominal model, the largest part of what a
-/// sensor leaves that some dependence predicts, what the best set gains over the best single effect, because several effects together
-/// imitate many a law, and the logarithm of the part that the best set leaves of its worst blocks: a right law leaves little of them too.
+/// sensor leaves that some dependence predicts, and what the best set gains over the best single effect: several effects together imitate
+/// many a law.
 const NAMES: [&[&str]; 4] = [
     &["density", "density_gyro"],
     &[
@@ -47,7 +42,6 @@ const NAMES: [&[&str]; 4] = [
         "unknown_nominal",
         "unknown_share",
         "unknown_single",
-        "unknown_local",
     ],
 ];
 
@@ -67,22 +61,6 @@ impl TipProblem<'_> {
     /// Mean density of the short blocks.
     fn short(&self, set: &Candidate) -> f64 {
         self.log.mean(&set.held_out.density[1])
-    }
-
-    /// Logarithm of the part of the nominal model's energy that a set leaves, above the noise, of its [`WORST`] blocks.
-    fn local(&self, set: &Candidate) -> f64 {
-        let blocks = set
-            .held_out
-            .blocks
-            .iter()
-            .zip(&self.nominal.held_out.blocks);
-        let mut blocks: Vec<(f64, f64)> = blocks.map(|(a, b)| (*a, *b)).collect();
-        blocks.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let noise = self.log.noise_energy() / blocks.len().max(1) as f64;
-        blocks.truncate((blocks.len() as f64 * WORST).ceil() as usize);
-        let sum = |(left, all): (f64, f64), b: &(f64, f64)| (left + b.0 - noise, all + b.1);
-        let (left, all) = blocks.iter().fold((0.0, f64::MIN_POSITIVE), sum);
-        (left / all).max(LEAST_LEFT).ln()
     }
 
     /// Logarithm of the largest RMS of a sensor above the noise, degrees or °/s.
@@ -147,11 +125,7 @@ impl Problem for TipProblem<'_> {
     }
     fn of_unknown(&self, found: &Candidates<Candidate>, best: &Candidate) -> Vec<f64> {
         let nominal = self.short(&self.nominal);
-        let depends = dependences(
-            self.log,
-            &best.held_out.residual,
-            &self.nominal.held_out.residual,
-        );
+        let depends = dependences(self.log, &best.held_out.residual);
         let share = depends.iter().map(|d| d.share).fold(0.0, f64::max);
         let single = found
             .singles
@@ -165,7 +139,6 @@ impl Problem for TipProblem<'_> {
             nominal,
             share,
             self.short(best) - single.min(nominal),
-            self.local(best),
         ]
     }
     fn claim(&self, found: &Candidates<Candidate>, set: &Candidate) -> Claim {

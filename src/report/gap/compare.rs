@@ -77,7 +77,7 @@ pub fn document(
         nominal_deg: diagnosis.gap.recalibrated_deg,
         diagnosed_deg: diagnosis.gap.explained_deg,
         noise_floor_deg: diagnosis.gap.noise_floor_deg,
-        goes_with: goes_with(log, &compared.held_out, &compared.held_out),
+        goes_with: goes_with(log, &compared.held_out),
         params: fit.iter().zip(&compared.params).map(param).collect(),
     }
 }

@@ -35,8 +35,6 @@ named! {
         Direction = "direction of the pistons",
         /// The time for which the pistons have stood.
         Idle = "time at rest",
-        /// The effects: what they explain grows, shrinks, begins or ends during the log.
-        Effects = "size of the effects over time",
     }
 }
 
@@ -51,12 +49,8 @@ pub struct Depends {
     pub share: f64,
 }
 
-/// How far the residuals of a set of effects depend on each of [`Dependence::ALL`]; `nominal` are those of the nominal model.
-pub fn dependences(
-    log: &Observed,
-    residual: &Residuals,
-    nominal: &Residuals,
-) -> [Depends; Dependence::ALL.len()] {
+/// How far the residuals depend on each of [`Dependence::ALL`].
+pub fn dependences(log: &Observed, residual: &Residuals) -> [Depends; Dependence::ALL.len()] {
     let mean_density = |r: &Residuals| log.mean(&density(log, r, BLOCKS_S[0]));
     let before = mean_density(residual);
     let motion = Motion::new(log);
@@ -64,10 +58,7 @@ pub fn dependences(
         let mut left = residual.clone();
         let mut share: f64 = 0.0;
         for q in log.quantities() {
-            let input = |k: usize| {
-                let r = residual[q][k];
-                motion.inputs(log, on, q, k, [r, nominal[q][k] - r])
-            };
+            let input = |k: usize| motion.inputs(log, on, q, k, &residual[q][k]);
             let inputs: Vec<Inputs> = (0..log.bins.len()).map(input).collect();
             let (after, predicted) = regressed(log, q, &residual[q], &inputs);
             left[q] = after;
@@ -153,17 +144,15 @@ impl Motion {
         motion
     }
 
-    /// Inputs at a bin with this residual, of which the effects have taken `explained`.
     fn inputs(
         &self,
         log: &Observed,
         on: Dependence,
         q: Quantity,
         k: usize,
-        [residual, explained]: [Vector3<f64>; 2],
+        residual: &Vector3<f64>,
     ) -> Inputs {
         let bin = &log.bins[k];
-        let t = (bin.t_s - log.start_s()) / log.duration_s() * 2.0 - 1.0;
         let [a, b] = match on {
             Dependence::Reading => {
                 let read = reading(log, q, k).unwrap_or_default();
@@ -171,9 +160,11 @@ impl Motion {
             }
             Dependence::Timing => {
                 let change = self.change(log, q, k);
-                [change, change * t]
+                let middle = (bin.t_s - log.start_s()) / log.duration_s() - 0.5;
+                [change, change * middle]
             }
             Dependence::Time => {
+                let t = (bin.t_s - log.start_s()) / log.duration_s() * 2.0 - 1.0;
                 let power = |n| Vector3::new(t.powi(n), t.powi(n + 1), t.powi(n + 2));
                 [power(1), power(4)]
             }
@@ -189,7 +180,6 @@ impl Motion {
                 let standing = log.piston_mm[bin.at] * (-bin.idle_s / MEMORY_S).exp();
                 [self.recent_mm[k], standing]
             }
-            Dependence::Effects => [explained, explained * t],
         };
         Inputs::from_iterator(a.iter().chain(b.iter()).copied().chain([1.0]))
     }
@@ -263,7 +253,7 @@ mod tests {
             log.rows.t_s.push(t_s);
             residual[Quantity::Gyro].push(left);
         }
-        dependences(&log, &residual, &residual)
+        dependences(&log, &residual)
             .into_iter()
             .max_by(|a, b| a.gain.total_cmp(&b.gain))
             .unwrap()
