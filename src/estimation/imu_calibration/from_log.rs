@@ -58,11 +58,7 @@ pub fn of_motors(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
 /// Rotations between two held poses in the same bending plane.
 pub fn bends(log: &BendLog) -> Vec<mount::BendTurn> {
     let samples = samples(log);
-    let Some(bias) = samples
-        .get(..)
-        .map(still::rests)
-        .and_then(|r| r.first().map(|r| r.gyro_rad_s))
-    else {
+    let Some(bias) = still::rests(&samples).first().map(|r| r.gyro_rad_s) else {
         return Vec::new();
     };
     let changes: Vec<usize> = (1..samples.len())

@@ -20,8 +20,6 @@ pub struct GyroBias {
     pub bias_rad_s: Vector3<f64>,
     /// One sigma per axis, rad/s.
     pub sigma_rad_s: Vector3<f64>,
-    /// Noise of a single sample per axis, rad/s.
-    pub noise_rad_s: Vector3<f64>,
     /// Length of the rest, s.
     pub duration_s: f64,
 }
@@ -55,7 +53,6 @@ pub fn at_rest(samples: &[ImuSample]) -> Result<GyroBias, Refusal> {
     Ok(GyroBias {
         bias_rad_s: rest.gyro_rad_s,
         sigma_rad_s: white.zip_map(&coloured, f64::max),
-        noise_rad_s: rest.gyro_std_rad_s,
         duration_s: rest.duration_s,
     })
 }

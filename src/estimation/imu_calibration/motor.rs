@@ -165,12 +165,7 @@ fn normal(samples: &[MotorSample], p: &SVector<f64, SIZE>) -> Normal {
 /// not finite.
 pub fn fit(samples: &[MotorSample], from: Pedigree<'_>) -> Result<MotorFit, Refusal> {
     Refusal::unless_enough(samples.len(), 4 * SIZE)?;
-    if let Some(index) = samples
-        .iter()
-        .position(|s| !s.mag_ut.iter().all(|x| x.is_finite()))
-    {
-        return Err(Refusal::NotFinite { index });
-    }
+    Refusal::unless_finite(samples.iter().map(|s| &s.mag_ut))?;
     let coverage = [0, 1, 2].map(|motor| coverage(samples, motor));
     let have = coverage.into_iter().fold(1.0, f64::min);
     if have < COVERAGE_MIN {

@@ -66,12 +66,7 @@ pub struct Mount {
 /// [`Refusal`] if there are fewer than four bends of at least 10°, their directions are too similar, or they do not
 /// share a plane.
 pub fn from_bends(bends: &[BendTurn]) -> Result<Mount, Refusal> {
-    if let Some(index) = bends
-        .iter()
-        .position(|b| !b.turn_rad.iter().all(|x| x.is_finite()))
-    {
-        return Err(Refusal::NotFinite { index });
-    }
+    Refusal::unless_finite(bends.iter().map(|b| &b.turn_rad))?;
     let used: Vec<BendTurn> = bends
         .iter()
         .filter(|b| b.turn_rad.norm() >= BEND_MIN_DEG.to_radians())

@@ -35,8 +35,6 @@ pub struct Rest {
     pub acc_m_s2: Vector3<f64>,
     /// Standard deviation of the specific force per axis, m/s².
     pub acc_std_m_s2: Vector3<f64>,
-    /// Mean field, µT, if there is a magnetometer.
-    pub mag_ut: Option<Vector3<f64>>,
 }
 
 fn mean_std(
@@ -119,17 +117,14 @@ pub fn rest(samples: &[ImuSample]) -> Result<Rest, Refusal> {
             });
         }
     }
-    let mag_ut = mean_std(samples.iter().filter_map(|s| s.mag_ut)).map(|m| m.0);
-    let n = samples.len();
     Ok(Rest {
         first: 0,
-        samples: n,
+        samples: samples.len(),
         duration_s,
         gyro_rad_s,
         gyro_std_rad_s,
         acc_m_s2,
         acc_std_m_s2,
-        mag_ut,
     })
 }
 
