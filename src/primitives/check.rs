@@ -82,20 +82,13 @@ impl At<'_> {
         unit: &str,
     ) -> Self {
         if !allowed.contains(&value) {
-            let unit = if unit.is_empty() {
-                String::new()
-            } else {
-                format!(" {unit}")
-            };
+            let space = if unit.is_empty() { "" } else { " " };
             let value = match value.abs() {
                 0.0 | 1e-6..1e9 => value.to_string(),
                 _ => format!("{value:e}"),
             };
-            let problem = format!(
-                "{value}{unit} is outside {} to {}{unit}",
-                allowed.start(),
-                allowed.end()
-            );
+            let (low, high) = (allowed.start(), allowed.end());
+            let problem = format!("{value}{space}{unit} is outside {low} to {high}{space}{unit}");
             self.found.get_or_insert((index.to_owned(), problem));
         }
         self

@@ -22,7 +22,7 @@
 //! causes a twist that contradicts the mechanism ([`super::bend::BendFilter::twist_misfit`]). That is reported but
 //! does not freeze the feedback, since a disturbed field has the same effect.
 
-use crate::estimation::fusion::intake::share;
+use crate::estimation::fusion::intake::{held_s, share};
 use crate::estimation::fusion::sway::Sway;
 use crate::parameters;
 use nalgebra::{Vector2, Vector3};
@@ -49,15 +49,6 @@ parameters! {
         misfit: f64 = 0.8, "sigma", 0.05..=100.0, "0.8 is reached by a slow turn of the base";
         /// Time constant with which both quantities are forgotten. A larger value detects slower turns, and more creep.
         memory_s: f64 = 1.5, "s", 0.1..=600.0, "1.5 is longer than a motion of the base";
-    }
-}
-
-impl WatchConfig {
-    /// Largest twist per bend that is the tip's own.
-    fn twist_share(&self, input: &WatchInput) -> f64 {
-        input
-            .twist_per_bend_max
-            .map_or(self.twist_share, |shown| self.twist_share.min(shown))
     }
 }
 
@@ -108,7 +99,8 @@ pub struct Watch {
     excursion: f64,
     /// Time for which it has been back without a twist, s.
     back_s: f64,
-    sway: Sway,
+    /// How much the base sways.
+    pub sway: Sway,
 }
 
 /// How the present unexplained bend began.
@@ -142,13 +134,12 @@ const SWAY_MARGIN: f64 = 1.3;
 const SWAY_MAX_RAD: f64 = 0.26;
 /// Unexplained motion that counts as none, rad (1°).
 const QUIET_RAD: f64 = 0.017;
+
 impl Watch {
     /// Processes one tick; true when the base has moved.
     pub fn step(&mut self, config: &WatchConfig, input: &WatchInput) -> bool {
-        let (model, setpoint) = self
-            .last
-            .replace((input.model, input.setpoint))
-            .unwrap_or((input.model, input.setpoint));
+        let now = (input.model, input.setpoint);
+        let (model, setpoint) = self.last.replace(now).unwrap_or(now);
         let path = (input.setpoint - setpoint).norm();
         let decay = |tau_s: f64| (-input.dt_s / (tau_s + 2.0 * input.response_s)).exp();
         self.path_fast = self.path_fast * decay(PATH_FAST_S) + path;
@@ -167,21 +158,6 @@ impl Watch {
             .then(|| (turned - (input.model - model), input.model - input.estimate));
         self.sway.hold(held, input.dt_s);
         self.exceeds(config, input)
-    }
-
-    /// Share of the unexplained bend that is due to the tip, see [`Sway::share_of_tip`].
-    pub fn share_of_tip(&self) -> f64 {
-        self.sway.share_of_tip()
-    }
-
-    /// Mean square of the bend that is due to a swaying base, rad²; see [`Sway::mean_square`].
-    pub fn sway_mean_square(&self) -> f64 {
-        self.sway.mean_square()
-    }
-
-    /// That mean square grows; see [`Sway::grows`].
-    pub fn sway_grows(&self) -> bool {
-        self.sway.grows()
     }
 
     fn follow_bend(
@@ -204,10 +180,9 @@ impl Watch {
                 let way = self.bend / size;
                 let most = DRIVEN_SHARE * onset;
                 let turns = self.turned.dot(&way) > most && self.driven.dot(&way) < most;
-                self.onset = if input.still_s > 2.0 * input.response_s || turns {
-                    Onset::Unprovoked
-                } else {
-                    Onset::Driven
+                self.onset = match input.still_s > 2.0 * input.response_s || turns {
+                    true => Onset::Unprovoked,
+                    false => Onset::Driven,
                 };
             }
         } else {
@@ -216,12 +191,10 @@ impl Watch {
     }
 
     fn exceeds(&mut self, config: &WatchConfig, input: &WatchInput) -> bool {
-        let twist_max = config.twist_deg.to_radians() + config.twist_share(input) * self.path_slow;
-        self.twisted_s = if self.twist.abs() > twist_max {
-            self.twisted_s + input.dt_s
-        } else {
-            0.0
-        };
+        let shown = input.twist_per_bend_max.unwrap_or(config.twist_share);
+        let own = config.twist_share.min(shown) * self.path_slow;
+        let twist_max = config.twist_deg.to_radians() + own;
+        self.twisted_s = held_s(self.twisted_s, self.twist.abs() > twist_max, input.dt_s);
         let bent = self.bend.norm() > config.bend_deg.to_radians() + self.tolerated
             && self.onset == Onset::Unprovoked
             && !self.sway.is_disturbance();
@@ -236,14 +209,12 @@ impl Watch {
         let size = unexplained.norm();
         self.excursion = self.excursion.max(size);
         let agrees = size < RETURNED_RAD && self.twist.abs() < QUIET_RAD;
-        self.back_s = if agrees { self.back_s + dt_s } else { 0.0 };
+        self.back_s = held_s(self.back_s, agrees, dt_s);
         let back = self.back_s >= RETURN_AFTER_S || self.sway.is_disturbance();
         if back {
             self.back_s = 0.0;
-            self.tolerated = self
-                .tolerated
-                .max(SWAY_MARGIN * self.excursion)
-                .min(SWAY_MAX_RAD);
+            let most = self.tolerated.max(SWAY_MARGIN * self.excursion);
+            self.tolerated = most.min(SWAY_MAX_RAD);
             (self.excursion, self.bend, self.onset, self.settled) =
                 (0.0, Vector2::zeros(), Onset::None, false);
         }

@@ -10,9 +10,12 @@ use crate::primitives::{Setting, Shape};
 use serde::{Deserialize, Serialize};
 use std::ops::{Deref, DerefMut};
 
+/// Name of the bend filter.
+const BEND: &str = "bend";
+
 /// An estimator of the loop, by its name in the gains file: `bend` or a [`FilterName`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[serde(try_from = "String", into = "&'static str")]
 pub enum EstimatorName {
     /// [`BendFilter`], which is constrained to the motion of the bellows.
     #[default]
@@ -24,29 +27,16 @@ pub enum EstimatorName {
 impl EstimatorName {
     /// The names of all estimators of the loop.
     pub const NAMES: [&'static str; 1 + FilterName::ALL.len()] = {
-        let mut names = [Self::Bend.as_str(); 1 + FilterName::ALL.len()];
-        let mut i = 0;
-        while i < FilterName::ALL.len() {
-            names[1 + i] = FilterName::ALL[i].name();
-            i += 1;
-        }
-        names
+        let [a, b, c, d] = FilterName::ALL;
+        [BEND, a.name(), b.name(), c.name(), d.name()]
     };
 
-    /// The name as files write it.
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Bend => "bend",
-            Self::Generic(name) => name.name(),
-        }
-    }
     /// The independent estimator to compare with: Madgwick, or the bend filter if Madgwick is selected.
     #[must_use]
     pub fn second(self) -> Self {
-        if self == Self::Generic(FilterName::Madgwick) {
-            Self::Bend
-        } else {
-            Self::Generic(FilterName::Madgwick)
+        match self {
+            Self::Generic(FilterName::Madgwick) => Self::Bend,
+            _ => Self::Generic(FilterName::Madgwick),
         }
     }
 }
@@ -58,22 +48,25 @@ impl Setting for EstimatorName {
 impl TryFrom<String> for EstimatorName {
     type Error = String;
     fn try_from(name: String) -> Result<Self, String> {
-        if name == Self::Bend.as_str() {
-            return Ok(Self::Bend);
+        match name.parse() {
+            Ok(generic) => Ok(Self::Generic(generic)),
+            Err(_) if name == BEND => Ok(Self::Bend),
+            Err(_) => {
+                let names = Self::NAMES.join(", ");
+                Err(format!(
+                    "there is no estimator \"{name}\"; use one of {names}"
+                ))
+            }
         }
-        let generic = name.parse().map(Self::Generic);
-        generic.map_err(|_| {
-            format!(
-                "there is no estimator \"{name}\"; use one of {}",
-                Self::NAMES.join(", ")
-            )
-        })
     }
 }
 
-impl From<EstimatorName> for String {
+impl From<EstimatorName> for &'static str {
     fn from(name: EstimatorName) -> Self {
-        name.as_str().to_owned()
+        match name {
+            EstimatorName::Bend => BEND,
+            EstimatorName::Generic(name) => name.name(),
+        }
     }
 }
 
@@ -139,8 +132,7 @@ impl Estimator {
         sigma_rad: f64,
     ) {
         if let Self::Bend(f) = self {
-            f.rebase(now, bend, sigma_rad);
-            return;
+            return f.rebase(now, bend, sigma_rad);
         }
         *self = Self::new(name, config, now, 0.0);
         if let Self::Generic(f) = self {
@@ -150,10 +142,9 @@ impl Estimator {
 
     /// The bend filter, if it is the selected estimator.
     pub fn as_bend(&self) -> Option<&BendFilter> {
-        if let Self::Bend(f) = self {
-            Some(f)
-        } else {
-            None
+        match self {
+            Self::Bend(f) => Some(f),
+            Self::Generic(_) => None,
         }
     }
 }

@@ -6,8 +6,7 @@
 //! alignment is subtracted before the filter.
 
 use crate::estimation::fusion::align::Alignment;
-use crate::estimation::fusion::base::BaseTurn;
-use crate::estimation::fusion::filter::{FilterFlags, MeasurementMask, Periods, TipEstimator};
+use crate::estimation::fusion::filter::{Periods, TipEstimator, TipSample};
 use crate::estimation::fusion::health::FieldReference;
 use crate::estimation::fusion::intake::GAP_MAX_S;
 use crate::estimation::fusion::registry::{Filter, FilterName};
@@ -67,34 +66,31 @@ impl Generic {
         self.r_world_base *= bend.rotation().quat().inverse();
         self.r_base_tip = bend.rotation().quat();
     }
-
-    /// Status of the filter.
-    pub fn flags(&self) -> FilterFlags {
-        self.filter.flags()
-    }
 }
 
 impl TipEstimator for Generic {
-    fn update(&mut self, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, base: &BaseTurn) {
+    fn update(&mut self, sample: &TipSample) {
+        let imu = &sample.imu;
         let masked = ImuSample {
-            t: sample.t,
-            gyro_rad_s: sample.gyro_rad_s - self.gyro_bias_rad_s,
+            t: imu.t,
+            gyro_rad_s: imu.gyro_rad_s - self.gyro_bias_rad_s,
             // a zero vector has no direction, so the filter leaves it out
-            acc_m_s2: if mask.acc {
-                sample.acc_m_s2
+            acc_m_s2: if sample.acc {
+                imu.acc_m_s2
             } else {
                 Vector3::zeros()
             },
-            mag_ut: sample.mag_ut.filter(|_| mask.mag),
+            mag_ut: imu.mag_ut.filter(|_| sample.mag),
         };
-        self.filter.update(&masked, dt_s);
+        self.filter.update(&masked, sample.dt_s);
         let r_aligned_sensor = self.r_world_base.inverse() * self.filter.orientation().quat();
-        self.r_base_tip = base.r_rest_now.inverse() * r_aligned_sensor;
+        self.r_base_tip = sample.base.r_rest_now.inverse() * r_aligned_sensor;
     }
 
     /// A step longer than [`GAP_MAX_S`] makes the filter level itself again.
-    fn recover(&mut self, sample: &ImuSample, _gap_s: f64, mask: MeasurementMask, base: &BaseTurn) {
-        self.update(sample, GAP_MAX_S * 1.1, mask, base);
+    fn recover(&mut self, sample: &TipSample) {
+        let dt_s = GAP_MAX_S * 1.1;
+        self.update(&TipSample { dt_s, ..*sample });
     }
 
     fn r_base_tip(&self) -> Rotation<Base, Tip> {
@@ -102,13 +98,15 @@ impl TipEstimator for Generic {
     }
 
     fn trusts_field(&self) -> bool {
-        self.flags().north_found && !self.flags().field_disturbed
+        let status = self.filter.status();
+        status.north_found && !status.field_disturbed
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimation::fusion::base::BaseTurn;
 
     fn alignment(q: &UnitQuaternion<f64>) -> Alignment {
         Alignment {
@@ -143,17 +141,12 @@ mod tests {
                     },
                     &rest,
                 );
-                let mask = MeasurementMask {
-                    acc: true,
-                    mag: true,
-                    still: false,
-                };
                 let mut before = UnitQuaternion::identity();
                 for k in 1..=1500 {
                     let t = f64::from(k) * 0.002;
                     let q = Bend(truth.0 * t.min(1.0)).rotation().quat();
                     let back = (base * q).inverse();
-                    let sample = ImuSample {
+                    let imu = ImuSample {
                         t: Seconds(t),
                         gyro_rad_s: (before.inverse() * q).scaled_axis() / 0.002
                             + rest.gyro_bias_rad_s,
@@ -161,11 +154,19 @@ mod tests {
                         mag_ut: (k % 5 == 0).then(|| back * Vector3::new(20.0, 0.0, -40.0)),
                     };
                     before = q;
-                    filter.update(&sample, 0.002, mask, &BaseTurn::none());
+                    filter.update(&TipSample {
+                        imu,
+                        dt_s: 0.002,
+                        acc: true,
+                        mag: true,
+                        still: false,
+                        base: BaseTurn::default(),
+                    });
                 }
                 let error = filter.r_base_tip().angle_to(&truth.rotation()).to_degrees();
                 assert!(error < 0.3, "{name}: {error}");
-                assert!(filter.flags().levelled && !filter.flags().field_disturbed);
+                let status = filter.filter.status();
+                assert!(status.levelled && !status.field_disturbed);
             }
         }
     }

@@ -25,11 +25,9 @@ mod reading;
 mod repetition;
 #[cfg(test)]
 mod tests;
-mod verdict;
 
 pub use cause::{CauseSet, HealthCause};
 pub use checks::KnownErrors;
 pub use config::{HealthConfig, Policies, Policy};
-pub use monitor::SensorMonitor;
+pub use monitor::{HealthAction, HealthVerdict, Recovered, SensorMonitor};
 pub use reading::{FieldReference, ImuReading, Quality, ReadFault};
-pub use verdict::{HealthAction, HealthVerdict, Recovered};

@@ -140,7 +140,6 @@ mod tests {
             gyro_std_rad_s: Vector3::repeat(0.004),
             acc_m_s2,
             acc_std_m_s2: Vector3::repeat(0.03),
-            mag_ut: None,
         }
     }
 

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 use retroflex::estimation::fusion::madgwick::{Madgwick, MadgwickConfig};
 use retroflex::estimation::fusion::mekf::{Mekf, MekfConfig};
-use retroflex::estimation::fusion::vqf::{Vqf, VqfConfig};
+use retroflex::estimation::fusion::vqf::Vqf;
 use retroflex::estimation::fusion::{Filter, FilterName, Periods};
 use retroflex::estimation::score;
 use retroflex::log::recording::{self, Recording};
@@ -122,13 +122,9 @@ fn validate(title: &str, recordings: &[Recording], grid: Vec<(String, Maker)>) -
 
 fn vqf_grid() -> Vec<(String, Maker)> {
     let point = |tau_mag_s: f64| -> (String, Maker) {
-        let config = VqfConfig {
-            tau_mag_s,
-            ..VqfConfig::default()
-        };
         (
             format!("tau_mag {tau_mag_s}"),
-            Box::new(move |r| Filter::Vqf(Vqf::new(periods(r), config))),
+            Box::new(move |r| Filter::Vqf(Vqf::new(periods(r), tau_mag_s))),
         )
     };
     [9.0, 12.0, 15.0, 20.0, 25.0, 30.0, 40.0].map(point).into()

@@ -127,7 +127,8 @@ impl BendFilter {
         let innovation = differs - self.field_offset;
         let variance = self.bank.variance(&rows) + 3.0 * white;
         let nis = innovation.norm_squared() / variance;
-        let time_s = if nis > self.field_nis {
+        let rises = nis > self.field_nis;
+        let time_s = if rises {
             FIELD_NIS_RISE_S
         } else {
             FIELD_NIS_FALL_S
@@ -136,11 +137,8 @@ impl BendFilter {
         self.field_nis += gain * (nis.min(FIELD_NIS_STEP_MAX * self.field_nis) - self.field_nis);
         let persistent =
             (self.field_nis.max(1.0) - 1.0) * (self.field_nis / FIELD_NIS_MAX).max(1.0);
-        let sudden = if nis > NIS_GATE {
-            nis / FIELD_NIS_MAX
-        } else {
-            0.0
-        };
+        let excess = nis / FIELD_NIS_MAX;
+        let sudden = if nis > NIS_GATE { excess } else { 0.0 };
         self.learn_field_error(&w, &differs, white);
         let error = variance / 3.0 * persistent.max(sudden);
         let windows = self.windows(self.config.field_time_s);
@@ -171,11 +169,8 @@ impl BendFilter {
 
     /// Standard deviation of a twist that is not c β, rad.
     pub(super) fn twist_sigma_rad(&self, beta: f64) -> f64 {
-        let share = self
-            .config
-            .twist_error
-            .hypot(self.config.twist_form * self.twist_per_bend);
-        TWIST_OFFSET_RAD + share * beta
+        let form = self.config.twist_form * self.twist_per_bend;
+        TWIST_OFFSET_RAD + self.config.twist_error.hypot(form) * beta
     }
 
     /// The twist is c β.

@@ -17,7 +17,7 @@
 use super::corrections::NIS_GATE;
 use super::kalman::{ACC, MAG, N, Row, TWIST};
 use super::laws::Twist;
-use super::state::{BendFilter, Reacquisition};
+use super::state::BendFilter;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 /// Time after a rejected rate in which gravity and field are tested, s, and the time between two tests, s.
@@ -61,10 +61,10 @@ impl BendFilter {
 
     /// Time between two corrections, s.
     pub(super) fn period_s(&self) -> f64 {
-        if self.reacquisition.testing_s > 0.0 {
-            self.config.correction_period_s.min(TEST_PERIOD_S)
-        } else {
-            self.config.correction_period_s
+        let period_s = self.config.correction_period_s;
+        match self.reacquisition.testing_s > 0.0 {
+            true => period_s.min(TEST_PERIOD_S),
+            false => period_s,
         }
     }
 
@@ -79,11 +79,7 @@ impl BendFilter {
         // gravity alone leaves the heading open, so the field is waited for
         let waits = sights[1].is_none() && self.uses_field() && self.reacquisition.testing_s > 0.0;
         if self.reacquisition.lost && self.window.acc.n > 0 && !waits {
-            self.reacquisition = Reacquisition {
-                lost: false,
-                found: true,
-                ..self.reacquisition
-            };
+            (self.reacquisition.lost, self.reacquisition.found) = (false, true);
             self.reacquire(&sights);
             return true;
         }
@@ -95,7 +91,8 @@ impl BendFilter {
         self.reacquisition.lost
     }
 
-    fn uses_field(&self) -> bool {
+    /// There is a magnetometer, and it may be used.
+    pub(super) fn uses_field(&self) -> bool {
         self.config.use_mag && self.alignment.mag_rest_ut.is_some()
     }
 

@@ -4,6 +4,7 @@ use super::cause::{CauseSet, HealthCause};
 use super::config::HealthConfig;
 use super::reading::{FieldReference, ImuReading, Quality, ReadFault, dip};
 use super::repetition::Repetition;
+use crate::estimation::fusion::align::Alignment;
 use crate::primitives::ImuSample;
 use nalgebra::{Rotation3, Vector3};
 
@@ -35,6 +36,14 @@ pub(super) struct Findings {
 }
 
 impl Findings {
+    /// These faults, of a reading without a sample that could show others.
+    fn of(faults: impl IntoIterator<Item = HealthCause>) -> Self {
+        Self {
+            faults: faults.into_iter().collect(),
+            ..Self::default()
+        }
+    }
+
     fn test(&mut self, cause: HealthCause, fault: bool) {
         self.tested.insert(cause);
         if fault {
@@ -67,15 +76,10 @@ pub(super) struct Checks {
 
 impl Checks {
     /// Sets the estimated sensor errors; the references are recomputed from the raw means of the alignment.
-    pub fn set_known(
-        &mut self,
-        known: KnownErrors,
-        acc_rest: &Vector3<f64>,
-        mag_rest: Option<&Vector3<f64>>,
-    ) {
-        let acc = acc_rest - known.acc_bias_m_s2;
-        self.reference =
-            mag_rest.and_then(|mag| FieldReference::from_rest(&acc, &(mag - known.iron_ut)));
+    pub fn set_known(&mut self, known: KnownErrors, rest: &Alignment) {
+        let acc = rest.acc_rest_m_s2 - known.acc_bias_m_s2;
+        let mag = rest.mag_rest_ut.map(|mag| mag - known.iron_ut);
+        self.reference = mag.and_then(|mag| FieldReference::from_rest(&acc, &mag));
         self.gravity_m_s2 = Some(acc.norm());
         self.known = known;
     }
@@ -94,18 +98,9 @@ impl Checks {
             }
             ImuReading::Failed(fault) => self.inspect_failure(config, *fault),
             ImuReading::Nothing => {
-                let stale = self
-                    .last
-                    .is_some_and(|last| now - last.t.0 > config.stale_after_s);
-                let faults = if stale {
-                    CauseSet::of(HealthCause::StaleTimestamp)
-                } else {
-                    CauseSet::EMPTY
-                };
-                Findings {
-                    faults,
-                    ..Findings::default()
-                }
+                let stale = |last: &ImuSample| now - last.t.0 > config.stale_after_s;
+                let silent = self.last.as_ref().is_some_and(stale);
+                Findings::of(silent.then_some(HealthCause::StaleTimestamp))
             }
         };
         self.last_was_sample = matches!(reading, ImuReading::Sample(..));
@@ -119,17 +114,13 @@ impl Checks {
             ReadFault::WrongId => (HealthCause::WrongId, false),
             ReadFault::BrownOut => (HealthCause::BrownOut, false),
         };
-        let mut faults = CauseSet::of(cause);
-        if on_the_bus {
-            self.bus_failures = self.bus_failures.saturating_add(1);
-            if self.bus_failures >= config.stuck_after {
-                faults.insert(HealthCause::StuckBus);
-            }
-        }
-        Findings {
-            faults,
-            ..Findings::default()
-        }
+        self.bus_failures = self.bus_failures.saturating_add(u32::from(on_the_bus));
+        let stuck = on_the_bus && self.bus_failures >= config.stuck_after;
+        Findings::of(
+            [cause]
+                .into_iter()
+                .chain(stuck.then_some(HealthCause::StuckBus)),
+        )
     }
 
     fn inspect_sample(
@@ -151,33 +142,25 @@ impl Checks {
         ] {
             found.test(cause, false);
         }
-        found.test(
-            HealthCause::NotFinite,
-            !sample.is_finite() || !sample.t.0.is_finite(),
-        );
-        if found.faults.contains(HealthCause::NotFinite) {
+        let finite = sample.is_finite() && sample.t.0.is_finite();
+        found.test(HealthCause::NotFinite, !finite);
+        if !finite {
             return found; // no other check is meaningful, and the values must not be stored
         }
         self.check_clock(config, now, sample, &mut found);
         let repeats = self.repetition.add(sample, config.frozen_after);
         let expected = quality.expect_noise && config.frozen_after > 0;
         found.test(HealthCause::Frozen, expected && repeats);
-        found.test(
-            HealthCause::Saturated,
-            quality.gyro_load >= config.saturated_at,
-        );
+        let saturated = quality.gyro_load >= config.saturated_at;
+        found.test(HealthCause::Saturated, saturated);
         self.check_spike(config, sample, &mut found);
         let gravity = self.gravity_m_s2.unwrap_or(GRAVITY_M_S2);
         let force = (sample.acc_m_s2 - self.known.acc_bias_m_s2).norm();
         let disturbed =
             (force - gravity).abs() > config.acc_norm_tolerance_m_s2 + self.known.acc_margin_m_s2;
-        found.test(
-            HealthCause::AccelDisturbed,
-            disturbed || quality.acc_load >= config.saturated_at,
-        );
-        if found.faults.contains(HealthCause::Spike)
-            || found.faults.contains(HealthCause::Saturated)
-        {
+        let at_end = quality.acc_load >= config.saturated_at;
+        found.test(HealthCause::AccelDisturbed, disturbed || at_end);
+        if saturated || found.faults.contains(HealthCause::Spike) {
             self.up = None; // the gyroscope may have missed part of the rotation
         }
         self.propagate_vertical(config, sample, !disturbed && !shaken);
@@ -195,15 +178,11 @@ impl Checks {
     ) {
         let t = sample.t.0;
         let step = self.last.map_or(f64::NAN, |last| t - last.t.0); // NaN: the first sample passes every comparison
-        found.test(
-            HealthCause::StaleTimestamp,
-            now - t > config.stale_after_s || step == 0.0,
-        );
-        let jump = step > config.jump_max_s && self.last_was_sample;
-        found.test(
-            HealthCause::JumpingTimestamp,
-            step < 0.0 || jump || t - now > config.jump_max_s,
-        );
+        let old = now - t > config.stale_after_s;
+        found.test(HealthCause::StaleTimestamp, old || step == 0.0);
+        let ahead = step > config.jump_max_s && self.last_was_sample;
+        let jumps = step < 0.0 || ahead || t - now > config.jump_max_s;
+        found.test(HealthCause::JumpingTimestamp, jumps);
     }
 
     /// A jump is a spike unless [`HealthConfig::spike_confirm`] samples in a row agree on the new value. What was rejected is
@@ -213,11 +192,8 @@ impl Checks {
             |other: &Option<ImuSample>| other.as_ref().is_none_or(|o| reachable(config, o, sample));
         let mut spike = !near(&self.last_plausible);
         if spike {
-            self.agreeing = if near(&self.last) {
-                self.agreeing + 1
-            } else {
-                0
-            };
+            let one_more = self.agreeing + 1;
+            self.agreeing = if near(&self.last) { one_more } else { 0 };
             spike = self.agreeing < config.spike_confirm;
         }
         if !spike {
@@ -251,14 +227,9 @@ impl Checks {
             found.test(HealthCause::MagSilent, true);
         }
         if let (Some(mag), Some(reference)) = (&sample.mag_ut, &self.reference) {
-            let field = mag - self.known.iron_ut;
-            let disturbed = field_disturbed(
-                config,
-                reference,
-                self.up.as_ref(),
-                &field,
-                self.known.iron_margin_ut,
-            );
+            let (field, margin) = (mag - self.known.iron_ut, self.known.iron_margin_ut);
+            let up = self.up.as_ref();
+            let disturbed = field_disturbed(config, reference, up, &field, margin);
             found.test(HealthCause::FieldDisturbed, disturbed);
         }
     }
@@ -268,14 +239,11 @@ impl Checks {
     fn propagate_vertical(&mut self, config: &HealthConfig, sample: &ImuSample, calm: bool) {
         let dt = self.last.map_or(0.0, |last| sample.t.0 - last.t.0);
         let bridged = (0.0..=config.jump_max_s).contains(&dt);
+        let share = (dt / config.vertical_memory_s).min(1.0);
+        let gain = if calm { share } else { 0.0 };
         self.up = match self.up.filter(|_| bridged) {
             Some(up) => {
                 let turned = Rotation3::new(-sample.gyro_rad_s * dt) * up;
-                let gain = if calm {
-                    (dt / config.vertical_memory_s).min(1.0)
-                } else {
-                    0.0
-                };
                 Some(turned * (1.0 - gain) + sample.acc_m_s2 * gain)
             }
             None => calm.then_some(sample.acc_m_s2),

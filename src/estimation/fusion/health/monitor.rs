@@ -4,9 +4,8 @@ use super::cause::{CauseSet, HealthCause};
 use super::checks::{Checks, Findings, KnownErrors};
 use super::config::{HealthConfig, Policy};
 use super::reading::ImuReading;
-use super::verdict::{HealthVerdict, Recovered};
+use crate::estimation::fusion::align::Alignment;
 use crate::primitives::Seconds;
-use nalgebra::Vector3;
 
 /// A disturbance that returns within this time counts as the same one, s.
 const RETURN_S: f64 = 60.0;
@@ -28,6 +27,74 @@ struct Track {
     returns: u32,
 }
 
+/// The strictest consequence of a verdict, in rising order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
+pub enum HealthAction {
+    /// Use all sensors.
+    Use,
+    /// Use gyroscope and accelerometer only.
+    GravityOnly,
+    /// Use the gyroscope only.
+    CoastOnGyro,
+    /// Use nothing of this reading.
+    Skip,
+    /// Hold the pistons.
+    Hold,
+}
+
+/// Causes that have been cleared.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Recovered {
+    /// The causes that this reading cleared.
+    pub causes: CauseSet,
+    /// The longest time that any of them was in force, s.
+    pub after_s: f64,
+}
+
+/// What may be done with one reading.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct HealthVerdict {
+    /// The filter may integrate the gyroscope.
+    pub gyro: bool,
+    /// The filter may correct with the accelerometer.
+    pub acc: bool,
+    /// The filter may correct with the magnetometer: there is a new, valid value.
+    pub mag: bool,
+    /// The pistons must be held.
+    pub hold: bool,
+    /// No usable gyroscope sample for longer than [`HealthConfig::blind_max_s`].
+    pub blind: bool,
+    /// Faults of this reading.
+    pub faults: CauseSet,
+    /// Causes in force, including those that are recovering.
+    pub in_force: CauseSet,
+    /// Causes that came into force with this reading.
+    pub raised: CauseSet,
+    /// The jumps rejected just before were true: enough readings in a row agree with them.
+    pub confirmed: bool,
+    /// Causes that this reading cleared, if any.
+    pub recovered: Option<Recovered>,
+}
+
+impl HealthVerdict {
+    /// The strictest consequence of the verdict.
+    pub fn action(&self) -> HealthAction {
+        use HealthCause::{FieldDisturbed, MagOverflow, MagSilent};
+        let magnetic = |c| matches!(c, MagOverflow | MagSilent | FieldDisturbed);
+        if self.hold {
+            HealthAction::Hold
+        } else if !self.gyro {
+            HealthAction::Skip
+        } else if !self.acc {
+            HealthAction::CoastOnGyro
+        } else if !self.mag && self.in_force.iter().any(magnetic) {
+            HealthAction::GravityOnly
+        } else {
+            HealthAction::Use
+        }
+    }
+}
+
 /// Assesses the readings of one sensor. It has a fixed size and is cloned for replay.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct SensorMonitor {
@@ -38,24 +105,15 @@ pub struct SensorMonitor {
 }
 
 impl SensorMonitor {
-    /// Sets the estimated sensor errors. `acc_rest` and `mag_rest` are the raw means of the alignment, from which
-    /// the references of gravity and field are computed.
-    pub fn set_known(
-        &mut self,
-        known: KnownErrors,
-        acc_rest: &Vector3<f64>,
-        mag_rest: Option<&Vector3<f64>>,
-    ) {
-        self.checks.set_known(known, acc_rest, mag_rest);
+    /// Sets the estimated sensor errors, and the alignment from whose raw means the references of gravity and field are
+    /// computed.
+    pub fn set_known(&mut self, known: KnownErrors, rest: &Alignment) {
+        self.checks.set_known(known, rest);
     }
     /// Causes that are in force.
     pub fn in_force(&self) -> CauseSet {
-        let mut set = CauseSet::EMPTY;
-        HealthCause::ALL
-            .into_iter()
-            .filter(|c| self.track(*c).since.is_some())
-            .for_each(|c| set.insert(c));
-        set
+        let in_force = |cause: &HealthCause| self.track(*cause).since.is_some();
+        HealthCause::ALL.into_iter().filter(in_force).collect()
     }
     /// How often a cause has come into force since the start.
     pub fn times(&self, cause: HealthCause) -> u32 {
@@ -99,14 +157,9 @@ impl SensorMonitor {
                 if track.since.is_none() {
                     track.since = Some(now);
                     track.times = track.times.saturating_add(1);
-                    let soon = track
-                        .cleared
-                        .is_some_and(|cleared| now - cleared < RETURN_S);
-                    track.returns = if soon {
-                        track.returns.saturating_add(1)
-                    } else {
-                        0
-                    };
+                    let soon = track.cleared.is_some_and(|at| now - at < RETURN_S);
+                    let again = track.returns.saturating_add(1);
+                    track.returns = if soon { again } else { 0 };
                     raised.insert(cause);
                 }
             } else if let Some(since) = track.since
@@ -120,13 +173,9 @@ impl SensorMonitor {
                 }
             }
         }
-        (
-            raised,
-            (!cleared.is_empty()).then_some(Recovered {
-                causes: cleared,
-                after_s,
-            }),
-        )
+        let causes = cleared;
+        let recovered = (!cleared.is_empty()).then_some(Recovered { causes, after_s });
+        (raised, recovered)
     }
 
     /// Applies the policies of all causes in force to the reading.
@@ -137,17 +186,9 @@ impl SensorMonitor {
         reading: &ImuReading,
         faults: CauseSet,
     ) -> HealthVerdict {
-        let sample = if let ImuReading::Sample(sample, _) = reading {
-            Some(sample)
-        } else {
-            None
-        };
-        let (mut gyro, mut acc, mut mag) = (
-            sample.is_some(),
-            sample.is_some(),
-            sample.is_some_and(|s| s.mag_ut.is_some()),
-        );
-        let mut hold = false;
+        let sample = reading.sample();
+        let (mut gyro, mut acc, mut hold) = (sample.is_some(), sample.is_some(), false);
+        let mut mag = sample.is_some_and(|s| s.mag_ut.is_some());
         let in_force = self.in_force();
         for cause in in_force.iter() {
             let since = self.track(cause).since.unwrap_or(now);

@@ -64,6 +64,21 @@ impl ImuReading {
         };
         sample.map_or(Self::Nothing, |s| Self::Sample(s, quality))
     }
+    /// The sample, if one arrived.
+    pub fn sample(&self) -> Option<&ImuSample> {
+        match self {
+            Self::Sample(sample, _) => Some(sample),
+            _ => None,
+        }
+    }
+    /// The same with another sample, if one arrived.
+    #[must_use]
+    pub fn map(mut self, change: impl FnOnce(&mut ImuSample, &mut Quality)) -> Self {
+        if let Self::Sample(sample, quality) = &mut self {
+            change(sample, quality);
+        }
+        self
+    }
 }
 
 /// Strength and dip of the undisturbed field.

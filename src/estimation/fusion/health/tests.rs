@@ -3,6 +3,7 @@
 mod disturbances;
 
 use super::*;
+use crate::estimation::fusion::align::Alignment;
 use crate::primitives::{ImuSample, Parameters, Seconds};
 use nalgebra::{Rotation3, Vector3};
 use rand::SeedableRng;
@@ -59,11 +60,20 @@ struct Rig {
     source: Source,
 }
 
+/// An alignment with these means.
+fn at_rest(acc_rest_m_s2: Vector3<f64>, mag_ut: Vector3<f64>) -> Alignment {
+    Alignment {
+        acc_rest_m_s2,
+        mag_rest_ut: Some(mag_ut),
+        ..Alignment::default()
+    }
+}
+
 impl Rig {
     fn new() -> Self {
         let mut monitor = SensorMonitor::default();
         let source = Source::new(7);
-        monitor.set_known(KnownErrors::default(), &source.acc, Some(&source.mag));
+        monitor.set_known(KnownErrors::default(), &at_rest(source.acc, source.mag));
         Self {
             config: HealthConfig::default(),
             monitor,

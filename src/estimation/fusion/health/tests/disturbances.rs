@@ -151,11 +151,8 @@ fn a_shaken_tip_coasts_and_then_holds() {
 fn repeated_field_disturbances_lengthen_the_recovery() {
     let (config, mut monitor) = (HealthConfig::default(), SensorMonitor::default());
     let field = Vector3::new(20.0, 0.0, -45.0);
-    monitor.set_known(
-        KnownErrors::default(),
-        &Vector3::new(0.0, 0.0, 9.81),
-        Some(&field),
-    );
+    let rest = at_rest(Vector3::new(0.0, 0.0, 9.81), field);
+    monitor.set_known(KnownErrors::default(), &rest);
     let mut t = 0.0;
     let mut assess = |times: f64| {
         t += 0.01;
