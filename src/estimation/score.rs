@@ -77,23 +77,19 @@ pub fn error_angles(
     [total, heading, inclination]
 }
 
-/// Runs a filter with its shipped settings over a recording and scores it.
-///
-/// # Errors
-/// [`ScoreError::NoTruth`] if no row is both moving and referenced.
-pub fn score(recording: &Recording, filter: FilterName) -> Result<Score, ScoreError> {
-    let periods = Periods {
+/// Sampling periods of a recording.
+pub fn periods(recording: &Recording) -> Periods {
+    Periods {
         imu_s: recording.period_s(),
         mag_s: recording.mag_period_s(),
-    };
-    score_with(recording, &mut *filter.build(periods))
+    }
 }
 
 /// Runs a new filter over a recording and scores it.
 ///
 /// # Errors
 /// [`ScoreError::NoTruth`] if no row is both moving and referenced.
-pub fn score_with(
+pub fn score(
     recording: &Recording,
     filter: &mut dyn OrientationFilter,
 ) -> Result<Score, ScoreError> {
@@ -144,14 +140,14 @@ pub fn run(
     let mut scored = Vec::new();
     for file in files {
         let recording = recording::read(file)?;
-        let mut range = Saturation::default();
+        let (periods, mut range) = (periods(&recording), Saturation::default());
         let rates = recording.rows.iter().map(|row| row.sample.gyro_rad_s);
         let n = rates.filter(|rate| range.update(rate).is_some()).count();
         for &filter in filters {
             scored.push(FileScore {
                 file: recording.name.clone(),
                 filter,
-                score: score(&recording, filter)?,
+                score: score(&recording, &mut *filter.build(periods))?,
                 saturated: n as f64 / recording.rows.len().max(1) as f64,
             });
         }
@@ -262,7 +258,8 @@ mod tests {
     #[test]
     fn every_filter_reports_a_constant_reference_error() {
         for filter in FilterName::ALL {
-            let s = score(&still_recording(7.0, |k| k > 500, |k| k % 3 == 0), filter).unwrap();
+            let recording = still_recording(7.0, |k| k > 500, |k| k % 3 == 0);
+            let s = score(&recording, &mut *filter.build(periods(&recording))).unwrap();
             assert!(
                 (s.total_deg - 7.0).abs() < 0.01 && (s.heading_deg - 7.0).abs() < 0.01,
                 "{filter}: {s:?}"
@@ -274,11 +271,9 @@ mod tests {
     #[test]
     fn a_recording_without_truth_is_refused() {
         for (moving, referenced) in [(false, true), (true, false)] {
-            let error = score(
-                &still_recording(0.0, |_| moving, |_| referenced),
-                FilterName::Vqf,
-            )
-            .unwrap_err();
+            let recording = still_recording(0.0, |_| moving, |_| referenced);
+            let mut filter = FilterName::Vqf.build(periods(&recording));
+            let error = score(&recording, &mut *filter).unwrap_err();
             assert!(error.to_string().contains("still.csv"), "{error}");
         }
     }

@@ -5,6 +5,7 @@
 //! reference (after Laidig & Seel 2023, section 3.6). Strength and dip do not depend on the heading, which is the
 //! quantity to protect.
 
+use super::health::FieldShape;
 use super::intake::{held_s, share};
 use nalgebra::Vector3;
 
@@ -25,29 +26,20 @@ const ACCEPT_S: f64 = 20.0;
 /// Angular rate above which a constant field is significant, °/s: a still sensor sees any field as constant.
 const TURNING_DEG_S: f64 = 20.0;
 
-/// Strength and dip of a magnetic field.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FieldShape {
-    /// Strength, µT.
-    pub strength_ut: f64,
-    /// Dip below the horizon, rad.
-    pub dip_rad: f64,
-}
-
 impl FieldShape {
     /// Shape of a field given in the world frame, µT.
-    pub fn of(field_world: &Vector3<f64>) -> Self {
+    fn of(field_world: &Vector3<f64>) -> Self {
         Self {
-            strength_ut: field_world.norm(),
+            norm_ut: field_world.norm(),
             dip_rad: (-field_world.z).atan2(field_world.xy().norm()),
         }
     }
     fn near(&self, other: &Self) -> bool {
-        (self.strength_ut - other.strength_ut).abs() < STRENGTH_SHARE * other.strength_ut
+        (self.norm_ut - other.norm_ut).abs() < STRENGTH_SHARE * other.norm_ut
             && (self.dip_rad - other.dip_rad).abs() < DIP_DEG.to_radians()
     }
     fn follow(&mut self, target: &Self, share: f64) {
-        self.strength_ut += share * (target.strength_ut - self.strength_ut);
+        self.norm_ut += share * (target.norm_ut - self.norm_ut);
         self.dip_rad += share * (target.dip_rad - self.dip_rad);
     }
 }

@@ -7,7 +7,7 @@
 
 use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::filter::{Periods, TipEstimator, TipSample};
-use crate::estimation::fusion::health::FieldReference;
+use crate::estimation::fusion::health::FieldShape;
 use crate::estimation::fusion::intake::GAP_MAX_S;
 use crate::estimation::fusion::registry::{Filter, FilterName};
 use crate::model::Bend;
@@ -36,7 +36,7 @@ impl Generic {
         let mut filter = name.build(periods);
         let mag = alignment.mag_rest_ut.as_ref();
         if let Some(field) =
-            mag.and_then(|mag| FieldReference::from_rest(&alignment.acc_rest_m_s2, mag))
+            mag.and_then(|mag| FieldShape::from_rest(&alignment.acc_rest_m_s2, mag))
         {
             filter.set_field_reference(field.norm_ut, field.dip_rad);
         }

@@ -2,7 +2,7 @@
 
 use super::cause::{CauseSet, HealthCause};
 use super::config::HealthConfig;
-use super::reading::{FieldReference, ImuReading, Quality, ReadFault, dip};
+use super::reading::{FieldShape, ImuReading, Quality, ReadFault, dip};
 use super::repetition::Repetition;
 use crate::estimation::fusion::align::Alignment;
 use crate::primitives::ImuSample;
@@ -36,14 +36,6 @@ pub(super) struct Findings {
 }
 
 impl Findings {
-    /// These faults, of a reading without a sample that could show others.
-    fn of(faults: impl IntoIterator<Item = HealthCause>) -> Self {
-        Self {
-            faults: faults.into_iter().collect(),
-            ..Self::default()
-        }
-    }
-
     fn test(&mut self, cause: HealthCause, fault: bool) {
         self.tested.insert(cause);
         if fault {
@@ -52,10 +44,19 @@ impl Findings {
     }
 }
 
+/// A sample under test.
+struct Seen<'a> {
+    config: &'a HealthConfig,
+    /// Time of the test, s.
+    now: f64,
+    sample: &'a ImuSample,
+    quality: &'a Quality,
+}
+
 /// What the checks remember of earlier readings.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Checks {
-    reference: Option<FieldReference>,
+    reference: Option<FieldShape>,
     gravity_m_s2: Option<f64>,
     known: KnownErrors,
     /// Last finite sample.
@@ -79,7 +80,7 @@ impl Checks {
     pub fn set_known(&mut self, known: KnownErrors, rest: &Alignment) {
         let acc = rest.acc_rest_m_s2 - known.acc_bias_m_s2;
         let mag = rest.mag_rest_ut.map(|mag| mag - known.iron_ut);
-        self.reference = mag.and_then(|mag| FieldReference::from_rest(&acc, &mag));
+        self.reference = mag.and_then(|mag| FieldShape::from_rest(&acc, &mag));
         self.gravity_m_s2 = Some(acc.norm());
         self.known = known;
     }
@@ -92,68 +93,69 @@ impl Checks {
         reading: &ImuReading,
         shaken: bool,
     ) -> Findings {
-        let found = match reading {
+        let mut found = Findings::default();
+        match reading {
             ImuReading::Sample(sample, quality) => {
-                self.inspect_sample(config, now, sample, *quality, shaken)
+                let seen = Seen {
+                    config,
+                    now,
+                    sample,
+                    quality,
+                };
+                self.inspect_sample(&seen, shaken, &mut found);
             }
-            ImuReading::Failed(fault) => self.inspect_failure(config, *fault),
+            ImuReading::Failed(fault) => self.inspect_failure(config, *fault, &mut found.faults),
             ImuReading::Nothing => {
-                let stale = |last: &ImuSample| now - last.t.0 > config.stale_after_s;
-                let silent = self.last.as_ref().is_some_and(stale);
-                Findings::of(silent.then_some(HealthCause::StaleTimestamp))
+                let old = |last: &ImuSample| now - last.t.0 > config.stale_after_s;
+                if self.last.as_ref().is_some_and(old) {
+                    found.faults.insert(HealthCause::StaleTimestamp);
+                }
             }
-        };
-        self.last_was_sample = matches!(reading, ImuReading::Sample(..));
+        }
+        self.last_was_sample = reading.sample().is_some();
         found
     }
 
-    fn inspect_failure(&mut self, config: &HealthConfig, fault: ReadFault) -> Findings {
+    fn inspect_failure(&mut self, config: &HealthConfig, fault: ReadFault, faults: &mut CauseSet) {
         let (cause, on_the_bus) = match fault {
             ReadFault::Nack | ReadFault::Bus => (HealthCause::Nack, true),
             ReadFault::ShortRead => (HealthCause::ShortRead, true),
             ReadFault::WrongId => (HealthCause::WrongId, false),
             ReadFault::BrownOut => (HealthCause::BrownOut, false),
         };
-        self.bus_failures = self.bus_failures.saturating_add(u32::from(on_the_bus));
-        let stuck = on_the_bus && self.bus_failures >= config.stuck_after;
-        Findings::of(
-            [cause]
-                .into_iter()
-                .chain(stuck.then_some(HealthCause::StuckBus)),
-        )
+        faults.insert(cause);
+        if on_the_bus {
+            self.bus_failures = self.bus_failures.saturating_add(1);
+            if self.bus_failures >= config.stuck_after {
+                faults.insert(HealthCause::StuckBus);
+            }
+        }
     }
 
-    fn inspect_sample(
-        &mut self,
-        config: &HealthConfig,
-        now: f64,
-        sample: &ImuSample,
-        quality: Quality,
-        shaken: bool,
-    ) -> Findings {
-        let mut found = Findings::default();
+    fn inspect_sample(&mut self, seen: &Seen<'_>, shaken: bool, found: &mut Findings) {
+        use HealthCause::{BrownOut, Nack, ShortRead, StuckBus, WrongId};
+        let Seen {
+            config,
+            sample,
+            quality,
+            ..
+        } = *seen;
         self.bus_failures = 0;
-        for cause in [
-            HealthCause::Nack,
-            HealthCause::ShortRead,
-            HealthCause::StuckBus,
-            HealthCause::WrongId,
-            HealthCause::BrownOut,
-        ] {
+        for cause in [Nack, ShortRead, StuckBus, WrongId, BrownOut] {
             found.test(cause, false);
         }
         let finite = sample.is_finite() && sample.t.0.is_finite();
         found.test(HealthCause::NotFinite, !finite);
         if !finite {
-            return found; // no other check is meaningful, and the values must not be stored
+            return; // no other check is meaningful, and the values must not be stored
         }
-        self.check_clock(config, now, sample, &mut found);
+        self.check_clock(seen, found);
         let repeats = self.repetition.add(sample, config.frozen_after);
         let expected = quality.expect_noise && config.frozen_after > 0;
         found.test(HealthCause::Frozen, expected && repeats);
         let saturated = quality.gyro_load >= config.saturated_at;
         found.test(HealthCause::Saturated, saturated);
-        self.check_spike(config, sample, &mut found);
+        self.check_spike(config, sample, found);
         let gravity = self.gravity_m_s2.unwrap_or(GRAVITY_M_S2);
         let force = (sample.acc_m_s2 - self.known.acc_bias_m_s2).norm();
         let disturbed =
@@ -164,19 +166,12 @@ impl Checks {
             self.up = None; // the gyroscope may have missed part of the rotation
         }
         self.propagate_vertical(config, sample, !disturbed && !shaken);
-        self.check_magnetometer(config, now, sample, quality, &mut found);
+        self.check_magnetometer(seen, found);
         self.last = Some(*sample);
-        found
     }
 
-    fn check_clock(
-        &self,
-        config: &HealthConfig,
-        now: f64,
-        sample: &ImuSample,
-        found: &mut Findings,
-    ) {
-        let t = sample.t.0;
+    fn check_clock(&self, seen: &Seen<'_>, found: &mut Findings) {
+        let (t, now, config) = (seen.sample.t.0, seen.now, seen.config);
         let step = self.last.map_or(f64::NAN, |last| t - last.t.0); // NaN: the first sample passes every comparison
         let old = now - t > config.stale_after_s;
         found.test(HealthCause::StaleTimestamp, old || step == 0.0);
@@ -207,14 +202,13 @@ impl Checks {
         found.test(HealthCause::Spike, spike);
     }
 
-    fn check_magnetometer(
-        &mut self,
-        config: &HealthConfig,
-        now: f64,
-        sample: &ImuSample,
-        quality: Quality,
-        found: &mut Findings,
-    ) {
+    fn check_magnetometer(&mut self, seen: &Seen<'_>, found: &mut Findings) {
+        let Seen {
+            config,
+            now,
+            sample,
+            quality,
+        } = *seen;
         let since = *self.last_mag_s.get_or_insert(now);
         // a field that repeats itself bit for bit was not measured again
         let repeats = quality.expect_noise && sample.mag_ut == self.last_mag_ut;
@@ -261,7 +255,7 @@ fn reachable(config: &HealthConfig, from: &ImuSample, to: &ImuSample) -> bool {
 /// True if strength or dip of the field differ from the reference; without a vertical only the strength is checked.
 pub(super) fn field_disturbed(
     config: &HealthConfig,
-    reference: &FieldReference,
+    reference: &FieldShape,
     up: Option<&Vector3<f64>>,
     field: &Vector3<f64>,
     margin_ut: f64,

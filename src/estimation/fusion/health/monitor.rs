@@ -19,8 +19,6 @@ struct Track {
     since: Option<f64>,
     /// Good readings in a row since.
     good: u32,
-    /// How often it has come into force.
-    times: u32,
     /// Time at which it was last cleared, s.
     cleared: Option<f64>,
     /// Returns in a row, each within [`RETURN_S`].
@@ -40,15 +38,6 @@ pub enum HealthAction {
     Skip,
     /// Hold the pistons.
     Hold,
-}
-
-/// Causes that have been cleared.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Recovered {
-    /// The causes that this reading cleared.
-    pub causes: CauseSet,
-    /// The longest time that any of them was in force, s.
-    pub after_s: f64,
 }
 
 /// What may be done with one reading.
@@ -72,8 +61,8 @@ pub struct HealthVerdict {
     pub raised: CauseSet,
     /// The jumps rejected just before were true: enough readings in a row agree with them.
     pub confirmed: bool,
-    /// Causes that this reading cleared, if any.
-    pub recovered: Option<Recovered>,
+    /// Causes that this reading cleared.
+    pub recovered: CauseSet,
 }
 
 impl HealthVerdict {
@@ -115,10 +104,6 @@ impl SensorMonitor {
         let in_force = |cause: &HealthCause| self.track(*cause).since.is_some();
         HealthCause::ALL.into_iter().filter(in_force).collect()
     }
-    /// How often a cause has come into force since the start.
-    pub fn times(&self, cause: HealthCause) -> u32 {
-        self.track(cause).times
-    }
     fn track(&self, cause: HealthCause) -> &Track {
         &self.tracks[cause as usize]
     }
@@ -148,34 +133,28 @@ impl SensorMonitor {
         config: &HealthConfig,
         now: f64,
         found: &Findings,
-    ) -> (CauseSet, Option<Recovered>) {
-        let (mut raised, mut cleared, mut after_s) = (CauseSet::EMPTY, CauseSet::EMPTY, 0.0_f64);
+    ) -> (CauseSet, CauseSet) {
+        let (mut raised, mut cleared) = (CauseSet::EMPTY, CauseSet::EMPTY);
         for cause in HealthCause::ALL {
             let track = &mut self.tracks[cause as usize];
             if found.faults.contains(cause) {
                 track.good = 0;
                 if track.since.is_none() {
                     track.since = Some(now);
-                    track.times = track.times.saturating_add(1);
                     let soon = track.cleared.is_some_and(|at| now - at < RETURN_S);
                     let again = track.returns.saturating_add(1);
                     track.returns = if soon { again } else { 0 };
                     raised.insert(cause);
                 }
-            } else if let Some(since) = track.since
-                && found.tested.contains(cause)
-            {
+            } else if track.since.is_some() && found.tested.contains(cause) {
                 track.good += 1;
                 if track.good >= readings_to_clear(config, cause, track.returns) {
                     (track.since, track.cleared) = (None, Some(now));
                     cleared.insert(cause);
-                    after_s = after_s.max(now - since);
                 }
             }
         }
-        let causes = cleared;
-        let recovered = (!cleared.is_empty()).then_some(Recovered { causes, after_s });
-        (raised, recovered)
+        (raised, cleared)
     }
 
     /// Applies the policies of all causes in force to the reading.

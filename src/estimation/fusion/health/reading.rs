@@ -81,16 +81,16 @@ impl ImuReading {
     }
 }
 
-/// Strength and dip of the undisturbed field.
+/// Strength and dip of a field.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FieldReference {
+pub struct FieldShape {
     /// |m|, µT.
     pub norm_ut: f64,
     /// Angle of the field below the horizontal, rad.
     pub dip_rad: f64,
 }
 
-impl FieldReference {
+impl FieldShape {
     /// From the means over a still stretch; `None` when either is zero or not finite.
     pub fn from_rest(acc_m_s2: &Vector3<f64>, mag_ut: &Vector3<f64>) -> Option<Self> {
         Some(Self {

@@ -35,8 +35,6 @@ pub struct Fusion {
     base: BaseTracker,
     base_monitor: SensorMonitor,
     base_raised: CauseSet,
-    /// The monitor of the base IMU knows the field of its alignment.
-    with_base_field: bool,
     /// The base IMU has been seen.
     with_base: bool,
     /// The still stretch at the start.
@@ -98,11 +96,9 @@ impl Fusion {
             };
             let up = tracker.map(|t| &t.alignment.acc_rest_m_s2);
             self.base.update(&config.base, &config.align, &sample, up);
-            let rest = self.base.rest();
-            if let Some(rest) = rest.filter(|_| !self.with_base_field) {
+            if let Some(rest) = self.base.rest() {
                 self.base_monitor.set_known(KnownErrors::default(), rest);
             }
-            self.with_base_field = rest.is_some();
         } else if verdict.blind {
             self.base.lose();
         }

@@ -117,7 +117,7 @@ impl Tracker {
         input: &FusionInput,
         base: &BaseTurn,
     ) {
-        if verdict.recovered.is_some() {
+        if !verdict.recovered.is_empty() {
             self.smoother.arm();
         }
         let Some(imu) = input.tip.sample().filter(|_| verdict.gyro) else {
