@@ -2,7 +2,7 @@
 
 use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::bend::{BendFilter, BendFilterConfig};
-use crate::estimation::fusion::filter::{Periods, TipEstimator};
+use crate::estimation::fusion::filter::TipEstimator;
 use crate::estimation::fusion::generic::Generic;
 use crate::estimation::fusion::registry::FilterName;
 use crate::model::Bend;
@@ -110,33 +110,19 @@ impl Estimator {
         alignment: &Alignment,
         period_s: f64,
     ) -> Self {
-        let (imu_s, mag_s) = alignment.periods_s();
-        let periods = Periods {
-            imu_s: imu_s.max(period_s),
-            mag_s: mag_s.max(period_s).min(1.0),
-        };
+        let generic = |name| Generic::new(name, alignment, Bend::STRAIGHT, period_s);
         match name {
             EstimatorName::Bend => Self::Bend(BendFilter::new(bend, alignment)),
-            EstimatorName::Generic(name) => Self::Generic(Generic::new(name, periods, alignment)),
+            EstimatorName::Generic(name) => Self::Generic(generic(name)),
         }
     }
 
     /// Restarts from an alignment during which the tip was at `bend`, 1 σ `sigma_rad`. The bend filter keeps its
     /// estimates of the sensor errors; a generic filter starts anew.
-    pub fn rebase(
-        &mut self,
-        name: EstimatorName,
-        config: &BendFilterConfig,
-        now: &Alignment,
-        bend: Bend,
-        sigma_rad: f64,
-    ) {
-        if let Self::Bend(f) = self {
-            return f.rebase(now, bend, sigma_rad);
-        }
-        *self = Self::new(name, config, now, 0.0);
-        if let Self::Generic(f) = self {
-            f.set_alignment_bend(bend);
+    pub fn rebase(&mut self, now: &Alignment, bend: Bend, sigma_rad: f64) {
+        match self {
+            Self::Bend(f) => f.rebase(now, bend, sigma_rad),
+            Self::Generic(f) => f.rebase(now, bend),
         }
     }
 

@@ -24,6 +24,7 @@ const PRIME_SHRINK: f64 = 0.92;
 /// A generic filter whose output is in the base frame.
 #[derive(Debug, Clone)]
 pub struct Generic {
+    name: FilterName,
     filter: Filter,
     gyro_bias_rad_s: Vector3<f64>,
     r_world_base: UnitQuaternion<f64>,
@@ -31,13 +32,16 @@ pub struct Generic {
 }
 
 impl Generic {
-    /// The filter called `name`, primed with the alignment.
-    pub fn new(name: FilterName, periods: Periods, alignment: &Alignment) -> Self {
-        let mut filter = name.build(periods);
-        let mag = alignment.mag_rest_ut.as_ref();
-        if let Some(field) =
-            mag.and_then(|mag| FieldShape::from_rest(&alignment.acc_rest_m_s2, mag))
-        {
+    /// The filter called `name`, primed with an alignment during which the tip was at `bend`, and updated at most once in
+    /// `period_s`.
+    pub fn new(name: FilterName, alignment: &Alignment, bend: Bend, period_s: f64) -> Self {
+        let (imu_s, mag_s) = alignment.periods_s();
+        let mut filter = name.build(Periods {
+            imu_s: imu_s.max(period_s),
+            mag_s: mag_s.max(period_s).min(1.0),
+        });
+        let shape = |mag| FieldShape::from_rest(&alignment.acc_rest_m_s2, mag);
+        if let Some(field) = alignment.mag_rest_ut.as_ref().and_then(shape) {
             filter.set_field_reference(field.norm_ut, field.dip_rad);
         }
         let still = ImuSample {
@@ -47,24 +51,22 @@ impl Generic {
             mag_ut: alignment.mag_rest_ut,
         };
         for k in 0..PRIME_STEPS {
-            filter.update(
-                &still,
-                PRIME_STEP_S * PRIME_SHRINK.powi((k - PRIME_STEPS / 2).max(0)),
-            );
+            let shrink = PRIME_SHRINK.powi((k - PRIME_STEPS / 2).max(0));
+            filter.update(&still, PRIME_STEP_S * shrink);
         }
-        let r_world_base = filter.orientation().quat();
+        let r_base_tip = bend.rotation().quat();
         Self {
-            filter,
+            name,
             gyro_bias_rad_s: alignment.gyro_bias_rad_s,
-            r_world_base,
-            r_base_tip: UnitQuaternion::identity(),
+            r_world_base: filter.orientation().quat() * r_base_tip.inverse(),
+            r_base_tip,
+            filter,
         }
     }
 
-    /// Sets the bend that the tip had during the alignment.
-    pub fn set_alignment_bend(&mut self, bend: Bend) {
-        self.r_world_base *= bend.rotation().quat().inverse();
-        self.r_base_tip = bend.rotation().quat();
+    /// Starts anew from an alignment during which the tip was at `bend`.
+    pub fn rebase(&mut self, now: &Alignment, bend: Bend) {
+        *self = Self::new(self.name, now, bend, 0.0);
     }
 }
 
@@ -133,14 +135,7 @@ mod tests {
                 UnitQuaternion::from_euler_angles(2.8, 0.1, 1.0),
             ] {
                 let rest = alignment(&base);
-                let mut filter = Generic::new(
-                    name,
-                    Periods {
-                        imu_s: 0.002,
-                        mag_s: 0.01,
-                    },
-                    &rest,
-                );
+                let mut filter = Generic::new(name, &rest, Bend::STRAIGHT, 0.0);
                 let mut before = UnitQuaternion::identity();
                 for k in 1..=1500 {
                     let t = f64::from(k) * 0.002;

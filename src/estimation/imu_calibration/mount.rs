@@ -88,12 +88,11 @@ pub fn from_bends(bends: &[BendTurn]) -> Result<Mount, Refusal> {
     };
     let spread = eigen.eigenvalues[order[1]];
     if spread < SPREAD_MIN {
-        let advice = "bend in all directions, at most 90° apart";
         return Err(Refusal::PoorCoverage {
             what: "the plane of bends",
             have: spread,
             want: SPREAD_MIN,
-            advice,
+            advice: "bend in all directions, at most 90° apart",
         });
     }
     let (q, yaw_known) = match directed(&used) {

@@ -138,29 +138,26 @@ pub fn rests(samples: &[ImuSample]) -> Vec<Rest> {
         let Some(n) = samples[from..].iter().position(|s| s.t.0 >= end_s) else {
             break;
         };
-        if let Ok(window) = rest(&samples[from..=from + n]) {
-            let joined = found.last().and_then(|last| {
-                let stretch = &samples[last.first..=from + n];
-                (last.first + last.samples >= from)
-                    .then(|| rest(stretch).ok())
-                    .flatten()
-            });
-            match (joined, found.last_mut()) {
-                (Some(longer), Some(last)) => {
-                    *last = Rest {
-                        first: last.first,
-                        ..longer
-                    }
-                }
-                _ => found.push(Rest {
-                    first: from,
-                    ..window
-                }),
-            }
-            from += n;
-        } else {
+        let Ok(window) = rest(&samples[from..=from + n]) else {
             from += (n / 4).max(1);
+            continue;
+        };
+        let adjacent = found.last().filter(|r| r.first + r.samples >= from);
+        let joined = adjacent.and_then(|Rest { first, .. }| {
+            let longer = rest(&samples[*first..=from + n]).ok()?;
+            Some(Rest {
+                first: *first,
+                ..longer
+            })
+        });
+        if joined.is_some() {
+            found.pop();
         }
+        found.push(joined.unwrap_or(Rest {
+            first: from,
+            ..window
+        }));
+        from += n;
     }
     found
 }

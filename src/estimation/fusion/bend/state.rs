@@ -246,10 +246,7 @@ impl BendFilter {
         window.base_acc.add(base.acc_change_m_s2);
         window.base_mag.add(base.mag_change_ut);
         window.turns_s += midway * dt_s;
-        for j in 0..3 {
-            let mut column = window.scaled.column_mut(j);
-            column += midway.column(j) * (rate[j] * dt_s);
-        }
+        window.scaled += midway * Matrix3::from_diagonal(&(rate * dt_s));
         window.turned += self.turn_rate * dt_s;
         window.path += self.rate_rad_s * dt_s;
         let s = self.s.to_rotation_matrix().into_inner();

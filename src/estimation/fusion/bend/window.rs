@@ -26,9 +26,9 @@ impl Direction {
     pub fn mean(&self) -> Vector3<f64> {
         self.sum / f64::from(self.n.max(1))
     }
-    /// Mean orientation.
-    pub fn turn(&self) -> Matrix3<f64> {
-        self.turns / f64::from(self.n.max(1))
+    /// Slope of the mean, less the reading during alignment, by the bias: the mean orientation less the first.
+    pub fn by_bias(&self) -> Matrix3<f64> {
+        self.turns / f64::from(self.n.max(1)) - Matrix3::identity()
     }
 }
 

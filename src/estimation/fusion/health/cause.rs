@@ -73,10 +73,6 @@ impl CauseSet {
     /// The empty set.
     pub const EMPTY: Self = Self(0);
 
-    /// The set of one cause.
-    pub const fn of(cause: HealthCause) -> Self {
-        Self(cause.bit())
-    }
     /// Adds a cause.
     pub const fn insert(&mut self, cause: HealthCause) {
         self.0 |= cause.bit();

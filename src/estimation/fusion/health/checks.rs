@@ -134,12 +134,7 @@ impl Checks {
 
     fn inspect_sample(&mut self, seen: &Seen<'_>, shaken: bool, found: &mut Findings) {
         use HealthCause::{BrownOut, Nack, ShortRead, StuckBus, WrongId};
-        let Seen {
-            config,
-            sample,
-            quality,
-            ..
-        } = *seen;
+        let (config, sample, quality) = (seen.config, seen.sample, seen.quality);
         self.bus_failures = 0;
         for cause in [Nack, ShortRead, StuckBus, WrongId, BrownOut] {
             found.test(cause, false);
@@ -203,12 +198,7 @@ impl Checks {
     }
 
     fn check_magnetometer(&mut self, seen: &Seen<'_>, found: &mut Findings) {
-        let Seen {
-            config,
-            now,
-            sample,
-            quality,
-        } = *seen;
+        let (config, now, sample, quality) = (seen.config, seen.now, seen.sample, seen.quality);
         let since = *self.last_mag_s.get_or_insert(now);
         // a field that repeats itself bit for bit was not measured again
         let repeats = quality.expect_noise && sample.mag_ut == self.last_mag_ut;

@@ -91,6 +91,7 @@ pub struct SensorMonitor {
     checks: Checks,
     /// Time of the last usable gyroscope sample, s.
     used_s: Option<f64>,
+    verdict: Option<HealthVerdict>,
 }
 
 impl SensorMonitor {
@@ -99,8 +100,11 @@ impl SensorMonitor {
     pub fn set_known(&mut self, known: KnownErrors, rest: &Alignment) {
         self.checks.set_known(known, rest);
     }
-    /// Causes that are in force.
-    pub fn in_force(&self) -> CauseSet {
+    /// The verdict on the last reading.
+    pub fn verdict(&self) -> Option<HealthVerdict> {
+        self.verdict
+    }
+    fn in_force(&self) -> CauseSet {
         let in_force = |cause: &HealthCause| self.track(*cause).since.is_some();
         HealthCause::ALL.into_iter().filter(in_force).collect()
     }
@@ -119,12 +123,12 @@ impl SensorMonitor {
         let found = self.checks.inspect(config, now.0, reading, shaken);
         let (raised, recovered) = self.update_tracks(config, now.0, &found);
         let verdict = self.apply_policies(config, now.0, reading, found.faults);
-        HealthVerdict {
+        *self.verdict.insert(HealthVerdict {
             raised,
             recovered,
             confirmed: found.confirmed,
             ..verdict
-        }
+        })
     }
 
     /// Advances the track of every cause by one reading; returns the causes raised and those cleared.

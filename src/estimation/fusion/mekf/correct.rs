@@ -18,7 +18,7 @@ const MISFIT_STEP_MAX: f64 = 100.0;
 type Row = [(usize, f64); 8];
 
 /// Rows of a field residual (reading minus model, world axes): `−φ × y − ∂y/∂τ δτ + (δh, 0, δz) + R δm`.
-fn rows(reading: &FieldMean) -> [Row; 3] {
+pub(super) fn rows(reading: &FieldMean) -> [Row; 3] {
     let turn = reading.world_ut.cross_matrix();
     let earth = [(FIELD, 1.0), (FIELD, 0.0), (FIELD + 1, 1.0)];
     std::array::from_fn(|axis| {
@@ -36,18 +36,6 @@ fn rows(reading: &FieldMean) -> [Row; 3] {
 }
 
 impl Mekf {
-    /// Processes the first field reading, which defines north: its residual is zero by definition.
-    pub(super) fn observe_first_field(
-        &mut self,
-        errors: &mut Errors,
-        reading: &FieldMean,
-        variance_ut2: f64,
-    ) {
-        for row in rows(reading) {
-            self.covariance.observe(errors, &row, 0.0, variance_ut2);
-        }
-    }
-
     /// Observes a velocity near zero; at standstill a velocity of zero and the gyroscope bias.
     pub(super) fn observe_motion(&mut self, errors: &mut Errors, dt_s: f64) {
         let c = &self.config;

@@ -97,15 +97,13 @@ pub struct Mekf {
 impl Mekf {
     /// A filter that levels itself with the first sample.
     pub fn new(config: MekfConfig) -> Self {
-        let estimate = Estimate {
-            latency_s: config.latency_ms * 1e-3,
-            ..Estimate::default()
-        };
-        let covariance = Covariance::from_sigmas(&first_sigmas(&config));
         Self {
             config,
-            estimate,
-            covariance,
+            estimate: Estimate {
+                latency_s: config.latency_ms * 1e-3,
+                ..Estimate::default()
+            },
+            covariance: Covariance::from_sigmas(&first_sigmas(&config)),
             ..Self::default()
         }
     }
@@ -128,11 +126,10 @@ impl Mekf {
         let tilt = self.config.first_tilt_deg.to_radians()
             + (acc.norm() / GRAVITY_M_S2 - 1.0).abs().min(1.0)
             + if moving { MOVING_TILT_RAD } else { 0.0 };
-        let fresh = first_sigmas(&self.config);
-        for (k, sigma) in [tilt, tilt, HEADING_UNKNOWN_RAD].into_iter().enumerate() {
-            self.covariance.isolate(ATTITUDE + k, sigma);
-        }
-        for k in (VELOCITY..VELOCITY + 2).chain(FIELD..FIELD + 2) {
+        let mut fresh = first_sigmas(&self.config);
+        fresh.rows_mut(ATTITUDE, 2).fill(tilt);
+        let velocity_and_field = (VELOCITY..VELOCITY + 2).chain(FIELD..FIELD + 2);
+        for k in (ATTITUDE..BIAS).chain(velocity_and_field) {
             self.covariance.isolate(k, fresh[k]);
         }
         self.levelled = true;
@@ -207,7 +204,10 @@ impl Mekf {
         };
         let mut errors = Errors::zeros();
         let place_ut2 = self.config.first_field_sigma_ut.powi(2);
-        self.observe_first_field(&mut errors, &reading, place_ut2);
+        for row in correct::rows(&reading) {
+            // north is defined by this reading, so its residual is zero
+            self.covariance.observe(&mut errors, &row, 0.0, place_ut2);
+        }
         self.inject(&errors);
     }
 

@@ -31,12 +31,8 @@ use tracking::Tracker;
 #[derive(Debug, Clone, Default)]
 pub struct Fusion {
     monitor: SensorMonitor,
-    verdict: Option<HealthVerdict>,
     base: BaseTracker,
     base_monitor: SensorMonitor,
-    base_raised: CauseSet,
-    /// The base IMU has been seen.
-    with_base: bool,
     /// The still stretch at the start.
     start: AlignState,
     /// What runs from the alignment on.
@@ -56,7 +52,6 @@ impl Fusion {
         };
         let reading = tracker.expecting_noise(input.tip);
         let verdict = self.monitor.assess(&tracker.limits, input.now, &reading);
-        self.verdict = Some(verdict);
         tracker.update(config, &verdict, input, &self.base.turn());
         if let Some(filter) = tracker.bend_filter() {
             let known = filter.known_errors();
@@ -67,7 +62,6 @@ impl Fusion {
     /// Waits for a still tip.
     fn align(&mut self, config: &FuseConfig, input: &FusionInput) {
         let verdict = self.monitor.assess(&config.health, input.now, &input.tip);
-        self.verdict = Some(verdict);
         let usable = verdict.gyro && !verdict.in_force.contains(HealthCause::Frozen);
         if let Some(sample) = input.tip.sample().filter(|_| usable)
             && let Some(alignment) = self.start.add(&config.align, sample)
@@ -79,8 +73,7 @@ impl Fusion {
 
     /// Follows the base with its own IMU while that is healthy.
     fn update_base(&mut self, config: &FuseConfig, input: &FusionInput) {
-        self.with_base |= input.base.is_some();
-        if !self.with_base {
+        if input.base.is_none() && self.base_health().is_none() {
             return;
         }
         let noisy = self.base.noisy();
@@ -88,7 +81,6 @@ impl Fusion {
         let tracker = self.tracker.as_ref();
         let limits = tracker.map_or(config.health, Tracker::base_limits);
         let verdict = self.base_monitor.assess(&limits, input.now, &reading);
-        self.base_raised = verdict.raised;
         if let Some(sample) = input.base.filter(|_| verdict.gyro) {
             let sample = ImuSample {
                 mag_ut: sample.mag_ut.filter(|_| verdict.mag),
@@ -138,15 +130,9 @@ impl Fusion {
 
     /// Right after alignment: corrects it for a tip that was not straight but at `bend`. The straight alignment is
     /// known from before a restart: mean specific force, m/s², and mean field, µT.
-    pub fn assume(
-        &mut self,
-        config: &FuseConfig,
-        bend: Bend,
-        acc_m_s2: &Vector3<f64>,
-        mag_ut: Option<Vector3<f64>>,
-    ) {
+    pub fn assume(&mut self, bend: Bend, acc_m_s2: &Vector3<f64>, mag_ut: Option<Vector3<f64>>) {
         if let Some(tracker) = &mut self.tracker {
-            tracker.assume(config, bend, acc_m_s2, mag_ut);
+            tracker.assume(bend, acc_m_s2, mag_ut);
             let known = KnownErrors::default();
             self.monitor.set_known(known, &tracker.alignment);
         }
@@ -197,20 +183,20 @@ impl Fusion {
     }
     /// The verdict on the last reading.
     pub fn verdict(&self) -> Option<HealthVerdict> {
-        self.verdict
+        self.monitor.verdict()
     }
     /// Health causes in force.
     pub fn in_force(&self) -> CauseSet {
-        self.verdict.map_or(CauseSet::EMPTY, |v| v.in_force)
+        self.verdict().map_or(CauseSet::EMPTY, |v| v.in_force)
     }
     /// The pistons must not move.
     pub fn hold(&self) -> bool {
-        self.verdict.is_some_and(|v| v.hold)
+        self.verdict().is_some_and(|v| v.hold)
     }
     /// Causes against the IMU on the base: those in force, and those raised by the last reading. `None` without such an IMU.
     pub fn base_health(&self) -> Option<(CauseSet, CauseSet)> {
-        self.with_base
-            .then(|| (self.base_monitor.in_force(), self.base_raised))
+        let verdict = self.base_monitor.verdict()?;
+        Some((verdict.in_force, verdict.raised))
     }
     /// The base has an IMU of its own, and it is aligned.
     pub fn tracks_base(&self) -> bool {
@@ -249,7 +235,7 @@ impl Fusion {
     /// Rate of the last used sample minus the gyroscope bias, sensor axes, rad/s; `None` if the last reading was not used. The bias is the
     /// present one: an older one makes a gyroscope that warms up a tip that twists.
     pub fn rate_rad_s(&self) -> Option<Vector3<f64>> {
-        let (tracker, verdict) = (self.tracker.as_ref()?, self.verdict?);
+        let (tracker, verdict) = (self.tracker.as_ref()?, self.verdict()?);
         let at_rest = tracker.alignment.gyro_bias_rad_s;
         let bias = self.bend_filter().map_or(at_rest, |f| f.gyro_bias_rad_s());
         let sample = tracker.last.filter(|_| verdict.gyro)?;

@@ -11,7 +11,7 @@ use crate::estimation::fusion::health::{HealthCause, HealthConfig, HealthVerdict
 use crate::estimation::fusion::second::Second;
 use crate::model::Bend;
 use crate::primitives::{ImuSample, Seconds};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2, Vector3};
 
 /// Uncertainty of the bend during a re-alignment, rad (2°), 1 σ.
 const REALIGN_SIGMA_RAD: f64 = 0.035;
@@ -244,7 +244,7 @@ impl Tracker {
             // later estimates of the sensor errors contain the turn of the base
             *f = saved;
         }
-        self.rebase(config, &now, bend);
+        self.rebase(&now, bend);
         if let Some(f) = self.bend_filter() {
             self.alignment = f.alignment();
         }
@@ -252,13 +252,7 @@ impl Tracker {
         self.smoother.offset = estimate - self.estimator.bend().0;
     }
 
-    pub fn assume(
-        &mut self,
-        config: &FuseConfig,
-        bend: Bend,
-        acc_m_s2: &Vector3<f64>,
-        mag_ut: Option<Vector3<f64>>,
-    ) {
+    pub fn assume(&mut self, bend: Bend, acc_m_s2: &Vector3<f64>, mag_ut: Option<Vector3<f64>>) {
         let bent = bend.rotation().inverse();
         let mag_rest_ut = self.alignment.mag_rest_ut.and(mag_ut);
         let now = Alignment {
@@ -271,34 +265,28 @@ impl Tracker {
             mag_rest_ut,
             ..self.alignment
         };
-        self.rebase(config, &now, bend);
+        self.rebase(&now, bend);
     }
 
-    fn rebase(&mut self, config: &FuseConfig, now: &Alignment, bend: Bend) {
-        for (estimator, name) in [
-            (&mut self.estimator, config.filter),
-            (&mut self.second.estimator, config.filter.second()),
-        ] {
-            estimator.rebase(name, &config.bend, now, bend, REALIGN_SIGMA_RAD);
+    fn rebase(&mut self, now: &Alignment, bend: Bend) {
+        for estimator in [&mut self.estimator, &mut self.second.estimator] {
+            estimator.rebase(now, bend, REALIGN_SIGMA_RAD);
         }
     }
 
     /// The bend filter, whether it is the selected or the second estimator.
     pub fn bend_filter(&self) -> Option<&BendFilter> {
-        self.estimator
-            .as_bend()
-            .or_else(|| self.second.estimator.as_bend())
+        let second = || self.second.estimator.as_bend();
+        self.estimator.as_bend().or_else(second)
     }
 
     pub fn estimate(&self) -> TipEstimate {
         let bend = self.estimator.bend();
+        let sigma = |c: Matrix2<f64>| c.symmetric_eigenvalues().max().max(0.0).sqrt();
         let mut estimate = TipEstimate {
             r_base_tip: self.estimator.r_base_tip(),
             bend,
-            sigma_rad: self
-                .estimator
-                .covariance()
-                .map(|c| c.symmetric_eigenvalues().max().max(0.0).sqrt()),
+            sigma_rad: self.estimator.covariance().map(sigma),
             disagrees: self.second.disagrees,
             disagreement_rad: self.second.angle_rad,
         };
