@@ -263,10 +263,7 @@ mod tests {
             to.at("a.x_mm")
                 .range(self.a.x_mm, 0.0..=1.0, "mm")
                 .hint("measure it again");
-            for (i, x) in self.a.many.iter().enumerate() {
-                let at = to.at(&format!("a.many.{i}"));
-                at.range(*x, 0.0..=1.0, "").hint("");
-            }
+            to.each("a.many", &self.a.many, &(0.0..=1.0), "", "");
         }
     }
 

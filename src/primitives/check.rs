@@ -92,6 +92,21 @@ impl Checker {
         }
     }
 
+    /// Each number of an array must lie in a range.
+    pub fn each(
+        &mut self,
+        key: &str,
+        values: &[f64],
+        allowed: &RangeInclusive<f64>,
+        unit: &str,
+        hint: &str,
+    ) {
+        for (i, value) in values.iter().enumerate() {
+            let at = self.at(&format!("{key}.{i}"));
+            at.range(*value, allowed.clone(), unit).hint(hint);
+        }
+    }
+
     /// Refuses a value.
     pub fn refuse(&mut self, key: &str, problem: String, hint: &str) {
         self.first.get_or_insert(Invalid {
