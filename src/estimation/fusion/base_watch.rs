@@ -22,8 +22,10 @@
 //! causes a twist that contradicts the mechanism ([`super::bend::BendFilter::twist_misfit`]). That is reported but
 //! does not freeze the feedback, since a disturbed field has the same effect.
 
+use crate::estimation::fusion::bend::right_jacobian_inverse;
 use crate::estimation::fusion::intake::{held_s, share};
 use crate::estimation::fusion::sway::Sway;
+use crate::model::Bend;
 use crate::parameters;
 use nalgebra::{Vector2, Vector3};
 
@@ -144,7 +146,9 @@ impl Watch {
         let decay = |tau_s: f64| (-input.dt_s / (tau_s + 2.0 * input.response_s)).exp();
         self.path_fast = self.path_fast * decay(PATH_FAST_S) + path;
         self.path_slow = self.path_slow * decay(PATH_SLOW_S) + path;
-        let phi_rate = rotation_vector_rate(&input.estimate, &input.rate_rad_s);
+        // rate of the rotation vector φ = (b_y, b_x, 0)
+        let phi = Bend(input.estimate).rotation_vector();
+        let phi_rate = right_jacobian_inverse(&phi) * input.rate_rad_s;
         let fade = 1.0 - share(input.dt_s, config.memory_s);
         self.twist = self.twist * fade + phi_rate.z * input.dt_s;
         // b = (φ_y, φ_x)
@@ -225,12 +229,6 @@ impl Watch {
     pub fn quiet(&self) -> bool {
         self.settled && self.bend.norm() < QUIET_RAD && self.twist.abs() < QUIET_RAD
     }
-}
-
-/// Rate of the rotation vector φ = (b_y, b_x, 0) for a tip rate ω: J_r⁻¹(φ) ω.
-fn rotation_vector_rate(bend: &Vector2<f64>, rate: &Vector3<f64>) -> Vector3<f64> {
-    let phi = Vector3::new(bend.y, bend.x, 0.0);
-    super::bend::right_jacobian_inverse(&phi) * rate
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@
 //! A new filter needs its own file, a line in `fusion/mod.rs` and its entries in [`FilterName`] and [`Filter`].
 
 use crate::estimation::fusion::filter::{OrientationFilter, Periods};
-use crate::estimation::fusion::madgwick::{Madgwick, MadgwickConfig};
+use crate::estimation::fusion::madgwick::Madgwick;
 use crate::estimation::fusion::mekf::{Mekf, MekfConfig};
 use crate::estimation::fusion::vqf::{TAU_MAG_LONG_S, TAU_MAG_S, Vqf};
 use crate::named;
@@ -38,7 +38,7 @@ impl FilterName {
     /// A new filter with its shipped settings.
     pub fn build(self, periods: Periods) -> Filter {
         match self {
-            Self::Madgwick => Filter::Madgwick(Madgwick::new(MadgwickConfig::default())),
+            Self::Madgwick => Filter::Madgwick(Madgwick::default()),
             Self::Vqf => Filter::Vqf(Vqf::new(periods, TAU_MAG_S)),
             Self::VqfLong => Filter::Vqf(Vqf::new(periods, TAU_MAG_LONG_S)),
             Self::Mekf => Filter::Mekf(Mekf::new(MekfConfig::default())),

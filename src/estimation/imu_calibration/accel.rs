@@ -45,10 +45,9 @@ fn mean_noise(rest: &Rest) -> f64 {
 /// [`Refusal::PoorFit`] if the rests contradict each other.
 pub fn six_positions(rests: &[Rest]) -> Result<VectorFit, Refusal> {
     let faces = by_face(rests);
-    for (face, found) in FACES.iter().zip(&faces) {
-        if found.is_none() {
-            return Err(Refusal::MissingFace { face });
-        }
+    if let Some(missing) = faces.iter().position(Option::is_none) {
+        let face = FACES[missing];
+        return Err(Refusal::MissingFace { face });
     }
     let mut p = SVector::<f64, 6>::zeros();
     for i in 0..3 {

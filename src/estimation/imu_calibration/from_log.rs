@@ -13,10 +13,8 @@ const STILL_AFTER_S: f64 = 0.5;
 
 /// The samples of a log; none if it has no IMU.
 pub fn samples(log: &BendLog) -> Vec<ImuSample> {
-    let Some(imu) = &log.imu else {
-        return Vec::new();
-    };
-    imu.samples(&log.t_s).collect()
+    let imu = log.imu.as_ref();
+    imu.map_or_else(Vec::new, |imu| imu.samples(&log.t_s).collect())
 }
 
 /// Magnetometer readings in the base frame with the motors' step counts. The tip orientation is estimated without the

@@ -194,8 +194,7 @@ impl BendFilter {
     /// counts as its own motion; a rate beyond that, or with a third component, is the base's.
     pub(super) fn standstill(&mut self) -> Option<Reading<3>> {
         let n = f64::from((self.window.still_n > 0).then_some(self.window.still_n)?);
-        let bend = self.bend().0;
-        let to_phi = right_jacobian_inverse(&Vector3::new(bend.y, bend.x, 0.0));
+        let to_phi = right_jacobian_inverse(&self.bend().rotation_vector());
         let rate = to_phi * (self.window.still / n);
         let white = self.gyro_sigma_rad_s().powi(2) / n;
         let known = self.bank.mean_variance(GYRO) + white;

@@ -103,12 +103,11 @@ impl Fusion {
 
     /// The tip's reading with the field of the motor coils subtracted.
     fn without_coils(&self, input: &FusionInput) -> ImuReading {
-        let coils_ut = self.tracker.as_ref().map_or(input.coils_ut, |t| {
-            t.estimator.r_base_tip().inverse().apply(&input.coils_ut)
+        let coils_ut = self.estimator().map_or(input.coils_ut, |e| {
+            e.r_base_tip().inverse().apply(&input.coils_ut)
         });
-        input
-            .tip
-            .map(|s, _| s.mag_ut = s.mag_ut.map(|m| m - coils_ut))
+        let subtract = |m: Vector3<f64>| m - coils_ut;
+        input.tip.map(|s, _| s.mag_ut = s.mag_ut.map(subtract))
     }
 
     /// Saves the estimated sensor errors, for a later [`Fusion::realign`]. The caller reports that the tip has
