@@ -184,9 +184,10 @@ impl Watch {
                 let way = self.bend / size;
                 let most = DRIVEN_SHARE * onset;
                 let turns = self.turned.dot(&way) > most && self.driven.dot(&way) < most;
-                self.onset = match input.still_s > 2.0 * input.response_s || turns {
-                    true => Onset::Unprovoked,
-                    false => Onset::Driven,
+                self.onset = if input.still_s > 2.0 * input.response_s || turns {
+                    Onset::Unprovoked
+                } else {
+                    Onset::Driven
                 };
             }
         } else {

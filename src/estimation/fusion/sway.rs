@@ -113,9 +113,10 @@ impl Sway {
     /// Share of the unexplained bend that is due to the tip and not to a swaying base, 0 to 1; 1 for a base that stands.
     pub fn share_of_tip(&self) -> f64 {
         let sway2 = FALSE_CORRECTION_COST * self.mean_square();
-        match sway2 > 0.0 {
-            true => (1.0 - sway2 / self.unexplained2).clamp(0.0, 1.0),
-            false => 1.0,
+        if sway2 > 0.0 {
+            (1.0 - sway2 / self.unexplained2).clamp(0.0, 1.0)
+        } else {
+            1.0
         }
     }
 }

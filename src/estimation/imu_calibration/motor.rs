@@ -120,9 +120,10 @@ fn normal(samples: &[MotorSample], p: &SVector<f64, SIZE>) -> Normal {
             let (c, q, k) = place(i);
             let (sin, cos) = phase_rad(s.counts[i]).sin_cos();
             let full = p.fixed_rows::<3>(c) * cos + p.fixed_rows::<3>(q) * sin;
-            let (strength, slope) = match s.energised[i] {
-                true => (1.0, Vector3::zeros()),
-                false => (p[k], full),
+            let (strength, slope) = if s.energised[i] {
+                (1.0, Vector3::zeros())
+            } else {
+                (p[k], full)
             };
             residual -= full * strength;
             *term = (strength * cos, strength * sin, slope);

@@ -102,9 +102,10 @@ impl Refusal {
     }
     /// Refuses less than `want` samples.
     pub(super) fn unless_enough(have: usize, want: usize) -> Result<(), Self> {
-        match have < want {
-            true => Err(Self::TooFewSamples { have, want }),
-            false => Ok(()),
+        if have < want {
+            Err(Self::TooFewSamples { have, want })
+        } else {
+            Ok(())
         }
     }
 }

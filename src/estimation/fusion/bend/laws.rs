@@ -51,9 +51,10 @@ impl Twist {
 pub(crate) fn right_jacobian_inverse(phi: &Vector3<f64>) -> Matrix3<f64> {
     let a = phi.norm();
     let k = phi.cross_matrix();
-    let c = match a < 1e-3 {
-        true => 1.0 / 12.0,
-        false => 1.0 / (a * a) - (1.0 + a.cos()) / (2.0 * a * a.sin()),
+    let c = if a < 1e-3 {
+        1.0 / 12.0
+    } else {
+        1.0 / (a * a) - (1.0 + a.cos()) / (2.0 * a * a.sin())
     };
     Matrix3::identity() + k * 0.5 + k * k * c
 }

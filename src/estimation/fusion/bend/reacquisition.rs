@@ -49,9 +49,10 @@ impl BendFilter {
     /// Time between two corrections, s.
     pub(super) fn period_s(&self) -> f64 {
         let period_s = self.config.correction_period_s;
-        match self.reacquisition.testing_s > 0.0 {
-            true => period_s.min(TEST_PERIOD_S),
-            false => period_s,
+        if self.reacquisition.testing_s > 0.0 {
+            period_s.min(TEST_PERIOD_S)
+        } else {
+            period_s
         }
     }
 

@@ -51,9 +51,10 @@ impl Block {
         let step = rotation * dt_s;
         let turned = |axis: usize, by: usize| step.column(axis) * rate[by];
         for (mut sum, (i, j)) in self.skewed.column_iter_mut().zip(SCALE_AXES) {
-            sum += match i == j {
-                true => turned(i, i),
-                false => turned(i, j) + turned(j, i),
+            sum += if i == j {
+                turned(i, i)
+            } else {
+                turned(i, j) + turned(j, i)
             };
         }
     }
