@@ -9,7 +9,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use retroflex::estimation::fusion::align::Alignment;
 use retroflex::estimation::fusion::base::BaseTurn;
 use retroflex::estimation::fusion::bend::{BendFilter, BendFilterConfig};
-use retroflex::estimation::fusion::{Filter, FilterName, MeasurementMask, Periods, TipEstimator};
+use retroflex::estimation::fusion::{Filter, FilterName, Periods, TipEstimator, TipSample};
 use retroflex::primitives::sample::ImuSample;
 use retroflex::primitives::units::Seconds;
 use std::time::Instant;
@@ -91,23 +91,23 @@ fn bend_filter(first: &ImuSample) -> BendFilter {
     BendFilter::new(&BendFilterConfig::default(), &alignment)
 }
 
-const MASK: MeasurementMask = MeasurementMask {
-    acc: true,
-    mag: true,
-    still: false,
-};
+fn step(imu: &ImuSample) -> TipSample {
+    TipSample {
+        imu: *imu,
+        dt_s: PERIOD_S,
+        acc: true,
+        mag: true,
+        still: false,
+        base: BaseTurn::default(),
+    }
+}
 
 #[divan::bench]
 fn bend(bencher: Bencher) {
     let samples = samples();
     let (mut filter, mut k) = (bend_filter(&samples[0]), 0);
     bencher.bench_local(|| {
-        filter.update(
-            black_box(&samples[k % SAMPLES]),
-            PERIOD_S,
-            MASK,
-            &BaseTurn::none(),
-        );
+        filter.update(&step(black_box(&samples[k % SAMPLES])));
         k += 1;
     });
 }
@@ -147,7 +147,7 @@ fn ratios() {
     let ns = best_ns(|| {
         samples
             .iter()
-            .for_each(|s| filter.update(black_box(s), PERIOD_S, MASK, &BaseTurn::none()))
+            .for_each(|s| filter.update(&step(black_box(s))))
     });
     println!(
         "{:<10} {ns:8.0} ns per update, {:5.1} x bare ahrs",

@@ -75,8 +75,10 @@ fn run(config: &LoopConfig, unit: &PlantConfig, period_s: f64, noise: u64) -> Fi
     let filter = filter.expect("the default estimator is `bend`");
     let per_axis = |error: Vector3<f64>, sigma: f64| (error / sigma).norm_squared() / 3.0;
     let mg = 9.81e-3;
-    let (acc, acc_sigma) = filter.acc_bias_m_s2();
-    let (iron, iron_sigma) = filter.mag_bias_ut();
+    // the margins are three standard deviations
+    let known = filter.known_errors();
+    let (acc, acc_sigma) = (known.acc_bias_m_s2, known.acc_margin_m_s2 / 3.0);
+    let (iron, iron_sigma) = (known.iron_ut, known.iron_margin_ut / 3.0);
     let offset = unit
         .effects
         .hard_iron
@@ -111,7 +113,8 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose, figures: &mut Figures, n: &mut f64) {
             let error = estimate.bend.0 - truth.0;
             let angle = estimate.bend.beta() - truth.beta();
             figures.error_sq += angle.to_degrees().powi(2);
-            let inverse = filter.covariance().try_inverse().unwrap_or_default();
+            let covariance = rig.state.fusion.covariance();
+            let inverse = covariance.try_inverse().unwrap_or_default();
             figures.bend += error.dot(&(inverse * error)) / 2.0;
             for (sum, p) in figures.hypotheses.iter_mut().zip(filter.probabilities()) {
                 *sum += p;

@@ -175,8 +175,8 @@ fn accel_bias(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibrati
     into.set_accel(&fit, from);
     Ok(format!(
         "accelerometer bias {} m/s², residual {:.4} m/s², {:.0} % of the sphere covered, {} standstills",
-        list(fit.bias_m_s2, 3),
-        fit.residual_m_s2,
+        list(fit.bias, 3),
+        fit.residual,
         100.0 * fit.coverage,
         rests.len()
     ))
@@ -188,10 +188,10 @@ fn hard_iron(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibratio
     into.set_mag(&fit, from);
     Ok(format!(
         "hard iron {} µT, ± {:.2} µT, field {:.1} µT, residual {:.2} µT, {:.0} % of the sphere covered",
-        list(fit.bias_ut, 1),
-        fit.bias_sigma_ut.amax(),
-        fit.field_ut,
-        fit.residual_ut,
+        list(fit.bias, 1),
+        fit.bias_sigma.amax(),
+        fit.length,
+        fit.residual,
         100.0 * fit.coverage
     ))
 }

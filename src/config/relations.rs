@@ -138,9 +138,8 @@ fn homing(board: &Board, to: &mut Checker) {
     to.at("homing.repeat_max_mm")
         .range(h.repeat_max_mm, board.drive.law().step_mm..=1.0, "mm")
         .hint("at least one microstep");
-    to.at("homing.at_mm")
-        .ranges(&h.at_mm, -travel..=travel, "mm")
-        .hint("where the switch closes, within limits.travel_mm");
+    let hint = "where the switch closes, within limits.travel_mm";
+    to.each("homing.at_mm", &h.at_mm, &(-travel..=travel), "mm", hint);
     if h.method == HomingMethod::Operator {
         return;
     }

@@ -83,7 +83,7 @@ pub fn parse<T: DeserializeOwned + Check>(name: &str, text: &str) -> Result<T, C
         toml::from_str::<T>(&layer.text).map_err(|e| layer.mistyped::<T>(&e))?;
         let mut checker = Checker::default();
         if let Some(table) = T::TABLE {
-            table.check_part(&layer.values, &mut checker);
+            table.check(&layer.values, "", false, &mut checker);
         }
         checker.done().map_err(|e| layer.refused(&e))?;
     }
@@ -102,7 +102,7 @@ pub fn parse<T: DeserializeOwned + Check>(name: &str, text: &str) -> Result<T, C
         .for_each(|layer| fill(&mut values, &layer.values));
     let mut checker = Checker::default();
     if let Some(table) = T::TABLE {
-        table.check(&values, "", &mut checker);
+        table.check(&values, "", true, &mut checker);
     }
     checker.done().map_err(refused)?;
     let value = T::deserialize(values).map_err(|e| {
@@ -263,7 +263,7 @@ mod tests {
             to.at("a.x_mm")
                 .range(self.a.x_mm, 0.0..=1.0, "mm")
                 .hint("measure it again");
-            to.at("a.many").ranges(&self.a.many, 0.0..=1.0, "").hint("");
+            to.each("a.many", &self.a.many, &(0.0..=1.0), "", "");
         }
     }
 

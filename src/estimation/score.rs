@@ -52,9 +52,6 @@ pub struct FileScore {
 /// Why a recording has no score.
 #[derive(Debug, thiserror::Error)]
 pub enum ScoreError {
-    /// No file was named.
-    #[error("no recording given: name at least one CSV or CSV.gz file")]
-    NoFiles,
     /// A recording cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
@@ -80,23 +77,19 @@ pub fn error_angles(
     [total, heading, inclination]
 }
 
-/// Runs a filter with its shipped settings over a recording and scores it.
-///
-/// # Errors
-/// [`ScoreError::NoTruth`] if no row is both moving and referenced.
-pub fn score(recording: &Recording, filter: FilterName) -> Result<Score, ScoreError> {
-    let periods = Periods {
+/// Sampling periods of a recording.
+pub fn periods(recording: &Recording) -> Periods {
+    Periods {
         imu_s: recording.period_s(),
         mag_s: recording.mag_period_s(),
-    };
-    score_with(recording, &mut *filter.build(periods))
+    }
 }
 
 /// Runs a new filter over a recording and scores it.
 ///
 /// # Errors
 /// [`ScoreError::NoTruth`] if no row is both moving and referenced.
-pub fn score_with(
+pub fn score(
     recording: &Recording,
     filter: &mut dyn OrientationFilter,
 ) -> Result<Score, ScoreError> {
@@ -105,10 +98,8 @@ pub fn score_with(
     let mut before_s = None;
     for row in &recording.rows {
         let t_s = row.sample.t.0;
-        filter.update(
-            &row.sample,
-            before_s.map_or(period_s, |before_s| t_s - before_s),
-        );
+        let since_s = before_s.map_or(period_s, |before_s| t_s - before_s);
+        filter.update(&row.sample, since_s);
         before_s = Some(t_s);
         let Some(truth) = row.reference.filter(|_| row.moving) else {
             continue;
@@ -133,7 +124,7 @@ pub fn score_with(
     })
 }
 
-/// Scores files, in parallel: with `all` every filter, else `filter`, else [`DEFAULT_FILTER`].
+/// Scores files: with `all` every filter, else `filter`, else [`DEFAULT_FILTER`].
 ///
 /// The rows are ordered by file as given, then by filter as in [`FilterName::ALL`].
 ///
@@ -144,47 +135,32 @@ pub fn run(
     filter: Option<FilterName>,
     all: bool,
 ) -> Result<Vec<FileScore>, ScoreError> {
-    if files.is_empty() {
-        return Err(ScoreError::NoFiles);
-    }
     let one = [filter.unwrap_or(DEFAULT_FILTER)];
     let filters: &[FilterName] = if all { &FilterName::ALL } else { &one };
-    let scored: Vec<Result<Vec<FileScore>, ScoreError>> = files
-        .iter()
-        .map(|file| {
-            let recording = recording::read(file)?;
-            let file = || recording.name.clone();
-            let mut range = Saturation::default();
-            let rates = recording.rows.iter().map(|row| row.sample.gyro_rad_s);
-            let n = rates.filter(|rate| range.update(rate).is_some()).count();
-            let saturated = n as f64 / recording.rows.len().max(1) as f64;
-            filters
-                .iter()
-                .map(|&filter| {
-                    Ok(FileScore {
-                        file: file(),
-                        filter,
-                        score: score(&recording, filter)?,
-                        saturated,
-                    })
-                })
-                .collect()
-        })
-        .collect();
-    let rows: Vec<Vec<FileScore>> = scored.into_iter().collect::<Result<_, _>>()?;
-    Ok(rows.into_iter().flatten().collect())
+    let mut scored = Vec::new();
+    for file in files {
+        let recording = recording::read(file)?;
+        let (periods, mut range) = (periods(&recording), Saturation::default());
+        let rates = recording.rows.iter().map(|row| row.sample.gyro_rad_s);
+        let n = rates.filter(|rate| range.update(rate).is_some()).count();
+        for &filter in filters {
+            scored.push(FileScore {
+                file: recording.name.clone(),
+                filter,
+                score: score(&recording, &mut *filter.build(periods))?,
+                saturated: n as f64 / recording.rows.len().max(1) as f64,
+            });
+        }
+    }
+    Ok(scored)
 }
 
 /// Mean of one filter over the recordings; `None` if it has no row.
 pub fn mean(rows: &[FileScore], filter: FilterName) -> Option<Score> {
-    let of: Vec<&Score> = rows
-        .iter()
-        .filter(|r| r.filter == filter)
-        .map(|r| &r.score)
-        .collect();
-    let over =
-        |value: fn(&Score) -> f64| of.iter().map(|s| value(s)).sum::<f64>() / of.len() as f64;
-    (!of.is_empty()).then(|| Score {
+    let of = || rows.iter().filter(|r| r.filter == filter);
+    let count = of().count();
+    let over = |value: fn(&Score) -> f64| of().map(|r| value(&r.score)).sum::<f64>() / count as f64;
+    (count > 0).then(|| Score {
         total_deg: over(|s| s.total_deg),
         heading_deg: over(|s| s.heading_deg),
         inclination_deg: over(|s| s.inclination_deg),
@@ -282,7 +258,8 @@ mod tests {
     #[test]
     fn every_filter_reports_a_constant_reference_error() {
         for filter in FilterName::ALL {
-            let s = score(&still_recording(7.0, |k| k > 500, |k| k % 3 == 0), filter).unwrap();
+            let recording = still_recording(7.0, |k| k > 500, |k| k % 3 == 0);
+            let s = score(&recording, &mut *filter.build(periods(&recording))).unwrap();
             assert!(
                 (s.total_deg - 7.0).abs() < 0.01 && (s.heading_deg - 7.0).abs() < 0.01,
                 "{filter}: {s:?}"
@@ -294,14 +271,11 @@ mod tests {
     #[test]
     fn a_recording_without_truth_is_refused() {
         for (moving, referenced) in [(false, true), (true, false)] {
-            let error = score(
-                &still_recording(0.0, |_| moving, |_| referenced),
-                FilterName::Vqf,
-            )
-            .unwrap_err();
+            let recording = still_recording(0.0, |_| moving, |_| referenced);
+            let mut filter = FilterName::Vqf.build(periods(&recording));
+            let error = score(&recording, &mut *filter).unwrap_err();
             assert!(error.to_string().contains("still.csv"), "{error}");
         }
-        assert!(matches!(run(&[], None, true), Err(ScoreError::NoFiles)));
     }
 
     #[test]

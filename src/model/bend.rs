@@ -106,7 +106,8 @@ mod tests {
             let want = Rotation3::from_axis_angle(&Vector3::z_axis(), -delta)
                 * Rotation3::from_axis_angle(&Vector3::y_axis(), beta)
                 * Rotation3::from_axis_angle(&Vector3::z_axis(), delta);
-            let got = Bend::from_polar(Rad(beta), Rad(delta)).rotation().matrix();
+            let got = Bend::from_polar(Rad(beta), Rad(delta)).rotation().quat();
+            let got = got.to_rotation_matrix().into_inner();
             prop_assert!((got - want.matrix()).norm() < 1e-12);
             prop_assert!((got.transpose() * got - nalgebra::Matrix3::identity()).norm() < 1e-12);
         }

@@ -41,64 +41,38 @@ pub fn shown(key: &str) -> String {
 pub struct At<'a> {
     checker: &'a mut Checker,
     key: String,
-    /// Index that the key lacks, or nothing, and the problem.
-    found: Option<(String, String)>,
+    problem: Option<String>,
 }
 
 impl At<'_> {
     /// A number must lie in a range; NaN never does.
     pub fn range(self, value: f64, allowed: RangeInclusive<f64>, unit: &str) -> Self {
-        self.number("", value, &allowed, unit)
-    }
-
-    /// Each number of an array must lie in a range.
-    pub fn ranges(self, values: &[f64], allowed: RangeInclusive<f64>, unit: &str) -> Self {
-        values.iter().enumerate().fold(self, |at, (i, &v)| {
-            at.number(&format!(".{i}"), v, &allowed, unit)
-        })
+        if allowed.contains(&value) {
+            return self;
+        }
+        let space = if unit.is_empty() { "" } else { " " };
+        let value = match value.abs() {
+            0.0 | 1e-6..1e9 => value.to_string(),
+            _ => format!("{value:e}"),
+        };
+        let (low, high) = (allowed.start(), allowed.end());
+        let problem = format!("{value}{space}{unit} is outside {low} to {high}{space}{unit}");
+        self.holds(false, &problem)
     }
 
     /// A relation between values must hold.
     pub fn holds(mut self, good: bool, problem: &str) -> Self {
         if !good {
-            self.found
-                .get_or_insert((String::new(), problem.to_owned()));
+            self.problem.get_or_insert(problem.to_owned());
         }
         self
     }
 
     /// Ends the check: says how to correct a value that is refused.
     pub fn hint(self, hint: &str) {
-        if let Some((index, problem)) = self.found {
-            self.checker.refuse(&(self.key + &index), problem, hint);
+        if let Some(problem) = self.problem {
+            self.checker.refuse(&self.key, problem, hint);
         }
-    }
-
-    fn number(
-        mut self,
-        index: &str,
-        value: f64,
-        allowed: &RangeInclusive<f64>,
-        unit: &str,
-    ) -> Self {
-        if !allowed.contains(&value) {
-            let unit = if unit.is_empty() {
-                String::new()
-            } else {
-                format!(" {unit}")
-            };
-            let value = match value.abs() {
-                0.0 | 1e-6..1e9 => value.to_string(),
-                _ => format!("{value:e}"),
-            };
-            let problem = format!(
-                "{value}{unit} is outside {} to {}{unit}",
-                allowed.start(),
-                allowed.end()
-            );
-            self.found.get_or_insert((index.to_owned(), problem));
-        }
-        self
     }
 }
 
@@ -114,7 +88,22 @@ impl Checker {
         At {
             checker: self,
             key: key.to_owned(),
-            found: None,
+            problem: None,
+        }
+    }
+
+    /// Each number of an array must lie in a range.
+    pub fn each(
+        &mut self,
+        key: &str,
+        values: &[f64],
+        allowed: &RangeInclusive<f64>,
+        unit: &str,
+        hint: &str,
+    ) {
+        for (i, value) in values.iter().enumerate() {
+            let at = self.at(&format!("{key}.{i}"));
+            at.range(*value, allowed.clone(), unit).hint(hint);
         }
     }
 

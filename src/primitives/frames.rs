@@ -8,7 +8,7 @@
 //! `Rotation<A, B>` takes coordinates in `B` to coordinates in `A`; a product exists only where the
 //! inner frames meet, so `r_base_world * r_world_tip` is a `Rotation<Base, Tip>` and nothing else.
 
-use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector3};
 use std::marker::PhantomData;
 use std::ops::Mul;
 
@@ -47,10 +47,6 @@ impl<A, B> Rotation<A, B> {
     /// The quaternion without its frames, for arithmetic that has its own bookkeeping.
     pub fn quat(&self) -> UnitQuaternion<f64> {
         self.q
-    }
-    /// The 3 x 3 matrix.
-    pub fn matrix(&self) -> Matrix3<f64> {
-        self.q.to_rotation_matrix().into_inner()
     }
     /// Coordinates in `A` of a vector given in `B`.
     pub fn apply(&self, v: &Vector3<f64>) -> Vector3<f64> {

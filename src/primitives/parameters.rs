@@ -111,17 +111,7 @@ pub trait Setting {
 macro_rules! scalars {
     ($($kind:ty),+) => { $(impl Setting for $kind { const SHAPE: Shape = Shape::Scalar; })+ };
 }
-scalars!(
-    f64,
-    u8,
-    u16,
-    u32,
-    i32,
-    usize,
-    bool,
-    String,
-    std::path::PathBuf
-);
+scalars! { f64, u8, u16, u32, i32, usize, bool, String, std::path::PathBuf }
 
 impl<T: Setting, const N: usize> Setting for [T; N] {
     const SHAPE: Shape = Shape::List(&T::SHAPE);
@@ -154,7 +144,7 @@ pub trait Parameters: Setting + Default + serde::Serialize {
     fn checked(&self, at: &str) -> Result<(), Invalid> {
         let mut checker = Checker::default();
         match Values::try_from(self) {
-            Ok(values) => Self::TABLE.check(&values, at, &mut checker),
+            Ok(values) => Self::TABLE.check(&values, at, true, &mut checker),
             Err(e) => checker.refuse(at, e.to_string(), ""),
         }
         checker.done()
@@ -162,23 +152,14 @@ pub trait Parameters: Setting + Default + serde::Serialize {
 }
 
 impl Table {
-    /// Reports values outside their range and keys that are missing; `at` is the key of this table, empty at the top.
-    /// Types and unknown keys are the affair of serde.
-    pub fn check(&self, values: &Values, at: &str, to: &mut Checker) {
-        self.check_rows(values, at, true, to);
-    }
-
-    /// As [`check`](Self::check), for a file that states only what differs from another: nothing is missing.
-    pub fn check_part(&self, values: &Values, to: &mut Checker) {
-        self.check_rows(values, "", false, to);
-    }
-
-    fn check_rows(&self, values: &Values, at: &str, whole: bool, to: &mut Checker) {
+    /// Reports values outside their range, and keys that are missing from a `whole` file: one that states only what differs from
+    /// another lacks nothing. `at` is the key of this table, empty at the top. Types and unknown keys are the affair of serde.
+    pub fn check(&self, values: &Values, at: &str, whole: bool, to: &mut Checker) {
         for row in self.rows {
             let key = join(at, row.key);
             match (values.get(row.key), &row.shape) {
                 (Some(value), shape) => row.check(shape, value, &key, whole, to),
-                (None, Shape::Table(table)) => table.check_rows(&Values::new(), &key, whole, to),
+                (None, Shape::Table(table)) => table.check(&Values::new(), &key, whole, to),
                 // described elsewhere, and every entry of it may be absent
                 (None, Shape::Opaque) => {}
                 (None, _) if row.required && whole => {
@@ -196,15 +177,11 @@ impl Table {
     {
         let (first, rest) = key.split_once('.').unwrap_or((key, ""));
         let row = self.rows.iter().find(|r| r.key == first)?;
-        let below = rest
-            .split('.')
-            .skip_while(|part| part.parse::<usize>().is_ok())
-            .collect::<Vec<_>>()
-            .join(".");
-        if below.is_empty() {
-            Some(row)
-        } else {
-            row.shape.table()?.row(&below)
+        let is_index = |part: &&str| part.parse::<usize>().is_ok();
+        let below: Vec<&str> = rest.split('.').skip_while(is_index).collect();
+        match below.join(".").as_str() {
+            "" => Some(row),
+            below => row.shape.table()?.row(below),
         }
     }
 }
@@ -228,12 +205,12 @@ impl Parameter {
                     .enumerate()
                     .for_each(|(i, v)| self.check(inner, v, &format!("{key}.{i}"), whole, to));
             }
-            (Shape::Table(table), Value::Table(values)) => table.check_rows(values, key, whole, to),
+            (Shape::Table(table), Value::Table(values)) => table.check(values, key, whole, to),
             (Shape::Tagged(tag, alternatives), Value::Table(values)) => {
                 let word = values.get(*tag).and_then(Value::as_str);
                 if let Some((_, table)) = alternatives.iter().find(|(name, _)| Some(*name) == word)
                 {
-                    table.check_rows(values, key, whole, to);
+                    table.check(values, key, whole, to);
                 }
             }
             (_, Value::Float(x)) => self.check_number(*x, key, to),
@@ -358,9 +335,21 @@ macro_rules! choices {
     };
 }
 
-/// Declares an enumeration whose values have names: `Variant = "name"`.
+/// Declares an enumeration whose values have names, `Variant = "name"`, or names and advice, `Variant = "name": "advice"`.
 #[macro_export]
 macro_rules! named {
+    ($(#[$about:meta])+ $vis:vis enum $kind:ident {
+        $($(#[$doc:meta])+ $variant:ident = $name:literal: $advice:literal,)+
+    }) => {
+        $crate::named! { $(#[$about])+ $vis enum $kind { $($(#[$doc])+ $variant = $name,)+ } }
+
+        impl $kind {
+            /// Advice to the operator.
+            pub const fn advice(self) -> &'static str {
+                [$($advice),+][self as usize]
+            }
+        }
+    };
     ($(#[$about:meta])+ $vis:vis enum $kind:ident { $($(#[$doc:meta])+ $variant:ident = $name:literal,)+ }) => {
         $(#[$about])+
         $vis enum $kind { $($(#[$doc])+ $variant,)+ }

@@ -6,7 +6,7 @@
 //! a number.
 
 use serde::{Deserialize, Serialize};
-use std::ops::{Add, AddAssign, Mul, Neg, Sub};
+use std::ops::{Add, Mul, Sub};
 
 macro_rules! quantity {
     ($(#[$doc:meta])* $name:ident) => {
@@ -16,9 +16,7 @@ macro_rules! quantity {
         pub struct $name(pub f64);
 
         impl Add for $name { type Output = Self; fn add(self, o: Self) -> Self { Self(self.0 + o.0) } }
-        impl AddAssign for $name { fn add_assign(&mut self, o: Self) { self.0 += o.0; } }
         impl Sub for $name { type Output = Self; fn sub(self, o: Self) -> Self { Self(self.0 - o.0) } }
-        impl Neg for $name { type Output = Self; fn neg(self) -> Self { Self(-self.0) } }
         impl Mul<f64> for $name { type Output = Self; fn mul(self, k: f64) -> Self { Self(self.0 * k) } }
     };
 }

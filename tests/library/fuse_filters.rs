@@ -121,7 +121,7 @@ fn the_first_samples_determine_attitude_and_heading() {
         for start in starts() {
             let (mut filter, mut sensor) = (build(name), Sensor::new(start));
             assert!(
-                !filter.flags().levelled && !filter.flags().north_found,
+                !filter.status().levelled && !filter.status().north_found,
                 "{name}"
             );
             for _ in 0..3 {
@@ -133,7 +133,7 @@ fn the_first_samples_determine_attitude_and_heading() {
                 "{name}: {error} deg after three samples from {start}"
             );
             assert!(
-                filter.flags().levelled && filter.flags().north_found,
+                filter.status().levelled && filter.status().north_found,
                 "{name}"
             );
         }
@@ -163,15 +163,15 @@ fn the_bias_is_estimated_at_standstill_and_subtracted() {
             },
         );
         run(&mut *filter, &mut sensor, 4.9);
-        assert!(filter.flags().standstill, "{name}");
-        let off = (filter.gyro_bias_rad_s() - bias).norm().to_degrees();
+        assert!(filter.status().standstill, "{name}");
+        let off = (filter.status().gyro_bias_rad_s - bias).norm().to_degrees();
         assert!(
             off < 0.1,
             "{name}: {off} deg/s of {}",
             bias.norm().to_degrees()
         );
         let worst = run(&mut *filter, &mut sensor, 60.0);
-        assert!(!filter.flags().standstill, "{name}");
+        assert!(!filter.status().standstill, "{name}");
         assert!(worst < 4.0, "{name}: {worst} deg");
     }
 }
@@ -228,7 +228,11 @@ fn invalid_samples_never_corrupt_the_state() {
                 "{name}: sample {k}"
             );
             assert!(
-                filter.gyro_bias_rad_s().iter().all(|x| x.is_finite()),
+                filter
+                    .status()
+                    .gyro_bias_rad_s
+                    .iter()
+                    .all(|x| x.is_finite()),
                 "{name}: bias, sample {k}"
             );
         }
@@ -283,7 +287,7 @@ fn after_a_gap_the_filter_levels_again_and_keeps_the_bias() {
         let error = error_deg(&*filter, &sensor);
         assert!(error < 2.0, "{name}: {error} deg");
         assert!(
-            (filter.gyro_bias_rad_s() - bias).norm().to_degrees() < 0.1,
+            (filter.status().gyro_bias_rad_s - bias).norm().to_degrees() < 0.1,
             "{name}"
         );
     }
@@ -313,13 +317,13 @@ fn the_heading_is_kept_near_a_magnet() {
         ] {
             let (mut filter, mut sensor) = (build(name), Sensor::new(starts()[3]));
             run(&mut *filter, &mut sensor, 40.0);
-            assert!(!filter.flags().field_disturbed, "{name}");
+            assert!(!filter.status().field_disturbed, "{name}");
             magnet(&mut sensor, true);
             let mut detected = 0;
             let mut worst = 0.0_f64;
             for _ in 0..3000 {
                 filter.update(&sensor.sample(PERIOD_S), PERIOD_S);
-                detected += usize::from(filter.flags().field_disturbed);
+                detected += usize::from(filter.status().field_disturbed);
                 worst = worst.max(error_deg(&*filter, &sensor));
             }
             magnet(&mut sensor, false);
@@ -354,7 +358,7 @@ fn without_a_magnetometer_the_tilt_is_accurate() {
         }
         assert!(worst < 2.5, "{name}: {worst} deg of tilt");
         assert!(
-            filter.flags().levelled && !filter.flags().north_found,
+            filter.status().levelled && !filter.status().north_found,
             "{name}"
         );
     }
@@ -375,25 +379,25 @@ fn mekf_estimates_the_simulated_sensor_errors() {
     run(&mut filter, &mut sensor, 60.0);
     sensor.iron_ut = iron_ut;
     run(&mut filter, &mut sensor, 120.0);
-    let diagonal = filter.gyro_scale();
+    let diagonal = filter.estimate().scale;
     for k in 0..3 {
         assert!((diagonal[k] - 0.008).abs() < 0.003, "scale {diagonal}");
         assert!(diagonal[k + 3].abs() < 0.003, "skew {diagonal}");
     }
     assert!(
-        (filter.mag_latency_s() - 0.02).abs() < 0.004,
+        (filter.estimate().latency_s - 0.02).abs() < 0.004,
         "latency {} s",
-        filter.mag_latency_s()
+        filter.estimate().latency_s
     );
     assert!(
-        (filter.hard_iron_ut() - iron_ut).norm() < 1.5,
+        (filter.estimate().iron_ut - iron_ut).norm() < 1.5,
         "iron {}",
-        filter.hard_iron_ut()
+        filter.estimate().iron_ut
     );
     assert!(
-        (filter.gyro_bias_rad_s() - bias).norm().to_degrees() < 0.3,
+        (filter.status().gyro_bias_rad_s - bias).norm().to_degrees() < 0.3,
         "bias {}",
-        filter.gyro_bias_rad_s()
+        filter.status().gyro_bias_rad_s
     );
     assert!(
         error_deg(&filter, &sensor) < 2.0,

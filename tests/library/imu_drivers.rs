@@ -10,6 +10,7 @@ use embedded_hal::i2c::{ErrorKind, I2c, NoAcknowledgeSource, Operation};
 use embedded_hal_mock::eh1::delay::NoopDelay;
 use embedded_hal_mock::eh1::i2c::{Mock, Transaction};
 use nalgebra::{Matrix3, Rotation3, Vector3};
+use retroflex::estimation::fusion::align::Alignment;
 use retroflex::estimation::fusion::health::{
     HealthCause, ImuReading, KnownErrors, ReadFault, SensorMonitor,
 };
@@ -845,7 +846,12 @@ fn seen_after(spoil: impl Fn(&FakeBus)) -> Vec<HealthCause> {
     let (bus, mut imu) = running_icm();
     let (config, mut monitor) = (Default::default(), SensorMonitor::default());
     let rest = Motion::default();
-    monitor.set_known(KnownErrors::default(), &rest.acc_m_s2, Some(&rest.mag_ut));
+    let rest = Alignment {
+        acc_rest_m_s2: rest.acc_m_s2,
+        mag_rest_ut: Some(rest.mag_ut),
+        ..Alignment::default()
+    };
+    monitor.set_known(KnownErrors::default(), &rest);
     let mut seen = Vec::new();
     for n in 1..=1000_u32 {
         if n == 500 {

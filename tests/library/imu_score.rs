@@ -157,7 +157,10 @@ fn a_saturated_gyroscope_is_recognised_and_costs_mekf_no_more_than_vqf() {
                     .apply(|rate| *rate = rate.clamp(-limit, limit));
             }
             let share = saturated(&recording) as f64 / recording.rows.len() as f64;
-            let total = |filter| score::score(&recording, filter).unwrap().total_deg;
+            let total = |filter: FilterName| {
+                let mut filter = filter.build(score::periods(&recording));
+                score::score(&recording, &mut *filter).unwrap().total_deg
+            };
             let (mekf, vqf) = (total(FilterName::Mekf), total(FilterName::Vqf));
             println!(
                 "{trial}: {:.0} °/s, {:.3} of the samples, {share:.3} recognised: mekf {mekf:.2}°, vqf {vqf:.2}°",

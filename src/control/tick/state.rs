@@ -91,7 +91,7 @@ pub(super) struct BeforeBaseMotion {
 
 /// Time within which a motion of the base is noticed, s: twice the memory of [`Watch`].
 const UNNOTICED_S: f64 = 10.0;
-/// Longest time for which what one turn of the base leaves grows, s; see [`Watch::sway_grows`].
+/// Longest time for which what one turn of the base leaves grows, s; see [`Sway::grows`](crate::estimation::fusion::sway::Sway::grows).
 const ONE_TURN_S: f64 = 5.0;
 /// Standard deviations of a sway, which is no noise but has the same sign for seconds, that a measurement of the bend has in it.
 const SWAY_SIGMAS: f64 = 3.0;
@@ -242,7 +242,7 @@ impl LoopState {
     pub(super) fn disturbed(&self) -> Vector2<f64> {
         let dynamics = &self.observer.dynamics;
         let (bend, rate) = self.periodic.at(dynamics.delay_s + PISTONS_S);
-        (bend + rate * dynamics.lag_s) * self.base.watch.share_of_tip()
+        (bend + rate * dynamics.lag_s) * self.base.watch.sway.share_of_tip()
     }
 
     /// Takes the published gains as what the lines are, each as far as the poses say more than the spread that the calibration states.
@@ -289,7 +289,7 @@ impl LoopState {
     /// Asks the watch whether the base sways. Once it does, takes back what was learned while that was not noticed.
     pub(super) fn attribute_to_base(&mut self, dt_s: f64) {
         let watch = &self.base.watch;
-        let sway_rad = watch.sway_mean_square().sqrt();
+        let sway_rad = watch.sway.mean_square().sqrt();
         let before = &mut self.before_base;
         before.sway_rad = 0.0;
         if sway_rad == 0.0 {
@@ -300,7 +300,7 @@ impl LoopState {
             return;
         }
         let turned = before.grew_s <= ONE_TURN_S;
-        if watch.sway_grows() {
+        if watch.sway.grows() {
             before.grew_s += dt_s;
         }
         if before.grew_s <= ONE_TURN_S {

@@ -248,7 +248,7 @@ impl Check for SavedModel {
             ("with_effects", &self.with_effects),
         ];
         let within = |to: &mut Checker, at: &str, values: &[f64], range, unit| {
-            to.at(at).ranges(values, range, unit).hint(AGAIN);
+            to.each(at, values, &range, unit, AGAIN);
         };
         for (at, g) in gains.into_iter().chain(forecast) {
             within(to, &format!("{at}.k_epsilon"), &g.k_epsilon, 0.0..=10.0, "");

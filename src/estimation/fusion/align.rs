@@ -99,10 +99,9 @@ impl Spread {
         self.sum_sq += before.dot(&(v - self.mean));
     }
     fn sigma(&self) -> f64 {
-        if self.n < 2 {
-            0.0
-        } else {
-            (self.sum_sq / (3.0 * f64::from(self.n - 1))).sqrt()
+        match self.n {
+            0 | 1 => 0.0,
+            n => (self.sum_sq / (3.0 * f64::from(n - 1))).sqrt(),
         }
     }
 }
@@ -150,15 +149,14 @@ impl AlignState {
         if self.gyro.n < MEAN_SAMPLES {
             return None;
         }
-        if (sample.gyro_rad_s - self.gyro.mean).amax() > config.gyro_band_rad_s {
-            Some(NotStill::Turning)
-        } else if (sample.acc_m_s2 - self.acc.mean).amax() > config.acc_band_m_s2 {
-            Some(NotStill::Shaking)
-        } else if self.gyro.mean.norm() > config.gyro_bias_max_rad_s && self.gyro.n > BIAS_SAMPLES {
-            Some(NotStill::BiasTooLarge)
-        } else {
-            None
-        }
+        let turn = (sample.gyro_rad_s - self.gyro.mean).amax();
+        let shake = (sample.acc_m_s2 - self.acc.mean).amax();
+        let bias = self.gyro.mean.norm();
+        let (turns, shakes) = (turn > config.gyro_band_rad_s, shake > config.acc_band_m_s2);
+        let rotates = bias > config.gyro_bias_max_rad_s && self.gyro.n > BIAS_SAMPLES;
+        (turns.then_some(NotStill::Turning))
+            .or(shakes.then_some(NotStill::Shaking))
+            .or(rotates.then_some(NotStill::BiasTooLarge))
     }
 
     fn result(&self, duration_s: f64) -> Alignment {

@@ -21,8 +21,8 @@ use crate::parameters;
 use crate::primitives::ImuSample;
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// Rotation of the base since alignment.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Rotation of the base since alignment; the default is a base that has not moved.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct BaseTurn {
     /// Base now to base during alignment.
     pub r_rest_now: UnitQuaternion<f64>,
@@ -32,18 +32,6 @@ pub struct BaseTurn {
     pub acc_change_m_s2: Option<Vector3<f64>>,
     /// Change of the field since alignment in the present axes, µT, where a reading has just arrived.
     pub mag_change_ut: Option<Vector3<f64>>,
-}
-
-impl BaseTurn {
-    /// A base that has not moved.
-    pub fn none() -> Self {
-        Self {
-            r_rest_now: UnitQuaternion::identity(),
-            rate_rad_s: Vector3::zeros(),
-            acc_change_m_s2: None,
-            mag_change_ut: None,
-        }
-    }
 }
 
 parameters! {
@@ -139,15 +127,25 @@ impl BaseTracker {
     /// Compares the rate of the tip with that of the base, while the pistons stand: both in base axes, rad/s. What differs
     /// across the rate is an error of the mount.
     pub fn compare(&mut self, tip_rate_rad_s: &Vector3<f64>, dt_s: f64) {
-        if let Self::Following(follow) = self {
-            follow.compare(tip_rate_rad_s, dt_s);
+        let Self::Following(f) = self else { return };
+        let rate = f.to_tip * f.rate_rad_s;
+        if rate.norm() < COMPARED_RAD_S {
+            return;
         }
+        // recursive least squares for a small rotation m of the mount: the tip's rate is ω + m × ω
+        let information = f.mount_variance * dt_s
+            / (f.mount_variance * rate.norm_squared() * dt_s + RATE_VARIANCE);
+        let found = rate.cross(&(tip_rate_rad_s - rate)) * information;
+        let turn = UnitQuaternion::from_scaled_axis(found.cap_magnitude(MOUNT_SIGMA_RAD));
+        f.to_tip = turn * f.to_tip;
+        // two of the three axes have been seen
+        f.mount_variance *= 1.0 - 2.0 / 3.0 * information * rate.norm_squared();
     }
 
     /// The rotation since alignment, in the axes of the tip's IMU during alignment.
     pub fn turn(&self) -> BaseTurn {
         let (Self::Following(f) | Self::Lost(f)) = self else {
-            return BaseTurn::none();
+            return BaseTurn::default();
         };
         BaseTurn {
             r_rest_now: f.to_tip * f.q_rest_now * f.to_tip.inverse(),
@@ -159,10 +157,9 @@ impl BaseTracker {
 
     /// The alignment, once complete.
     pub fn rest(&self) -> Option<&Alignment> {
-        if let Self::Following(f) | Self::Lost(f) = self {
-            Some(&f.rest)
-        } else {
-            None
+        match self {
+            Self::Following(f) | Self::Lost(f) => Some(&f.rest),
+            Self::Absent | Self::Aligning(_) => None,
         }
     }
 
@@ -186,8 +183,8 @@ impl BaseTracker {
 
 impl Follow {
     fn new(config: &BaseConfig, rest: &Alignment, tip_up: &Vector3<f64>, t_s: f64) -> Self {
-        let mount =
-            UnitQuaternion::from_scaled_axis(Vector3::from(config.mount_deg).map(f64::to_radians));
+        let mount_rad = Vector3::from(config.mount_deg).map(f64::to_radians);
+        let mount = UnitQuaternion::from_scaled_axis(mount_rad);
         let level = UnitQuaternion::rotation_between(&(mount * rest.acc_rest_m_s2), tip_up)
             .unwrap_or_default();
         Self {
@@ -199,35 +196,22 @@ impl Follow {
         }
     }
 
-    /// Recursive least squares for a small rotation m of the mount: the tip's rate is ω + m × ω.
-    fn compare(&mut self, tip_rate_rad_s: &Vector3<f64>, dt_s: f64) {
-        let rate = self.to_tip * self.rate_rad_s;
-        if rate.norm() < COMPARED_RAD_S {
-            return;
-        }
-        let information = self.mount_variance * dt_s
-            / (self.mount_variance * rate.norm_squared() * dt_s + RATE_VARIANCE);
-        let found = rate.cross(&(tip_rate_rad_s - rate)) * information;
-        self.to_tip =
-            UnitQuaternion::from_scaled_axis(found.cap_magnitude(MOUNT_SIGMA_RAD)) * self.to_tip;
-        // two of the three axes have been seen
-        self.mount_variance *= 1.0 - 2.0 / 3.0 * information * rate.norm_squared();
-    }
-
     /// The rotation from gravity and field alone, after a gap in which the base may have turned.
     fn reacquire(&mut self, sample: &ImuSample) {
         self.last_t_s = sample.t.0;
         let usable = intake::usable(sample);
+        let between = |from: &Vector3<f64>, to: &Vector3<f64>| {
+            UnitQuaternion::rotation_between(from, to).unwrap_or_default()
+        };
         if let Some(acc) = usable.acc_m_s2 {
             let predicted = self.q_rest_now.inverse() * self.rest.acc_rest_m_s2;
-            self.q_rest_now *=
-                UnitQuaternion::rotation_between(&acc, &predicted).unwrap_or_default();
+            self.q_rest_now *= between(&acc, &predicted);
         }
         if let (Some(mag), Some(rest)) = (usable.mag_ut, self.rest.mag_rest_ut) {
             let up = self.q_rest_now.inverse() * self.rest.acc_rest_m_s2.normalize();
             let across = |v: Vector3<f64>| v - up * v.dot(&up);
             let (is, was) = (across(mag), across(self.q_rest_now.inverse() * rest));
-            self.q_rest_now *= UnitQuaternion::rotation_between(&is, &was).unwrap_or_default();
+            self.q_rest_now *= between(&is, &was);
         }
     }
 
@@ -250,11 +234,8 @@ impl Follow {
             misfit = self.misfit(&acc, &self.rest.acc_rest_m_s2);
             correction = misfit / config.gravity_time_s;
         }
-        if let (Some(mag), Some(rest), true) = (
-            usable.mag_ut,
-            self.rest.mag_rest_ut,
-            config.field_time_s > 0.0,
-        ) {
+        let field = usable.mag_ut.zip(rest_ut);
+        if let Some((mag, rest)) = field.filter(|_| config.field_time_s > 0.0) {
             // only the component about the vertical: the field must not change the tilt
             let up = self.q_rest_now.inverse() * self.rest.acc_rest_m_s2.normalize();
             let heading = up * self.misfit(&mag, &rest).dot(&up);
@@ -329,7 +310,7 @@ mod tests {
             "{base:?}"
         );
         base.restart();
-        assert_eq!(base.turn(), BaseTurn::none());
+        assert_eq!(base.turn(), BaseTurn::default());
     }
 
     /// A base that stands for 5 s and then swings about two axes, with the tip's IMU alike; the tracker at the end.

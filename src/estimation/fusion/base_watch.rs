@@ -22,8 +22,10 @@
 //! causes a twist that contradicts the mechanism ([`super::bend::BendFilter::twist_misfit`]). That is reported but
 //! does not freeze the feedback, since a disturbed field has the same effect.
 
-use crate::estimation::fusion::intake::share;
+use crate::estimation::fusion::bend::right_jacobian_inverse;
+use crate::estimation::fusion::intake::{held_s, share};
 use crate::estimation::fusion::sway::Sway;
+use crate::model::Bend;
 use crate::parameters;
 use nalgebra::{Vector2, Vector3};
 
@@ -49,15 +51,6 @@ parameters! {
         misfit: f64 = 0.8, "sigma", 0.05..=100.0, "0.8 is reached by a slow turn of the base";
         /// Time constant with which both quantities are forgotten. A larger value detects slower turns, and more creep.
         memory_s: f64 = 1.5, "s", 0.1..=600.0, "1.5 is longer than a motion of the base";
-    }
-}
-
-impl WatchConfig {
-    /// Largest twist per bend that is the tip's own.
-    fn twist_share(&self, input: &WatchInput) -> f64 {
-        input
-            .twist_per_bend_max
-            .map_or(self.twist_share, |shown| self.twist_share.min(shown))
     }
 }
 
@@ -108,7 +101,8 @@ pub struct Watch {
     excursion: f64,
     /// Time for which it has been back without a twist, s.
     back_s: f64,
-    sway: Sway,
+    /// How much the base sways.
+    pub sway: Sway,
 }
 
 /// How the present unexplained bend began.
@@ -142,18 +136,19 @@ const SWAY_MARGIN: f64 = 1.3;
 const SWAY_MAX_RAD: f64 = 0.26;
 /// Unexplained motion that counts as none, rad (1°).
 const QUIET_RAD: f64 = 0.017;
+
 impl Watch {
     /// Processes one tick; true when the base has moved.
     pub fn step(&mut self, config: &WatchConfig, input: &WatchInput) -> bool {
-        let (model, setpoint) = self
-            .last
-            .replace((input.model, input.setpoint))
-            .unwrap_or((input.model, input.setpoint));
+        let now = (input.model, input.setpoint);
+        let (model, setpoint) = self.last.replace(now).unwrap_or(now);
         let path = (input.setpoint - setpoint).norm();
         let decay = |tau_s: f64| (-input.dt_s / (tau_s + 2.0 * input.response_s)).exp();
         self.path_fast = self.path_fast * decay(PATH_FAST_S) + path;
         self.path_slow = self.path_slow * decay(PATH_SLOW_S) + path;
-        let phi_rate = rotation_vector_rate(&input.estimate, &input.rate_rad_s);
+        // rate of the rotation vector φ = (b_y, b_x, 0)
+        let phi = Bend(input.estimate).rotation_vector();
+        let phi_rate = right_jacobian_inverse(&phi) * input.rate_rad_s;
         let fade = 1.0 - share(input.dt_s, config.memory_s);
         self.twist = self.twist * fade + phi_rate.z * input.dt_s;
         // b = (φ_y, φ_x)
@@ -167,21 +162,6 @@ impl Watch {
             .then(|| (turned - (input.model - model), input.model - input.estimate));
         self.sway.hold(held, input.dt_s);
         self.exceeds(config, input)
-    }
-
-    /// Share of the unexplained bend that is due to the tip, see [`Sway::share_of_tip`].
-    pub fn share_of_tip(&self) -> f64 {
-        self.sway.share_of_tip()
-    }
-
-    /// Mean square of the bend that is due to a swaying base, rad²; see [`Sway::mean_square`].
-    pub fn sway_mean_square(&self) -> f64 {
-        self.sway.mean_square()
-    }
-
-    /// That mean square grows; see [`Sway::grows`].
-    pub fn sway_grows(&self) -> bool {
-        self.sway.grows()
     }
 
     fn follow_bend(
@@ -216,12 +196,10 @@ impl Watch {
     }
 
     fn exceeds(&mut self, config: &WatchConfig, input: &WatchInput) -> bool {
-        let twist_max = config.twist_deg.to_radians() + config.twist_share(input) * self.path_slow;
-        self.twisted_s = if self.twist.abs() > twist_max {
-            self.twisted_s + input.dt_s
-        } else {
-            0.0
-        };
+        let shown = input.twist_per_bend_max.unwrap_or(config.twist_share);
+        let own = config.twist_share.min(shown) * self.path_slow;
+        let twist_max = config.twist_deg.to_radians() + own;
+        self.twisted_s = held_s(self.twisted_s, self.twist.abs() > twist_max, input.dt_s);
         let bent = self.bend.norm() > config.bend_deg.to_radians() + self.tolerated
             && self.onset == Onset::Unprovoked
             && !self.sway.is_disturbance();
@@ -236,14 +214,12 @@ impl Watch {
         let size = unexplained.norm();
         self.excursion = self.excursion.max(size);
         let agrees = size < RETURNED_RAD && self.twist.abs() < QUIET_RAD;
-        self.back_s = if agrees { self.back_s + dt_s } else { 0.0 };
+        self.back_s = held_s(self.back_s, agrees, dt_s);
         let back = self.back_s >= RETURN_AFTER_S || self.sway.is_disturbance();
         if back {
             self.back_s = 0.0;
-            self.tolerated = self
-                .tolerated
-                .max(SWAY_MARGIN * self.excursion)
-                .min(SWAY_MAX_RAD);
+            let most = self.tolerated.max(SWAY_MARGIN * self.excursion);
+            self.tolerated = most.min(SWAY_MAX_RAD);
             (self.excursion, self.bend, self.onset, self.settled) =
                 (0.0, Vector2::zeros(), Onset::None, false);
         }
@@ -254,12 +230,6 @@ impl Watch {
     pub fn quiet(&self) -> bool {
         self.settled && self.bend.norm() < QUIET_RAD && self.twist.abs() < QUIET_RAD
     }
-}
-
-/// Rate of the rotation vector φ = (b_y, b_x, 0) for a tip rate ω: J_r⁻¹(φ) ω.
-fn rotation_vector_rate(bend: &Vector2<f64>, rate: &Vector3<f64>) -> Vector3<f64> {
-    let phi = Vector3::new(bend.y, bend.x, 0.0);
-    super::bend::right_jacobian_inverse(&phi) * rate
 }
 
 #[cfg(test)]

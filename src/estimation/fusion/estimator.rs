@@ -2,7 +2,7 @@
 
 use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::bend::{BendFilter, BendFilterConfig};
-use crate::estimation::fusion::filter::{Periods, TipEstimator};
+use crate::estimation::fusion::filter::TipEstimator;
 use crate::estimation::fusion::generic::Generic;
 use crate::estimation::fusion::registry::FilterName;
 use crate::model::Bend;
@@ -10,9 +10,12 @@ use crate::primitives::{Setting, Shape};
 use serde::{Deserialize, Serialize};
 use std::ops::{Deref, DerefMut};
 
+/// Name of the bend filter.
+const BEND: &str = "bend";
+
 /// An estimator of the loop, by its name in the gains file: `bend` or a [`FilterName`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[serde(try_from = "String", into = "&'static str")]
 pub enum EstimatorName {
     /// [`BendFilter`], which is constrained to the motion of the bellows.
     #[default]
@@ -24,29 +27,16 @@ pub enum EstimatorName {
 impl EstimatorName {
     /// The names of all estimators of the loop.
     pub const NAMES: [&'static str; 1 + FilterName::ALL.len()] = {
-        let mut names = [Self::Bend.as_str(); 1 + FilterName::ALL.len()];
-        let mut i = 0;
-        while i < FilterName::ALL.len() {
-            names[1 + i] = FilterName::ALL[i].name();
-            i += 1;
-        }
-        names
+        let [a, b, c, d] = FilterName::ALL;
+        [BEND, a.name(), b.name(), c.name(), d.name()]
     };
 
-    /// The name as files write it.
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Bend => "bend",
-            Self::Generic(name) => name.name(),
-        }
-    }
     /// The independent estimator to compare with: Madgwick, or the bend filter if Madgwick is selected.
     #[must_use]
     pub fn second(self) -> Self {
-        if self == Self::Generic(FilterName::Madgwick) {
-            Self::Bend
-        } else {
-            Self::Generic(FilterName::Madgwick)
+        match self {
+            Self::Generic(FilterName::Madgwick) => Self::Bend,
+            _ => Self::Generic(FilterName::Madgwick),
         }
     }
 }
@@ -58,22 +48,25 @@ impl Setting for EstimatorName {
 impl TryFrom<String> for EstimatorName {
     type Error = String;
     fn try_from(name: String) -> Result<Self, String> {
-        if name == Self::Bend.as_str() {
-            return Ok(Self::Bend);
+        match name.parse() {
+            Ok(generic) => Ok(Self::Generic(generic)),
+            Err(_) if name == BEND => Ok(Self::Bend),
+            Err(_) => {
+                let names = Self::NAMES.join(", ");
+                Err(format!(
+                    "there is no estimator \"{name}\"; use one of {names}"
+                ))
+            }
         }
-        let generic = name.parse().map(Self::Generic);
-        generic.map_err(|_| {
-            format!(
-                "there is no estimator \"{name}\"; use one of {}",
-                Self::NAMES.join(", ")
-            )
-        })
     }
 }
 
-impl From<EstimatorName> for String {
+impl From<EstimatorName> for &'static str {
     fn from(name: EstimatorName) -> Self {
-        name.as_str().to_owned()
+        match name {
+            EstimatorName::Bend => BEND,
+            EstimatorName::Generic(name) => name.name(),
+        }
     }
 }
 
@@ -117,43 +110,27 @@ impl Estimator {
         alignment: &Alignment,
         period_s: f64,
     ) -> Self {
-        let (imu_s, mag_s) = alignment.periods_s();
-        let periods = Periods {
-            imu_s: imu_s.max(period_s),
-            mag_s: mag_s.max(period_s).min(1.0),
-        };
+        let generic = |name| Generic::new(name, alignment, Bend::STRAIGHT, period_s);
         match name {
             EstimatorName::Bend => Self::Bend(BendFilter::new(bend, alignment)),
-            EstimatorName::Generic(name) => Self::Generic(Generic::new(name, periods, alignment)),
+            EstimatorName::Generic(name) => Self::Generic(generic(name)),
         }
     }
 
     /// Restarts from an alignment during which the tip was at `bend`, 1 σ `sigma_rad`. The bend filter keeps its
     /// estimates of the sensor errors; a generic filter starts anew.
-    pub fn rebase(
-        &mut self,
-        name: EstimatorName,
-        config: &BendFilterConfig,
-        now: &Alignment,
-        bend: Bend,
-        sigma_rad: f64,
-    ) {
-        if let Self::Bend(f) = self {
-            f.rebase(now, bend, sigma_rad);
-            return;
-        }
-        *self = Self::new(name, config, now, 0.0);
-        if let Self::Generic(f) = self {
-            f.set_alignment_bend(bend);
+    pub fn rebase(&mut self, now: &Alignment, bend: Bend, sigma_rad: f64) {
+        match self {
+            Self::Bend(f) => f.rebase(now, bend, sigma_rad),
+            Self::Generic(f) => f.rebase(now, bend),
         }
     }
 
     /// The bend filter, if it is the selected estimator.
     pub fn as_bend(&self) -> Option<&BendFilter> {
-        if let Self::Bend(f) = self {
-            Some(f)
-        } else {
-            None
+        match self {
+            Self::Bend(f) => Some(f),
+            Self::Generic(_) => None,
         }
     }
 }

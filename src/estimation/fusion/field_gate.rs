@@ -5,7 +5,8 @@
 //! reference (after Laidig & Seel 2023, section 3.6). Strength and dip do not depend on the heading, which is the
 //! quantity to protect.
 
-use super::intake::share;
+use super::health::FieldShape;
+use super::intake::{held_s, share};
 use nalgebra::Vector3;
 
 /// Largest relative difference of the strength from the reference.
@@ -25,29 +26,20 @@ const ACCEPT_S: f64 = 20.0;
 /// Angular rate above which a constant field is significant, °/s: a still sensor sees any field as constant.
 const TURNING_DEG_S: f64 = 20.0;
 
-/// Strength and dip of a magnetic field.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FieldShape {
-    /// Strength, µT.
-    pub strength_ut: f64,
-    /// Dip below the horizon, rad.
-    pub dip_rad: f64,
-}
-
 impl FieldShape {
     /// Shape of a field given in the world frame, µT.
-    pub fn of(field_world: &Vector3<f64>) -> Self {
+    fn of(field_world: &Vector3<f64>) -> Self {
         Self {
-            strength_ut: field_world.norm(),
+            norm_ut: field_world.norm(),
             dip_rad: (-field_world.z).atan2(field_world.xy().norm()),
         }
     }
     fn near(&self, other: &Self) -> bool {
-        (self.strength_ut - other.strength_ut).abs() < STRENGTH_SHARE * other.strength_ut
+        (self.norm_ut - other.norm_ut).abs() < STRENGTH_SHARE * other.norm_ut
             && (self.dip_rad - other.dip_rad).abs() < DIP_DEG.to_radians()
     }
     fn follow(&mut self, target: &Self, share: f64) {
-        self.strength_ut += share * (target.strength_ut - self.strength_ut);
+        self.norm_ut += share * (target.norm_ut - self.norm_ut);
         self.dip_rad += share * (target.dip_rad - self.dip_rad);
     }
 }
@@ -55,19 +47,14 @@ impl FieldShape {
 /// Accepts or rejects the magnetic field.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct FieldGate {
-    shapes: Option<Shapes>,
+    reference: Option<FieldShape>,
+    /// A field that may replace the reference, and the time of turning for which it has stayed constant, s.
+    candidate: Option<FieldShape>,
+    candidate_s: f64,
     agreed_s: f64,
     rejected_s: f64,
     /// True while the field differs from the reference.
     pub disturbed: bool,
-}
-
-/// The reference field and the candidate that may replace it.
-#[derive(Debug, Clone, Copy)]
-struct Shapes {
-    reference: FieldShape,
-    candidate: FieldShape,
-    candidate_s: f64,
 }
 
 impl FieldGate {
@@ -75,51 +62,27 @@ impl FieldGate {
     /// Returns the weight of its heading, 0 to 1. The first field becomes the reference.
     pub fn update(&mut self, field_world: &Vector3<f64>, turning_rad_s: f64, dt_s: f64) -> f64 {
         let now = FieldShape::of(field_world);
-        let first = Shapes {
-            reference: now,
-            candidate: now,
-            candidate_s: 0.0,
-        };
-        let mut shapes = self.shapes.unwrap_or(first);
-        self.compare(&mut shapes, &now, dt_s);
-        self.update_candidate(&mut shapes, &now, turning_rad_s, dt_s);
-        self.shapes = Some(shapes);
-        self.weight(dt_s)
-    }
-
-    fn compare(&mut self, shapes: &mut Shapes, now: &FieldShape, dt_s: f64) {
-        if !now.near(&shapes.reference) {
-            self.agreed_s = 0.0;
+        let reference = self.reference.get_or_insert(now);
+        let candidate = self.candidate.get_or_insert(now);
+        self.agreed_s = held_s(self.agreed_s, now.near(reference), dt_s);
+        if !now.near(reference) {
             self.disturbed = true;
-            return;
-        }
-        self.agreed_s += dt_s;
-        if self.agreed_s >= REGAIN_S {
+        } else if self.agreed_s >= REGAIN_S {
             self.disturbed = false;
-            shapes.reference.follow(now, share(dt_s, REFERENCE_TAU_S));
+            reference.follow(&now, share(dt_s, REFERENCE_TAU_S));
         }
-    }
-
-    fn update_candidate(
-        &mut self,
-        shapes: &mut Shapes,
-        now: &FieldShape,
-        turning_rad_s: f64,
-        dt_s: f64,
-    ) {
-        if !now.near(&shapes.candidate) {
-            (shapes.candidate, shapes.candidate_s) = (*now, 0.0);
-            return;
+        if now.near(candidate) {
+            candidate.follow(&now, share(dt_s, REFERENCE_TAU_S));
+            let turns = turning_rad_s >= TURNING_DEG_S.to_radians();
+            self.candidate_s += if turns { dt_s } else { 0.0 };
+            if self.disturbed && self.candidate_s >= ACCEPT_S {
+                *reference = *candidate;
+                (self.agreed_s, self.disturbed) = (REGAIN_S, false);
+            }
+        } else {
+            (*candidate, self.candidate_s) = (now, 0.0);
         }
-        shapes.candidate.follow(now, share(dt_s, REFERENCE_TAU_S));
-        if turning_rad_s >= TURNING_DEG_S.to_radians() {
-            shapes.candidate_s += dt_s;
-        }
-        if self.disturbed && shapes.candidate_s >= ACCEPT_S {
-            shapes.reference = shapes.candidate;
-            self.agreed_s = REGAIN_S;
-            self.disturbed = false;
-        }
+        self.weight(dt_s)
     }
 
     fn weight(&mut self, dt_s: f64) -> f64 {

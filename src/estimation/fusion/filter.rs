@@ -3,11 +3,13 @@
 use crate::estimation::fusion::base::BaseTurn;
 use crate::model::Bend;
 use crate::primitives::{Base, ImuSample, Rotation, Sensor, Tip, World};
-use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Rotation3, UnitQuaternion, Vector2, Vector3};
 
-/// Status of an orientation filter.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct FilterFlags {
+/// Status of an orientation filter after the last sample.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FilterStatus {
+    /// Estimated gyroscope bias in the sensor frame, rad/s.
+    pub gyro_bias_rad_s: Vector3<f64>,
     /// A usable accelerometer sample has levelled the filter. Until then the orientation is the identity.
     pub levelled: bool,
     /// A usable magnetometer sample has set the heading. Until then the heading is arbitrary.
@@ -27,10 +29,8 @@ pub trait OrientationFilter {
     fn update(&mut self, sample: &ImuSample, dt_s: f64);
     /// Orientation of the sensor after the last sample (world: z up, x to magnetic north).
     fn orientation(&self) -> Rotation<World, Sensor>;
-    /// Estimated gyroscope bias in the sensor frame, rad/s.
-    fn gyro_bias_rad_s(&self) -> Vector3<f64>;
     /// Status after the last sample.
-    fn flags(&self) -> FilterFlags;
+    fn status(&self) -> FilterStatus;
     /// Sets the undisturbed field: strength in µT and dip in rad, positive below the horizon. Filters that find
     /// the field themselves ignore it.
     fn set_field_reference(&mut self, _strength_ut: f64, _dip_rad: f64) {}
@@ -45,23 +45,29 @@ pub struct Periods {
     pub mag_s: f64,
 }
 
-/// Which parts of a sample may correct the estimate, and whether the pistons stand still.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct MeasurementMask {
+/// One sample for an estimator of the loop, and what of it may correct the estimate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TipSample {
+    /// The readings.
+    pub imu: ImuSample,
+    /// Time since the previous usable sample, s.
+    pub dt_s: f64,
     /// Correct with the accelerometer.
     pub acc: bool,
     /// Correct with the magnetometer.
     pub mag: bool,
     /// The pistons have not moved for a while.
     pub still: bool,
+    /// Turn of the base since alignment.
+    pub base: BaseTurn,
 }
 
 /// An estimator of the tip's orientation in the base frame, as the loop uses it.
 pub trait TipEstimator {
-    /// Processes one sample, `dt_s` after the previous one, with the base turned by `base` since alignment.
-    fn update(&mut self, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, base: &BaseTurn);
-    /// Processes the first sample after `gap_s` without usable samples.
-    fn recover(&mut self, sample: &ImuSample, gap_s: f64, mask: MeasurementMask, base: &BaseTurn);
+    /// Processes one sample.
+    fn update(&mut self, sample: &TipSample);
+    /// Processes the first sample after a gap that is too long to integrate.
+    fn recover(&mut self, sample: &TipSample);
     /// Tip in the base.
     fn r_base_tip(&self) -> Rotation<Base, Tip>;
     /// True unless the estimator considers the magnetic field disturbed.
@@ -101,13 +107,9 @@ pub fn level(up: &Vector3<f64>, field: Option<&Vector3<f64>>) -> Rotation<World,
         .and_then(|w| w.try_normalize(1e-9));
     let q = match west {
         Some(west) => {
-            let north = west.cross(&up);
-            let rows = nalgebra::Matrix3::from_rows(&[
-                north.transpose(),
-                west.transpose(),
-                up.transpose(),
-            ]);
-            UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(rows))
+            let columns = Matrix3::from_columns(&[west.cross(&up), west, up]);
+            let rows = Rotation3::from_matrix_unchecked(columns.transpose());
+            UnitQuaternion::from_rotation_matrix(&rows)
         }
         None => UnitQuaternion::rotation_between(&up, &Vector3::z()).unwrap_or_else(|| {
             UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)

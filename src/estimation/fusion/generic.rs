@@ -6,9 +6,8 @@
 //! alignment is subtracted before the filter.
 
 use crate::estimation::fusion::align::Alignment;
-use crate::estimation::fusion::base::BaseTurn;
-use crate::estimation::fusion::filter::{FilterFlags, MeasurementMask, Periods, TipEstimator};
-use crate::estimation::fusion::health::FieldReference;
+use crate::estimation::fusion::filter::{Periods, TipEstimator, TipSample};
+use crate::estimation::fusion::health::FieldShape;
 use crate::estimation::fusion::intake::GAP_MAX_S;
 use crate::estimation::fusion::registry::{Filter, FilterName};
 use crate::model::Bend;
@@ -25,6 +24,7 @@ const PRIME_SHRINK: f64 = 0.92;
 /// A generic filter whose output is in the base frame.
 #[derive(Debug, Clone)]
 pub struct Generic {
+    name: FilterName,
     filter: Filter,
     gyro_bias_rad_s: Vector3<f64>,
     r_world_base: UnitQuaternion<f64>,
@@ -32,13 +32,16 @@ pub struct Generic {
 }
 
 impl Generic {
-    /// The filter called `name`, primed with the alignment.
-    pub fn new(name: FilterName, periods: Periods, alignment: &Alignment) -> Self {
-        let mut filter = name.build(periods);
-        let mag = alignment.mag_rest_ut.as_ref();
-        if let Some(field) =
-            mag.and_then(|mag| FieldReference::from_rest(&alignment.acc_rest_m_s2, mag))
-        {
+    /// The filter called `name`, primed with an alignment during which the tip was at `bend`, and updated at most once in
+    /// `period_s`.
+    pub fn new(name: FilterName, alignment: &Alignment, bend: Bend, period_s: f64) -> Self {
+        let (imu_s, mag_s) = alignment.periods_s();
+        let mut filter = name.build(Periods {
+            imu_s: imu_s.max(period_s),
+            mag_s: mag_s.max(period_s).min(1.0),
+        });
+        let shape = |mag| FieldShape::from_rest(&alignment.acc_rest_m_s2, mag);
+        if let Some(field) = alignment.mag_rest_ut.as_ref().and_then(shape) {
             filter.set_field_reference(field.norm_ut, field.dip_rad);
         }
         let still = ImuSample {
@@ -48,53 +51,48 @@ impl Generic {
             mag_ut: alignment.mag_rest_ut,
         };
         for k in 0..PRIME_STEPS {
-            filter.update(
-                &still,
-                PRIME_STEP_S * PRIME_SHRINK.powi((k - PRIME_STEPS / 2).max(0)),
-            );
+            let shrink = PRIME_SHRINK.powi((k - PRIME_STEPS / 2).max(0));
+            filter.update(&still, PRIME_STEP_S * shrink);
         }
-        let r_world_base = filter.orientation().quat();
+        let r_base_tip = bend.rotation().quat();
         Self {
-            filter,
+            name,
             gyro_bias_rad_s: alignment.gyro_bias_rad_s,
-            r_world_base,
-            r_base_tip: UnitQuaternion::identity(),
+            r_world_base: filter.orientation().quat() * r_base_tip.inverse(),
+            r_base_tip,
+            filter,
         }
     }
 
-    /// Sets the bend that the tip had during the alignment.
-    pub fn set_alignment_bend(&mut self, bend: Bend) {
-        self.r_world_base *= bend.rotation().quat().inverse();
-        self.r_base_tip = bend.rotation().quat();
-    }
-
-    /// Status of the filter.
-    pub fn flags(&self) -> FilterFlags {
-        self.filter.flags()
+    /// Starts anew from an alignment during which the tip was at `bend`.
+    pub fn rebase(&mut self, now: &Alignment, bend: Bend) {
+        *self = Self::new(self.name, now, bend, 0.0);
     }
 }
 
 impl TipEstimator for Generic {
-    fn update(&mut self, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, base: &BaseTurn) {
+    fn update(&mut self, sample: &TipSample) {
+        let imu = &sample.imu;
         let masked = ImuSample {
-            t: sample.t,
-            gyro_rad_s: sample.gyro_rad_s - self.gyro_bias_rad_s,
+            t: imu.t,
+            gyro_rad_s: imu.gyro_rad_s - self.gyro_bias_rad_s,
             // a zero vector has no direction, so the filter leaves it out
-            acc_m_s2: if mask.acc {
-                sample.acc_m_s2
+            acc_m_s2: if sample.acc {
+                imu.acc_m_s2
             } else {
                 Vector3::zeros()
             },
-            mag_ut: sample.mag_ut.filter(|_| mask.mag),
+            mag_ut: imu.mag_ut.filter(|_| sample.mag),
         };
-        self.filter.update(&masked, dt_s);
+        self.filter.update(&masked, sample.dt_s);
         let r_aligned_sensor = self.r_world_base.inverse() * self.filter.orientation().quat();
-        self.r_base_tip = base.r_rest_now.inverse() * r_aligned_sensor;
+        self.r_base_tip = sample.base.r_rest_now.inverse() * r_aligned_sensor;
     }
 
     /// A step longer than [`GAP_MAX_S`] makes the filter level itself again.
-    fn recover(&mut self, sample: &ImuSample, _gap_s: f64, mask: MeasurementMask, base: &BaseTurn) {
-        self.update(sample, GAP_MAX_S * 1.1, mask, base);
+    fn recover(&mut self, sample: &TipSample) {
+        let dt_s = GAP_MAX_S * 1.1;
+        self.update(&TipSample { dt_s, ..*sample });
     }
 
     fn r_base_tip(&self) -> Rotation<Base, Tip> {
@@ -102,13 +100,15 @@ impl TipEstimator for Generic {
     }
 
     fn trusts_field(&self) -> bool {
-        self.flags().north_found && !self.flags().field_disturbed
+        let status = self.filter.status();
+        status.north_found && !status.field_disturbed
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimation::fusion::base::BaseTurn;
 
     fn alignment(q: &UnitQuaternion<f64>) -> Alignment {
         Alignment {
@@ -135,25 +135,13 @@ mod tests {
                 UnitQuaternion::from_euler_angles(2.8, 0.1, 1.0),
             ] {
                 let rest = alignment(&base);
-                let mut filter = Generic::new(
-                    name,
-                    Periods {
-                        imu_s: 0.002,
-                        mag_s: 0.01,
-                    },
-                    &rest,
-                );
-                let mask = MeasurementMask {
-                    acc: true,
-                    mag: true,
-                    still: false,
-                };
+                let mut filter = Generic::new(name, &rest, Bend::STRAIGHT, 0.0);
                 let mut before = UnitQuaternion::identity();
                 for k in 1..=1500 {
                     let t = f64::from(k) * 0.002;
                     let q = Bend(truth.0 * t.min(1.0)).rotation().quat();
                     let back = (base * q).inverse();
-                    let sample = ImuSample {
+                    let imu = ImuSample {
                         t: Seconds(t),
                         gyro_rad_s: (before.inverse() * q).scaled_axis() / 0.002
                             + rest.gyro_bias_rad_s,
@@ -161,11 +149,19 @@ mod tests {
                         mag_ut: (k % 5 == 0).then(|| back * Vector3::new(20.0, 0.0, -40.0)),
                     };
                     before = q;
-                    filter.update(&sample, 0.002, mask, &BaseTurn::none());
+                    filter.update(&TipSample {
+                        imu,
+                        dt_s: 0.002,
+                        acc: true,
+                        mag: true,
+                        still: false,
+                        base: BaseTurn::default(),
+                    });
                 }
                 let error = filter.r_base_tip().angle_to(&truth.rotation()).to_degrees();
                 assert!(error < 0.3, "{name}: {error}");
-                assert!(filter.flags().levelled && !filter.flags().field_disturbed);
+                let status = filter.filter.status();
+                assert!(status.levelled && !status.field_disturbed);
             }
         }
     }

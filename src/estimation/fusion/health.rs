@@ -10,7 +10,7 @@
 //!   clear ───────────► in force ◄──────────────┐
 //!     ▲                    │ good reading      │
 //!     └────────────── recovering (1 … n) ──────┘
-//!        n-th good one: Recovered { after_s }
+//!        n-th good one: recovered
 //! ```
 //!
 //! The limits are physical. Between two samples dt apart the rate changes by at most α_max·dt (largest angular
@@ -25,11 +25,9 @@ mod reading;
 mod repetition;
 #[cfg(test)]
 mod tests;
-mod verdict;
 
 pub use cause::{CauseSet, HealthCause};
 pub use checks::KnownErrors;
 pub use config::{HealthConfig, Policies, Policy};
-pub use monitor::SensorMonitor;
-pub use reading::{FieldReference, ImuReading, Quality, ReadFault};
-pub use verdict::{HealthAction, HealthVerdict, Recovered};
+pub use monitor::{HealthAction, HealthVerdict, SensorMonitor};
+pub use reading::{FieldShape, ImuReading, Quality, ReadFault};

@@ -71,6 +71,32 @@ pub fn share(dt_s: f64, tau_s: f64) -> f64 {
     1.0 - (-dt_s / tau_s).exp()
 }
 
+/// Time for which a condition has held without a break, a tick of `dt_s` after it had held for `before_s`.
+pub fn held_s(before_s: f64, holds: bool, dt_s: f64) -> f64 {
+    if holds { before_s + dt_s } else { 0.0 }
+}
+
+/// Sum of readings of a vector.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Mean {
+    sum: Vector3<f64>,
+    n: u32,
+}
+
+impl Mean {
+    /// Adds a reading, if there is one.
+    pub fn add(&mut self, reading: Option<Vector3<f64>>) {
+        if let Some(reading) = reading {
+            self.sum += reading;
+            self.n += 1;
+        }
+    }
+    /// Mean reading, if there was one.
+    pub fn get(&self) -> Option<Vector3<f64>> {
+        (self.n > 0).then(|| self.sum / f64::from(self.n))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

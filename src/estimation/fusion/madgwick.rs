@@ -16,7 +16,7 @@
 //! length, and never receives a zero or non-finite vector. Its Earth frame is north-west-up, as is the world frame.
 
 use super::field_gate::FieldGate;
-use super::filter::{FilterFlags, OrientationFilter, level};
+use super::filter::{FilterStatus, OrientationFilter, level};
 use super::intake::{self, Step};
 use super::standstill::StandstillDetector;
 use crate::primitives::{ImuSample, Rotation, Sensor, World};
@@ -94,8 +94,8 @@ impl Madgwick {
         };
         match acc {
             Some(acc) if self.standstill.update(&gyro, &acc, dt_s) => {
-                self.bias += intake::share(dt_s, BIAS_STILL_TAU_S)
-                    * (self.standstill.gyro_mean_rad_s() - self.bias);
+                let off = self.standstill.gyro_mean_rad_s() - self.bias;
+                self.bias += intake::share(dt_s, BIAS_STILL_TAU_S) * off;
             }
             Some(_) => {}
             None => self.standstill.miss(dt_s),
@@ -148,12 +148,10 @@ impl Madgwick {
         let (Some(force), Some(field)) = (self.force, self.field) else {
             return quat;
         };
-        let mut filter =
-            ahrs::Madgwick::new_with_quat(dt_s, weight * self.gain(self.config.beta_field), quat);
-        filter
-            .update(&Vector3::zeros(), &force, &field)
-            .copied()
-            .unwrap_or(quat)
+        let beta = weight * self.gain(self.config.beta_field);
+        let mut filter = ahrs::Madgwick::new_with_quat(dt_s, beta, quat);
+        let turned = filter.update(&Vector3::zeros(), &force, &field);
+        turned.copied().unwrap_or(quat)
     }
 }
 
@@ -186,10 +184,8 @@ impl OrientationFilter for Madgwick {
         self.update_rate(usable.gyro_rad_s, usable.acc_m_s2, dt_s);
         let turn = UnitQuaternion::from_scaled_axis(-self.rate * dt_s);
         let had_north = self.field.is_some();
-        let (force_share, field_share) = (
-            self.input_share(dt_s),
-            self.input_share(self.field_age_s + dt_s),
-        );
+        let force_share = self.input_share(dt_s);
+        let field_share = self.input_share(self.field_age_s + dt_s);
         self.age_s += dt_s;
         self.field_age_s += dt_s;
         low_pass(&mut self.force, usable.acc_m_s2, &turn, force_share);
@@ -198,31 +194,24 @@ impl OrientationFilter for Madgwick {
             return self.level();
         };
         let quat = self.descend_on_gravity(quat, dt_s);
-        let quat = match usable.mag_ut {
-            Some(mag) => {
-                let since_s = std::mem::take(&mut self.field_age_s);
-                if self.age_s < SETTLING_S {
-                    self.gate = FieldGate::default();
-                }
-                let weight = self.gate.update(&(quat * mag), self.rate.norm(), since_s);
-                self.descend_on_field(quat, weight, since_s)
-            }
-            None => quat,
-        };
         self.quat = Some(quat);
+        if let Some(mag) = usable.mag_ut {
+            let since_s = std::mem::take(&mut self.field_age_s);
+            if self.age_s < SETTLING_S {
+                self.gate = FieldGate::default();
+            }
+            let weight = self.gate.update(&(quat * mag), self.rate.norm(), since_s);
+            self.quat = Some(self.descend_on_field(quat, weight, since_s));
+        }
     }
 
     fn orientation(&self) -> Rotation<World, Sensor> {
-        self.quat
-            .map_or_else(Rotation::identity, Rotation::assert_frames)
+        Rotation::assert_frames(self.quat.unwrap_or_default())
     }
 
-    fn gyro_bias_rad_s(&self) -> Vector3<f64> {
-        self.bias
-    }
-
-    fn flags(&self) -> FilterFlags {
-        FilterFlags {
+    fn status(&self) -> FilterStatus {
+        FilterStatus {
+            gyro_bias_rad_s: self.bias,
             levelled: self.quat.is_some(),
             north_found: self.quat.is_some() && self.field.is_some(),
             standstill: self.standstill.standstill(),

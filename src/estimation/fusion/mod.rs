@@ -33,5 +33,5 @@ pub mod sway;
 pub mod tip;
 pub mod vqf;
 
-pub use filter::{FilterFlags, MeasurementMask, OrientationFilter, Periods, TipEstimator};
-pub use registry::{Filter, FilterName, UnknownFilter};
+pub use filter::{FilterStatus, OrientationFilter, Periods, TipEstimator, TipSample};
+pub use registry::{Filter, FilterName};

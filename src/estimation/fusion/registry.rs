@@ -10,9 +10,9 @@
 //! A new filter needs its own file, a line in `fusion/mod.rs` and its entries in [`FilterName`] and [`Filter`].
 
 use crate::estimation::fusion::filter::{OrientationFilter, Periods};
-use crate::estimation::fusion::madgwick::{Madgwick, MadgwickConfig};
+use crate::estimation::fusion::madgwick::Madgwick;
 use crate::estimation::fusion::mekf::{Mekf, MekfConfig};
-use crate::estimation::fusion::vqf::{Vqf, VqfConfig};
+use crate::estimation::fusion::vqf::{TAU_MAG_LONG_S, TAU_MAG_S, Vqf};
 use crate::named;
 use serde::{Deserialize, Serialize};
 use std::ops::{Deref, DerefMut};
@@ -38,9 +38,9 @@ impl FilterName {
     /// A new filter with its shipped settings.
     pub fn build(self, periods: Periods) -> Filter {
         match self {
-            Self::Madgwick => Filter::Madgwick(Madgwick::new(MadgwickConfig::default())),
-            Self::Vqf => Filter::Vqf(Vqf::new(periods, VqfConfig::default())),
-            Self::VqfLong => Filter::Vqf(Vqf::new(periods, VqfConfig::long())),
+            Self::Madgwick => Filter::Madgwick(Madgwick::default()),
+            Self::Vqf => Filter::Vqf(Vqf::new(periods, TAU_MAG_S)),
+            Self::VqfLong => Filter::Vqf(Vqf::new(periods, TAU_MAG_LONG_S)),
             Self::Mekf => Filter::Mekf(Mekf::new(MekfConfig::default())),
         }
     }
@@ -82,23 +82,14 @@ impl DerefMut for Filter {
     }
 }
 
-/// A name that belongs to no filter.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("there is no filter \"{name}\"; use one of {}", FilterName::ALL.map(FilterName::name).join(", "))]
-pub struct UnknownFilter {
-    /// The name as given.
-    pub name: String,
-}
-
 impl FromStr for FilterName {
-    type Err = UnknownFilter;
-    fn from_str(name: &str) -> Result<Self, UnknownFilter> {
-        Self::ALL
-            .into_iter()
-            .find(|f| f.name() == name)
-            .ok_or_else(|| UnknownFilter {
-                name: name.to_owned(),
-            })
+    type Err = String;
+    fn from_str(name: &str) -> Result<Self, String> {
+        let found = Self::ALL.into_iter().find(|f| f.name() == name);
+        found.ok_or_else(|| {
+            let names = Self::ALL.map(Self::name).join(", ");
+            format!("there is no filter \"{name}\"; use one of {names}")
+        })
     }
 }
 

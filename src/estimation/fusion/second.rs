@@ -5,9 +5,9 @@
 //! verticals, which does not depend on the heading. The allowed angle grows with the rate of the tip, because the
 //! second estimate is late by half a period.
 
-use crate::estimation::fusion::base::BaseTurn;
 use crate::estimation::fusion::estimator::Estimator;
-use crate::estimation::fusion::filter::{MeasurementMask, TipEstimator};
+use crate::estimation::fusion::filter::{TipEstimator, TipSample};
+use crate::estimation::fusion::intake::{self, Mean};
 use crate::parameters;
 use crate::primitives::ImuSample;
 use nalgebra::{UnitQuaternion, Vector3};
@@ -31,10 +31,8 @@ parameters! {
 #[derive(Debug, Clone, Default)]
 struct Average {
     turn: UnitQuaternion<f64>,
-    acc: Vector3<f64>,
-    acc_n: u32,
-    mag: Vector3<f64>,
-    mag_n: u32,
+    acc: Mean,
+    mag: Mean,
     length_s: f64,
 }
 
@@ -65,52 +63,36 @@ impl Second {
     }
 
     /// Adds a sample; true when a period is complete and the estimator has processed its mean.
-    pub fn add(
-        &mut self,
-        config: &SecondConfig,
-        sample: &ImuSample,
-        dt_s: f64,
-        mask: MeasurementMask,
-        base: &BaseTurn,
-    ) -> bool {
-        let sum = &mut self.average;
-        sum.turn *= UnitQuaternion::from_scaled_axis(sample.gyro_rad_s * dt_s);
-        sum.length_s += dt_s;
-        if mask.acc {
-            (sum.acc, sum.acc_n) = (sum.acc + sample.acc_m_s2, sum.acc_n + 1);
-        }
-        if let (Some(mag), true) = (sample.mag_ut, mask.mag) {
-            (sum.mag, sum.mag_n) = (sum.mag + mag, sum.mag_n + 1);
-        }
+    pub fn add(&mut self, config: &SecondConfig, sample: &TipSample) -> bool {
+        let (sum, imu) = (&mut self.average, &sample.imu);
+        sum.turn *= UnitQuaternion::from_scaled_axis(imu.gyro_rad_s * sample.dt_s);
+        sum.length_s += sample.dt_s;
+        sum.acc.add(sample.acc.then_some(imu.acc_m_s2));
+        sum.mag.add(imu.mag_ut.filter(|_| sample.mag));
         if sum.length_s < config.period_s - 1e-9 {
             return false;
         }
         let sum = std::mem::take(sum);
-        let mean = ImuSample {
-            t: sample.t,
-            gyro_rad_s: sum.turn.scaled_axis() / sum.length_s,
-            acc_m_s2: sum.acc / f64::from(sum.acc_n.max(1)),
-            mag_ut: (sum.mag_n > 0).then(|| sum.mag / f64::from(sum.mag_n)),
-        };
-        let mask = MeasurementMask {
-            acc: sum.acc_n > 0,
-            mag: sum.mag_n > 0,
-            ..mask
-        };
-        self.estimator.update(&mean, sum.length_s, mask, base);
+        let (acc, mag_ut) = (sum.acc.get(), sum.mag.get());
+        self.estimator.update(&TipSample {
+            imu: ImuSample {
+                t: imu.t,
+                gyro_rad_s: sum.turn.scaled_axis() / sum.length_s,
+                acc_m_s2: acc.unwrap_or_default(),
+                mag_ut,
+            },
+            dt_s: sum.length_s,
+            acc: acc.is_some(),
+            mag: mag_ut.is_some(),
+            ..*sample
+        });
         true
     }
 
-    /// Restarts from one sample after a gap of `gap_s`.
-    pub fn recover(
-        &mut self,
-        sample: &ImuSample,
-        gap_s: f64,
-        mask: MeasurementMask,
-        base: &BaseTurn,
-    ) {
+    /// Restarts from one sample after a gap.
+    pub fn recover(&mut self, sample: &TipSample) {
         self.average = Average::default();
-        self.estimator.recover(sample, gap_s, mask, base);
+        self.estimator.recover(sample);
     }
 
     /// Compares with the selected estimator once per period. `up` is the specific force during alignment, `field`
@@ -123,10 +105,8 @@ impl Second {
         field: bool,
         rate_rad_s: f64,
     ) {
-        let (a, b) = (
-            first.r_base_tip().quat(),
-            self.estimator.r_base_tip().quat(),
-        );
+        let a = first.r_base_tip().quat();
+        let b = self.estimator.r_base_tip().quat();
         self.angle_rad = if field {
             (a * Vector3::z()).angle(&(b * Vector3::z()))
         } else {
@@ -134,11 +114,8 @@ impl Second {
         };
         let allowed = config.angle_deg.to_radians() + config.angle_per_rate_s * rate_rad_s;
         let differs = self.angle_rad > allowed;
-        self.changed_s = if differs == self.disagrees {
-            0.0
-        } else {
-            self.changed_s + config.period_s
-        };
+        let changes = differs != self.disagrees;
+        self.changed_s = intake::held_s(self.changed_s, changes, config.period_s);
         if self.changed_s >= config.time_s {
             (self.disagrees, self.changed_s) = (differs, 0.0);
         }

@@ -14,62 +14,35 @@
 //! minute or two to drift as far. The authors' 9 s suit many sensors. `docs/fusion.md` explains the choice of
 //! [`TAU_MAG_LONG_S`].
 
-use super::filter::{FilterFlags, OrientationFilter, Periods};
+use super::filter::{FilterStatus, OrientationFilter, Periods};
 use super::intake::{self, Step};
 use crate::primitives::{ImuSample, Rotation, Sensor, World};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-/// Magnetometer time constant of `vqf-long`, seconds.
+/// Time constant of the heading correction as published, s. A larger value reduces the heading error by a distorted field and
+/// increases that by gyroscope drift.
+pub const TAU_MAG_S: f64 = 9.0;
+/// That of `vqf-long`, s.
 pub const TAU_MAG_LONG_S: f64 = 20.0;
 /// Sideways share added to a first sample that is exactly upside down, where the levelling rotation is undefined.
 const UPSIDE_DOWN_OFFSET: f64 = 1e-3;
-
-/// Settings of VQF; all others are as published.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct VqfConfig {
-    /// Time constant of the accelerometer low-pass, s. Default 3. A larger value reduces the tilt error by hand
-    /// motion and increases that by gyroscope drift.
-    pub tau_acc_s: f64,
-    /// Time constant of the heading correction, s. Default 9. A larger value reduces the heading error by a
-    /// distorted field and increases that by gyroscope drift.
-    pub tau_mag_s: f64,
-}
-
-impl Default for VqfConfig {
-    fn default() -> Self {
-        Self {
-            tau_acc_s: 3.0,
-            tau_mag_s: 9.0,
-        }
-    }
-}
-
-impl VqfConfig {
-    /// The settings of `vqf-long`.
-    pub fn long() -> Self {
-        Self {
-            tau_mag_s: TAU_MAG_LONG_S,
-            ..Self::default()
-        }
-    }
-}
 
 /// The filter and its state.
 pub struct Vqf {
     inner: vqf_rs::VQF,
     periods: Periods,
-    config: VqfConfig,
+    tau_mag_s: f64,
     last_gyro: Vector3<f64>,
     levelled: bool,
     north_found: bool,
 }
 
 impl Vqf {
-    /// A filter for samples of the given nominal periods.
-    pub fn new(periods: Periods, config: VqfConfig) -> Self {
+    /// A filter for samples of the given nominal periods. Its time constant of the heading is `tau_mag_s`, all other settings are as
+    /// published.
+    pub fn new(periods: Periods, tau_mag_s: f64) -> Self {
         let params = vqf_rs::Params {
-            tau_acc: config.tau_acc_s.max(1e-3),
-            tau_mag: config.tau_mag_s.max(0.0),
+            tau_mag: tau_mag_s,
             ..vqf_rs::Params::default()
         };
         let imu_s = period_or(periods.imu_s, 0.005);
@@ -77,7 +50,7 @@ impl Vqf {
         Self {
             inner: vqf_rs::VQF::new(imu_s, None, Some(mag_s), Some(params)),
             periods,
-            config,
+            tau_mag_s,
             last_gyro: Vector3::zeros(),
             levelled: false,
             north_found: false,
@@ -114,7 +87,7 @@ impl Vqf {
 impl Clone for Vqf {
     /// Copies the state, since the filter of the crate does not implement `Clone`.
     fn clone(&self) -> Self {
-        let mut copy = Self::new(self.periods, self.config);
+        let mut copy = Self::new(self.periods, self.tau_mag_s);
         *copy.inner.state_mut() = *self.inner.state();
         (copy.last_gyro, copy.levelled, copy.north_found) =
             (self.last_gyro, self.levelled, self.north_found);
@@ -124,9 +97,9 @@ impl Clone for Vqf {
 
 impl std::fmt::Debug for Vqf {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Vqf")
-            .field("config", &self.config)
-            .field("orientation", &self.orientation())
+        let mut shown = f.debug_struct("Vqf");
+        shown
+            .field("tau_mag_s", &self.tau_mag_s)
             .finish_non_exhaustive()
     }
 }
@@ -155,21 +128,17 @@ impl OrientationFilter for Vqf {
 
     /// The world frame of VQF has y to the north, this crate's has x there.
     fn orientation(&self) -> Rotation<World, Sensor> {
+        if !self.levelled {
+            return Rotation::identity();
+        }
         let r_world_enu =
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -std::f64::consts::FRAC_PI_2);
-        if self.levelled {
-            Rotation::assert_frames(r_world_enu * unit(self.inner.quat_9d()))
-        } else {
-            Rotation::identity()
-        }
+        Rotation::assert_frames(r_world_enu * unit(self.inner.quat_9d()))
     }
 
-    fn gyro_bias_rad_s(&self) -> Vector3<f64> {
-        self.inner.bias_estimate().0.into()
-    }
-
-    fn flags(&self) -> FilterFlags {
-        FilterFlags {
+    fn status(&self) -> FilterStatus {
+        FilterStatus {
+            gyro_bias_rad_s: self.inner.bias_estimate().0.into(),
             levelled: self.levelled,
             north_found: self.north_found,
             standstill: self.inner.rest_detected(),
@@ -185,11 +154,8 @@ impl OrientationFilter for Vqf {
 
 /// The crate asserts positive periods, so an invalid one is replaced.
 fn period_or(period_s: f64, fallback_s: f64) -> f64 {
-    if period_s.is_finite() && period_s > 0.0 {
-        period_s
-    } else {
-        fallback_s
-    }
+    let valid = period_s.is_finite() && period_s > 0.0;
+    if valid { period_s } else { fallback_s }
 }
 
 fn unit(q: vqf_rs::Quaternion) -> UnitQuaternion<f64> {

@@ -5,33 +5,14 @@
 //! rests, which holds in any attitude. Twenty or more rests in all directions also give the cross-axis terms, by the
 //! ellipsoid.
 
-use super::ellipsoid::{self, check_residual};
+use super::ellipsoid::{self, Distance, Measured, VectorFit, check_residual, coverage};
 use super::refusal::Refusal;
-use super::sphere::coverage;
 use super::still::Rest;
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
-use nalgebra::storage::Owned;
-use nalgebra::{DVector, Dyn, Matrix3, OMatrix, OVector, SVector, U6, Vector3};
+use nalgebra::{Matrix3, SVector, Vector3};
 
 /// Gravity, m/s². The scale of the result refers to it.
 pub const GRAVITY_M_S2: f64 = 9.81;
-
-/// Result for the accelerometer: `a = matrix (a_raw − bias)`.
-#[derive(Debug, Clone, PartialEq)]
-pub struct AccFit {
-    /// Bias, m/s².
-    pub bias_m_s2: Vector3<f64>,
-    /// One sigma of it per axis, m/s².
-    pub bias_sigma_m_s2: Vector3<f64>,
-    /// Scale and skew, symmetric, near 1.
-    pub matrix: Matrix3<f64>,
-    /// One sigma of each entry.
-    pub matrix_sigma: Matrix3<f64>,
-    /// rms of the corrected norm against g, m/s².
-    pub residual_m_s2: f64,
-    /// Share of the sphere of directions covered, 0 to 1.
-    pub coverage: f64,
-}
 
 const FACES: [&str; 6] = ["+x", "-x", "+y", "-y", "+z", "-z"];
 
@@ -49,48 +30,6 @@ fn by_face(rests: &[Rest]) -> [Option<Vector3<f64>>; 6] {
     sums.map(|(sum, n)| (n > 0).then(|| sum / f64::from(n)))
 }
 
-/// Norm of the corrected rests over g, minus one; the parameters are the bias over g and the inverse scale.
-struct Norms<'a> {
-    rests: &'a [Rest],
-    p: SVector<f64, 6>,
-}
-
-impl Norms<'_> {
-    fn corrected(&self, rest: &Rest) -> Vector3<f64> {
-        let a = rest.acc_m_s2 / GRAVITY_M_S2;
-        Vector3::from_fn(|i, _| self.p[3 + i] * (a[i] - self.p[i]))
-    }
-}
-
-impl LeastSquaresProblem<f64, Dyn, U6> for Norms<'_> {
-    type ResidualStorage = Owned<f64, Dyn>;
-    type JacobianStorage = Owned<f64, Dyn, U6>;
-    type ParameterStorage = Owned<f64, U6>;
-
-    fn set_params(&mut self, x: &OVector<f64, U6>) {
-        self.p = *x;
-    }
-    fn params(&self) -> OVector<f64, U6> {
-        self.p
-    }
-    fn residuals(&self) -> Option<DVector<f64>> {
-        let norms = self.rests.iter().map(|r| self.corrected(r).norm() - 1.0);
-        Some(DVector::from_iterator(self.rests.len(), norms))
-    }
-    fn jacobian(&self) -> Option<OMatrix<f64, Dyn, U6>> {
-        let mut j = OMatrix::<f64, Dyn, U6>::zeros(self.rests.len());
-        for (row, rest) in self.rests.iter().enumerate() {
-            let u = self.corrected(rest);
-            let n = u.norm().max(1e-12);
-            for i in 0..3 {
-                j[(row, i)] = -u[i] * self.p[3 + i] / n;
-                j[(row, 3 + i)] = u[i] * (rest.acc_m_s2[i] / GRAVITY_M_S2 - self.p[i]) / n;
-            }
-        }
-        Some(j)
-    }
-}
-
 /// Noise of the mean norm of a rest, as a share of g: white noise averaged over the samples, plus one part in 20 000
 /// for temperature and a yielding table.
 fn mean_noise(rest: &Rest) -> f64 {
@@ -104,12 +43,11 @@ fn mean_noise(rest: &Rest) -> f64 {
 /// # Errors
 /// [`Refusal::MissingFace`] names the first face that was never up; [`Refusal::NotAnEllipsoid`] or
 /// [`Refusal::PoorFit`] if the rests contradict each other.
-pub fn six_positions(rests: &[Rest]) -> Result<AccFit, Refusal> {
+pub fn six_positions(rests: &[Rest]) -> Result<VectorFit, Refusal> {
     let faces = by_face(rests);
-    for (face, found) in FACES.iter().zip(&faces) {
-        if found.is_none() {
-            return Err(Refusal::MissingFace { face });
-        }
+    if let Some(missing) = faces.iter().position(Option::is_none) {
+        let face = FACES[missing];
+        return Err(Refusal::MissingFace { face });
     }
     let mut p = SVector::<f64, 6>::zeros();
     for i in 0..3 {
@@ -118,36 +56,35 @@ pub fn six_positions(rests: &[Rest]) -> Result<AccFit, Refusal> {
         p[i] = 0.5 * (up + down) / GRAVITY_M_S2;
         p[3 + i] = 2.0 * GRAVITY_M_S2 / (up - down);
     }
-    let (fit, report) = LevenbergMarquardt::new()
-        .with_tol(1e-13)
-        .minimize(Norms { rests, p });
-    let (Some(r), Some(j)) = (fit.residuals(), fit.jacobian()) else {
+    let points: Vec<Vector3<f64>> = rests.iter().map(|r| r.acc_m_s2 / GRAVITY_M_S2).collect();
+    let start = Distance { points: &points, p };
+    let (fit, report) = LevenbergMarquardt::new().with_tol(1e-13).minimize(start);
+    let (Some(r), Some(j), true) = (
+        fit.residuals(),
+        fit.jacobian(),
+        report.objective_function.is_finite(),
+    ) else {
         return Err(Refusal::NotAnEllipsoid);
     };
-    if !report.objective_function.is_finite() {
-        return Err(Refusal::NotAnEllipsoid);
-    }
-    let spare = rests.len() as f64 - 6.0;
-    let expected = rests.iter().map(|r| mean_noise(r).powi(2)).sum::<f64>() / rests.len() as f64;
-    let observed = if spare > 0.0 {
-        r.norm_squared() / spare
-    } else {
-        0.0
-    };
-    let cov = (j.transpose() * j)
-        .try_inverse()
-        .ok_or(Refusal::NotAnEllipsoid)?
-        * expected.max(observed);
+    let (count, spare) = (rests.len() as f64, rests.len() as f64 - 6.0);
+    let expected = rests.iter().map(|r| mean_noise(r).powi(2)).sum::<f64>() / count;
+    let observed = r.norm_squared() / spare;
+    let variance = expected.max(if spare > 0.0 { observed } else { 0.0 });
+    let information = (j.transpose() * j).try_inverse();
+    let cov = information.ok_or(Refusal::NotAnEllipsoid)? * variance;
     let sigma = cov.diagonal().map(|v| v.max(0.0).sqrt());
-    let residual_m_s2 = GRAVITY_M_S2 * (r.norm_squared() / rests.len() as f64).sqrt();
-    check_residual(residual_m_s2, GRAVITY_M_S2, "m/s²")?;
-    Ok(AccFit {
-        bias_m_s2: fit.p.fixed_rows::<3>(0) * GRAVITY_M_S2,
-        bias_sigma_m_s2: sigma.fixed_rows::<3>(0) * GRAVITY_M_S2,
-        matrix: Matrix3::from_diagonal(&fit.p.fixed_rows::<3>(3).into_owned()),
-        matrix_sigma: Matrix3::from_diagonal(&sigma.fixed_rows::<3>(3).into_owned()),
-        residual_m_s2,
-        coverage: coverage(rests.iter().map(|r| &r.acc_m_s2)),
+    let residual = GRAVITY_M_S2 * (r.norm_squared() / count).sqrt();
+    check_residual(residual, GRAVITY_M_S2, "m/s²")?;
+    let scale = |v: &SVector<f64, 6>| Matrix3::from_diagonal(&v.fixed_rows::<3>(3).into_owned());
+    Ok(VectorFit {
+        bias: fit.p.fixed_rows::<3>(0) * GRAVITY_M_S2,
+        bias_sigma: sigma.fixed_rows::<3>(0) * GRAVITY_M_S2,
+        matrix: scale(&fit.p),
+        matrix_sigma: scale(&sigma),
+        length: GRAVITY_M_S2,
+        residual,
+        outliers: 0,
+        coverage: coverage(rests.iter().map(|r| r.acc_m_s2)),
     })
 }
 
@@ -155,25 +92,15 @@ pub fn six_positions(rests: &[Rest]) -> Result<AccFit, Refusal> {
 ///
 /// # Errors
 /// [`Refusal`] if there are too few, they cover too little of the sphere, or fit no ellipsoid.
-pub fn ellipsoid(rests: &[Rest]) -> Result<AccFit, Refusal> {
+pub fn ellipsoid(rests: &[Rest]) -> Result<VectorFit, Refusal> {
     let points: Vec<Vector3<f64>> = rests.iter().map(|r| r.acc_m_s2).collect();
-    let e = ellipsoid::fit(&points)?;
-    let advice = "place the sensor in more attitudes, upside down too";
-    let coverage = e.check(
-        &points,
-        GRAVITY_M_S2,
-        "the accelerometer bias",
-        advice,
-        "m/s²",
-    )?;
-    Ok(AccFit {
-        bias_m_s2: e.centre,
-        bias_sigma_m_s2: e.centre_sigma,
-        matrix: e.shape * GRAVITY_M_S2,
-        matrix_sigma: e.shape_sigma * GRAVITY_M_S2,
-        residual_m_s2: e.residual * GRAVITY_M_S2,
-        coverage,
-    })
+    let gravity = Measured {
+        length: Some(GRAVITY_M_S2),
+        bias: "the accelerometer bias",
+        advice: "place the sensor in more attitudes, upside down too",
+        unit: "m/s²",
+    };
+    ellipsoid::fit(&points, &gravity)
 }
 
 #[cfg(test)]
@@ -212,7 +139,6 @@ mod tests {
             gyro_std_rad_s: Vector3::repeat(0.004),
             acc_m_s2,
             acc_std_m_s2: Vector3::repeat(0.03),
-            mag_ut: None,
         }
     }
 
@@ -245,14 +171,10 @@ mod tests {
         for seed in 0..20 {
             let rests = six(6.0, bias, scale, &mut StdRng::seed_from_u64(seed));
             let fit = six_positions(&rests).expect("six faces");
-            let z = (fit.bias_m_s2 - bias).component_div(&fit.bias_sigma_m_s2);
+            let z = (fit.bias - bias).component_div(&fit.bias_sigma);
             let zs = (fit.matrix.diagonal() - scale).component_div(&fit.matrix_sigma.diagonal());
             assert!(z.amax() < 5.0 && zs.amax() < 5.0, "seed {seed}: {z} {zs}");
-            assert!(
-                (fit.bias_m_s2 - bias).amax() < 0.02,
-                "{}",
-                fit.bias_m_s2 - bias
-            );
+            assert!((fit.bias - bias).amax() < 0.02, "{}", fit.bias - bias);
             assert!((fit.matrix.diagonal() - scale).amax() < 1e-3);
         }
     }
@@ -280,11 +202,7 @@ mod tests {
                 })
                 .collect();
             let fit = ellipsoid(&rests).expect("covered");
-            worst = worst.max(
-                (fit.bias_m_s2 - bias)
-                    .component_div(&fit.bias_sigma_m_s2)
-                    .amax(),
-            );
+            worst = worst.max((fit.bias - bias).component_div(&fit.bias_sigma).amax());
             worst = worst.max(
                 (fit.matrix - matrix)
                     .component_div(&fit.matrix_sigma)

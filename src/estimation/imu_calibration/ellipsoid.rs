@@ -8,10 +8,9 @@
 //! residuals, which carry less information. Readings are in time order and are decimated to at most 4000.
 
 use super::refusal::Refusal;
-use super::sphere::coverage;
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::storage::Owned;
-use nalgebra::{DMatrix, DVector, Dyn, Matrix3, OMatrix, OVector, SMatrix, SVector, U9, Vector3};
+use nalgebra::{Const, DMatrix, DVector, Dyn, Matrix3, OMatrix, SMatrix, SVector, Vector3};
 
 type Parameters = SVector<f64, 9>;
 
@@ -30,68 +29,46 @@ const AXES_RATIO_MAX: f64 = 2.0;
 const POINTS_MAX: usize = 4000;
 const BLOCKS: usize = 20;
 
-/// Result in the units of the readings: |M (x − b)| = 1.
+/// Errors of a sensor whose readings have a constant length: `x = matrix (x_raw − bias)`, in the unit of the readings.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Ellipsoid {
-    pub centre: Vector3<f64>,
-    pub centre_sigma: Vector3<f64>,
-    pub shape: Matrix3<f64>,
-    pub shape_sigma: Matrix3<f64>,
-    /// rms of |M (x − b)| − 1 over the readings kept.
+pub struct VectorFit {
+    /// Bias.
+    pub bias: Vector3<f64>,
+    /// One sigma of it per axis.
+    pub bias_sigma: Vector3<f64>,
+    /// Scale and skew, symmetric, near 1.
+    pub matrix: Matrix3<f64>,
+    /// One sigma of each entry.
+    pub matrix_sigma: Matrix3<f64>,
+    /// Length of the corrected vector.
+    pub length: f64,
+    /// rms of the corrected length against it.
     pub residual: f64,
     /// Readings removed as outliers.
     pub outliers: usize,
+    /// Share of the sphere of directions covered, 0 to 1.
+    pub coverage: f64,
 }
 
-impl Ellipsoid {
-    /// Checks coverage, sigma of the centre and residual; returns the coverage. `radius` is in `unit`; `quantity` and
-    /// `advice` are for the refusal.
-    pub fn check(
-        &self,
-        points: &[Vector3<f64>],
-        radius: f64,
-        quantity: &'static str,
-        advice: &'static str,
-        unit: &'static str,
-    ) -> Result<f64, Refusal> {
-        let directions: Vec<Vector3<f64>> = points
-            .iter()
-            .map(|x| self.shape * (x - self.centre))
-            .collect();
-        let have = coverage(directions.iter());
-        if have < COVERAGE_MIN {
-            return Err(Refusal::PoorCoverage {
-                what: "the sphere",
-                have,
-                want: COVERAGE_MIN,
-                advice,
-            });
-        }
-        let (sigma, limit) = (self.centre_sigma.amax(), CENTRE_SIGMA_MAX * radius);
-        if sigma > limit {
-            return Err(Refusal::TooUncertain {
-                what: quantity,
-                sigma,
-                limit,
-                unit,
-            });
-        }
-        check_residual(self.residual * radius, radius, unit)?;
-        Ok(have)
-    }
-    /// Radius of the sphere of the same volume.
-    pub fn radius(&self) -> f64 {
-        self.shape.determinant().powf(-1.0 / 3.0)
-    }
+/// A measured vector of constant length, for the fit and for what is said when it is refused.
+pub(super) struct Measured {
+    /// Length; `None` for that of the sphere of the same volume, which gives the matrix determinant 1.
+    pub length: Option<f64>,
+    /// Name of the bias.
+    pub bias: &'static str,
+    /// How to cover more of the sphere.
+    pub advice: &'static str,
+    /// Unit of the readings.
+    pub unit: &'static str,
 }
 
 /// Matrix entry of each parameter.
 const PLACE: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
 
-fn unpack(p: &Parameters) -> (Vector3<f64>, Matrix3<f64>) {
+fn unpack<const P: usize>(p: &SVector<f64, P>) -> (Vector3<f64>, Matrix3<f64>) {
     let mut m = Matrix3::zeros();
-    for (k, (i, j)) in PLACE.into_iter().enumerate() {
-        (m[(i, j)], m[(j, i)]) = (p[3 + k], p[3 + k]);
+    for ((i, j), value) in PLACE.into_iter().zip(p.iter().skip(3)) {
+        (m[(i, j)], m[(j, i)]) = (*value, *value);
     }
     (p.fixed_rows::<3>(0).into_owned(), m)
 }
@@ -105,32 +82,31 @@ fn pack(b: &Vector3<f64>, m: &Matrix3<f64>) -> Parameters {
     p
 }
 
-struct Distance<'a> {
-    points: &'a [Vector3<f64>],
-    p: Parameters,
+/// Distances of the points; the parameters are b and the first entries of M, of which the others are zero.
+pub(super) struct Distance<'a, const P: usize> {
+    pub points: &'a [Vector3<f64>],
+    pub p: SVector<f64, P>,
 }
 
-impl LeastSquaresProblem<f64, Dyn, U9> for Distance<'_> {
+impl<const P: usize> LeastSquaresProblem<f64, Dyn, Const<P>> for Distance<'_, P> {
     type ResidualStorage = Owned<f64, Dyn>;
-    type JacobianStorage = Owned<f64, Dyn, U9>;
-    type ParameterStorage = Owned<f64, U9>;
+    type JacobianStorage = Owned<f64, Dyn, Const<P>>;
+    type ParameterStorage = Owned<f64, Const<P>>;
 
-    fn set_params(&mut self, x: &OVector<f64, U9>) {
+    fn set_params(&mut self, x: &SVector<f64, P>) {
         self.p = *x;
     }
-    fn params(&self) -> OVector<f64, U9> {
+    fn params(&self) -> SVector<f64, P> {
         self.p
     }
     fn residuals(&self) -> Option<DVector<f64>> {
         let (b, m) = unpack(&self.p);
-        Some(DVector::from_iterator(
-            self.points.len(),
-            self.points.iter().map(|x| (m * (x - b)).norm() - 1.0),
-        ))
+        let distances = self.points.iter().map(|x| (m * (x - b)).norm() - 1.0);
+        Some(DVector::from_iterator(self.points.len(), distances))
     }
-    fn jacobian(&self) -> Option<OMatrix<f64, Dyn, U9>> {
+    fn jacobian(&self) -> Option<OMatrix<f64, Dyn, Const<P>>> {
         let (b, m) = unpack(&self.p);
-        let mut j = OMatrix::<f64, Dyn, U9>::zeros(self.points.len());
+        let mut j = OMatrix::<f64, Dyn, Const<P>>::zeros(self.points.len());
         for (row, x) in self.points.iter().enumerate() {
             let d = x - b;
             let u = m * d;
@@ -139,9 +115,9 @@ impl LeastSquaresProblem<f64, Dyn, U9> for Distance<'_> {
             for k in 0..3 {
                 j[(row, k)] = db[k];
             }
-            for (k, (a, c)) in PLACE.into_iter().enumerate() {
+            for (k, (a, c)) in (3..P).zip(PLACE) {
                 let cross = if a == c { 0.0 } else { u[c] * d[a] };
-                j[(row, 3 + k)] = (u[a] * d[c] + cross) / n;
+                j[(row, k)] = (u[a] * d[c] + cross) / n;
             }
         }
         Some(j)
@@ -228,24 +204,45 @@ pub(super) fn check_residual(rms: f64, radius: f64, unit: &'static str) -> Resul
     }
 }
 
-/// Fits an ellipsoid.
+impl VectorFit {
+    /// Refuses readings that cover too little of the sphere, leave the bias uncertain or do not fit.
+    fn check(self, of: &Measured) -> Result<Self, Refusal> {
+        if self.coverage < COVERAGE_MIN {
+            return Err(Refusal::PoorCoverage {
+                what: "the sphere",
+                have: self.coverage,
+                want: COVERAGE_MIN,
+                advice: of.advice,
+            });
+        }
+        let (sigma, limit) = (self.bias_sigma.amax(), CENTRE_SIGMA_MAX * self.length);
+        if sigma > limit {
+            return Err(Refusal::TooUncertain {
+                what: of.bias,
+                sigma,
+                limit,
+                unit: of.unit,
+            });
+        }
+        check_residual(self.residual, self.length, of.unit)?;
+        Ok(self)
+    }
+}
+
+/// Fits an ellipsoid to readings in time order.
 ///
 /// # Errors
-/// [`Refusal`] for too few or non-finite points, points that lie on no ellipsoid, or a flat ellipsoid.
-pub(super) fn fit(points: &[Vector3<f64>]) -> Result<Ellipsoid, Refusal> {
-    Refusal::unless_enough(points.len(), SAMPLES_MIN)?;
-    if let Some(index) = points.iter().position(|x| !x.iter().all(|c| c.is_finite())) {
-        return Err(Refusal::NotFinite { index });
-    }
-    let every = points.len().div_ceil(POINTS_MAX);
-    let points: Vec<Vector3<f64>> = points.iter().step_by(every).copied().collect();
-    let mean = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
-    let scale = (points
-        .iter()
-        .map(|x| (x - mean).norm_squared())
-        .sum::<f64>()
-        / points.len() as f64)
-        .sqrt();
+/// [`Refusal`] for too few or non-finite readings, readings that lie on no ellipsoid or a flat one, cover too little of the
+/// sphere, or leave too large a residual.
+pub(super) fn fit(readings: &[Vector3<f64>], of: &Measured) -> Result<VectorFit, Refusal> {
+    Refusal::unless_enough(readings.len(), SAMPLES_MIN)?;
+    Refusal::unless_finite(readings.iter())?;
+    let every = readings.len().div_ceil(POINTS_MAX);
+    let points: Vec<Vector3<f64>> = readings.iter().step_by(every).copied().collect();
+    let count = points.len() as f64;
+    let mean = points.iter().sum::<Vector3<f64>>() / count;
+    let squares = points.iter().map(|x| (x - mean).norm_squared());
+    let scale = (squares.sum::<f64>() / count).sqrt();
     if scale < 1e-9 {
         return Err(Refusal::NotAnEllipsoid);
     }
@@ -266,12 +263,63 @@ pub(super) fn fit(points: &[Vector3<f64>]) -> Result<Ellipsoid, Refusal> {
     }
     let (cov, residual) = covariance(&kept, p).ok_or(Refusal::NotAnEllipsoid)?;
     let (b_sigma, m_sigma) = unpack(&cov.diagonal().map(|v| v.max(0.0).sqrt()));
-    Ok(Ellipsoid {
-        centre: mean + b * scale,
-        centre_sigma: b_sigma * scale,
-        shape: m / scale,
-        shape_sigma: m_sigma / scale,
-        residual,
+    let (bias, bias_sigma, shape) = (mean + b * scale, b_sigma * scale, m / scale);
+    let same_volume = || shape.determinant().powf(-1.0 / 3.0);
+    let length = of.length.unwrap_or_else(same_volume);
+    VectorFit {
+        bias,
+        bias_sigma,
+        matrix: shape * length,
+        matrix_sigma: m_sigma / scale * length,
+        length,
+        residual: residual * length,
         outliers: points.len() - kept.len(),
-    })
+        coverage: coverage(readings.iter().map(|x| shape * (x - bias))),
+    }
+    .check(of)
+}
+
+/// Share of the sphere that some directions cover: 32 cells of equal area, four bands of z times eight sectors.
+pub(super) fn coverage(directions: impl Iterator<Item = Vector3<f64>>) -> f64 {
+    let mut covered = 0_u32;
+    for d in directions {
+        let n = d.norm();
+        if n > 0.0 && n.is_finite() {
+            let band = ((d.z / n + 1.0) * 2.0).floor().clamp(0.0, 3.0) as u32;
+            let turn = (d.y.atan2(d.x) / std::f64::consts::TAU).rem_euclid(1.0);
+            let sector = (turn * 8.0).floor().clamp(0.0, 7.0) as u32;
+            covered |= 1 << (8 * band + sector);
+        }
+    }
+    f64::from(covered.count_ones()) / 32.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn coverage_counts_equal_areas() {
+        assert_eq!(coverage(std::iter::empty()), 0.0);
+        assert_eq!(
+            coverage([Vector3::z(), Vector3::zeros(), Vector3::repeat(f64::NAN)].into_iter()),
+            1.0 / 32.0
+        );
+        let all: Vec<_> = (0..4000)
+            .map(|i| {
+                let (z, a) = (
+                    (f64::from(i) + 0.5) / 2000.0 - 1.0,
+                    f64::from(i) * 2.399_963,
+                );
+                Vector3::new(
+                    (1.0_f64 - z * z).sqrt() * a.cos(),
+                    (1.0_f64 - z * z).sqrt() * a.sin(),
+                    z,
+                )
+            })
+            .collect();
+        assert_eq!(coverage(all.iter().copied()), 1.0);
+        let north: Vec<_> = all.into_iter().filter(|d| d.z > 0.0).collect();
+        assert_eq!(coverage(north.into_iter()), 0.5);
+    }
 }

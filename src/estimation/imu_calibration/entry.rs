@@ -1,5 +1,6 @@
 //! Calibrated values with their uncertainty and origin.
 
+use super::ellipsoid::VectorFit;
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
@@ -36,15 +37,16 @@ impl Pedigree<'_> {
             source: self.source.to_owned(),
         }
     }
+
+    /// Entries of bias and matrix.
+    pub(super) fn entries(self, fit: &VectorFit) -> (Option<Entry<[f64; 3]>>, Option<Entry<Rows>>) {
+        let rows = |m: &Matrix3<f64>| [0, 1, 2].map(|i| [m[(i, 0)], m[(i, 1)], m[(i, 2)]]);
+        (
+            Some(self.entry(fit.bias.into(), fit.bias_sigma.into())),
+            Some(self.entry(rows(&fit.matrix), rows(&fit.matrix_sigma))),
+        )
+    }
 }
 
 /// Rows of a 3 × 3 matrix, as written in files.
 pub type Rows = [[f64; 3]; 3];
-
-pub(super) fn rows(m: &Matrix3<f64>) -> Rows {
-    [0, 1, 2].map(|i| [m[(i, 0)], m[(i, 1)], m[(i, 2)]])
-}
-
-pub(super) fn matrix(r: &Rows) -> Matrix3<f64> {
-    Matrix3::from_fn(|i, j| r[i][j])
-}

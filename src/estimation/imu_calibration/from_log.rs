@@ -13,10 +13,8 @@ const STILL_AFTER_S: f64 = 0.5;
 
 /// The samples of a log; none if it has no IMU.
 pub fn samples(log: &BendLog) -> Vec<ImuSample> {
-    let Some(imu) = &log.imu else {
-        return Vec::new();
-    };
-    imu.samples(&log.t_s).collect()
+    let imu = log.imu.as_ref();
+    imu.map_or_else(Vec::new, |imu| imu.samples(&log.t_s).collect())
 }
 
 /// Magnetometer readings in the base frame with the motors' step counts. The tip orientation is estimated without the
@@ -58,11 +56,7 @@ pub fn of_motors(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
 /// Rotations between two held poses in the same bending plane.
 pub fn bends(log: &BendLog) -> Vec<mount::BendTurn> {
     let samples = samples(log);
-    let Some(bias) = samples
-        .get(..)
-        .map(still::rests)
-        .and_then(|r| r.first().map(|r| r.gyro_rad_s))
-    else {
+    let Some(bias) = still::rests(&samples).first().map(|r| r.gyro_rad_s) else {
         return Vec::new();
     };
     let changes: Vec<usize> = (1..samples.len())

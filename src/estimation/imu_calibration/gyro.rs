@@ -20,8 +20,6 @@ pub struct GyroBias {
     pub bias_rad_s: Vector3<f64>,
     /// One sigma per axis, rad/s.
     pub sigma_rad_s: Vector3<f64>,
-    /// Noise of a single sample per axis, rad/s.
-    pub noise_rad_s: Vector3<f64>,
     /// Length of the rest, s.
     pub duration_s: f64,
 }
@@ -43,19 +41,15 @@ pub fn at_rest(samples: &[ImuSample]) -> Result<GyroBias, Refusal> {
     }
     let white = rest.gyro_std_rad_s / (rest.samples as f64).sqrt();
     let size = samples.len() / BLOCKS;
-    let squares: Vector3<f64> = samples
-        .chunks_exact(size)
-        .take(BLOCKS)
-        .map(|block| {
-            block.iter().map(|s| s.gyro_rad_s).sum::<Vector3<f64>>() / size as f64 - rest.gyro_rad_s
-        })
-        .map(|d| d.component_mul(&d))
-        .sum();
+    let off = |block: &[ImuSample]| {
+        block.iter().map(|s| s.gyro_rad_s).sum::<Vector3<f64>>() / size as f64 - rest.gyro_rad_s
+    };
+    let offs = samples.chunks_exact(size).take(BLOCKS).map(off);
+    let squares: Vector3<f64> = offs.map(|d| d.component_mul(&d)).sum();
     let coloured = squares.map(|s| (s / (BLOCKS * (BLOCKS - 1)) as f64).sqrt());
     Ok(GyroBias {
         bias_rad_s: rest.gyro_rad_s,
         sigma_rad_s: white.zip_map(&coloured, f64::max),
-        noise_rad_s: rest.gyro_std_rad_s,
         duration_s: rest.duration_s,
     })
 }

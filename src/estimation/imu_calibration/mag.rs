@@ -2,63 +2,31 @@
 //! ellipsoid whose centre is the hard iron and whose shape is the soft iron (Kok and Schön 2016 derive the same
 //! model; its rotation part needs gravity and is omitted).
 //!
-//! The readings do not determine the absolute strength, so the matrix has determinant 1 and [`MagFit::field_ut`] is
+//! The readings do not determine the absolute strength, so the matrix has determinant 1 and [`VectorFit::length`] is
 //! the strength in units of the sensor.
 
-use super::ellipsoid;
+use super::ellipsoid::{self, Measured, VectorFit};
 use super::refusal::Refusal;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
-/// Result for the magnetometer: `m = matrix (m_raw − bias)`.
-#[derive(Debug, Clone, PartialEq)]
-pub struct MagFit {
-    /// Hard iron, µT.
-    pub bias_ut: Vector3<f64>,
-    /// One sigma of it per axis, µT.
-    pub bias_sigma_ut: Vector3<f64>,
-    /// Soft iron, symmetric, determinant 1.
-    pub matrix: Matrix3<f64>,
-    /// One sigma of each entry.
-    pub matrix_sigma: Matrix3<f64>,
-    /// Strength of the corrected field, µT.
-    pub field_ut: f64,
-    /// rms of the corrected norm against it, µT.
-    pub residual_ut: f64,
-    /// Readings removed as outliers.
-    pub outliers: usize,
-    /// Share of the sphere of directions covered, 0 to 1.
-    pub coverage: f64,
-}
-
-/// Fits a tumble, motors off.
+/// Hard iron and soft iron from a tumble, motors off; in µT.
 ///
 /// # Errors
 /// [`Refusal`] if the tumble is too short or covers too little, or the field was not homogeneous.
-pub fn ellipsoid(readings_ut: &[Vector3<f64>]) -> Result<MagFit, Refusal> {
-    let e = ellipsoid::fit(readings_ut)?;
-    let field_ut = e.radius();
-    let coverage = e.check(
-        readings_ut,
-        field_ut,
-        "the hard iron",
-        "turn the sensor about all three axes, upside down too",
-        "µT",
-    )?;
-    Ok(MagFit {
-        bias_ut: e.centre,
-        bias_sigma_ut: e.centre_sigma,
-        matrix: e.shape * field_ut,
-        matrix_sigma: e.shape_sigma * field_ut,
-        field_ut,
-        residual_ut: e.residual * field_ut,
-        outliers: e.outliers,
-        coverage,
-    })
+pub fn ellipsoid(readings_ut: &[Vector3<f64>]) -> Result<VectorFit, Refusal> {
+    let field = Measured {
+        length: None,
+        bias: "the hard iron",
+        advice: "turn the sensor about all three axes, upside down too",
+        unit: "µT",
+    };
+    ellipsoid::fit(readings_ut, &field)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Matrix3;
     use rand::SeedableRng;
     use rand::rngs::StdRng;
     use rand_distr::{Distribution, StandardNormal};
@@ -103,10 +71,10 @@ mod tests {
         let mut chi2 = 0.0;
         for seed in 0..20 {
             let fit = ellipsoid(&tumble(1500, seed, |d| d)).expect("tumbled");
-            let z = (fit.bias_ut - bias).component_div(&fit.bias_sigma_ut);
+            let z = (fit.bias - bias).component_div(&fit.bias_sigma);
             let zm = (fit.matrix - matrix).component_div(&fit.matrix_sigma);
             assert!(z.amax() < 4.5 && zm.amax() < 4.5, "seed {seed}: {z} {zm}");
-            assert!((fit.field_ut - FIELD_UT).abs() < 0.1 && fit.coverage > 0.99);
+            assert!((fit.length - FIELD_UT).abs() < 0.1 && fit.coverage > 0.99);
             assert!((fit.matrix.determinant() - 1.0).abs() < 1e-9);
             chi2 += z.norm_squared() / 60.0;
         }
@@ -125,9 +93,9 @@ mod tests {
         let fit = ellipsoid(&readings).expect("2 % outliers");
         assert!((25..60).contains(&fit.outliers), "{}", fit.outliers);
         assert!(
-            (fit.bias_ut - truth().0).norm() < 0.2,
+            (fit.bias - truth().0).norm() < 0.2,
             "{}",
-            fit.bias_ut - truth().0
+            fit.bias - truth().0
         );
     }
 

@@ -22,15 +22,13 @@ pub mod mag;
 pub mod motor;
 pub mod mount;
 mod refusal;
-mod sphere;
 pub mod still;
 
-pub use ellipsoid::SAMPLES_MIN as ELLIPSOID_SAMPLES_MIN;
+pub use ellipsoid::{SAMPLES_MIN as ELLIPSOID_SAMPLES_MIN, VectorFit};
 pub use entry::{Entry, Pedigree, Rows};
 pub use refusal::Refusal;
 
 use crate::primitives::{ImuSample, Setting, Shape};
-use entry::{matrix, rows};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -64,15 +62,13 @@ impl ImuCalibration {
     pub fn set_gyro(&mut self, fit: &gyro::GyroBias, from: Pedigree<'_>) {
         self.gyro_bias_rad_s = Some(from.entry(fit.bias_rad_s.into(), fit.sigma_rad_s.into()));
     }
-    /// Stores an accelerometer fit.
-    pub fn set_accel(&mut self, fit: &accel::AccFit, from: Pedigree<'_>) {
-        self.acc_bias_m_s2 = Some(from.entry(fit.bias_m_s2.into(), fit.bias_sigma_m_s2.into()));
-        self.acc_matrix = Some(from.entry(rows(&fit.matrix), rows(&fit.matrix_sigma)));
+    /// Stores a fit of the accelerometer, m/s².
+    pub fn set_accel(&mut self, fit: &VectorFit, from: Pedigree<'_>) {
+        (self.acc_bias_m_s2, self.acc_matrix) = from.entries(fit);
     }
-    /// Stores a magnetometer fit.
-    pub fn set_mag(&mut self, fit: &mag::MagFit, from: Pedigree<'_>) {
-        self.mag_bias_ut = Some(from.entry(fit.bias_ut.into(), fit.bias_sigma_ut.into()));
-        self.mag_matrix = Some(from.entry(rows(&fit.matrix), rows(&fit.matrix_sigma)));
+    /// Stores a fit of the magnetometer, µT.
+    pub fn set_mag(&mut self, fit: &VectorFit, from: Pedigree<'_>) {
+        (self.mag_bias_ut, self.mag_matrix) = from.entries(fit);
     }
     /// Stores a mount rotation.
     pub fn set_mount(&mut self, fit: &mount::Mount, from: Pedigree<'_>) {
@@ -85,8 +81,9 @@ impl ImuCalibration {
             e.as_ref().map_or_else(Vector3::zeros, |e| e.value.into())
         };
         let table = |e: &Option<Entry<Rows>>| {
-            e.as_ref()
-                .map_or_else(Matrix3::identity, |e| matrix(&e.value))
+            e.as_ref().map_or_else(Matrix3::identity, |e| {
+                Matrix3::from_fn(|i, j| e.value[i][j])
+            })
         };
         let mount = UnitQuaternion::from_scaled_axis(vector(&self.mount_deg).map(f64::to_radians))
             .to_rotation_matrix()

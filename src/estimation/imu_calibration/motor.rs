@@ -71,13 +71,10 @@ impl MotorField {
         let mut field = Vector3::zeros();
         for i in 0..3 {
             let (sin, cos) = phase_rad(counts[i]).sin_cos();
-            let strength = if energised[i] {
-                1.0
-            } else {
-                self.idle_factor[i]
-            };
-            field += strength
-                * (cos * Vector3::from(self.cos_ut[i]) + sin * Vector3::from(self.sin_ut[i]));
+            let idle = self.idle_factor[i];
+            let strength = if energised[i] { 1.0 } else { idle };
+            let (c, s) = (Vector3::from(self.cos_ut[i]), Vector3::from(self.sin_ut[i]));
+            field += strength * (cos * c + sin * s);
         }
         field
     }
@@ -123,17 +120,13 @@ fn normal(samples: &[MotorSample], p: &SVector<f64, SIZE>) -> Normal {
             let (c, q, k) = place(i);
             let (sin, cos) = phase_rad(s.counts[i]).sin_cos();
             let full = p.fixed_rows::<3>(c) * cos + p.fixed_rows::<3>(q) * sin;
-            let strength = if s.energised[i] { 1.0 } else { p[k] };
+            let (strength, slope) = if s.energised[i] {
+                (1.0, Vector3::zeros())
+            } else {
+                (p[k], full)
+            };
             residual -= full * strength;
-            *term = (
-                strength * cos,
-                strength * sin,
-                if s.energised[i] {
-                    Vector3::zeros()
-                } else {
-                    full
-                },
-            );
+            *term = (strength * cos, strength * sin, slope);
         }
         squares += residual.norm_squared();
         for axis in 0..3 {
@@ -165,21 +158,15 @@ fn normal(samples: &[MotorSample], p: &SVector<f64, SIZE>) -> Normal {
 /// not finite.
 pub fn fit(samples: &[MotorSample], from: Pedigree<'_>) -> Result<MotorFit, Refusal> {
     Refusal::unless_enough(samples.len(), 4 * SIZE)?;
-    if let Some(index) = samples
-        .iter()
-        .position(|s| !s.mag_ut.iter().all(|x| x.is_finite()))
-    {
-        return Err(Refusal::NotFinite { index });
-    }
+    Refusal::unless_finite(samples.iter().map(|s| &s.mag_ut))?;
     let coverage = [0, 1, 2].map(|motor| coverage(samples, motor));
     let have = coverage.into_iter().fold(1.0, f64::min);
     if have < COVERAGE_MIN {
-        let advice = "step every motor through a complete cycle of 64 microsteps";
         return Err(Refusal::PoorCoverage {
             what: "a coil cycle",
             have,
             want: COVERAGE_MIN,
-            advice,
+            advice: "step every motor through a complete cycle of 64 microsteps",
         });
     }
     let mut p = SVector::<f64, SIZE>::zeros();
@@ -190,10 +177,10 @@ pub fn fit(samples: &[MotorSample], from: Pedigree<'_>) -> Result<MotorFit, Refu
     let mut inverse = SMatrix::<f64, SIZE, SIZE>::zeros();
     for _ in 0..ITERATIONS {
         let (mut h, mut g, _) = normal(samples, &p);
-        for i in 0..3 {
-            let k = place(i).2;
-            h[(k, k)] += variance / IDLE_PRIOR.1.powi(2);
-            g[k] += variance / IDLE_PRIOR.1.powi(2) * (IDLE_PRIOR.0 - p[k]);
+        let weight = variance / IDLE_PRIOR.1.powi(2);
+        for k in [0, 1, 2].map(|i| place(i).2) {
+            h[(k, k)] += weight;
+            g[k] += weight * (IDLE_PRIOR.0 - p[k]);
         }
         inverse = h.cholesky().ok_or(too_uncertain(f64::INFINITY))?.inverse();
         let step = inverse * g;
@@ -237,13 +224,8 @@ fn report(
         date: from.date.to_owned(),
         source: from.source.to_owned(),
     };
-    let worst = field
-        .cos_sigma_ut
-        .iter()
-        .chain(&field.sin_sigma_ut)
-        .flatten()
-        .copied()
-        .fold(0.0, f64::max);
+    let sigmas = field.cos_sigma_ut.iter().chain(&field.sin_sigma_ut);
+    let worst = sigmas.flatten().copied().fold(0.0, f64::max);
     if worst > SIGMA_MAX_UT {
         return Err(too_uncertain(worst));
     }

@@ -66,49 +66,30 @@ pub struct Mount {
 /// [`Refusal`] if there are fewer than four bends of at least 10°, their directions are too similar, or they do not
 /// share a plane.
 pub fn from_bends(bends: &[BendTurn]) -> Result<Mount, Refusal> {
-    if let Some(index) = bends
-        .iter()
-        .position(|b| !b.turn_rad.iter().all(|x| x.is_finite()))
-    {
-        return Err(Refusal::NotFinite { index });
-    }
-    let used: Vec<BendTurn> = bends
-        .iter()
-        .filter(|b| b.turn_rad.norm() >= BEND_MIN_DEG.to_radians())
-        .copied()
-        .collect();
+    Refusal::unless_finite(bends.iter().map(|b| &b.turn_rad))?;
+    let large = |b: &&BendTurn| b.turn_rad.norm() >= BEND_MIN_DEG.to_radians();
+    let used: Vec<BendTurn> = bends.iter().filter(large).copied().collect();
     Refusal::unless_enough(used.len(), BENDS_MIN)?;
     let weight: f64 = used.iter().map(|b| b.turn_rad.norm_squared()).sum();
     // weights are |turn|², since the error of an integrated gyroscope does not depend on the angle
-    let scatter: Matrix3<f64> = used
-        .iter()
-        .map(|b| b.turn_rad * b.turn_rad.transpose())
-        .sum::<Matrix3<f64>>()
-        / weight;
-    let eigen = scatter.symmetric_eigen();
-    let order = {
-        let mut order = [0, 1, 2];
-        order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
-        order
-    };
+    let squares = used.iter().map(|b| b.turn_rad * b.turn_rad.transpose());
+    let eigen = (squares.sum::<Matrix3<f64>>() / weight).symmetric_eigen();
+    let mut order = [0, 1, 2];
+    order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
     let spread = eigen.eigenvalues[order[1]];
     if spread < SPREAD_MIN {
-        let advice = "bend in all directions, at most 90° apart";
         return Err(Refusal::PoorCoverage {
             what: "the plane of bends",
             have: spread,
             want: SPREAD_MIN,
-            advice,
+            advice: "bend in all directions, at most 90° apart",
         });
     }
-    let (q, yaw_known) = match directed(&used) {
-        Some(q) => (q, true),
-        None => (
-            upright(&eigen.eigenvectors.column(order[0]).into_owned()),
-            false,
-        ),
-    };
-    evaluate(&used, q, yaw_known, spread)
+    let normal = eigen.eigenvectors.column(order[0]).into_owned();
+    match directed(&used) {
+        Some(q) => evaluate(&used, q, true, spread),
+        None => evaluate(&used, upright(&normal), false, spread),
+    }
 }
 
 /// Solution of Wahba's problem, if every bend has a direction.
@@ -147,12 +128,9 @@ fn evaluate(
     let rms = (turned.iter().map(|t| t.z * t.z).sum::<f64>() / weight)
         .sqrt()
         .to_degrees();
+    let unit = "deg";
     if rms > limit {
-        return Err(Refusal::PoorFit {
-            rms,
-            limit,
-            unit: "deg",
-        });
+        return Err(Refusal::PoorFit { rms, limit, unit });
     }
     // a rotation ε of the frame lifts a turn t by (ε × t)·z = ε_x t_y − ε_y t_x
     let information: Matrix2<f64> = turned
@@ -161,11 +139,8 @@ fn evaluate(
         .map(|d| d * d.transpose())
         .sum();
     let spare = (bends.len() as f64 - 3.0).max(1.0);
-    let tilt = information
-        .try_inverse()
-        .ok_or(Refusal::NotAnEllipsoid)?
-        .diagonal()
-        .map(|v| v * squares / spare);
+    let inverse = information.try_inverse().ok_or(Refusal::NotAnEllipsoid)?;
+    let tilt = inverse.diagonal().map(|v| v * squares / spare);
     let yaw = yaw_sigma(bends, &turned, weight).filter(|_| yaw_known);
     let unknown = std::f64::consts::PI / 3.0_f64.sqrt();
     Ok(Mount {

@@ -1,5 +1,7 @@
 //! Why a recording is refused, and what to do about it.
 
+use nalgebra::Vector3;
+
 /// Why a recording is not sufficient.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Refusal {
@@ -91,6 +93,13 @@ pub enum Refusal {
 }
 
 impl Refusal {
+    /// Refuses a NaN or an infinity.
+    pub(super) fn unless_finite<'a>(
+        mut data: impl Iterator<Item = &'a Vector3<f64>>,
+    ) -> Result<(), Self> {
+        let broken = data.position(|v| !v.iter().all(|x| x.is_finite()));
+        broken.map_or(Ok(()), |index| Err(Self::NotFinite { index }))
+    }
     /// Refuses less than `want` samples.
     pub(super) fn unless_enough(have: usize, want: usize) -> Result<(), Self> {
         if have < want {

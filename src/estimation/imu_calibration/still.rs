@@ -35,8 +35,6 @@ pub struct Rest {
     pub acc_m_s2: Vector3<f64>,
     /// Standard deviation of the specific force per axis, m/s².
     pub acc_std_m_s2: Vector3<f64>,
-    /// Mean field, µT, if there is a magnetometer.
-    pub mag_ut: Option<Vector3<f64>>,
 }
 
 fn mean_std(
@@ -119,17 +117,14 @@ pub fn rest(samples: &[ImuSample]) -> Result<Rest, Refusal> {
             });
         }
     }
-    let mag_ut = mean_std(samples.iter().filter_map(|s| s.mag_ut)).map(|m| m.0);
-    let n = samples.len();
     Ok(Rest {
         first: 0,
-        samples: n,
+        samples: samples.len(),
         duration_s,
         gyro_rad_s,
         gyro_std_rad_s,
         acc_m_s2,
         acc_std_m_s2,
-        mag_ut,
     })
 }
 
@@ -143,29 +138,26 @@ pub fn rests(samples: &[ImuSample]) -> Vec<Rest> {
         let Some(n) = samples[from..].iter().position(|s| s.t.0 >= end_s) else {
             break;
         };
-        if let Ok(window) = rest(&samples[from..=from + n]) {
-            let joined = found.last().and_then(|last| {
-                let stretch = &samples[last.first..=from + n];
-                (last.first + last.samples >= from)
-                    .then(|| rest(stretch).ok())
-                    .flatten()
-            });
-            match (joined, found.last_mut()) {
-                (Some(longer), Some(last)) => {
-                    *last = Rest {
-                        first: last.first,
-                        ..longer
-                    }
-                }
-                _ => found.push(Rest {
-                    first: from,
-                    ..window
-                }),
-            }
-            from += n;
-        } else {
+        let Ok(window) = rest(&samples[from..=from + n]) else {
             from += (n / 4).max(1);
+            continue;
+        };
+        let adjacent = found.last().filter(|r| r.first + r.samples >= from);
+        let joined = adjacent.and_then(|Rest { first, .. }| {
+            let longer = rest(&samples[*first..=from + n]).ok()?;
+            Some(Rest {
+                first: *first,
+                ..longer
+            })
+        });
+        if joined.is_some() {
+            found.pop();
         }
+        found.push(joined.unwrap_or(Rest {
+            first: from,
+            ..window
+        }));
+        from += n;
     }
     found
 }

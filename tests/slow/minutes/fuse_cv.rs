@@ -8,8 +8,8 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 use retroflex::estimation::fusion::madgwick::{Madgwick, MadgwickConfig};
 use retroflex::estimation::fusion::mekf::{Mekf, MekfConfig};
-use retroflex::estimation::fusion::vqf::{Vqf, VqfConfig};
-use retroflex::estimation::fusion::{Filter, FilterName, Periods};
+use retroflex::estimation::fusion::vqf::Vqf;
+use retroflex::estimation::fusion::{Filter, FilterName};
 use retroflex::estimation::score;
 use retroflex::log::recording::{self, Recording};
 use std::path::PathBuf;
@@ -55,17 +55,10 @@ fn recordings() -> Option<Vec<Recording>> {
     )
 }
 
-fn periods(r: &Recording) -> Periods {
-    Periods {
-        imu_s: r.period_s(),
-        mag_s: r.mag_period_s(),
-    }
-}
-
 fn totals(recordings: &[Recording], make: &Maker) -> Vec<f64> {
     recordings
         .par_iter()
-        .map(|r| score::score_with(r, &mut *make(r)).unwrap().total_deg)
+        .map(|r| score::score(r, &mut *make(r)).unwrap().total_deg)
         .collect()
 }
 
@@ -122,13 +115,9 @@ fn validate(title: &str, recordings: &[Recording], grid: Vec<(String, Maker)>) -
 
 fn vqf_grid() -> Vec<(String, Maker)> {
     let point = |tau_mag_s: f64| -> (String, Maker) {
-        let config = VqfConfig {
-            tau_mag_s,
-            ..VqfConfig::default()
-        };
         (
             format!("tau_mag {tau_mag_s}"),
-            Box::new(move |r| Filter::Vqf(Vqf::new(periods(r), config))),
+            Box::new(move |r| Filter::Vqf(Vqf::new(score::periods(r), tau_mag_s))),
         )
     };
     [9.0, 12.0, 15.0, 20.0, 25.0, 30.0, 40.0].map(point).into()
@@ -234,7 +223,7 @@ fn mekf_tolerates_a_magnet_on_the_body() {
             .map(|(k, r)| with_magnet(r, strength_ut, k % 3))
             .collect();
         let of = |name: FilterName| {
-            let make: Maker = Box::new(move |r| name.build(periods(r)));
+            let make: Maker = Box::new(move |r| name.build(score::periods(r)));
             mean(totals(&disturbed, &make).into_iter())
         };
         let errors = FilterName::ALL.map(of);

@@ -72,12 +72,8 @@ impl Bank {
 
     /// Weighs every hypothesis by a reading, and corrects each with it.
     pub fn correct<const R: usize>(&mut self, reading: &Reading<R>) {
-        let each = self
-            .filters
-            .iter_mut()
-            .zip(&mut self.log)
-            .zip(&reading.noise);
-        for ((filter, log), noise) in each {
+        let each = self.filters.iter_mut().zip(&mut self.log);
+        for ((filter, log), noise) in each.zip(&reading.noise) {
             let predicted = filter.predict(&reading.rows, &reading.innovation);
             *log += reading.share * predicted.log_likelihood(&noise.single, NIS_MAX);
             if let Some(noise) = &noise.correlated {

@@ -4,7 +4,6 @@ use super::bank::{M, Noise, Reading, SWAYS};
 use super::kalman::{ACC, BASE, FIELD, GYRO, MAG, MOUNT, N, Row, TWIST};
 use super::laws::{TWIST_OFFSET_RAD, Twist, right_jacobian_inverse};
 use super::state::{BendFilter, FIELD_NIS_MAX, GYRO_SIGMA_MIN_RAD_S};
-use super::window::Direction;
 use crate::estimation::fusion::filter::TipEstimator;
 use nalgebra::{Matrix3, Vector3};
 
@@ -36,6 +35,19 @@ const STILL_SHARE: f64 = 0.5;
 const STILL_RATE_MAX: f64 = 0.01;
 /// Least rate of a base that sways, rad/s.
 const SWAY_RATE_MIN_RAD_S: f64 = 0.005;
+
+/// Rows of a reading of three axes, from its slopes by the entries from a place on, three each.
+pub(super) fn rows(slopes: &[(usize, Matrix3<f64>)]) -> [Row; 3] {
+    let mut rows = [[0.0; N]; 3];
+    for (at, slope) in slopes {
+        for (axis, row) in rows.iter_mut().enumerate() {
+            for j in 0..3 {
+                row[at + j] = slope[(axis, j)];
+            }
+        }
+    }
+    rows
+}
 
 impl<const R: usize> Reading<R> {
     /// A reading with white noise and an error that stays the same over `windows`, as variances.
@@ -70,18 +82,6 @@ impl BendFilter {
         Some(rest - self.mag_bias + self.mag_change)
     }
 
-    /// Rows of a world-fixed vector `w` in the axes of the base, whose bias starts at `at`.
-    fn rows(&self, at: usize, w: &Vector3<f64>, seen: &Direction) -> [Row; 3] {
-        let (by_turn, by_bias) = (w.cross_matrix(), seen.turn() - Matrix3::identity());
-        std::array::from_fn(|axis| {
-            let mut row = [0.0; N];
-            for j in 0..3 {
-                (row[j], row[at + j]) = (by_turn[(axis, j)], by_bias[(axis, j)]);
-            }
-            row
-        })
-    }
-
     /// White noise of the mean specific force per axis, m²/s⁴.
     pub(super) fn gravity_white(&self) -> f64 {
         let motion = self.config.acc_motion_m_s2_per_rad_s * self.rate_rad_s;
@@ -105,7 +105,7 @@ impl BendFilter {
         let seen = (self.window.acc.n > 0).then_some(self.window.acc)?;
         let w = self.expected_acc();
         Some(Reading::new(
-            self.rows(ACC, &w, &seen),
+            rows(&[(0, w.cross_matrix()), (ACC, seen.by_bias())]),
             (seen.mean() - w - accelerates).into(),
             self.gravity_white(),
             self.gravity_error(),
@@ -118,16 +118,15 @@ impl BendFilter {
     pub(super) fn field(&mut self) -> Option<Reading<3>> {
         let seen = (self.window.mag.n > 0).then_some(self.window.mag)?;
         let w = self.expected_mag()?;
-        let mut rows = self.rows(MAG, &w, &seen);
-        for (i, row) in rows.iter_mut().enumerate() {
-            row[FIELD + i] = 1.0;
-        }
+        let (by_turn, by_offset) = (w.cross_matrix(), Matrix3::identity());
+        let rows = rows(&[(0, by_turn), (MAG, seen.by_bias()), (FIELD, by_offset)]);
         let white = self.field_white();
         let differs = seen.mean() - w;
         let innovation = differs - self.field_offset;
         let variance = self.bank.variance(&rows) + 3.0 * white;
         let nis = innovation.norm_squared() / variance;
-        let time_s = if nis > self.field_nis {
+        let rises = nis > self.field_nis;
+        let time_s = if rises {
             FIELD_NIS_RISE_S
         } else {
             FIELD_NIS_FALL_S
@@ -136,11 +135,8 @@ impl BendFilter {
         self.field_nis += gain * (nis.min(FIELD_NIS_STEP_MAX * self.field_nis) - self.field_nis);
         let persistent =
             (self.field_nis.max(1.0) - 1.0) * (self.field_nis / FIELD_NIS_MAX).max(1.0);
-        let sudden = if nis > NIS_GATE {
-            nis / FIELD_NIS_MAX
-        } else {
-            0.0
-        };
+        let excess = nis / FIELD_NIS_MAX;
+        let sudden = if nis > NIS_GATE { excess } else { 0.0 };
         self.learn_field_error(&w, &differs, white);
         let error = variance / 3.0 * persistent.max(sudden);
         let windows = self.windows(self.config.field_time_s);
@@ -171,11 +167,8 @@ impl BendFilter {
 
     /// Standard deviation of a twist that is not c β, rad.
     pub(super) fn twist_sigma_rad(&self, beta: f64) -> f64 {
-        let share = self
-            .config
-            .twist_error
-            .hypot(self.config.twist_form * self.twist_per_bend);
-        TWIST_OFFSET_RAD + share * beta
+        let form = self.config.twist_form * self.twist_per_bend;
+        TWIST_OFFSET_RAD + self.config.twist_error.hypot(form) * beta
     }
 
     /// The twist is c β.
@@ -201,8 +194,7 @@ impl BendFilter {
     /// counts as its own motion; a rate beyond that, or with a third component, is the base's.
     pub(super) fn standstill(&mut self) -> Option<Reading<3>> {
         let n = f64::from((self.window.still_n > 0).then_some(self.window.still_n)?);
-        let bend = self.bend().0;
-        let to_phi = right_jacobian_inverse(&Vector3::new(bend.y, bend.x, 0.0));
+        let to_phi = right_jacobian_inverse(&self.bend().rotation_vector());
         let rate = to_phi * (self.window.still / n);
         let white = self.gyro_sigma_rad_s().powi(2) / n;
         let known = self.bank.mean_variance(GYRO) + white;
@@ -223,15 +215,8 @@ impl BendFilter {
         };
         let mut all = [noise(own, nis < 3.0 * STILL_GATE * STILL_GATE); M];
         all[SWAYS] = noise(sways, false);
-        let rows = std::array::from_fn(|axis| {
-            let mut h = [0.0; N];
-            for j in 0..3 {
-                h[GYRO + j] = to_phi[(axis, j)];
-            }
-            h
-        });
         Some(Reading {
-            rows,
+            rows: rows(&[(GYRO, to_phi)]),
             innovation: rate.into(),
             noise: all,
             share: 1.0 / windows,

@@ -28,7 +28,7 @@ pub(super) type Row = [f64; N];
 
 /// Three entries of a state vector from `at` on.
 pub(super) fn block(x: &StateVector, at: usize) -> Vector3<f64> {
-    Vector3::new(x[at], x[at + 1], x[at + 2])
+    x.fixed_rows::<3>(at).into_owned()
 }
 
 /// Difference from the nominal values, and its covariance.

@@ -35,17 +35,13 @@ impl Twist {
         let now = q * axis;
         let across = now.cross(axis);
         let beta = across.norm().atan2(now.dot(axis));
-        let beta_by_theta = if beta > 1e-3 {
-            -across / across.norm()
-        } else {
-            Vector3::zeros()
-        };
+        let bent = (beta > 1e-3).then(|| -across / across.norm());
         Self {
             psi: 2.0 * along.atan2(w),
             psi_by_theta,
             psi_by_tilt,
             beta,
-            beta_by_theta,
+            beta_by_theta: bent.unwrap_or_default(),
         }
     }
 }
@@ -110,11 +106,8 @@ pub(super) fn bend_by_turn(bend: &Vector2<f64>) -> Matrix2x3<f64> {
     let n = Vector3::new(beta.sin() * c, -beta.sin() * s, beta.cos());
     // δβ = toward · (θ × n), sin β δδ = across · (θ × n)
     let (by_beta, by_delta) = (n.cross(&toward), n.cross(&across));
-    let spread = if beta > 1e-3 {
-        beta / beta.sin().max(0.05)
-    } else {
-        1.0
-    };
+    let bent = beta / beta.sin().max(0.05);
+    let spread = if beta > 1e-3 { bent } else { 1.0 };
     let row_x = by_beta * c - by_delta * (s * spread);
     let row_y = by_beta * s + by_delta * (c * spread);
     Matrix2x3::from_rows(&[row_x.transpose(), row_y.transpose()])

@@ -14,10 +14,10 @@
 //! the normal matrix is its covariance. The ordinary correction assumes small errors and would move part of the jump into
 //! the biases.
 
-use super::corrections::NIS_GATE;
-use super::kalman::{ACC, MAG, N, Row, TWIST};
+use super::corrections::{NIS_GATE, rows};
+use super::kalman::{ACC, MAG, N, TWIST};
 use super::laws::Twist;
-use super::state::{BendFilter, Reacquisition};
+use super::state::BendFilter;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 /// Time after a rejected rate in which gravity and field are tested, s, and the time between two tests, s.
@@ -27,19 +27,6 @@ const TEST_PERIOD_S: f64 = 0.02;
 const JUMP_RAD: f64 = 1.0;
 /// Gauss-Newton steps.
 const STEPS: usize = 6;
-
-/// Normal equations of the orientation error; rows are weighted by their variance.
-struct NormalEquations {
-    a: Matrix3<f64>,
-    b: Vector3<f64>,
-}
-
-impl NormalEquations {
-    fn add(&mut self, row: &Vector3<f64>, residual: f64, variance: f64) {
-        self.a += row * row.transpose() / variance;
-        self.b += row * (residual / variance);
-    }
-}
 
 /// A world-fixed vector in the axes of the base.
 struct Sight {
@@ -61,10 +48,11 @@ impl BendFilter {
 
     /// Time between two corrections, s.
     pub(super) fn period_s(&self) -> f64 {
+        let period_s = self.config.correction_period_s;
         if self.reacquisition.testing_s > 0.0 {
-            self.config.correction_period_s.min(TEST_PERIOD_S)
+            period_s.min(TEST_PERIOD_S)
         } else {
-            self.config.correction_period_s
+            period_s
         }
     }
 
@@ -79,23 +67,20 @@ impl BendFilter {
         // gravity alone leaves the heading open, so the field is waited for
         let waits = sights[1].is_none() && self.uses_field() && self.reacquisition.testing_s > 0.0;
         if self.reacquisition.lost && self.window.acc.n > 0 && !waits {
-            self.reacquisition = Reacquisition {
-                lost: false,
-                found: true,
-                ..self.reacquisition
-            };
+            (self.reacquisition.lost, self.reacquisition.found) = (false, true);
             self.reacquire(&sights);
             return true;
         }
         self.reacquisition.lost |= sights.iter().flatten().any(|sight| {
-            let rows = by_turn(&sight.expected);
+            let rows = rows(&[(0, sight.expected.cross_matrix())]);
             let differs = (sight.seen - sight.expected).norm_squared();
             differs > NIS_GATE * (self.bank.variance(&rows) + 3.0 * self.variance(sight))
         });
         self.reacquisition.lost
     }
 
-    fn uses_field(&self) -> bool {
+    /// There is a magnetometer, and it may be used.
+    pub(super) fn uses_field(&self) -> bool {
         self.config.use_mag && self.alignment.mag_rest_ut.is_some()
     }
 
@@ -129,23 +114,27 @@ impl BendFilter {
         let mut turn = UnitQuaternion::identity();
         let before = self.s;
         for _ in 0..STEPS {
-            let mut normal = NormalEquations {
-                a: Matrix3::identity() / (JUMP_RAD * JUMP_RAD),
-                b: Vector3::zeros(),
+            // normal equations, whose rows are weighted by their variance
+            let mut a = Matrix3::identity() / (JUMP_RAD * JUMP_RAD);
+            let mut b = Vector3::zeros();
+            let mut add = |row: Vector3<f64>, residual: f64, variance: f64| {
+                a += row * row.transpose() / variance;
+                b += row * (residual / variance);
             };
             for sight in sights.iter().flatten() {
                 let seen = turn * sight.seen;
                 let (slope, residual) = (-seen.cross_matrix(), sight.expected - seen);
                 for axis in 0..3 {
                     let row = slope.row(axis).transpose();
-                    normal.add(&row, residual[axis], self.variance(sight));
+                    add(row, residual[axis], self.variance(sight));
                 }
             }
-            self.add_twist(&mut normal);
-            let Some(inverse) = normal.a.try_inverse() else {
+            let (row, residual, variance) = self.twist_equation();
+            add(row, residual, variance);
+            let Some(inverse) = a.try_inverse() else {
                 break;
             };
-            turn = UnitQuaternion::from_scaled_axis(inverse * normal.b) * turn;
+            turn = UnitQuaternion::from_scaled_axis(inverse * b) * turn;
             self.s = turn * before;
             covariance = inverse;
         }
@@ -153,23 +142,14 @@ impl BendFilter {
         self.derive();
     }
 
-    fn add_twist(&self, normal: &mut NormalEquations) {
+    /// Row, residual and variance of the twist that the mechanism causes.
+    fn twist_equation(&self) -> (Vector3<f64>, f64, f64) {
         let (twist, c) = (Twist::of(&self.s, &self.axis()), self.twist_per_bend);
         let row = twist.psi_by_theta - twist.beta_by_theta * c;
         let sigma = self.twist_sigma_rad(twist.beta);
         let mut h = [0.0; N];
         h[TWIST] = twist.beta;
         let variance = sigma * sigma + self.bank.variance(&[h]);
-        normal.add(&row, c * twist.beta - twist.psi, variance);
+        (row, c * twist.beta - twist.psi, variance)
     }
-}
-
-/// Rows of a world-fixed vector by the orientation alone.
-fn by_turn(w: &Vector3<f64>) -> [Row; 3] {
-    let by = w.cross_matrix();
-    std::array::from_fn(|axis| {
-        let mut h = [0.0; N];
-        (h[0], h[1], h[2]) = (by[(axis, 0)], by[(axis, 1)], by[(axis, 2)]);
-        h
-    })
 }

@@ -9,9 +9,10 @@ use super::laws::{Twist, bend_by_turn, velocity};
 use super::window::Window;
 use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::base::BaseTurn;
-use crate::estimation::fusion::filter::{MeasurementMask, TipEstimator};
+use crate::estimation::fusion::filter::{TipEstimator, TipSample};
+use crate::estimation::fusion::health::KnownErrors;
 use crate::model::Bend;
-use crate::primitives::{Base, ImuSample, Rotation, Tip};
+use crate::primitives::{Base, Rotation, Tip};
 use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
 /// Initial uncertainty of the orientation, rad, 1 σ: zero by definition, but not singular.
@@ -47,6 +48,8 @@ const UNOBSERVED_MAX_RAD: f64 = 0.3;
 /// Tilt that the tip's sag explains, rad (1.7°), and twist of the tip as a share of c that passes for a tilt.
 const SAG_TILT_RAD: f64 = 0.03;
 const TILT_PER_TWIST: f64 = 0.9;
+/// Standard deviations of the estimated sensor errors by which the limits of the sensor monitor are widened.
+const MARGIN_SIGMAS: f64 = 3.0;
 /// Angle by which a chip that is glued straight is askew about each axis, rad (0.3°), 1 σ.
 const GLUED_SIGMA_RAD: f64 = 0.0055;
 
@@ -124,11 +127,9 @@ impl BendFilter {
     /// A filter that starts straight, at the given alignment.
     pub fn new(config: &BendFilterConfig, alignment: &Alignment) -> Self {
         let mut sigma = [0.0; N];
+        let mean = alignment.gyro_sigma_rad_s / f64::from(alignment.samples.max(1)).sqrt();
         sigma[..GYRO].fill(START_SIGMA_RAD);
-        sigma[GYRO..ACC].fill(
-            alignment.gyro_sigma_rad_s / f64::from(alignment.samples.max(1)).sqrt()
-                + BIAS_START_SIGMA_RAD_S,
-        );
+        sigma[GYRO..ACC].fill(mean + BIAS_START_SIGMA_RAD_S);
         sigma[ACC..MAG].fill(config.acc_bias_sigma_m_s2);
         sigma[MAG..TWIST].fill(config.mag_bias_sigma_ut);
         sigma[TWIST] = config.twist_sigma;
@@ -153,9 +154,8 @@ impl BendFilter {
     /// errors are kept.
     pub fn rebase(&mut self, now: &Alignment, bend: Bend, sigma_rad: f64) {
         // half of the twist on either side leaves the bend unchanged
-        let half = UnitQuaternion::from_scaled_axis(
-            Vector3::z() * (self.twist_per_bend * bend.beta() / 2.0),
-        );
+        let half_rad = self.twist_per_bend * bend.beta() / 2.0;
+        let half = UnitQuaternion::from_scaled_axis(Vector3::z() * half_rad);
         self.s = half * bend.rotation().quat() * half;
         let straight = |v: &Vector3<f64>, b: Vector3<f64>| self.s * (v - b) + b;
         self.alignment.acc_rest_m_s2 = straight(&now.acc_rest_m_s2, self.acc_bias);
@@ -186,10 +186,6 @@ impl BendFilter {
     pub fn alignment(&self) -> Alignment {
         self.alignment
     }
-    /// Covariance of the bend vector after the last correction, rad².
-    pub fn covariance(&self) -> Matrix2<f64> {
-        self.derived.covariance
-    }
     /// Probabilities that gyroscope and base are steady, that the bias of the gyroscope drifts fast, that it drifts slowly, that its
     /// rate is wrong, and that the base sways.
     pub fn probabilities(&self) -> [f64; M] {
@@ -204,28 +200,18 @@ impl BendFilter {
     pub fn gyro_bias_rad_s(&self) -> Vector3<f64> {
         self.gyro_bias
     }
-    /// Estimated accelerometer bias, m/s², and the largest 1 σ of its axes.
-    pub fn acc_bias_m_s2(&self) -> (Vector3<f64>, f64) {
-        (self.acc_bias, self.sigma_of(ACC, 3))
+    /// Estimated sensor errors, with margins of [`MARGIN_SIGMAS`].
+    pub fn known_errors(&self) -> KnownErrors {
+        KnownErrors {
+            acc_bias_m_s2: self.acc_bias,
+            acc_margin_m_s2: MARGIN_SIGMAS * self.sigma_of(ACC),
+            iron_ut: self.mag_bias,
+            iron_margin_ut: MARGIN_SIGMAS * self.sigma_of(MAG),
+        }
     }
-    /// Estimated field of the tip's own iron, µT, and the largest 1 σ of its axes.
-    pub fn mag_bias_ut(&self) -> (Vector3<f64>, f64) {
-        (self.mag_bias, self.sigma_of(MAG, 3))
-    }
-    /// Estimated twist per bend, rad/rad, and its 1 σ.
-    pub fn twist_per_bend(&self) -> (f64, f64) {
-        (self.twist_per_bend, self.sigma_of(TWIST, 1))
-    }
-    /// Estimated tilt of the axis that bending never turns about, rad, and the larger 1 σ of its axes.
-    pub fn tilt_rad(&self) -> (Vector2<f64>, f64) {
-        (self.tilt, self.sigma_of(MOUNT, 2))
-    }
-    /// Largest standard deviation of `n` entries from `at` on.
-    fn sigma_of(&self, at: usize, n: usize) -> f64 {
-        (at..at + n)
-            .map(|i| self.variances[i])
-            .fold(0.0, f64::max)
-            .sqrt()
+    /// Largest standard deviation of three entries from `at` on.
+    fn sigma_of(&self, at: usize) -> f64 {
+        block(&self.variances, at).max().max(0.0).sqrt()
     }
     /// Root mean square difference between the twist by gravity and field and that of the mechanism, over the last
     /// seconds, in standard deviations.
@@ -244,8 +230,9 @@ impl BendFilter {
     }
 
     /// Integrates one sample, and adds it to the window.
-    fn predict(&mut self, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, base: &BaseTurn) {
-        let measured = sample.gyro_rad_s - self.s.inverse() * base.rate_rad_s - self.gyro_bias;
+    fn predict(&mut self, sample: &TipSample) {
+        let (TipSample { imu, base, .. }, dt_s) = (sample, sample.dt_s);
+        let measured = imu.gyro_rad_s - self.s.inverse() * base.rate_rad_s - self.gyro_bias;
         let rate = measured - measured.component_mul(&self.gyro_scale);
         self.rate_rad_s = rate.norm();
         let half = UnitQuaternion::from_scaled_axis(rate * (dt_s / 2.0));
@@ -253,29 +240,24 @@ impl BendFilter {
         self.s = UnitQuaternion::new_normalize((midway * half).into_inner());
         let midway = midway.to_rotation_matrix().into_inner();
         self.turn_rate = midway * rate;
+        let uses_field = self.uses_field();
         let window = &mut self.window;
         window.length_s += dt_s;
         window.base_acc.add(base.acc_change_m_s2);
         window.base_mag.add(base.mag_change_ut);
         window.turns_s += midway * dt_s;
-        for j in 0..3 {
-            let mut column = window.scaled.column_mut(j);
-            column += midway.column(j) * (rate[j] * dt_s);
-        }
+        window.scaled += midway * Matrix3::from_diagonal(&(rate * dt_s));
         window.turned += self.turn_rate * dt_s;
         window.path += self.rate_rad_s * dt_s;
         let s = self.s.to_rotation_matrix().into_inner();
-        if mask.acc {
-            window.acc.add(&(sample.acc_m_s2 - self.acc_bias), &s);
+        if sample.acc {
+            window.acc.add(&(imu.acc_m_s2 - self.acc_bias), &s);
         }
-        if let (Some(m), Some(_)) = (
-            sample.mag_ut.filter(|_| self.config.use_mag && mask.mag),
-            self.alignment.mag_rest_ut,
-        ) {
+        if let Some(m) = imu.mag_ut.filter(|_| uses_field && sample.mag) {
             window.mag.add(&(m - self.mag_bias), &s);
         }
         window.samples += 1;
-        if mask.still {
+        if sample.still {
             window.still += rate;
             window.still_n += 1;
         }
@@ -284,14 +266,14 @@ impl BendFilter {
     /// What the base measures of gravity and field is compared with what the tip measures: the attitude of the base, with the drift
     /// of its gyroscope, is only used where it does not measure.
     fn follow_base(&mut self, base: &BaseTurn) {
-        let midway =
-            UnitQuaternion::from_scaled_axis(base.rate_rad_s * (self.window.length_s / 2.0));
+        let half_s = self.window.length_s / 2.0;
+        let midway = UnitQuaternion::from_scaled_axis(base.rate_rad_s * half_s);
         let turn = midway * base.r_rest_now.inverse();
         let by_turn = |rest: Vector3<f64>| turn * rest - rest;
         let (acc, mag) = (self.window.base_acc.get(), self.window.base_mag.get());
-        self.acc_change =
-            acc.unwrap_or_else(|| by_turn(self.alignment.acc_rest_m_s2 - self.acc_bias));
         let rest_ut = self.alignment.mag_rest_ut.unwrap_or_default();
+        let gravity = self.alignment.acc_rest_m_s2 - self.acc_bias;
+        self.acc_change = acc.unwrap_or_else(|| by_turn(gravity));
         self.mag_change = mag.unwrap_or_else(|| by_turn(rest_ut - self.mag_bias));
     }
 
@@ -360,8 +342,8 @@ impl BendFilter {
         self.bank.correct(&twist);
         self.bank.weigh();
         self.take_errors();
-        self.bank
-            .mix(self.config.change_per_s * self.window.length_s);
+        let change = self.config.change_per_s * self.window.length_s;
+        self.bank.mix(change);
         self.derive();
         self.window = Window::default();
     }
@@ -413,11 +395,8 @@ impl BendFilter {
         let mut h = [0.0; N];
         let by_tilt = twist.psi_by_tilt / twist.beta.max(1e-2);
         (h[TWIST], h[MOUNT], h[MOUNT + 1]) = (1.0, -by_tilt.x, -by_tilt.y);
-        let sigma = self
-            .bank
-            .variance(&[h])
-            .sqrt()
-            .hypot(self.twist_sigma_rad(1.0));
+        let known = self.bank.variance(&[h]).sqrt();
+        let sigma = known.hypot(self.twist_sigma_rad(1.0));
         let about_z = Twist::of(&self.s, &Vector3::z()).psi / twist.beta.max(1e-2);
         self.derived.twist_per_bend_max = about_z.abs() + 3.0 * sigma;
     }
@@ -439,25 +418,19 @@ fn sway(f: &mut KalmanState, w: &Window, rate2: f64) {
 }
 
 impl TipEstimator for BendFilter {
-    fn update(&mut self, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, base: &BaseTurn) {
-        self.predict(sample, dt_s, mask, base);
+    fn update(&mut self, sample: &TipSample) {
+        self.predict(sample);
         self.correction = Vector2::zeros();
         if self.window.length_s >= self.period_s() - 1e-9 {
-            self.follow_base(base);
+            self.follow_base(&sample.base);
             let predicted = self.bend().0;
             self.correct();
             self.correction = self.bend().0 - predicted;
         }
     }
 
-    fn recover(
-        &mut self,
-        _sample: &ImuSample,
-        gap_s: f64,
-        _mask: MeasurementMask,
-        _base: &BaseTurn,
-    ) {
-        self.widen((gap_s * UNOBSERVED_RAD_S).min(UNOBSERVED_MAX_RAD));
+    fn recover(&mut self, sample: &TipSample) {
+        self.widen((sample.dt_s * UNOBSERVED_RAD_S).min(UNOBSERVED_MAX_RAD));
         (self.window, self.field_nis) = (Window::default(), 1.0);
         self.velocity_m_s = None;
         // many short steps instead of a long one, because the corrections are large
@@ -471,10 +444,8 @@ impl TipEstimator for BendFilter {
     }
 
     fn r_base_tip(&self) -> Rotation<Base, Tip> {
-        let Derived {
-            base_turn, mount, ..
-        } = &self.derived;
-        Rotation::assert_frames(mount * base_turn * self.s * mount.inverse())
+        let (turn, mount) = (&self.derived.base_turn, &self.derived.mount);
+        Rotation::assert_frames(mount * turn * self.s * mount.inverse())
     }
 
     fn covariance(&self) -> Option<Matrix2<f64>> {

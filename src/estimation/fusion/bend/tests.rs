@@ -6,7 +6,7 @@ use super::kalman::N;
 use super::state::BendFilter;
 use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::base::BaseTurn;
-use crate::estimation::fusion::filter::{MeasurementMask, TipEstimator};
+use crate::estimation::fusion::filter::{TipEstimator, TipSample};
 use crate::model::Bend;
 use crate::primitives::{ImuSample, Seconds};
 use nalgebra::{SMatrix, UnitQuaternion, Vector3};
@@ -15,11 +15,17 @@ use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
 
 const DT_S: f64 = 0.005;
-const USE: MeasurementMask = MeasurementMask {
-    acc: true,
-    mag: true,
-    still: false,
-};
+
+fn taken(imu: ImuSample, still: bool) -> TipSample {
+    TipSample {
+        imu,
+        dt_s: DT_S,
+        acc: true,
+        mag: true,
+        still,
+        base: BaseTurn::default(),
+    }
+}
 
 fn noise(rng: &mut StdRng, sigma: f64) -> Vector3<f64> {
     Vector3::from_fn(|_, _| {
@@ -127,7 +133,7 @@ fn simulate(
     for _ in 0..(seconds / DT_S) as usize {
         let bend = path(sensor.t_s + DT_S);
         let sample = sensor.sample(&bend, mag);
-        filter.update(&sample, DT_S, USE, &BaseTurn::none());
+        filter.update(&taken(sample, false));
         each(filter, &bend);
     }
 }
@@ -160,11 +166,12 @@ fn biases_converge_within_their_standard_deviations() {
         });
         let rms_deg = f64::sqrt(sum / n).to_degrees();
         assert!(rms_deg < 0.6, "seed {seed}: {rms_deg}");
-        for ((bias, sigma), truth) in [
-            (filter.acc_bias_m_s2(), sensor.acc_bias),
-            (filter.mag_bias_ut(), sensor.iron),
+        let known = filter.known_errors();
+        for (bias, three_sigma, truth) in [
+            (known.acc_bias_m_s2, known.acc_margin_m_s2, sensor.acc_bias),
+            (known.iron_ut, known.iron_margin_ut, sensor.iron),
         ] {
-            let error = (bias - truth).amax();
+            let (error, sigma) = ((bias - truth).amax(), three_sigma / 3.0);
             assert!(error < 4.0 * sigma, "seed {seed}: {error} with σ {sigma}");
         }
     }
@@ -183,10 +190,10 @@ fn the_covariance_is_consistent_where_gravity_does_not_observe() {
         let mut straight = Bend::STRAIGHT;
         for _ in 0..4000 {
             let sample = sensor.sample(&straight, false);
-            filter.update(&sample, DT_S, USE, &BaseTurn::none());
+            filter.update(&taken(sample, false));
             straight = Bend::STRAIGHT;
         }
-        let (error, c) = (filter.bend().0, filter.covariance());
+        let (error, c) = (filter.bend().0, filter.covariance().unwrap());
         nees += error.dot(&(c.try_inverse().unwrap() * error)) / 2.0;
         n += 1.0;
         let sigmas = c
@@ -237,12 +244,7 @@ fn a_field_that_the_motors_disturb_does_no_harm_and_a_clean_one_helps() {
                     let bend = Bend([0.1, beta].into());
                     let sample = sensor.sample(&bend, mag);
                     let still = stands && step > 120;
-                    filter.update(
-                        &sample,
-                        DT_S,
-                        MeasurementMask { still, ..USE },
-                        &BaseTurn::none(),
-                    );
+                    filter.update(&taken(sample, still));
                     if step > 240 && pose > 10 {
                         sum += (filter.bend().0 - bend.0).norm_squared();
                         n += 1.0;
@@ -294,7 +296,10 @@ fn a_base_whose_turn_is_known_or_measured_leaves_no_error() {
                 mag_change_ut: (measured && k % 2 == 0)
                     .then(|| turned_by(&rest, &sensor.base, Vector3::new(20.0, 0.0, -44.0))),
             };
-            filter.update(&sensor.sample(&bend, true), DT_S, USE, &base);
+            filter.update(&TipSample {
+                base,
+                ..taken(sensor.sample(&bend, true), false)
+            });
             if k > 1000 {
                 sum += (filter.bend().0 - bend.0).norm_squared();
                 n += 1.0;
@@ -319,11 +324,7 @@ fn believed(seed: u64, disturb: impl Fn(&mut Sensor, f64)) -> [f64; M] {
         let share = 0.5 - 0.5 * ((since_s / 0.5).min(1.0) * std::f64::consts::PI).cos();
         let bend = Bend(at(pose).0 * (1.0 - share) + at(pose + 1.0).0 * share);
         disturb(&mut sensor, t_s);
-        let mask = MeasurementMask {
-            still: since_s > 0.6,
-            ..USE
-        };
-        filter.update(&sensor.sample(&bend, true), DT_S, mask, &BaseTurn::none());
+        filter.update(&taken(sensor.sample(&bend, true), since_s > 0.6));
         if t_s > 20.0 {
             for (sum, p) in sum.iter_mut().zip(filter.probabilities()) {
                 *sum += p;

@@ -3,6 +3,7 @@
 //! An error of the orientation is on the left of S, so it is the same for every sample of a window, however far the tip
 //! turns within it. One correction per window therefore does what one per sample would do.
 
+use crate::estimation::fusion::intake::Mean;
 use nalgebra::{Matrix3, Vector3};
 
 /// Sum of readings of a world-fixed vector, turned into the base.
@@ -25,30 +26,9 @@ impl Direction {
     pub fn mean(&self) -> Vector3<f64> {
         self.sum / f64::from(self.n.max(1))
     }
-    /// Mean orientation.
-    pub fn turn(&self) -> Matrix3<f64> {
-        self.turns / f64::from(self.n.max(1))
-    }
-}
-
-/// Sum of readings of a vector.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(super) struct Mean {
-    sum: Vector3<f64>,
-    n: u32,
-}
-
-impl Mean {
-    /// Adds a reading, if there is one.
-    pub fn add(&mut self, reading: Option<Vector3<f64>>) {
-        if let Some(reading) = reading {
-            self.sum += reading;
-            self.n += 1;
-        }
-    }
-    /// Mean reading, if there was one.
-    pub fn get(&self) -> Option<Vector3<f64>> {
-        (self.n > 0).then(|| self.sum / f64::from(self.n))
+    /// Slope of the mean, less the reading during alignment, by the bias: the mean orientation less the first.
+    pub fn by_bias(&self) -> Matrix3<f64> {
+        self.turns / f64::from(self.n.max(1)) - Matrix3::identity()
     }
 }
 

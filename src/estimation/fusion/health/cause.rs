@@ -7,91 +7,59 @@ use crate::named;
 use serde::{Deserialize, Serialize};
 
 named! {
-    /// Why a reading, or a part of it, must not be used.
+    /// Why a reading, or a part of it, must not be used: its name, and the advice to the operator.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
     #[serde(rename_all = "snake_case")]
     pub enum HealthCause {
         /// The chip did not acknowledge, or the transfer failed in another way.
-        Nack = "nack",
+        Nack = "nack":
+            "check plug, supply and pull-ups of the IMU cable; its length limit is 1.2 m at 400 kHz",
         /// Fewer bytes arrived than were requested.
-        ShortRead = "short_read",
+        ShortRead = "short_read":
+            "the chip stopped in the middle of a transfer: check the cable for a loose contact",
         /// Many transfers in a row failed: a line is held low or unplugged.
-        StuckBus = "stuck_bus",
+        StuckBus = "stuck_bus":
+            "a line is held low: cycle the power of the IMU, then check the cable for a short circuit",
         /// Another chip than the configured one responds.
-        WrongId = "wrong_id",
+        WrongId = "wrong_id":
+            "another part is fitted: set `imu.chip.part` and `imu.chip.address` to the part on the board",
         /// The chip lost its settings because its supply dipped.
-        BrownOut = "brown_out",
+        BrownOut = "brown_out":
+            "the supply of the IMU dipped: check the 3.3 V at the tip under motor load",
         /// Identical samples in a row: the chip no longer converts.
-        Frozen = "frozen",
+        Frozen = "frozen":
+            "the chip responds but no longer converts, and is set up again: if that does not help, cycle its power",
         /// A value is NaN or infinite.
-        NotFinite = "not_finite",
+        NotFinite = "not_finite":
+            "a value is NaN or infinite: check the plant or the log that supplies it",
         /// A jump that no motion of the tip can cause.
-        Spike = "spike",
+        Spike = "spike":
+            "isolated implausible samples: shield the cable and route it away from the motor wires",
         /// The gyroscope is at the end of its range, so the true rate is unknown.
-        Saturated = "saturated",
+        Saturated = "saturated":
+            "move more slowly or set a larger `imu.chip.gyro_range_dps`",
         /// The sample is old or repeats the time of the previous one, or no sample arrives.
-        StaleTimestamp = "stale_timestamp",
+        StaleTimestamp = "stale_timestamp":
+            "samples arrive late: check the bus speed and the load of the computer",
         /// The time of the sample runs backwards, jumps ahead, or lies in the future.
-        JumpingTimestamp = "jumping_timestamp",
+        JumpingTimestamp = "jumping_timestamp":
+            "the sample clock jumps: use one monotonic clock for all timestamps",
         /// The magnetometer reports an overflow.
-        MagOverflow = "mag_overflow",
+        MagOverflow = "mag_overflow":
+            "a strong magnet is near the tip: remove it",
         /// The magnetometer has delivered no new value for too long.
-        MagSilent = "mag_silent",
+        MagSilent = "mag_silent":
+            "the magnetometer stopped, and is set up again: if that does not help, cycle the power of the IMU",
         /// Strength or dip of the field differ from the alignment.
-        FieldDisturbed = "field_disturbed",
+        FieldDisturbed = "field_disturbed":
+            "iron or a current is near the tip: until it is removed the heading depends on the gyroscope",
         /// The norm of the specific force differs from gravity.
-        AccelDisturbed = "accel_disturbed",
+        AccelDisturbed = "accel_disturbed":
+            "the tip is shaken or pushed: until it stops the tilt depends on the gyroscope",
     }
 }
 
 impl HealthCause {
-    /// Advice to the operator.
-    pub fn advice(self) -> &'static str {
-        match self {
-            Self::Nack => {
-                "check plug, supply and pull-ups of the IMU cable; its length limit is 1.2 m at 400 kHz"
-            }
-            Self::ShortRead => {
-                "the chip stopped in the middle of a transfer: check the cable for a loose contact"
-            }
-            Self::StuckBus => {
-                "a line is held low: cycle the power of the IMU, then check the cable for a short circuit"
-            }
-            Self::WrongId => {
-                "another part is fitted: set `imu.chip.part` and `imu.chip.address` to the part on the board"
-            }
-            Self::BrownOut => {
-                "the supply of the IMU dipped: check the 3.3 V at the tip under motor load"
-            }
-            Self::Frozen => {
-                "the chip responds but no longer converts, and is set up again: if that does not help, cycle its power"
-            }
-            Self::NotFinite => {
-                "a value is NaN or infinite: check the plant or the log that supplies it"
-            }
-            Self::Spike => {
-                "isolated implausible samples: shield the cable and route it away from the motor wires"
-            }
-            Self::Saturated => "move more slowly or set a larger `imu.chip.gyro_range_dps`",
-            Self::StaleTimestamp => {
-                "samples arrive late: check the bus speed and the load of the computer"
-            }
-            Self::JumpingTimestamp => {
-                "the sample clock jumps: use one monotonic clock for all timestamps"
-            }
-            Self::MagOverflow => "a strong magnet is near the tip: remove it",
-            Self::MagSilent => {
-                "the magnetometer stopped, and is set up again: if that does not help, cycle the power of the IMU"
-            }
-            Self::FieldDisturbed => {
-                "iron or a current is near the tip: until it is removed the heading depends on the gyroscope"
-            }
-            Self::AccelDisturbed => {
-                "the tip is shaken or pushed: until it stops the tilt depends on the gyroscope"
-            }
-        }
-    }
-
     const fn bit(self) -> u16 {
         1 << self as u16
     }
@@ -105,10 +73,6 @@ impl CauseSet {
     /// The empty set.
     pub const EMPTY: Self = Self(0);
 
-    /// The set of one cause.
-    pub const fn of(cause: HealthCause) -> Self {
-        Self(cause.bit())
-    }
     /// Adds a cause.
     pub const fn insert(&mut self, cause: HealthCause) {
         self.0 |= cause.bit();
@@ -126,6 +90,12 @@ impl CauseSet {
         HealthCause::ALL
             .into_iter()
             .filter(move |c| self.contains(*c))
+    }
+}
+
+impl FromIterator<HealthCause> for CauseSet {
+    fn from_iter<I: IntoIterator<Item = HealthCause>>(causes: I) -> Self {
+        Self(causes.into_iter().fold(0, |set, cause| set | cause.bit()))
     }
 }
 

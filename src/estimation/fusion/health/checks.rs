@@ -2,8 +2,9 @@
 
 use super::cause::{CauseSet, HealthCause};
 use super::config::HealthConfig;
-use super::reading::{FieldReference, ImuReading, Quality, ReadFault, dip};
+use super::reading::{FieldShape, ImuReading, Quality, ReadFault, dip};
 use super::repetition::Repetition;
+use crate::estimation::fusion::align::Alignment;
 use crate::primitives::ImuSample;
 use nalgebra::{Rotation3, Vector3};
 
@@ -43,10 +44,19 @@ impl Findings {
     }
 }
 
+/// A sample under test.
+struct Seen<'a> {
+    config: &'a HealthConfig,
+    /// Time of the test, s.
+    now: f64,
+    sample: &'a ImuSample,
+    quality: &'a Quality,
+}
+
 /// What the checks remember of earlier readings.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Checks {
-    reference: Option<FieldReference>,
+    reference: Option<FieldShape>,
     gravity_m_s2: Option<f64>,
     known: KnownErrors,
     /// Last finite sample.
@@ -67,15 +77,10 @@ pub(super) struct Checks {
 
 impl Checks {
     /// Sets the estimated sensor errors; the references are recomputed from the raw means of the alignment.
-    pub fn set_known(
-        &mut self,
-        known: KnownErrors,
-        acc_rest: &Vector3<f64>,
-        mag_rest: Option<&Vector3<f64>>,
-    ) {
-        let acc = acc_rest - known.acc_bias_m_s2;
-        self.reference =
-            mag_rest.and_then(|mag| FieldReference::from_rest(&acc, &(mag - known.iron_ut)));
+    pub fn set_known(&mut self, known: KnownErrors, rest: &Alignment) {
+        let acc = rest.acc_rest_m_s2 - known.acc_bias_m_s2;
+        let mag = rest.mag_rest_ut.map(|mag| mag - known.iron_ut);
+        self.reference = mag.and_then(|mag| FieldShape::from_rest(&acc, &mag));
         self.gravity_m_s2 = Some(acc.norm());
         self.known = known;
     }
@@ -88,122 +93,86 @@ impl Checks {
         reading: &ImuReading,
         shaken: bool,
     ) -> Findings {
-        let found = match reading {
+        let mut found = Findings::default();
+        match reading {
             ImuReading::Sample(sample, quality) => {
-                self.inspect_sample(config, now, sample, *quality, shaken)
-            }
-            ImuReading::Failed(fault) => self.inspect_failure(config, *fault),
-            ImuReading::Nothing => {
-                let stale = self
-                    .last
-                    .is_some_and(|last| now - last.t.0 > config.stale_after_s);
-                let faults = if stale {
-                    CauseSet::of(HealthCause::StaleTimestamp)
-                } else {
-                    CauseSet::EMPTY
+                let seen = Seen {
+                    config,
+                    now,
+                    sample,
+                    quality,
                 };
-                Findings {
-                    faults,
-                    ..Findings::default()
+                self.inspect_sample(&seen, shaken, &mut found);
+            }
+            ImuReading::Failed(fault) => self.inspect_failure(config, *fault, &mut found.faults),
+            ImuReading::Nothing => {
+                let old = |last: &ImuSample| now - last.t.0 > config.stale_after_s;
+                if self.last.as_ref().is_some_and(old) {
+                    found.faults.insert(HealthCause::StaleTimestamp);
                 }
             }
-        };
-        self.last_was_sample = matches!(reading, ImuReading::Sample(..));
+        }
+        self.last_was_sample = reading.sample().is_some();
         found
     }
 
-    fn inspect_failure(&mut self, config: &HealthConfig, fault: ReadFault) -> Findings {
+    fn inspect_failure(&mut self, config: &HealthConfig, fault: ReadFault, faults: &mut CauseSet) {
         let (cause, on_the_bus) = match fault {
             ReadFault::Nack | ReadFault::Bus => (HealthCause::Nack, true),
             ReadFault::ShortRead => (HealthCause::ShortRead, true),
             ReadFault::WrongId => (HealthCause::WrongId, false),
             ReadFault::BrownOut => (HealthCause::BrownOut, false),
         };
-        let mut faults = CauseSet::of(cause);
+        faults.insert(cause);
         if on_the_bus {
             self.bus_failures = self.bus_failures.saturating_add(1);
             if self.bus_failures >= config.stuck_after {
                 faults.insert(HealthCause::StuckBus);
             }
         }
-        Findings {
-            faults,
-            ..Findings::default()
-        }
     }
 
-    fn inspect_sample(
-        &mut self,
-        config: &HealthConfig,
-        now: f64,
-        sample: &ImuSample,
-        quality: Quality,
-        shaken: bool,
-    ) -> Findings {
-        let mut found = Findings::default();
+    fn inspect_sample(&mut self, seen: &Seen<'_>, shaken: bool, found: &mut Findings) {
+        use HealthCause::{BrownOut, Nack, ShortRead, StuckBus, WrongId};
+        let (config, sample, quality) = (seen.config, seen.sample, seen.quality);
         self.bus_failures = 0;
-        for cause in [
-            HealthCause::Nack,
-            HealthCause::ShortRead,
-            HealthCause::StuckBus,
-            HealthCause::WrongId,
-            HealthCause::BrownOut,
-        ] {
+        for cause in [Nack, ShortRead, StuckBus, WrongId, BrownOut] {
             found.test(cause, false);
         }
-        found.test(
-            HealthCause::NotFinite,
-            !sample.is_finite() || !sample.t.0.is_finite(),
-        );
-        if found.faults.contains(HealthCause::NotFinite) {
-            return found; // no other check is meaningful, and the values must not be stored
+        let finite = sample.is_finite() && sample.t.0.is_finite();
+        found.test(HealthCause::NotFinite, !finite);
+        if !finite {
+            return; // no other check is meaningful, and the values must not be stored
         }
-        self.check_clock(config, now, sample, &mut found);
+        self.check_clock(seen, found);
         let repeats = self.repetition.add(sample, config.frozen_after);
         let expected = quality.expect_noise && config.frozen_after > 0;
         found.test(HealthCause::Frozen, expected && repeats);
-        found.test(
-            HealthCause::Saturated,
-            quality.gyro_load >= config.saturated_at,
-        );
-        self.check_spike(config, sample, &mut found);
+        let saturated = quality.gyro_load >= config.saturated_at;
+        found.test(HealthCause::Saturated, saturated);
+        self.check_spike(config, sample, found);
         let gravity = self.gravity_m_s2.unwrap_or(GRAVITY_M_S2);
         let force = (sample.acc_m_s2 - self.known.acc_bias_m_s2).norm();
         let disturbed =
             (force - gravity).abs() > config.acc_norm_tolerance_m_s2 + self.known.acc_margin_m_s2;
-        found.test(
-            HealthCause::AccelDisturbed,
-            disturbed || quality.acc_load >= config.saturated_at,
-        );
-        if found.faults.contains(HealthCause::Spike)
-            || found.faults.contains(HealthCause::Saturated)
-        {
+        let at_end = quality.acc_load >= config.saturated_at;
+        found.test(HealthCause::AccelDisturbed, disturbed || at_end);
+        if saturated || found.faults.contains(HealthCause::Spike) {
             self.up = None; // the gyroscope may have missed part of the rotation
         }
         self.propagate_vertical(config, sample, !disturbed && !shaken);
-        self.check_magnetometer(config, now, sample, quality, &mut found);
+        self.check_magnetometer(seen, found);
         self.last = Some(*sample);
-        found
     }
 
-    fn check_clock(
-        &self,
-        config: &HealthConfig,
-        now: f64,
-        sample: &ImuSample,
-        found: &mut Findings,
-    ) {
-        let t = sample.t.0;
+    fn check_clock(&self, seen: &Seen<'_>, found: &mut Findings) {
+        let (t, now, config) = (seen.sample.t.0, seen.now, seen.config);
         let step = self.last.map_or(f64::NAN, |last| t - last.t.0); // NaN: the first sample passes every comparison
-        found.test(
-            HealthCause::StaleTimestamp,
-            now - t > config.stale_after_s || step == 0.0,
-        );
-        let jump = step > config.jump_max_s && self.last_was_sample;
-        found.test(
-            HealthCause::JumpingTimestamp,
-            step < 0.0 || jump || t - now > config.jump_max_s,
-        );
+        let old = now - t > config.stale_after_s;
+        found.test(HealthCause::StaleTimestamp, old || step == 0.0);
+        let ahead = step > config.jump_max_s && self.last_was_sample;
+        let jumps = step < 0.0 || ahead || t - now > config.jump_max_s;
+        found.test(HealthCause::JumpingTimestamp, jumps);
     }
 
     /// A jump is a spike unless [`HealthConfig::spike_confirm`] samples in a row agree on the new value. What was rejected is
@@ -213,11 +182,8 @@ impl Checks {
             |other: &Option<ImuSample>| other.as_ref().is_none_or(|o| reachable(config, o, sample));
         let mut spike = !near(&self.last_plausible);
         if spike {
-            self.agreeing = if near(&self.last) {
-                self.agreeing + 1
-            } else {
-                0
-            };
+            let one_more = self.agreeing + 1;
+            self.agreeing = if near(&self.last) { one_more } else { 0 };
             spike = self.agreeing < config.spike_confirm;
         }
         if !spike {
@@ -231,14 +197,8 @@ impl Checks {
         found.test(HealthCause::Spike, spike);
     }
 
-    fn check_magnetometer(
-        &mut self,
-        config: &HealthConfig,
-        now: f64,
-        sample: &ImuSample,
-        quality: Quality,
-        found: &mut Findings,
-    ) {
+    fn check_magnetometer(&mut self, seen: &Seen<'_>, found: &mut Findings) {
+        let (config, now, sample, quality) = (seen.config, seen.now, seen.sample, seen.quality);
         let since = *self.last_mag_s.get_or_insert(now);
         // a field that repeats itself bit for bit was not measured again
         let repeats = quality.expect_noise && sample.mag_ut == self.last_mag_ut;
@@ -251,14 +211,9 @@ impl Checks {
             found.test(HealthCause::MagSilent, true);
         }
         if let (Some(mag), Some(reference)) = (&sample.mag_ut, &self.reference) {
-            let field = mag - self.known.iron_ut;
-            let disturbed = field_disturbed(
-                config,
-                reference,
-                self.up.as_ref(),
-                &field,
-                self.known.iron_margin_ut,
-            );
+            let (field, margin) = (mag - self.known.iron_ut, self.known.iron_margin_ut);
+            let up = self.up.as_ref();
+            let disturbed = field_disturbed(config, reference, up, &field, margin);
             found.test(HealthCause::FieldDisturbed, disturbed);
         }
     }
@@ -268,14 +223,11 @@ impl Checks {
     fn propagate_vertical(&mut self, config: &HealthConfig, sample: &ImuSample, calm: bool) {
         let dt = self.last.map_or(0.0, |last| sample.t.0 - last.t.0);
         let bridged = (0.0..=config.jump_max_s).contains(&dt);
+        let share = (dt / config.vertical_memory_s).min(1.0);
+        let gain = if calm { share } else { 0.0 };
         self.up = match self.up.filter(|_| bridged) {
             Some(up) => {
                 let turned = Rotation3::new(-sample.gyro_rad_s * dt) * up;
-                let gain = if calm {
-                    (dt / config.vertical_memory_s).min(1.0)
-                } else {
-                    0.0
-                };
                 Some(turned * (1.0 - gain) + sample.acc_m_s2 * gain)
             }
             None => calm.then_some(sample.acc_m_s2),
@@ -293,7 +245,7 @@ fn reachable(config: &HealthConfig, from: &ImuSample, to: &ImuSample) -> bool {
 /// True if strength or dip of the field differ from the reference; without a vertical only the strength is checked.
 pub(super) fn field_disturbed(
     config: &HealthConfig,
-    reference: &FieldReference,
+    reference: &FieldShape,
     up: Option<&Vector3<f64>>,
     field: &Vector3<f64>,
     margin_ut: f64,

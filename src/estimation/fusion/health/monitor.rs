@@ -4,9 +4,8 @@ use super::cause::{CauseSet, HealthCause};
 use super::checks::{Checks, Findings, KnownErrors};
 use super::config::{HealthConfig, Policy};
 use super::reading::ImuReading;
-use super::verdict::{HealthVerdict, Recovered};
+use crate::estimation::fusion::align::Alignment;
 use crate::primitives::Seconds;
-use nalgebra::Vector3;
 
 /// A disturbance that returns within this time counts as the same one, s.
 const RETURN_S: f64 = 60.0;
@@ -20,12 +19,69 @@ struct Track {
     since: Option<f64>,
     /// Good readings in a row since.
     good: u32,
-    /// How often it has come into force.
-    times: u32,
     /// Time at which it was last cleared, s.
     cleared: Option<f64>,
     /// Returns in a row, each within [`RETURN_S`].
     returns: u32,
+}
+
+/// The strictest consequence of a verdict, in rising order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
+pub enum HealthAction {
+    /// Use all sensors.
+    Use,
+    /// Use gyroscope and accelerometer only.
+    GravityOnly,
+    /// Use the gyroscope only.
+    CoastOnGyro,
+    /// Use nothing of this reading.
+    Skip,
+    /// Hold the pistons.
+    Hold,
+}
+
+/// What may be done with one reading.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct HealthVerdict {
+    /// The filter may integrate the gyroscope.
+    pub gyro: bool,
+    /// The filter may correct with the accelerometer.
+    pub acc: bool,
+    /// The filter may correct with the magnetometer: there is a new, valid value.
+    pub mag: bool,
+    /// The pistons must be held.
+    pub hold: bool,
+    /// No usable gyroscope sample for longer than [`HealthConfig::blind_max_s`].
+    pub blind: bool,
+    /// Faults of this reading.
+    pub faults: CauseSet,
+    /// Causes in force, including those that are recovering.
+    pub in_force: CauseSet,
+    /// Causes that came into force with this reading.
+    pub raised: CauseSet,
+    /// The jumps rejected just before were true: enough readings in a row agree with them.
+    pub confirmed: bool,
+    /// Causes that this reading cleared.
+    pub recovered: CauseSet,
+}
+
+impl HealthVerdict {
+    /// The strictest consequence of the verdict.
+    pub fn action(&self) -> HealthAction {
+        use HealthCause::{FieldDisturbed, MagOverflow, MagSilent};
+        let magnetic = |c| matches!(c, MagOverflow | MagSilent | FieldDisturbed);
+        if self.hold {
+            HealthAction::Hold
+        } else if !self.gyro {
+            HealthAction::Skip
+        } else if !self.acc {
+            HealthAction::CoastOnGyro
+        } else if !self.mag && self.in_force.iter().any(magnetic) {
+            HealthAction::GravityOnly
+        } else {
+            HealthAction::Use
+        }
+    }
 }
 
 /// Assesses the readings of one sensor. It has a fixed size and is cloned for replay.
@@ -35,31 +91,22 @@ pub struct SensorMonitor {
     checks: Checks,
     /// Time of the last usable gyroscope sample, s.
     used_s: Option<f64>,
+    verdict: Option<HealthVerdict>,
 }
 
 impl SensorMonitor {
-    /// Sets the estimated sensor errors. `acc_rest` and `mag_rest` are the raw means of the alignment, from which
-    /// the references of gravity and field are computed.
-    pub fn set_known(
-        &mut self,
-        known: KnownErrors,
-        acc_rest: &Vector3<f64>,
-        mag_rest: Option<&Vector3<f64>>,
-    ) {
-        self.checks.set_known(known, acc_rest, mag_rest);
+    /// Sets the estimated sensor errors, and the alignment from whose raw means the references of gravity and field are
+    /// computed.
+    pub fn set_known(&mut self, known: KnownErrors, rest: &Alignment) {
+        self.checks.set_known(known, rest);
     }
-    /// Causes that are in force.
-    pub fn in_force(&self) -> CauseSet {
-        let mut set = CauseSet::EMPTY;
-        HealthCause::ALL
-            .into_iter()
-            .filter(|c| self.track(*c).since.is_some())
-            .for_each(|c| set.insert(c));
-        set
+    /// The verdict on the last reading.
+    pub fn verdict(&self) -> Option<HealthVerdict> {
+        self.verdict
     }
-    /// How often a cause has come into force since the start.
-    pub fn times(&self, cause: HealthCause) -> u32 {
-        self.track(cause).times
+    fn in_force(&self) -> CauseSet {
+        let in_force = |cause: &HealthCause| self.track(*cause).since.is_some();
+        HealthCause::ALL.into_iter().filter(in_force).collect()
     }
     fn track(&self, cause: HealthCause) -> &Track {
         &self.tracks[cause as usize]
@@ -76,12 +123,12 @@ impl SensorMonitor {
         let found = self.checks.inspect(config, now.0, reading, shaken);
         let (raised, recovered) = self.update_tracks(config, now.0, &found);
         let verdict = self.apply_policies(config, now.0, reading, found.faults);
-        HealthVerdict {
+        *self.verdict.insert(HealthVerdict {
             raised,
             recovered,
             confirmed: found.confirmed,
             ..verdict
-        }
+        })
     }
 
     /// Advances the track of every cause by one reading; returns the causes raised and those cleared.
@@ -90,43 +137,28 @@ impl SensorMonitor {
         config: &HealthConfig,
         now: f64,
         found: &Findings,
-    ) -> (CauseSet, Option<Recovered>) {
-        let (mut raised, mut cleared, mut after_s) = (CauseSet::EMPTY, CauseSet::EMPTY, 0.0_f64);
+    ) -> (CauseSet, CauseSet) {
+        let (mut raised, mut cleared) = (CauseSet::EMPTY, CauseSet::EMPTY);
         for cause in HealthCause::ALL {
             let track = &mut self.tracks[cause as usize];
             if found.faults.contains(cause) {
                 track.good = 0;
                 if track.since.is_none() {
                     track.since = Some(now);
-                    track.times = track.times.saturating_add(1);
-                    let soon = track
-                        .cleared
-                        .is_some_and(|cleared| now - cleared < RETURN_S);
-                    track.returns = if soon {
-                        track.returns.saturating_add(1)
-                    } else {
-                        0
-                    };
+                    let soon = track.cleared.is_some_and(|at| now - at < RETURN_S);
+                    let again = track.returns.saturating_add(1);
+                    track.returns = if soon { again } else { 0 };
                     raised.insert(cause);
                 }
-            } else if let Some(since) = track.since
-                && found.tested.contains(cause)
-            {
+            } else if track.since.is_some() && found.tested.contains(cause) {
                 track.good += 1;
                 if track.good >= readings_to_clear(config, cause, track.returns) {
                     (track.since, track.cleared) = (None, Some(now));
                     cleared.insert(cause);
-                    after_s = after_s.max(now - since);
                 }
             }
         }
-        (
-            raised,
-            (!cleared.is_empty()).then_some(Recovered {
-                causes: cleared,
-                after_s,
-            }),
-        )
+        (raised, cleared)
     }
 
     /// Applies the policies of all causes in force to the reading.
@@ -137,17 +169,9 @@ impl SensorMonitor {
         reading: &ImuReading,
         faults: CauseSet,
     ) -> HealthVerdict {
-        let sample = if let ImuReading::Sample(sample, _) = reading {
-            Some(sample)
-        } else {
-            None
-        };
-        let (mut gyro, mut acc, mut mag) = (
-            sample.is_some(),
-            sample.is_some(),
-            sample.is_some_and(|s| s.mag_ut.is_some()),
-        );
-        let mut hold = false;
+        let sample = reading.sample();
+        let (mut gyro, mut acc, mut hold) = (sample.is_some(), sample.is_some(), false);
+        let mut mag = sample.is_some_and(|s| s.mag_ut.is_some());
         let in_force = self.in_force();
         for cause in in_force.iter() {
             let since = self.track(cause).since.unwrap_or(now);

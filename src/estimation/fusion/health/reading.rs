@@ -64,18 +64,33 @@ impl ImuReading {
         };
         sample.map_or(Self::Nothing, |s| Self::Sample(s, quality))
     }
+    /// The sample, if one arrived.
+    pub fn sample(&self) -> Option<&ImuSample> {
+        match self {
+            Self::Sample(sample, _) => Some(sample),
+            _ => None,
+        }
+    }
+    /// The same with another sample, if one arrived.
+    #[must_use]
+    pub fn map(mut self, change: impl FnOnce(&mut ImuSample, &mut Quality)) -> Self {
+        if let Self::Sample(sample, quality) = &mut self {
+            change(sample, quality);
+        }
+        self
+    }
 }
 
-/// Strength and dip of the undisturbed field.
+/// Strength and dip of a field.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FieldReference {
+pub struct FieldShape {
     /// |m|, µT.
     pub norm_ut: f64,
     /// Angle of the field below the horizontal, rad.
     pub dip_rad: f64,
 }
 
-impl FieldReference {
+impl FieldShape {
     /// From the means over a still stretch; `None` when either is zero or not finite.
     pub fn from_rest(acc_m_s2: &Vector3<f64>, mag_ut: &Vector3<f64>) -> Option<Self> {
         Some(Self {

@@ -3,6 +3,7 @@
 mod disturbances;
 
 use super::*;
+use crate::estimation::fusion::align::Alignment;
 use crate::primitives::{ImuSample, Parameters, Seconds};
 use nalgebra::{Rotation3, Vector3};
 use rand::SeedableRng;
@@ -57,22 +58,36 @@ struct Rig {
     config: HealthConfig,
     monitor: SensorMonitor,
     source: Source,
+    /// Every cause that has come into force, in order.
+    raised: Vec<HealthCause>,
+}
+
+/// An alignment with these means.
+fn at_rest(acc_rest_m_s2: Vector3<f64>, mag_ut: Vector3<f64>) -> Alignment {
+    Alignment {
+        acc_rest_m_s2,
+        mag_rest_ut: Some(mag_ut),
+        ..Alignment::default()
+    }
 }
 
 impl Rig {
     fn new() -> Self {
         let mut monitor = SensorMonitor::default();
         let source = Source::new(7);
-        monitor.set_known(KnownErrors::default(), &source.acc, Some(&source.mag));
+        monitor.set_known(KnownErrors::default(), &at_rest(source.acc, source.mag));
         Self {
             config: HealthConfig::default(),
             monitor,
             source,
+            raised: Vec::new(),
         }
     }
     fn put(&mut self, reading: ImuReading) -> HealthVerdict {
-        self.monitor
-            .assess(&self.config, Seconds(self.source.now()), &reading)
+        let now = Seconds(self.source.now());
+        let verdict = self.monitor.assess(&self.config, now, &reading);
+        self.raised.extend(verdict.raised.iter());
+        verdict
     }
     fn good(&mut self) -> HealthVerdict {
         let sample = self.source.next();
@@ -92,16 +107,14 @@ impl Rig {
         change(&mut sample, &mut quality);
         self.put(ImuReading::Sample(sample, quality))
     }
-    /// Good readings until `cause` recovers; returns how many it took and the time in force.
-    fn until_recovered(&mut self, cause: HealthCause) -> (u32, f64) {
-        for n in 1..1000 {
-            if let Some(r) = self.good().recovered
-                && r.causes.contains(cause)
-            {
-                return (n, r.after_s);
-            }
-        }
-        panic!("{cause} did not recover");
+    /// Good readings until `cause` recovers; returns how many it took.
+    fn until_recovered(&mut self, cause: HealthCause) -> u32 {
+        let n = (1..1000).find(|_| self.good().recovered.contains(cause));
+        n.unwrap_or_else(|| panic!("{cause} did not recover"))
+    }
+    /// How often a cause has come into force.
+    fn times(&self, cause: HealthCause) -> usize {
+        self.raised.iter().filter(|c| **c == cause).count()
     }
 }
 
@@ -147,14 +160,10 @@ fn nacks_are_skipped_then_blind_then_a_stuck_bus() {
     }
     let blind_after = blind_after.expect("40 periods without a sample must be blind");
     assert!(blind_after > 0.05 && blind_after < 0.056, "{blind_after}");
-    let (n, after_s) = b.until_recovered(HealthCause::StuckBus);
+    let n = b.until_recovered(HealthCause::StuckBus);
     assert_eq!(n, b.config.recover_samples);
-    assert!(
-        (after_s - (39.0 + f64::from(n)) * DT).abs() < 1e-9,
-        "counted from the first nack: {after_s}"
-    );
     assert!(b.good().in_force.is_empty());
-    assert_eq!(b.monitor.times(HealthCause::StuckBus), 1);
+    assert_eq!(b.times(HealthCause::StuckBus), 1);
 }
 
 #[test]
@@ -171,7 +180,7 @@ fn samples_are_used_while_a_hold_recovers() {
             && v.in_force.contains(HealthCause::BrownOut)
     );
     assert_eq!(
-        b.until_recovered(HealthCause::BrownOut).0,
+        b.until_recovered(HealthCause::BrownOut),
         b.config.recover_samples - 1
     );
     assert!(!b.good().hold);
@@ -183,15 +192,15 @@ fn a_fault_during_recovery_restarts_the_count() {
     b.settle();
     b.fail(ReadFault::WrongId);
     for _ in 0..b.config.recover_samples - 1 {
-        assert!(b.good().recovered.is_none());
+        assert!(b.good().recovered.is_empty());
     }
     b.fail(ReadFault::WrongId);
     assert_eq!(
-        b.until_recovered(HealthCause::WrongId).0,
+        b.until_recovered(HealthCause::WrongId),
         b.config.recover_samples
     );
     assert_eq!(
-        b.monitor.times(HealthCause::WrongId),
+        b.times(HealthCause::WrongId),
         1,
         "the cause stayed in force"
     );
@@ -418,7 +427,7 @@ fn silence_becomes_stale_then_blind() {
     }
     assert!(b.good().gyro);
     assert_eq!(
-        b.until_recovered(HealthCause::StaleTimestamp).0,
+        b.until_recovered(HealthCause::StaleTimestamp),
         b.config.recover_samples - 1
     );
 }

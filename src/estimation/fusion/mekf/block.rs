@@ -4,7 +4,7 @@
 //! 35 ms) from these sums, which is exact to first order in the errors and keeps the cost per sample close to that
 //! of a filter without a covariance.
 
-use super::covariance::{Flow, GRAVITY_M_S2};
+use super::covariance::{GRAVITY_M_S2, SCALE_AXES};
 use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector2, Vector3};
 
 /// Sums over a block, all zero at its start.
@@ -20,18 +20,19 @@ pub struct Block {
     pub saturated_rad: f64,
     /// Velocity variance of lost accelerometer samples, m²/s².
     pub missed_velocity_m2_s2: f64,
-    rotated: Matrix3<f64>,
-    skewed: SMatrix<f64, 3, 6>,
+    /// ∫ R dt, s.
+    pub rotated: Matrix3<f64>,
+    /// ∫ R ∂ω/∂s dt, rad.
+    pub skewed: SMatrix<f64, 3, 6>,
     turning_sq: f64,
     force_sq: f64,
     readings: f64,
-    field: Vector3<f64>,
-    field_by_age: Vector3<f64>,
-    field_rotation: Matrix3<f64>,
+    /// Sum over the readings.
+    field: FieldMean,
 }
 
 /// Mean of the magnetometer readings of a block, each turned into the world by the orientation at its own time.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct FieldMean {
     /// Field in the world frame, µT.
     pub world_ut: Vector3<f64>,
@@ -48,23 +49,13 @@ impl Block {
         self.rotated += rotation * dt_s;
         self.turning_sq += rate.norm_squared() * dt_s;
         let step = rotation * dt_s;
-        let (x, y, z) = (step.column(0), step.column(1), step.column(2));
-        let mixed = [
-            x * rate.y + y * rate.x,
-            x * rate.z + z * rate.x,
-            y * rate.z + z * rate.y,
-        ];
-        let columns = [
-            x * rate.x,
-            y * rate.y,
-            z * rate.z,
-            mixed[0],
-            mixed[1],
-            mixed[2],
-        ];
-        for (k, column) in columns.iter().enumerate() {
-            let mut sum = self.skewed.column_mut(k);
-            sum += column;
+        let turned = |axis: usize, by: usize| step.column(axis) * rate[by];
+        for (mut sum, (i, j)) in self.skewed.column_iter_mut().zip(SCALE_AXES) {
+            sum += if i == j {
+                turned(i, i)
+            } else {
+                turned(i, j) + turned(j, i)
+            };
         }
     }
 
@@ -85,19 +76,11 @@ impl Block {
     ) {
         let world = rotation * mag;
         self.readings += 1.0;
-        self.field += world;
-        self.field_by_age -= (rotation * rate).cross(&world);
-        self.field_rotation += rotation.to_rotation_matrix().into_inner();
+        self.field.world_ut += world;
+        self.field.by_age_ut_s -= (rotation * rate).cross(&world);
+        self.field.to_world += rotation.to_rotation_matrix().into_inner();
     }
 
-    /// Propagation of the errors over the block.
-    pub fn flow(&self) -> Flow {
-        Flow {
-            attitude_by_bias: -self.rotated,
-            attitude_by_scale: self.skewed,
-            velocity_by_tilt_m_s: GRAVITY_M_S2 * self.length_s,
-        }
-    }
     /// Mean square angular rate, rad²/s².
     pub fn turning_sq(&self) -> f64 {
         self.turning_sq / self.length_s
@@ -110,9 +93,9 @@ impl Block {
     pub fn field(&self) -> Option<FieldMean> {
         let n = self.readings;
         (n > 0.0).then(|| FieldMean {
-            world_ut: self.field / n,
-            by_age_ut_s: self.field_by_age / n,
-            to_world: self.field_rotation / n,
+            world_ut: self.field.world_ut / n,
+            by_age_ut_s: self.field.by_age_ut_s / n,
+            to_world: self.field.to_world / n,
         })
     }
 }

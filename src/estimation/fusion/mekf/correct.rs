@@ -1,8 +1,8 @@
 //! Observations of the filter: bounded velocity, standstill, and the Earth's field.
 
+use super::Mekf;
 use super::block::FieldMean;
 use super::covariance::{ATTITUDE, BIAS, Errors, FIELD, IRON, LATENCY, VELOCITY};
-use super::{Mekf, MekfConfig};
 use crate::estimation::fusion::intake;
 use nalgebra::Vector3;
 
@@ -18,7 +18,7 @@ const MISFIT_STEP_MAX: f64 = 100.0;
 type Row = [(usize, f64); 8];
 
 /// Rows of a field residual (reading minus model, world axes): `−φ × y − ∂y/∂τ δτ + (δh, 0, δz) + R δm`.
-fn rows(reading: &FieldMean) -> [Row; 3] {
+pub(super) fn rows(reading: &FieldMean) -> [Row; 3] {
     let turn = reading.world_ut.cross_matrix();
     let earth = [(FIELD, 1.0), (FIELD, 0.0), (FIELD + 1, 1.0)];
     std::array::from_fn(|axis| {
@@ -36,40 +36,24 @@ fn rows(reading: &FieldMean) -> [Row; 3] {
 }
 
 impl Mekf {
-    /// Processes the first field reading, which defines north: its residual is zero by definition.
-    pub(super) fn observe_first_field(
-        &mut self,
-        errors: &mut Errors,
-        reading: &FieldMean,
-        variance_ut2: f64,
-    ) {
-        for row in rows(reading) {
-            self.covariance.observe(errors, &row, 0.0, variance_ut2);
-        }
-    }
-
     /// Observes a velocity near zero; at standstill a velocity of zero and the gyroscope bias.
     pub(super) fn observe_motion(&mut self, errors: &mut Errors, dt_s: f64) {
         let c = &self.config;
-        let (v, standstill) = (self.estimate.velocity_m_s, self.standstill.standstill());
+        let (v, still) = (self.estimate.velocity_m_s, self.standstill.standstill());
         let near_zero = c.velocity_sigma_m_s.powi(2) * c.velocity_memory_s / dt_s;
         let at_zero = STILL_VELOCITY_M_S.powi(2) * STILL_VELOCITY_MEMORY_S / dt_s;
-        let variance = if standstill {
-            at_zero.min(near_zero)
-        } else {
-            near_zero
+        let variance = near_zero.min(if still { at_zero } else { near_zero });
+        let mut observe = |k, off, variance| {
+            self.covariance.observe(errors, &[(k, 1.0)], off, variance);
         };
         for k in 0..2 {
-            self.covariance
-                .observe(errors, &[(VELOCITY + k, 1.0)], -v[k], variance);
+            observe(VELOCITY + k, -v[k], variance);
         }
-        if standstill {
+        if still {
             let off = self.standstill.gyro_mean_rad_s() - self.estimate.bias_rad_s;
-            let variance =
-                c.rest_bias_sigma_deg_s.to_radians().powi(2) * STILL_BIAS_MEMORY_S / dt_s;
+            let sigma = c.rest_bias_sigma_deg_s.to_radians();
             for k in 0..3 {
-                self.covariance
-                    .observe(errors, &[(BIAS + k, 1.0)], off[k], variance);
+                observe(BIAS + k, off[k], sigma.powi(2) * STILL_BIAS_MEMORY_S / dt_s);
             }
         }
     }
@@ -82,11 +66,8 @@ impl Mekf {
         let model = Vector3::new(earth.x, 0.0, earth.y) + reading.to_world * self.estimate.iron_ut;
         let residual = reading.world_ut - model;
         let rows = rows(reading);
-        let predicted = rows
-            .iter()
-            .map(|row| self.covariance.variance_of(&row[..3]))
-            .sum::<f64>()
-            / 3.0;
+        let variances = rows.map(|row| self.covariance.variance_of(&row[..3]));
+        let predicted = variances.iter().sum::<f64>() / 3.0;
         let misfit = self.track_misfit(residual.norm_squared() / 3.0, dt_s);
         let c = &self.config;
         let nominal = c.field_sigma_ut.powi(2);
@@ -97,11 +78,8 @@ impl Mekf {
             let growth = c.iron_unsure_rt_s.powi(2) * (misfit - tolerated) * dt_s;
             self.covariance.grow(IRON, 3, growth);
         }
-        let weight = if self.standstill.standstill() {
-            c.rest_field_weight
-        } else {
-            1.0
-        };
+        let still = self.standstill.standstill();
+        let weight = if still { c.rest_field_weight } else { 1.0 };
         let variance = nominal * excess * c.field_memory_s / dt_s / weight;
         for (row, part) in rows.iter().zip(residual.iter()) {
             self.covariance.observe(errors, row, *part, variance);
@@ -110,13 +88,8 @@ impl Mekf {
 
     /// Updates the running mean square misfit; a sudden increase counts at once.
     fn track_misfit(&mut self, now_ut2: f64, dt_s: f64) -> f64 {
-        let MekfConfig {
-            field_sigma_ut,
-            misfit_tau_s,
-            ..
-        } = self.config;
-        let running = &mut self.misfit_ut2;
-        *running += intake::share(dt_s, misfit_tau_s) * (now_ut2 - *running);
-        running.max(now_ut2.min(MISFIT_STEP_MAX * running.max(field_sigma_ut.powi(2))))
+        let (c, running) = (&self.config, &mut self.misfit_ut2);
+        *running += intake::share(dt_s, c.misfit_tau_s) * (now_ut2 - *running);
+        running.max(now_ut2.min(MISFIT_STEP_MAX * running.max(c.field_sigma_ut.powi(2))))
     }
 }

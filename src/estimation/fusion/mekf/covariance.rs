@@ -26,6 +26,8 @@ pub const ATTITUDE: usize = 0;
 pub const BIAS: usize = 3;
 /// First gyroscope scale error.
 pub const SCALE: usize = 6;
+/// Axes of the scale and skew errors.
+pub const SCALE_AXES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
 /// First horizontal velocity error.
 pub const VELOCITY: usize = 12;
 /// Errors of the north and vertical part of the field.
@@ -37,17 +39,6 @@ pub const LATENCY: usize = 19;
 
 /// The error state itself.
 pub type Errors = SVector<f64, DIM>;
-
-/// Propagation of errors over a block of samples.
-#[derive(Debug, Clone, Copy)]
-pub struct Flow {
-    /// φ per b, seconds: minus the integral of R.
-    pub attitude_by_bias: Matrix3<f64>,
-    /// φ per s, rad: the integral of R ∂ω/∂s.
-    pub attitude_by_scale: SMatrix<f64, 3, 6>,
-    /// v per φ, m/s: gravity times the block's length.
-    pub velocity_by_tilt_m_s: f64,
-}
 
 /// A symmetric 20 x 20 covariance.
 #[derive(Debug, Clone, Copy, Default)]
@@ -79,34 +70,18 @@ impl Covariance {
         self.0[(k, k)] = sigma * sigma;
     }
 
-    /// P ← F P Fᵀ: first the velocity, by the attitude error at the start of the block, then the attitude.
-    pub fn flow(&mut self, flow: &Flow) {
-        let pull = flow.velocity_by_tilt_m_s;
+    /// P ← F P Fᵀ over a block of samples: first the velocity, by the attitude error at the start of the block, then the attitude.
+    ///
+    /// `turned_s` is the integral of R, `skewed` the integral of R ∂ω/∂s, rad, and `pull` gravity times the block's length, m/s.
+    pub fn flow(&mut self, turned_s: &Matrix3<f64>, skewed: &SMatrix<f64, 3, 6>, pull: f64) {
         self.couple(&[
             (VELOCITY, ATTITUDE + 1, pull),
             (VELOCITY + 1, ATTITUDE, -pull),
         ]);
-        let mut links = [(0, 0, 0.0); 27];
-        let mut n = 0;
-        for row in 0..3 {
-            for col in 0..3 {
-                links[n] = (
-                    ATTITUDE + row,
-                    BIAS + col,
-                    flow.attitude_by_bias[(row, col)],
-                );
-                n += 1;
-            }
-            for col in 0..6 {
-                links[n] = (
-                    ATTITUDE + row,
-                    SCALE + col,
-                    flow.attitude_by_scale[(row, col)],
-                );
-                n += 1;
-            }
-        }
-        self.couple(&links);
+        self.couple(&std::array::from_fn::<_, 27, _>(|n| match (n / 9, n % 9) {
+            (row, col @ 0..3) => (ATTITUDE + row, BIAS + col, -turned_s[(row, col)]),
+            (row, col) => (ATTITUDE + row, BIAS + col, skewed[(row, col - 3)]),
+        }));
     }
 
     /// `error[to] += gain * error[from]` for every link; no `from` may also be a `to`.
@@ -124,13 +99,8 @@ impl Covariance {
 
     /// Variance of `Σ gain · error`.
     pub fn variance_of(&self, row: &[(usize, f64)]) -> f64 {
-        row.iter()
-            .map(|&(j, a)| {
-                row.iter()
-                    .map(|&(k, b)| a * b * self.0[(j, k)])
-                    .sum::<f64>()
-            })
-            .sum::<f64>()
+        let with = |j: usize, a: f64| row.iter().map(move |&(k, b)| a * b * self.0[(j, k)]);
+        row.iter().map(|&(j, a)| with(j, a).sum::<f64>()).sum()
     }
 
     /// Processes one scalar observation `innovation = Σ gain · error + noise`.
@@ -172,25 +142,22 @@ mod tests {
 
     #[test]
     fn flow_equals_the_full_matrix_product() {
-        let flow = Flow {
-            attitude_by_bias: Matrix3::from_fn(|r, c| -0.03 * (1.0 + r as f64 - 0.5 * c as f64)),
-            attitude_by_scale: SMatrix::from_fn(|r, c| 0.02 * (c as f64 - r as f64)),
-            velocity_by_tilt_m_s: 0.35,
-        };
+        let turned = Matrix3::from_fn(|r, c| 0.03 * (1.0 + r as f64 - 0.5 * c as f64));
+        let skewed = SMatrix::<f64, 3, 6>::from_fn(|r, c| 0.02 * (c as f64 - r as f64));
         let mut by_tilt = SMatrix::<f64, DIM, DIM>::identity();
         by_tilt[(VELOCITY, 1)] = 0.35;
         by_tilt[(VELOCITY + 1, 0)] = -0.35;
         let mut by_gyro = SMatrix::<f64, DIM, DIM>::identity();
         by_gyro
             .fixed_view_mut::<3, 3>(ATTITUDE, BIAS)
-            .copy_from(&flow.attitude_by_bias);
+            .copy_from(&-turned);
         by_gyro
             .fixed_view_mut::<3, 6>(ATTITUDE, SCALE)
-            .copy_from(&flow.attitude_by_scale);
+            .copy_from(&skewed);
         let f = by_gyro * by_tilt;
         let mut p = correlated();
         let want = f * p.0 * f.transpose();
-        p.flow(&flow);
+        p.flow(&turned, &skewed, 0.35);
         assert!((p.0 - want).amax() < 1e-9, "{}", (p.0 - want).amax());
     }
 

@@ -31,7 +31,7 @@ pub mod saturation;
 
 pub use config::MekfConfig;
 
-use super::filter::{FilterFlags, OrientationFilter, level};
+use super::filter::{FilterStatus, OrientationFilter, level};
 use super::intake::{self, Step, Usable};
 use super::standstill::StandstillDetector;
 use crate::primitives::{ImuSample, Rotation, Sensor, World};
@@ -61,16 +61,18 @@ const FIELD_UNKNOWN_UT: f64 = 30.0;
 
 /// The estimate to which the error states refer.
 #[derive(Debug, Clone, Copy, Default)]
-struct Estimate {
+pub struct Estimate {
     r_world_sensor: UnitQuaternion<f64>,
     bias_rad_s: Vector3<f64>,
-    /// Scale and skew errors xx, yy, zz, xy, xz, yz.
-    scale: SVector<f64, 6>,
+    /// Gyroscope scale and skew errors xx, yy, zz, xy, xz, yz: true = (1 + s)(measured − bias).
+    pub scale: SVector<f64, 6>,
     velocity_m_s: Vector2<f64>,
     /// North and up components of the Earth's field, µT, once north is found.
     field_ut: Option<Vector2<f64>>,
-    iron_ut: Vector3<f64>,
-    latency_s: f64,
+    /// Hard iron in sensor axes, µT.
+    pub iron_ut: Vector3<f64>,
+    /// Age of a magnetometer reading when it is handed in, s.
+    pub latency_s: f64,
     /// Direction of the last field reading, rad, by which the output is turned until north is found.
     provisional_rad: f64,
 }
@@ -95,30 +97,20 @@ pub struct Mekf {
 impl Mekf {
     /// A filter that levels itself with the first sample.
     pub fn new(config: MekfConfig) -> Self {
-        let estimate = Estimate {
-            latency_s: config.latency_ms * 1e-3,
-            ..Estimate::default()
-        };
-        let covariance = Covariance::from_sigmas(&first_sigmas(&config));
         Self {
             config,
-            estimate,
-            covariance,
+            estimate: Estimate {
+                latency_s: config.latency_ms * 1e-3,
+                ..Estimate::default()
+            },
+            covariance: Covariance::from_sigmas(&first_sigmas(&config)),
             ..Self::default()
         }
     }
 
-    /// Estimated hard iron in sensor axes, µT.
-    pub fn hard_iron_ut(&self) -> Vector3<f64> {
-        self.estimate.iron_ut
-    }
-    /// Estimated age of a magnetometer reading when it is handed in, s.
-    pub fn mag_latency_s(&self) -> f64 {
-        self.estimate.latency_s
-    }
-    /// Estimated gyroscope scale and skew errors, xx, yy, zz, xy, xz, yz: true = (1 + s)(measured − bias).
-    pub fn gyro_scale(&self) -> SVector<f64, 6> {
-        self.estimate.scale
+    /// What is estimated.
+    pub fn estimate(&self) -> &Estimate {
+        &self.estimate
     }
 
     /// Levels the orientation from a specific force and keeps the estimated sensor errors. Motion makes the levelling
@@ -134,15 +126,10 @@ impl Mekf {
         let tilt = self.config.first_tilt_deg.to_radians()
             + (acc.norm() / GRAVITY_M_S2 - 1.0).abs().min(1.0)
             + if moving { MOVING_TILT_RAD } else { 0.0 };
-        let fresh = first_sigmas(&self.config);
-        for (k, sigma) in [
-            (ATTITUDE, tilt),
-            (ATTITUDE + 1, tilt),
-            (ATTITUDE + 2, HEADING_UNKNOWN_RAD),
-        ] {
-            self.covariance.isolate(k, sigma);
-        }
-        for k in (VELOCITY..VELOCITY + 2).chain(FIELD..FIELD + 2) {
+        let mut fresh = first_sigmas(&self.config);
+        fresh.rows_mut(ATTITUDE, 2).fill(tilt);
+        let velocity_and_field = (VELOCITY..VELOCITY + 2).chain(FIELD..FIELD + 2);
+        for k in (ATTITUDE..BIAS).chain(velocity_and_field) {
             self.covariance.isolate(k, fresh[k]);
         }
         self.levelled = true;
@@ -154,41 +141,31 @@ impl Mekf {
             (Some(gyro), Some(acc)) => _ = self.standstill.update(&gyro, &acc, dt_s),
             _ => self.standstill.miss(dt_s),
         }
-        match usable.gyro_rad_s {
-            Some(gyro) => {
-                if let Some(limit_rad_s) = self.saturation.update(&gyro) {
-                    self.block.saturated_rad += limit_rad_s * dt_s;
-                }
-                let (w, s) = (gyro - self.estimate.bias_rad_s, &self.estimate.scale);
-                self.rate = w + Vector3::new(
-                    s[0] * w.x + s[3] * w.y + s[4] * w.z,
-                    s[3] * w.x + s[1] * w.y + s[5] * w.z,
-                    s[4] * w.x + s[5] * w.y + s[2] * w.z,
-                );
-            }
-            None => {
-                let missed = MISSED_RATE_RAD_S * dt_s;
-                self.block.missed_turn_rad2 += missed * missed;
-            }
+        let Some(gyro) = usable.gyro_rad_s else {
+            self.block.missed_turn_rad2 += squared(MISSED_RATE_RAD_S * dt_s);
+            return;
+        };
+        if let Some(limit_rad_s) = self.saturation.update(&gyro) {
+            self.block.saturated_rad += limit_rad_s * dt_s;
         }
+        let (w, s) = (gyro - self.estimate.bias_rad_s, &self.estimate.scale);
+        self.rate = w + Vector3::new(
+            s[0] * w.x + s[3] * w.y + s[4] * w.z,
+            s[3] * w.x + s[1] * w.y + s[5] * w.z,
+            s[4] * w.x + s[5] * w.y + s[2] * w.z,
+        );
     }
 
     /// Integrates one sample into the estimate and adds it to the block.
     fn integrate(&mut self, usable: &Usable, dt_s: f64) {
-        let rotation =
-            self.estimate.r_world_sensor * UnitQuaternion::from_scaled_axis(self.rate * dt_s);
+        let turn = UnitQuaternion::from_scaled_axis(self.rate * dt_s);
+        let rotation = self.estimate.r_world_sensor * turn;
         self.estimate.r_world_sensor = rotation;
-        self.block.add_turning(
-            &rotation.to_rotation_matrix().into_inner(),
-            &self.rate,
-            dt_s,
-        );
+        let to_world = rotation.to_rotation_matrix().into_inner();
+        self.block.add_turning(&to_world, &self.rate, dt_s);
         match usable.acc_m_s2 {
             Some(acc) => self.block.add_force(&(rotation * acc), dt_s),
-            None => {
-                let missed = MISSED_FORCE_M_S2 * dt_s;
-                self.block.missed_velocity_m2_s2 += missed * missed;
-            }
+            None => self.block.missed_velocity_m2_s2 += squared(MISSED_FORCE_M_S2 * dt_s),
         }
         let Some(mag) = usable.mag_ut.filter(|m| self.last_mag != Some(*m)) else {
             return;
@@ -206,12 +183,8 @@ impl Mekf {
     /// The first field reading of a levelled sensor defines north, to within the errors of room and hard iron.
     fn find_north(&mut self, world_ut: &Vector3<f64>) {
         self.estimate.provisional_rad = world_ut.y.atan2(world_ut.x);
-        if self
-            .covariance
-            .sigma(ATTITUDE)
-            .max(self.covariance.sigma(ATTITUDE + 1))
-            > LEVEL_ENOUGH_RAD
-        {
+        let tilt = |axis: usize| self.covariance.sigma(ATTITUDE + axis);
+        if tilt(0).max(tilt(1)) > LEVEL_ENOUGH_RAD {
             return;
         }
         let turn = about_up(-std::mem::take(&mut self.estimate.provisional_rad));
@@ -231,7 +204,10 @@ impl Mekf {
         };
         let mut errors = Errors::zeros();
         let place_ut2 = self.config.first_field_sigma_ut.powi(2);
-        self.observe_first_field(&mut errors, &reading, place_ut2);
+        for row in correct::rows(&reading) {
+            // north is defined by this reading, so its residual is zero
+            self.covariance.observe(&mut errors, &row, 0.0, place_ut2);
+        }
         self.inject(&errors);
     }
 
@@ -254,43 +230,33 @@ impl Mekf {
     fn predict(&mut self, block: &Block) {
         let c = &self.config;
         let dt_s = block.length_s;
-        let squared = |sigma: f64| sigma * sigma;
-        self.covariance.flow(&block.flow());
-        let wander = c.gyro_wander_deg_rt_s.to_radians()
-            * if self.standstill.standstill() {
-                0.1
-            } else {
-                1.0
-            };
+        let pull = GRAVITY_M_S2 * dt_s;
+        self.covariance.flow(&block.rotated, &block.skewed, pull);
+        let still = self.standstill.standstill();
+        let wander = c.gyro_wander_deg_rt_s.to_radians() * if still { 0.1 } else { 1.0 };
         let turn =
             (squared(wander) + squared(c.gyro_nonlinearity_rt_s) * block.turning_sq()) * dt_s;
-        self.covariance.grow(
-            ATTITUDE,
-            3,
-            turn + block.missed_turn_rad2 + squared(SATURATED_EXCESS * block.saturated_rad),
-        );
-        self.covariance.grow(
-            BIAS,
-            3,
-            squared(c.bias_wander_deg_s_rt_s.to_radians()) * dt_s,
-        );
+        let saturated = squared(SATURATED_EXCESS * block.saturated_rad);
         let push =
             (squared(c.acc_floor_m_s_rt_s) + squared(c.acc_fault_rt_s) * block.force_sq()) * dt_s;
-        self.covariance
-            .grow(VELOCITY, 2, push + block.missed_velocity_m2_s2);
-        self.covariance
-            .grow(FIELD, 2, squared(c.field_wander_ut_rt_s) * dt_s);
-        self.covariance
-            .grow(IRON, 3, squared(c.iron_wander_ut_rt_s) * dt_s);
+        let bias = squared(c.bias_wander_deg_s_rt_s.to_radians()) * dt_s;
+        for (first, count, variance) in [
+            (ATTITUDE, 3, turn + block.missed_turn_rad2 + saturated),
+            (BIAS, 3, bias),
+            (VELOCITY, 2, push + block.missed_velocity_m2_s2),
+            (FIELD, 2, squared(c.field_wander_ut_rt_s) * dt_s),
+            (IRON, 3, squared(c.iron_wander_ut_rt_s) * dt_s),
+        ] {
+            self.covariance.grow(first, count, variance);
+        }
     }
 
     /// Adds the estimated errors to the estimate.
     fn inject(&mut self, errors: &Errors) {
         let e = &mut self.estimate;
         let turn: Vector3<f64> = errors.fixed_rows::<3>(ATTITUDE).into_owned();
-        let mut rotation = UnitQuaternion::from_scaled_axis(turn) * e.r_world_sensor;
-        rotation.renormalize();
-        e.r_world_sensor = rotation;
+        e.r_world_sensor = UnitQuaternion::from_scaled_axis(turn) * e.r_world_sensor;
+        e.r_world_sensor.renormalize();
         e.bias_rad_s += errors.fixed_rows::<3>(BIAS);
         e.scale += errors.fixed_rows::<6>(SCALE);
         e.velocity_m_s += errors.fixed_rows::<2>(VELOCITY);
@@ -299,22 +265,21 @@ impl Mekf {
             field.x = field.x.max(self.config.horizontal_field_min_ut);
         }
         e.iron_ut += errors.fixed_rows::<3>(IRON);
-        e.scale = e
-            .scale
-            .map(|s| s.clamp(-self.config.scale_max, self.config.scale_max));
+        let scale_max = self.config.scale_max;
+        e.scale = e.scale.map(|s| s.clamp(-scale_max, scale_max));
         e.latency_s = (e.latency_s + errors[LATENCY]).clamp(0.0, self.config.latency_max_ms * 1e-3);
     }
 
     fn is_sane(&self) -> bool {
         let e = &self.estimate;
-        e.r_world_sensor
-            .coords
-            .iter()
-            .chain(e.bias_rad_s.iter())
-            .chain(e.iron_ut.iter())
-            .all(|x| x.is_finite())
-            && self.covariance.is_sane()
+        let vectors = e.bias_rad_s.iter().chain(&e.iron_ut);
+        let mut numbers = e.r_world_sensor.coords.iter().chain(vectors);
+        numbers.all(|x| x.is_finite()) && self.covariance.is_sane()
     }
+}
+
+fn squared(sigma: f64) -> f64 {
+    sigma * sigma
 }
 
 fn about_up(angle_rad: f64) -> UnitQuaternion<f64> {
@@ -362,17 +327,13 @@ impl OrientationFilter for Mekf {
     }
 
     fn orientation(&self) -> Rotation<World, Sensor> {
-        Rotation::assert_frames(
-            about_up(-self.estimate.provisional_rad) * self.estimate.r_world_sensor,
-        )
+        let e = &self.estimate;
+        Rotation::assert_frames(about_up(-e.provisional_rad) * e.r_world_sensor)
     }
 
-    fn gyro_bias_rad_s(&self) -> Vector3<f64> {
-        self.estimate.bias_rad_s
-    }
-
-    fn flags(&self) -> FilterFlags {
-        FilterFlags {
+    fn status(&self) -> FilterStatus {
+        FilterStatus {
+            gyro_bias_rad_s: self.estimate.bias_rad_s,
             levelled: self.levelled,
             north_found: self.estimate.field_ut.is_some(),
             standstill: self.standstill.standstill(),

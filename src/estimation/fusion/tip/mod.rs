@@ -20,44 +20,23 @@ use crate::estimation::fusion::base::BaseTracker;
 use crate::estimation::fusion::bend::BendFilter;
 use crate::estimation::fusion::estimator::Estimator;
 use crate::estimation::fusion::health::{
-    CauseSet, HealthCause, HealthVerdict, ImuReading, KnownErrors, Quality, SensorMonitor,
+    CauseSet, HealthCause, HealthVerdict, ImuReading, KnownErrors, SensorMonitor,
 };
 use crate::model::Bend;
 use crate::primitives::{Base, ImuSample, Rotation, Seconds, World};
 use nalgebra::{Matrix2, Vector3};
 use tracking::Tracker;
 
-#[derive(Debug, Clone)]
-#[allow(
-    clippy::large_enum_variant,
-    reason = "lives in the state of the loop, which may not allocate"
-)]
-enum Stage {
-    /// Waiting for a still tip.
-    Aligning(AlignState),
-    /// Aligned and running.
-    Tracking(Tracker),
-}
-
-impl Default for Stage {
-    fn default() -> Self {
-        Self::Aligning(AlignState::default())
-    }
-}
-
 /// Orientation estimation from power-up on.
 #[derive(Debug, Clone, Default)]
 pub struct Fusion {
     monitor: SensorMonitor,
-    verdict: Option<HealthVerdict>,
     base: BaseTracker,
     base_monitor: SensorMonitor,
-    base_raised: CauseSet,
-    /// The monitor of the base IMU knows the field of its alignment.
-    with_base_field: bool,
-    /// The base IMU has been seen.
-    with_base: bool,
-    stage: Stage,
+    /// The still stretch at the start.
+    start: AlignState,
+    /// What runs from the alignment on.
+    tracker: Option<Tracker>,
 }
 
 impl Fusion {
@@ -68,211 +47,155 @@ impl Fusion {
             ..*input
         };
         self.update_base(config, input);
-        match &mut self.stage {
-            Stage::Aligning(state) => {
-                let verdict = self.monitor.assess(&config.health, input.now, &input.tip);
-                self.verdict = Some(verdict);
-                if let (true, ImuReading::Sample(sample, _)) = (
-                    verdict.gyro && !verdict.in_force.contains(HealthCause::Frozen),
-                    &input.tip,
-                ) && let Some(alignment) = state.add(&config.align, sample)
-                {
-                    self.stage = Stage::Tracking(Tracker::new(config, &alignment));
-                    self.set_known(KnownErrors::default());
-                }
-            }
-            Stage::Tracking(tracker) => {
-                let reading = tracker.expecting_noise(input.tip);
-                let verdict = self.monitor.assess(&tracker.limits, input.now, &reading);
-                self.verdict = Some(verdict);
-                tracker.update(config, &verdict, input, &self.base);
-                if let Some(known) = tracker.known_errors() {
-                    self.set_known(known);
-                }
-            }
+        let Some(tracker) = &mut self.tracker else {
+            return self.align(config, input);
+        };
+        let reading = tracker.expecting_noise(input.tip);
+        let verdict = self.monitor.assess(&tracker.limits, input.now, &reading);
+        tracker.update(config, &verdict, input, &self.base.turn());
+        if let Some(filter) = tracker.bend_filter() {
+            let known = filter.known_errors();
+            self.monitor.set_known(known, &tracker.alignment);
+        }
+    }
+
+    /// Waits for a still tip.
+    fn align(&mut self, config: &FuseConfig, input: &FusionInput) {
+        let verdict = self.monitor.assess(&config.health, input.now, &input.tip);
+        let usable = verdict.gyro && !verdict.in_force.contains(HealthCause::Frozen);
+        if let Some(sample) = input.tip.sample().filter(|_| usable)
+            && let Some(alignment) = self.start.add(&config.align, sample)
+        {
+            self.tracker = Some(Tracker::new(config, &alignment));
+            self.monitor.set_known(KnownErrors::default(), &alignment);
         }
     }
 
     /// Follows the base with its own IMU while that is healthy.
     fn update_base(&mut self, config: &FuseConfig, input: &FusionInput) {
-        self.with_base |= input.base.is_some();
-        if !self.with_base {
+        if input.base.is_none() && self.base_health().is_none() {
             return;
         }
-        let quality = Quality {
-            expect_noise: self.base.noisy(),
-            ..Quality::default()
-        };
-        let reading = input.base.map_or(ImuReading::Nothing, |sample| {
-            ImuReading::Sample(sample, quality)
-        });
-        let limits = match &self.stage {
-            Stage::Aligning(_) => config.health,
-            Stage::Tracking(t) => t.base_limits(),
-        };
+        let noisy = self.base.noisy();
+        let reading = ImuReading::from_world(input.base).map(|_, q| q.expect_noise = noisy);
+        let tracker = self.tracker.as_ref();
+        let limits = tracker.map_or(config.health, Tracker::base_limits);
         let verdict = self.base_monitor.assess(&limits, input.now, &reading);
-        self.base_raised = verdict.raised;
-        let up = self.alignment().map(|a| a.acc_rest_m_s2);
-        match &input.base {
-            Some(sample) if verdict.gyro => {
-                let sample = ImuSample {
-                    mag_ut: sample.mag_ut.filter(|_| verdict.mag),
-                    ..*sample
-                };
-                self.base
-                    .update(&config.base, &config.align, &sample, up.as_ref());
-                if let (false, Some(rest)) = (self.with_base_field, self.base.rest()) {
-                    self.base_monitor.set_known(
-                        KnownErrors::default(),
-                        &rest.acc_rest_m_s2,
-                        rest.mag_rest_ut.as_ref(),
-                    );
-                }
-                self.with_base_field = self.base.rest().is_some();
+        if let Some(sample) = input.base.filter(|_| verdict.gyro) {
+            let sample = ImuSample {
+                mag_ut: sample.mag_ut.filter(|_| verdict.mag),
+                ..sample
+            };
+            let up = tracker.map(|t| &t.alignment.acc_rest_m_s2);
+            self.base.update(&config.base, &config.align, &sample, up);
+            if let Some(rest) = self.base.rest() {
+                self.base_monitor.set_known(KnownErrors::default(), rest);
             }
-            _ if verdict.blind => self.base.lose(),
-            _ => {}
+        } else if verdict.blind {
+            self.base.lose();
         }
-        if let (true, Stage::Tracking(t), Some(rate)) = (
-            input.still && input.base.is_some(),
-            &self.stage,
-            self.rate_rad_s(),
-        ) {
-            self.base.compare(
-                &t.estimator.r_base_tip().apply(&rate),
-                t.alignment.periods_s().0,
-            );
-        }
-    }
-
-    fn set_known(&mut self, known: KnownErrors) {
-        if let Stage::Tracking(Tracker { alignment, .. }) = &self.stage {
-            self.monitor.set_known(
-                known,
-                &alignment.acc_rest_m_s2,
-                alignment.mag_rest_ut.as_ref(),
-            );
+        let stands = input.still && input.base.is_some();
+        if let (true, Some(t), Some(rate)) = (stands, tracker, self.rate_rad_s()) {
+            let rate_in_base = t.estimator.r_base_tip().apply(&rate);
+            self.base.compare(&rate_in_base, t.alignment.periods_s().0);
         }
     }
 
     /// The tip's reading with the field of the motor coils subtracted.
     fn without_coils(&self, input: &FusionInput) -> ImuReading {
-        let coils_ut = match &self.stage {
-            Stage::Aligning(_) => input.coils_ut,
-            Stage::Tracking(t) => t.estimator.r_base_tip().inverse().apply(&input.coils_ut),
-        };
-        match input.tip {
-            ImuReading::Sample(s, quality) => ImuReading::Sample(
-                ImuSample {
-                    mag_ut: s.mag_ut.map(|m| m - coils_ut),
-                    ..s
-                },
-                quality,
-            ),
-            other => other,
-        }
+        let coils_ut = self.estimator().map_or(input.coils_ut, |e| {
+            e.r_base_tip().inverse().apply(&input.coils_ut)
+        });
+        let subtract = |m: Vector3<f64>| m - coils_ut;
+        input.tip.map(|s, _| s.mag_ut = s.mag_ut.map(subtract))
     }
 
     /// Saves the estimated sensor errors, for a later [`Fusion::realign`]. The caller reports that the tip has
     /// settled and that no motion of the base is suspected.
     pub fn remember(&mut self, now: Seconds) {
-        if let Stage::Tracking(t) = &mut self.stage {
-            t.save(now);
+        if let Some(tracker) = &mut self.tracker {
+            tracker.save(now);
         }
     }
 
     /// Takes the next still stretch for a new alignment, with the tip at `bend`: for a base that was turned. The
     /// bend filter keeps the estimated sensor errors, a generic filter starts anew.
     pub fn realign(&mut self, bend: Bend) {
-        if let Stage::Tracking(t) = &mut self.stage {
-            t.realignment = Some((AlignState::default(), bend));
+        if let Some(tracker) = &mut self.tracker {
+            tracker.realignment = Some((AlignState::default(), bend));
         }
         self.base.restart();
     }
 
     /// Right after alignment: corrects it for a tip that was not straight but at `bend`. The straight alignment is
     /// known from before a restart: mean specific force, m/s², and mean field, µT.
-    pub fn assume(
-        &mut self,
-        config: &FuseConfig,
-        bend: Bend,
-        acc_m_s2: &Vector3<f64>,
-        mag_ut: Option<Vector3<f64>>,
-    ) {
-        if let Stage::Tracking(t) = &mut self.stage {
-            t.assume(config, bend, acc_m_s2, mag_ut);
-            self.set_known(KnownErrors::default());
+    pub fn assume(&mut self, bend: Bend, acc_m_s2: &Vector3<f64>, mag_ut: Option<Vector3<f64>>) {
+        if let Some(tracker) = &mut self.tracker {
+            tracker.assume(bend, acc_m_s2, mag_ut);
+            let known = KnownErrors::default();
+            self.monitor.set_known(known, &tracker.alignment);
         }
     }
 
     /// True while a re-alignment waits for its still stretch.
     pub fn realigning(&self) -> bool {
-        self.tracker().is_some_and(|t| t.realignment.is_some())
+        let tracker = self.tracker.as_ref();
+        tracker.is_some_and(|t| t.realignment.is_some())
     }
 
     /// What the alignment waits for, as text.
     pub fn waiting_for(&self) -> String {
-        let reason = |state: &AlignState| {
-            state.refused.map_or_else(
-                || "no sample has arrived".to_owned(),
-                |reason| reason.to_string(),
-            )
-        };
         let faults = self.in_force();
-        match &self.stage {
-            Stage::Aligning(_) if faults.contains(HealthCause::Spike) => {
-                format!(
+        let stretch = match &self.tracker {
+            None if faults.contains(HealthCause::Spike) => {
+                return format!(
                     "gyroscope or accelerometer readings jump further than a tip can move: {faults}"
-                )
+                );
             }
-            Stage::Aligning(_) if !faults.is_empty() => format!("the IMU is faulty: {faults}"),
-            Stage::Aligning(state) => reason(state),
-            Stage::Tracking(t) => t
-                .realignment
-                .as_ref()
-                .map_or_else(|| "nothing".to_owned(), |(state, _)| reason(state)),
-        }
+            None if !faults.is_empty() => return format!("the IMU is faulty: {faults}"),
+            None => &self.start,
+            Some(Tracker {
+                realignment: Some((stretch, _)),
+                ..
+            }) => stretch,
+            Some(_) => return "nothing".to_owned(),
+        };
+        stretch.refused.map_or_else(
+            || "no sample has arrived".to_owned(),
+            |reason| reason.to_string(),
+        )
     }
 
-    fn tracker(&self) -> Option<&Tracker> {
-        if let Stage::Tracking(t) = &self.stage {
-            Some(t)
-        } else {
-            None
-        }
-    }
     fn bend_filter(&self) -> Option<&BendFilter> {
-        self.tracker().and_then(Tracker::bend_filter)
+        self.tracker.as_ref().and_then(Tracker::bend_filter)
     }
     /// The estimate, once aligned.
     pub fn estimate(&self) -> Option<TipEstimate> {
-        self.tracker().map(Tracker::estimate)
+        self.tracker.as_ref().map(Tracker::estimate)
     }
     /// Bend of the tip if the base had stood since the alignment: what the selected estimator takes for a sway counts as bend.
     pub fn bend_on_standing_base(&self) -> Option<Bend> {
-        let estimator = self.estimator()?;
-        Some(
-            estimator
-                .as_bend()
-                .map_or_else(|| estimator.bend(), BendFilter::bend_on_standing_base),
-        )
+        Some(match self.estimator()? {
+            Estimator::Bend(filter) => filter.bend_on_standing_base(),
+            other => other.bend(),
+        })
     }
     /// The verdict on the last reading.
     pub fn verdict(&self) -> Option<HealthVerdict> {
-        self.verdict
+        self.monitor.verdict()
     }
     /// Health causes in force.
     pub fn in_force(&self) -> CauseSet {
-        self.verdict.map_or(CauseSet::EMPTY, |v| v.in_force)
+        self.verdict().map_or(CauseSet::EMPTY, |v| v.in_force)
     }
     /// The pistons must not move.
     pub fn hold(&self) -> bool {
-        self.verdict.is_some_and(|v| v.hold)
+        self.verdict().is_some_and(|v| v.hold)
     }
     /// Causes against the IMU on the base: those in force, and those raised by the last reading. `None` without such an IMU.
     pub fn base_health(&self) -> Option<(CauseSet, CauseSet)> {
-        self.with_base
-            .then(|| (self.base_monitor.in_force(), self.base_raised))
+        let verdict = self.base_monitor.verdict()?;
+        Some((verdict.in_force, verdict.raised))
     }
     /// The base has an IMU of its own, and it is aligned.
     pub fn tracks_base(&self) -> bool {
@@ -284,13 +207,11 @@ impl Fusion {
     }
     /// The tip has twisted against the mechanism for several seconds without a base IMU: the base may have turned.
     pub fn suspects_base_motion(&self, config: &FuseConfig) -> bool {
-        let observable = config.watch.enabled
+        let contradicts = |f: &BendFilter| f.twist_misfit() > config.watch.misfit;
+        config.watch.enabled
             && !self.base.follows()
-            && !self.in_force().contains(HealthCause::FieldDisturbed);
-        observable
-            && self
-                .bend_filter()
-                .is_some_and(|f| f.twist_misfit() > config.watch.misfit)
+            && !self.in_force().contains(HealthCause::FieldDisturbed)
+            && self.bend_filter().is_some_and(contradicts)
     }
     /// Largest twist per bend that is consistent with the estimates so far, rad/rad, if the bend filter runs.
     pub fn twist_per_bend_max(&self) -> Option<f64> {
@@ -298,30 +219,25 @@ impl Fusion {
     }
     /// The selected estimator, once aligned.
     pub fn estimator(&self) -> Option<&Estimator> {
-        self.tracker().map(|t| &t.estimator)
+        self.tracker.as_ref().map(|t| &t.estimator)
     }
     /// The alignment, once complete.
     pub fn alignment(&self) -> Option<&Alignment> {
-        self.tracker().map(|t| &t.alignment)
+        self.tracker.as_ref().map(|t| &t.alignment)
     }
     /// Covariance of the estimated bend, rad²; zero where it is not known.
     pub fn covariance(&self) -> Matrix2<f64> {
-        self.tracker()
-            .and_then(|t| t.estimator.covariance())
-            .unwrap_or_default()
+        let estimator = self.estimator();
+        estimator.and_then(|e| e.covariance()).unwrap_or_default()
     }
 
     /// Rate of the last used sample minus the gyroscope bias, sensor axes, rad/s; `None` if the last reading was not used. The bias is the
     /// present one: an older one makes a gyroscope that warms up a tip that twists.
     pub fn rate_rad_s(&self) -> Option<Vector3<f64>> {
-        let (tracker, verdict) = (self.tracker()?, self.verdict?);
-        let bias = tracker.bend_filter().map_or(
-            tracker.alignment.gyro_bias_rad_s,
-            BendFilter::gyro_bias_rad_s,
-        );
-        tracker
-            .last
-            .filter(|_| verdict.gyro)
-            .map(|s| s.gyro_rad_s - bias)
+        let (tracker, verdict) = (self.tracker.as_ref()?, self.verdict()?);
+        let at_rest = tracker.alignment.gyro_bias_rad_s;
+        let bias = self.bend_filter().map_or(at_rest, |f| f.gyro_bias_rad_s());
+        let sample = tracker.last.filter(|_| verdict.gyro)?;
+        Some(sample.gyro_rad_s - bias)
     }
 }

@@ -2,21 +2,17 @@
 
 use super::types::{FuseConfig, FusionInput, TipEstimate};
 use crate::estimation::fusion::align::{AlignState, Alignment};
-use crate::estimation::fusion::base::{BaseTracker, BaseTurn};
+use crate::estimation::fusion::base::BaseTurn;
 use crate::estimation::fusion::bend::BendFilter;
 use crate::estimation::fusion::correction_smoother::CorrectionSmoother;
 use crate::estimation::fusion::estimator::Estimator;
-use crate::estimation::fusion::filter::MeasurementMask;
-use crate::estimation::fusion::health::{
-    HealthCause, HealthConfig, HealthVerdict, ImuReading, KnownErrors, Quality,
-};
+use crate::estimation::fusion::filter::TipSample;
+use crate::estimation::fusion::health::{HealthCause, HealthConfig, HealthVerdict, ImuReading};
 use crate::estimation::fusion::second::Second;
 use crate::model::Bend;
 use crate::primitives::{ImuSample, Seconds};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2, Vector3};
 
-/// Standard deviations of the estimated sensor errors by which the limits of the sensor monitor are widened.
-const MARGIN_SIGMAS: f64 = 3.0;
 /// Uncertainty of the bend during a re-alignment, rad (2°), 1 σ.
 const REALIGN_SIGMA_RAD: f64 = 0.035;
 /// Least time between two saved states of the bend filter, s.
@@ -104,19 +100,7 @@ impl Tracker {
 
     /// Expects noise of every source that had noise during alignment.
     pub fn expecting_noise(&self, reading: ImuReading) -> ImuReading {
-        match reading {
-            ImuReading::Sample(sample, quality) => {
-                let expect_noise = quality.expect_noise || self.noisy;
-                ImuReading::Sample(
-                    sample,
-                    Quality {
-                        expect_noise,
-                        ..quality
-                    },
-                )
-            }
-            other => other,
-        }
+        reading.map(|_, quality| quality.expect_noise |= self.noisy)
     }
 
     pub fn save(&mut self, now: Seconds) {
@@ -131,28 +115,31 @@ impl Tracker {
         config: &FuseConfig,
         verdict: &HealthVerdict,
         input: &FusionInput,
-        base: &BaseTracker,
+        base: &BaseTurn,
     ) {
-        if verdict.recovered.is_some() {
+        if !verdict.recovered.is_empty() {
             self.smoother.arm();
         }
-        let (true, ImuReading::Sample(sample, _)) = (verdict.gyro, &input.tip) else {
+        let Some(imu) = input.tip.sample().filter(|_| verdict.gyro) else {
             // between samples, and at the start of a gap, the bend continues at its last rate
             let age_s = self.last.map_or(0.0, |last| input.now.0 - last.t.0);
             self.extrapolation = self.bend_rate * age_s.clamp(0.0, self.limits.blind_max_s);
             self.reject(verdict, &input.tip);
             return;
         };
-        let mask = MeasurementMask {
-            acc: verdict.acc,
-            mag: verdict.mag,
-            still: input.still && !verdict.hold,
-        };
         let period_s = self.alignment.periods_s().0;
-        let gap_s = self.last.map_or(period_s, |last| sample.t.0 - last.t.0);
+        let gap_s = self.last.map_or(period_s, |last| imu.t.0 - last.t.0);
         if gap_s <= 0.0 {
             return;
         }
+        let sample = TipSample {
+            imu: *imu,
+            dt_s: gap_s,
+            acc: verdict.acc,
+            mag: verdict.mag,
+            still: input.still && !verdict.hold,
+            base: *base,
+        };
         if self.rejected.until_s.is_some() && !verdict.confirmed {
             self.estimator.suspect_jump();
         }
@@ -162,87 +149,69 @@ impl Tracker {
                     .widen_for_gap(self.limits.angular_acceleration_max_rad_s2, gap_s);
                 self.smoother.arm();
             }
-            self.step(
-                config,
-                &self.bridge(sample, gap_s, verdict.confirmed),
-                gap_s,
-                mask,
-                &base.turn(),
-            );
+            self.step(config, sample, verdict.confirmed);
         } else {
-            self.resume(sample, gap_s, mask, &base.turn());
+            self.resume(&sample);
         }
         (self.last, self.extrapolation, self.rejected) =
-            (Some(*sample), Vector2::zeros(), RejectedRates::default());
-        self.continue_realignment(config, sample, verdict);
+            (Some(*imu), Vector2::zeros(), RejectedRates::default());
+        self.continue_realignment(config, imu, verdict);
     }
 
     /// Restarts both estimators after a gap that is too long to integrate.
-    fn resume(&mut self, sample: &ImuSample, gap_s: f64, mask: MeasurementMask, turn: &BaseTurn) {
+    fn resume(&mut self, sample: &TipSample) {
         let before = self.estimator.bend().0 + self.extrapolation;
-        self.estimator.recover(sample, gap_s, mask, turn);
-        self.second.recover(sample, gap_s, mask, turn);
+        self.estimator.recover(sample);
+        self.second.recover(sample);
         self.smoother.arm();
         self.smoother.step(&(self.estimator.bend().0 - before), 0.0);
     }
 
     /// Records a rate that was rejected as a spike or as saturated, since it may have been true.
     fn reject(&mut self, verdict: &HealthVerdict, tip: &ImuReading) {
+        let spike = verdict.faults.contains(HealthCause::Spike);
         if verdict.faults.contains(HealthCause::Saturated) {
             self.estimator.suspect_jump();
-        } else if let (true, ImuReading::Sample(sample, _)) =
-            (verdict.faults.contains(HealthCause::Spike), tip)
-        {
-            let since_s = self
-                .rejected
-                .until_s
-                .or(self.last.map(|last| last.t.0))
-                .map_or(0.0, |before| sample.t.0 - before);
-            self.rejected.turn_rad += sample.gyro_rad_s * since_s;
-            self.rejected.until_s = Some(sample.t.0);
+        } else if let Some(imu) = tip.sample().filter(|_| spike) {
+            let last_s = self.last.map(|last| last.t.0);
+            let before_s = self.rejected.until_s.or(last_s);
+            let since_s = before_s.map_or(0.0, |before_s| imu.t.0 - before_s);
+            self.rejected.turn_rad += imu.gyro_rad_s * since_s;
+            self.rejected.until_s = Some(imu.t.0);
         }
     }
 
-    /// The sample with the mean rate over the gap before it: the mean of both ends over lost samples, the integral
-    /// of the rejected rates if they were confirmed.
-    fn bridge(&self, sample: &ImuSample, gap_s: f64, confirmed: bool) -> ImuSample {
-        let gyro_rad_s = match (&self.last, self.rejected.until_s) {
+    /// Mean rate over the gap before a sample: the mean of both ends over lost samples, the integral of the rejected rates
+    /// if they were confirmed.
+    fn mean_rate(&self, sample: &TipSample, confirmed: bool) -> Vector3<f64> {
+        let (rate, gap_s) = (sample.imu.gyro_rad_s, sample.dt_s);
+        match (&self.last, self.rejected.until_s) {
             (Some(_), Some(until_s)) if confirmed => {
-                (self.rejected.turn_rad + sample.gyro_rad_s * (sample.t.0 - until_s)) / gap_s
+                (self.rejected.turn_rad + rate * (sample.imu.t.0 - until_s)) / gap_s
             }
             (Some(last), _) if gap_s > 1.5 * self.alignment.periods_s().0 => {
-                (sample.gyro_rad_s + last.gyro_rad_s) / 2.0
+                (rate + last.gyro_rad_s) / 2.0
             }
-            _ => sample.gyro_rad_s,
-        };
-        ImuSample {
-            gyro_rad_s,
-            ..*sample
+            _ => rate,
         }
     }
 
-    fn step(
-        &mut self,
-        config: &FuseConfig,
-        sample: &ImuSample,
-        dt_s: f64,
-        mask: MeasurementMask,
-        turn: &BaseTurn,
-    ) {
+    fn step(&mut self, config: &FuseConfig, mut sample: TipSample, confirmed: bool) {
+        sample.imu.gyro_rad_s = self.mean_rate(&sample, confirmed);
         let before = self.estimator.bend().0;
-        self.estimator.update(sample, dt_s, mask, turn);
+        self.estimator.update(&sample);
         if self.estimator.take_reacquired() {
             self.smoother.arm();
-            self.second.recover(sample, dt_s, mask, turn);
+            self.second.recover(&sample);
         }
         let correction = self.estimator.correction();
-        self.bend_rate = (self.estimator.bend().0 - before - correction) / dt_s;
-        self.smoother.step(&correction, dt_s);
-        if self.second.add(&config.second, sample, dt_s, mask, turn) {
+        self.bend_rate = (self.estimator.bend().0 - before - correction) / sample.dt_s;
+        self.smoother.step(&correction, sample.dt_s);
+        if self.second.add(&config.second, &sample) {
             let up = self.alignment.acc_rest_m_s2;
             let field =
-                mask.mag && self.estimator.trusts_field() && self.second.estimator.trusts_field();
-            let rate_rad_s = (sample.gyro_rad_s - self.alignment.gyro_bias_rad_s).norm();
+                sample.mag && self.estimator.trusts_field() && self.second.estimator.trusts_field();
+            let rate_rad_s = (sample.imu.gyro_rad_s - self.alignment.gyro_bias_rad_s).norm();
             self.second
                 .compare(&config.second, &*self.estimator, &up, field, rate_rad_s);
         }
@@ -258,13 +227,11 @@ impl Tracker {
         let Some((state, bend)) = &mut self.realignment else {
             return;
         };
-        let Some(now) = state
-            .add(&config.align, sample)
-            .filter(|_| verdict.acc && !verdict.hold)
-        else {
+        let bend = *bend;
+        let complete = state.add(&config.align, sample);
+        let Some(now) = complete.filter(|_| verdict.acc && !verdict.hold) else {
             return;
         };
-        let bend = *bend;
         self.realignment = None;
         let estimate = self.estimate().bend.0;
         let straight = bend.rotation();
@@ -277,7 +244,7 @@ impl Tracker {
             // later estimates of the sensor errors contain the turn of the base
             *f = saved;
         }
-        self.rebase(config, &now, bend);
+        self.rebase(&now, bend);
         if let Some(f) = self.bend_filter() {
             self.alignment = f.alignment();
         }
@@ -285,13 +252,7 @@ impl Tracker {
         self.smoother.offset = estimate - self.estimator.bend().0;
     }
 
-    pub fn assume(
-        &mut self,
-        config: &FuseConfig,
-        bend: Bend,
-        acc_m_s2: &Vector3<f64>,
-        mag_ut: Option<Vector3<f64>>,
-    ) {
+    pub fn assume(&mut self, bend: Bend, acc_m_s2: &Vector3<f64>, mag_ut: Option<Vector3<f64>>) {
         let bent = bend.rotation().inverse();
         let mag_rest_ut = self.alignment.mag_rest_ut.and(mag_ut);
         let now = Alignment {
@@ -304,50 +265,28 @@ impl Tracker {
             mag_rest_ut,
             ..self.alignment
         };
-        self.rebase(config, &now, bend);
+        self.rebase(&now, bend);
     }
 
-    fn rebase(&mut self, config: &FuseConfig, now: &Alignment, bend: Bend) {
-        self.estimator
-            .rebase(config.filter, &config.bend, now, bend, REALIGN_SIGMA_RAD);
-        self.second.estimator.rebase(
-            config.filter.second(),
-            &config.bend,
-            now,
-            bend,
-            REALIGN_SIGMA_RAD,
-        );
+    fn rebase(&mut self, now: &Alignment, bend: Bend) {
+        for estimator in [&mut self.estimator, &mut self.second.estimator] {
+            estimator.rebase(now, bend, REALIGN_SIGMA_RAD);
+        }
     }
 
     /// The bend filter, whether it is the selected or the second estimator.
     pub fn bend_filter(&self) -> Option<&BendFilter> {
-        self.estimator
-            .as_bend()
-            .or_else(|| self.second.estimator.as_bend())
-    }
-
-    /// Sensor errors as estimated by the bend filter.
-    pub fn known_errors(&self) -> Option<KnownErrors> {
-        let f = self.bend_filter()?;
-        let (acc_bias_m_s2, acc_sigma_m_s2) = f.acc_bias_m_s2();
-        let (iron_ut, iron_sigma_ut) = f.mag_bias_ut();
-        Some(KnownErrors {
-            acc_bias_m_s2,
-            acc_margin_m_s2: MARGIN_SIGMAS * acc_sigma_m_s2,
-            iron_ut,
-            iron_margin_ut: MARGIN_SIGMAS * iron_sigma_ut,
-        })
+        let second = || self.second.estimator.as_bend();
+        self.estimator.as_bend().or_else(second)
     }
 
     pub fn estimate(&self) -> TipEstimate {
         let bend = self.estimator.bend();
+        let sigma = |c: Matrix2<f64>| c.symmetric_eigenvalues().max().max(0.0).sqrt();
         let mut estimate = TipEstimate {
             r_base_tip: self.estimator.r_base_tip(),
             bend,
-            sigma_rad: self
-                .estimator
-                .covariance()
-                .map(|c| c.symmetric_eigenvalues().max().max(0.0).sqrt()),
+            sigma_rad: self.estimator.covariance().map(sigma),
             disagrees: self.second.disagrees,
             disagreement_rad: self.second.angle_rad,
         };

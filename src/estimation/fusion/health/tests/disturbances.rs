@@ -9,7 +9,7 @@ fn magnetic_faults_select_gravity_only() {
     b.settle();
     let v = b.with(|s, q| (s.mag_ut, q.mag_overflow) = (None, true));
     assert!(v.faults.contains(HealthCause::MagOverflow) && v.action() == HealthAction::GravityOnly);
-    let (n, _) = b.until_recovered(HealthCause::MagOverflow);
+    let n = b.until_recovered(HealthCause::MagOverflow);
     assert!(
         (46..=50).contains(&n),
         "ten magnetometer values take fifty samples: {n}"
@@ -32,7 +32,7 @@ fn magnetic_faults_select_gravity_only() {
 #[test]
 fn strength_and_dip_are_checked_separately() {
     let reference =
-        FieldReference::from_rest(&Vector3::z(), &Vector3::new(20.0, 0.0, -45.0)).expect("sound");
+        FieldShape::from_rest(&Vector3::z(), &Vector3::new(20.0, 0.0, -45.0)).expect("sound");
     assert!(
         (reference.dip_rad.to_degrees() - 66.04).abs() < 0.01,
         "the dip is positive below the horizon"
@@ -85,7 +85,7 @@ fn shaking_does_not_disturb_the_field() {
         let v = b.with(|s, _| s.acc_m_s2.x += shake);
         assert!(!v.faults.contains(HealthCause::FieldDisturbed), "{k}");
     }
-    assert!(b.monitor.times(HealthCause::AccelDisturbed) > 5);
+    assert!(b.times(HealthCause::AccelDisturbed) > 5);
 }
 
 #[test]
@@ -151,11 +151,8 @@ fn a_shaken_tip_coasts_and_then_holds() {
 fn repeated_field_disturbances_lengthen_the_recovery() {
     let (config, mut monitor) = (HealthConfig::default(), SensorMonitor::default());
     let field = Vector3::new(20.0, 0.0, -45.0);
-    monitor.set_known(
-        KnownErrors::default(),
-        &Vector3::new(0.0, 0.0, 9.81),
-        Some(&field),
-    );
+    let rest = at_rest(Vector3::new(0.0, 0.0, 9.81), field);
+    monitor.set_known(KnownErrors::default(), &rest);
     let mut t = 0.0;
     let mut assess = |times: f64| {
         t += 0.01;
