@@ -43,7 +43,7 @@ fn reverses(channels: &Channels, i: usize, sign: f64) -> bool {
 /// Least bend variance that a move by `bend` adds, rad².
 pub fn risk(observer: &Observer, bend: &Vector2<f64>, free_mm: f64) -> f64 {
     let outputs = outputs(bend);
-    let free = free_mm / observer.geometry().r_mm;
+    let free = free_mm / observer.geometry.r_mm;
     let of = |signs: [f64; 3]| {
         let length = common_length(signs, outputs.map(|q| -q), [-free, free], 1e-12, 0.0)?;
         Some(
@@ -122,7 +122,7 @@ pub fn choose(from: &From<'_>, bend: &Vector2<f64>) -> Choice {
     } else {
         from.length.clamp(low, high)
     };
-    let spare = from.free_mm / observer.geometry().r_mm;
+    let spare = from.free_mm / observer.geometry.r_mm;
     let range = [
         (centre - spare).max(low.min(centre)),
         (centre + spare).min(high.max(centre)),
@@ -181,7 +181,7 @@ fn room(from: &From<'_>, wanted: &[f64; 3]) -> [f64; 2] {
     let mut room = [f64::NEG_INFINITY, f64::INFINITY];
     for i in 0..3 {
         let (half_width_mm, mm_per_rad) = (observer.lines[i].k_lambda_mm, observer.mm_per_rad(i));
-        let bellow_mm = shown[i] * observer.geometry().r_mm;
+        let bellow_mm = shown[i] * observer.geometry.r_mm;
         let least_mm = (-limits.travel_mm).max(bellow_mm - squeeze_mm) + half_width_mm;
         let most_mm = limits.travel_mm.min(bellow_mm + squeeze_mm) - half_width_mm;
         let output = |piston_mm: f64| from.there.output(i, piston_mm / mm_per_rad, from.theta);
@@ -247,7 +247,7 @@ mod tests {
             limits: &LIMITS,
             there: &observer.now,
             theta: &observer.theta(),
-            estimate: &observer.given(),
+            estimate: &observer.given,
             keep: None,
             length: 0.0,
             free_mm,
@@ -270,7 +270,7 @@ mod tests {
                 limits: &LIMITS,
                 there: &observer.now,
                 theta: &observer.theta(),
-                estimate: &observer.given(),
+                estimate: &observer.given,
                 keep: None,
                 length: 0.0,
                 free_mm: 0.25,
@@ -288,7 +288,7 @@ mod tests {
             (0..24)
                 .map(|k| {
                     let (sin, cos) = (0.2618 * f64::from(k)).sin_cos();
-                    let to = observer.given() + Vector2::new(cos, sin) * 0.012;
+                    let to = observer.given + Vector2::new(cos, sin) * 0.012;
                     let choice = chosen(&observer, &to, free_mm);
                     let turned = |i: &usize| {
                         choice.sides[*i] != 0.0 && reverses(&observer.now, *i, choice.sides[*i])

@@ -10,8 +10,8 @@ use retroflex::config::source;
 use retroflex::config::supervisor::assemble;
 use retroflex::control::dynamics::Dynamics;
 use retroflex::control::path::Path;
-use retroflex::control::tick::Command;
 use retroflex::drill::process::{Daemon, daemon::ask};
+use retroflex::model::Shape;
 use retroflex::model::bend::Bend;
 use retroflex::model::transmission::Line;
 use retroflex::primitives::frames::{Rotation, Tip, World};
@@ -114,15 +114,15 @@ impl Flight {
     }
 }
 
-fn at(bend_deg: f64, dir_deg: f64) -> Command {
-    Command {
+fn at(bend_deg: f64, dir_deg: f64) -> Shape {
+    Shape {
         bend: Bend::from_deg(bend_deg, dir_deg),
         length: Mm(20.0),
     }
 }
 
 /// A circle of 30° at 0.2 Hz.
-fn circle(t_s: f64) -> Command {
+fn circle(t_s: f64) -> Shape {
     at(30.0, 72.0 * t_s)
 }
 
@@ -133,7 +133,7 @@ fn rms(differences: &[f64]) -> f64 {
         .to_degrees()
 }
 
-fn path(seconds: f64, at: impl Fn(f64) -> Command) -> Box<Path> {
+fn path(seconds: f64, at: impl Fn(f64) -> Shape) -> Box<Path> {
     let t_s: Vec<f64> = (0..=(seconds * 50.0) as u32)
         .map(|k| f64::from(k) / 50.0)
         .collect();
@@ -258,7 +258,7 @@ fn swaying(imu: bool) -> impl Fn(&mut PlantConfig) {
 
 #[test]
 fn a_tip_keeps_its_orientation_in_the_world_while_the_base_sways() {
-    let pointing = |unit: u64, order: fn(Command) -> Order| {
+    let pointing = |unit: u64, order: fn(Shape) -> Order| {
         let mut flight = Flight::new(unit, swaying(true));
         flight.order(order(at(40.0, 60.0)));
         // the attitude of the base at the command, and the tip's in it

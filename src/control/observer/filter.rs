@@ -66,21 +66,23 @@ pub struct Measured {
 /// The observer.
 #[derive(Debug, Clone)]
 pub struct Observer {
-    geometry: Geometry,
+    /// Geometry of the bending section.
+    pub geometry: Geometry,
     /// Gains before the learned columns, with the half-widths in use.
     pub lines: [Line; 3],
     sigma: Theta,
     /// Gains and half-widths are not learned.
     fixed: bool,
-    known: Knowledge,
+    /// What the filter knows, apart from the state of the channels. The half-widths in use are in [`Self::lines`].
+    pub known: Knowledge,
     /// The channels at the counted steps, and at those of the dead time ago.
     pub now: Channels,
     then: Channels,
     /// Counted pistons and given bend of the last ticks; on the heap, so that a state is moved cheaply.
     history: Box<[(Vector3<f64>, Vector2<f64>)]>,
     head: usize,
-    /// Bend of the model without learned columns: now, rad.
-    given: Vector2<f64>,
+    /// Bend of the model without learned columns at the counted steps, rad.
+    pub given: Vector2<f64>,
     /// The same and the columns, delayed and lagged.
     lagged: Vector2<f64>,
     columns: Columns,
@@ -157,16 +159,6 @@ impl Observer {
         Vector2::new(self.known.x[RESIDUAL], self.known.x[RESIDUAL + 1])
     }
 
-    /// What the filter knows, to return to.
-    pub fn knowledge(&self) -> Knowledge {
-        self.known
-    }
-
-    /// Returns to what was known. The half-widths keep their values.
-    pub fn recall(&mut self, known: &Knowledge) {
-        self.known = *known;
-    }
-
     /// Values and standard deviations of the parameters of the laws, to be remembered.
     pub fn learned(&self) -> [[f64; LAWS]; 2] {
         let sigmas = std::array::from_fn(|k| self.sigma_of(k));
@@ -191,18 +183,13 @@ impl Observer {
     pub fn believe(&mut self, bend: &Vector2<f64>, sigmas: f64) {
         let most = sigmas * self.known.residual_size;
         let residual = (bend - self.settled_by_laws()).cap_magnitude(most);
-        self.known
-            .reset_residual(&residual, self.known.residual_size);
+        let size = self.known.residual_size;
+        self.known.reset_residual(&residual, size);
     }
 
     /// Outputs of the plays once the pistons are at `piston_mm`, mm.
     pub fn play_outputs(&self, piston_mm: &Vector3<f64>) -> Vector3<f64> {
         Vector3::from_fn(|i, _| self.lines[i].play(self.now.play[i].w_mm, piston_mm[i]))
-    }
-
-    /// Geometry of the bending section.
-    pub fn geometry(&self) -> &Geometry {
-        &self.geometry
     }
 
     /// Displacement of piston `i` per v, mm/rad.
@@ -296,11 +283,6 @@ impl Observer {
         })
     }
 
-    /// Bend of the model without learned columns at the counted steps, rad.
-    pub fn given(&self) -> Vector2<f64> {
-        self.given
-    }
-
     /// Bend by the laws once the tip has settled at the counted steps, without g, rad.
     pub fn settled_by_laws(&self) -> Vector2<f64> {
         self.given + self.now.columns(&self.lines, &self.geometry) * self.theta()
@@ -319,11 +301,7 @@ impl Observer {
     /// Takes a measurement. At rest g follows it with the rate `ki_1_s`: the steady rate of a filter for a random walk of variance rate d²
     /// in noise of density r is √(d²/r).
     pub fn measure(&mut self, config: &ObserverConfig, ki_1_s: f64, measured: &Measured) {
-        let &Measured {
-            bend,
-            covariance,
-            laws,
-        } = measured;
+        let (bend, laws) = (measured.bend, measured.laws);
         if self.due_s < PERIOD_S - 1e-9 {
             return;
         }
@@ -354,7 +332,7 @@ impl Observer {
         if laws {
             self.variance += timing_2 * same_sign;
         }
-        let (axes, doubt_2) = doubt(covariance, &(residual - self.residual()), dt_s);
+        let (axes, doubt_2) = doubt(measured.covariance, &(residual - self.residual()), dt_s);
         let certain = self.variance;
         self.variance += doubt_2.mean();
         let mut rows = [State::zeros(); 2];

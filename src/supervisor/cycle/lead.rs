@@ -1,6 +1,6 @@
 //! How the supervisor leads the set-point along a path, through set-points with times, or towards an orientation in the world.
 
-use crate::control::{Command, Path, Reference};
+use crate::control::{Path, Reference};
 use crate::model::{Bend, Shape};
 use crate::primitives::{Base, Rotation, Tip};
 use crate::supervisor::cycle::guide::Guide;
@@ -26,7 +26,7 @@ impl Supervisor {
         let first = self.path.as_ref().ok_or(Refusal::NoPath)?.at(0.0).shape;
         self.lead_by(
             Guide::Path { began_s: now_s },
-            &Command {
+            &Shape {
                 bend: first.bend,
                 length: first.length,
             },
@@ -36,12 +36,7 @@ impl Supervisor {
     }
 
     /// Takes a set-point with a time. The first one starts the clock of the stream, and so does one that comes too late.
-    pub(super) fn stream(
-        &mut self,
-        command: &Command,
-        t_s: f64,
-        now_s: f64,
-    ) -> Result<(), Refusal> {
+    pub(super) fn stream(&mut self, command: &Shape, t_s: f64, now_s: f64) -> Result<(), Refusal> {
         if !t_s.is_finite() {
             return Err(Refusal::NotANumber);
         }
@@ -83,7 +78,7 @@ impl Supervisor {
     /// Keeps the tip at the orientation in the world that this bend has now.
     pub(super) fn point(
         &mut self,
-        command: &Command,
+        command: &Shape,
         speed_rad_s: Option<f64>,
     ) -> Result<(), Refusal> {
         if !self.state.fusion.tracks_base() {
@@ -107,7 +102,7 @@ impl Supervisor {
     fn lead_by(
         &mut self,
         guide: Guide,
-        to: &Command,
+        to: &Shape,
         speed_rad_s: Option<f64>,
         until_s: Option<f64>,
     ) -> Result<(), Refusal> {
@@ -119,7 +114,7 @@ impl Supervisor {
     /// Ends the guide: the tip comes to rest at `shape`.
     fn rest_at(&mut self, shape: Shape) {
         self.guide = Guide::Target;
-        self.pending.command = Some(Command {
+        self.pending.command = Some(Shape {
             bend: shape.bend,
             length: shape.length,
         });

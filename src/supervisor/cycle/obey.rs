@@ -1,6 +1,6 @@
 //! How the supervisor carries out each order.
 
-use crate::control::{Command, Pace};
+use crate::control::Pace;
 use crate::model::{Line, Shape};
 use crate::primitives::Steps;
 use crate::supervisor::cycle::guide::Guide;
@@ -78,7 +78,7 @@ impl Supervisor {
 
     pub(super) fn bend(
         &mut self,
-        command: &Command,
+        command: &Shape,
         speed_rad_s: Option<f64>,
         stream_until_s: Option<f64>,
     ) -> Result<(), Refusal> {
@@ -108,7 +108,7 @@ impl Supervisor {
     }
 
     /// Refuses what the tip cannot reach; the tick limits a valid target further.
-    fn check_target(&self, command: &Command) -> Result<(), Refusal> {
+    fn check_target(&self, command: &Shape) -> Result<(), Refusal> {
         let (bend, length_mm) = (command.bend.0, command.length.0);
         let limits = &self.config.tick.limits;
         if !bend.iter().all(|x| x.is_finite()) || !length_mm.is_finite() {
@@ -137,7 +137,7 @@ impl Supervisor {
             ModeState::Tracking { stream_until_s } => {
                 *stream_until_s = None;
                 self.guide = Guide::Target;
-                self.pending.command = Some(Command {
+                self.pending.command = Some(Shape {
                     bend: self.setpoint.bend,
                     length: self.setpoint.length,
                 });

@@ -1,6 +1,6 @@
 //! State of the supervisor. Each mode owns its data; every change of mode goes through [`Supervisor::take`].
 
-use crate::control::{Command, FeedbackConfig, LoopState, Pace, Path, RestartRest, RestartState};
+use crate::control::{FeedbackConfig, LoopState, Pace, Path, RestartRest, RestartState};
 use crate::model::{Bend, Line, Shape};
 use crate::primitives::{Mm, Steps};
 use crate::supervisor::cycle::guide::{Guide, Recent};
@@ -73,7 +73,7 @@ pub(super) enum Position {
 /// Messages for the next tick and for the machine.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Pending {
-    pub(super) command: Option<Command>,
+    pub(super) command: Option<Shape>,
     pub(super) clear: bool,
     pub(super) recount: Option<Steps>,
 }
