@@ -236,27 +236,3 @@ pub trait Machine: Send {
     /// Remarks for the status, one line each: devices, real-time privileges.
     fn remarks(&self) -> Vec<String>;
 }
-
-impl<M: Machine + ?Sized> Machine for Box<M> {
-    fn info(&self) -> &MachineInfo {
-        (**self).info()
-    }
-    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
-        (**self).turn(now, wanted)
-    }
-    fn energise(&mut self, on: bool) {
-        (**self).energise(on);
-    }
-    fn recount(&mut self, counted: &Steps) {
-        (**self).recount(counted);
-    }
-    fn clear(&mut self) {
-        (**self).clear();
-    }
-    fn is_simulated(&self) -> bool {
-        (**self).is_simulated()
-    }
-    fn remarks(&self) -> Vec<String> {
-        (**self).remarks()
-    }
-}

@@ -47,11 +47,7 @@ pub fn agrees(config: &RestartCheckConfig, remembered: &RestartState, state: &Lo
 pub fn resume(config: &LoopConfig, state: &mut LoopState, remembered: &RestartState) {
     let Some(rest) = &remembered.rest else { return };
     let bend = Bend(remembered.bend_rad.into());
-    state.fusion.assume(
-        &config.fuse,
-        bend,
-        &Vector3::from(rest.acc_m_s2),
-        rest.mag_ut.map(Vector3::from),
-    );
+    let (up, field) = (Vector3::from(rest.acc_m_s2), rest.mag_ut.map(Vector3::from));
+    state.fusion.assume(&config.fuse, bend, &up, field);
     state.take_up(config, remembered);
 }
