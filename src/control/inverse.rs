@@ -5,10 +5,8 @@
 //! the common length is chosen, within a small range, such that no line has to.
 
 use crate::control::ActuatorLimits;
-use crate::control::observer::{
-    Observer,
-    laws::{Channels, Theta},
-};
+use crate::control::observer::Observer;
+use crate::control::observer::laws::{Channels, Theta};
 use crate::model::Geometry;
 use nalgebra::{Vector2, Vector3};
 
@@ -46,18 +44,14 @@ pub fn risk(observer: &Observer, bend: &Vector2<f64>, free_mm: f64) -> f64 {
     let free = free_mm / observer.geometry.r_mm;
     let of = |signs: [f64; 3]| {
         let length = common_length(signs, outputs.map(|q| -q), [-free, free], 1e-12, 0.0)?;
-        Some(
-            (0..3)
-                .filter(|&i| (outputs[i] + length) * signs[i] > 1e-4)
-                .filter(|&i| reverses(&observer.now, i, signs[i]))
-                .map(|i| reversal(observer, i, 0.0))
-                .sum(),
-        )
+        let reversals = (0..3)
+            .filter(|&i| (outputs[i] + length) * signs[i] > 1e-4)
+            .filter(|&i| reverses(&observer.now, i, signs[i]))
+            .map(|i| reversal(observer, i, 0.0));
+        Some(reversals.sum())
     };
-    patterns()
-        .filter_map(of)
-        .min_by(f64::total_cmp)
-        .unwrap_or(0.0)
+    let least = patterns().filter_map(of).min_by(f64::total_cmp);
+    least.unwrap_or(0.0)
 }
 
 /// The common length within `range` nearest to `wanted` with which every channel moves towards its sign from `least`.
@@ -128,14 +122,22 @@ pub fn choose(from: &From<'_>, bend: &Vector2<f64>) -> Choice {
         (centre + spare).min(high.max(centre)),
     ];
     let needed = std::array::from_fn(|i| now[i] - wanted[i]);
+    let settled = |length: f64, signs: [f64; 3]| {
+        let outputs = wanted.map(|q| q + length);
+        let moves = |i: usize| (outputs[i] - now[i]).abs() > STILL_RAD;
+        Choice {
+            outputs,
+            sides: std::array::from_fn(|i| if moves(i) { signs[i] } else { 0.0 }),
+            length,
+        }
+    };
+    let preferred = from.keep.unwrap_or(centre);
     let mut best: Option<(f64, Choice)> = None;
     for signs in patterns() {
-        let Some(length) =
-            common_length(signs, needed, range, STILL_RAD, from.keep.unwrap_or(centre))
-        else {
+        let Some(length) = common_length(signs, needed, range, STILL_RAD, preferred) else {
             continue;
         };
-        let choice = settle(&wanted, &now, length, signs);
+        let choice = settled(length, signs);
         let reversals: f64 = (0..3)
             .filter(|&i| choice.sides[i] != 0.0 && reverses(from.there, i, signs[i]))
             .map(|i| reversal(observer, i, GAP_SIGMA_MIN_MM))
@@ -145,32 +147,8 @@ pub fn choose(from: &From<'_>, bend: &Vector2<f64>) -> Choice {
             best = Some((cost, choice));
         }
     }
-    best.map_or_else(
-        || {
-            settle(
-                &wanted,
-                &now,
-                centre,
-                std::array::from_fn(|i| (wanted[i] + centre - now[i]).signum()),
-            )
-        },
-        |(_, choice)| choice,
-    )
-}
-
-fn settle(wanted: &[f64; 3], now: &[f64; 3], length: f64, signs: [f64; 3]) -> Choice {
-    let outputs = wanted.map(|q| q + length);
-    Choice {
-        outputs,
-        sides: std::array::from_fn(|i| {
-            if (outputs[i] - now[i]).abs() <= STILL_RAD {
-                0.0
-            } else {
-                signs[i]
-            }
-        }),
-        length,
-    }
+    let straight = || std::array::from_fn(|i| (wanted[i] + centre - now[i]).signum());
+    best.map_or_else(|| settled(centre, straight()), |(_, choice)| choice)
 }
 
 /// Common lengths with which every piston keeps its travel and every line its pressure, rad; crossed if there is none.

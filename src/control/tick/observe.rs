@@ -45,11 +45,11 @@ pub(super) fn learn(
         state.dynamics = state.bank.assess(&state.before, &state.dynamics);
         observer.take_dynamics(&state.dynamics, moving);
     }
-    state.unexplained += bend - state.last_estimate - observer.rate * dt_s;
+    state.unexplained += bend - state.last_estimate - observer.rate() * dt_s;
     // a path has periods of its own
     if state.setpoint.acceleration.is_none() {
         let least = f.observer.noise_deg.to_radians().powi(2);
-        let (noise, moved) = (observer.variance.max(least), observer.rate.norm() * dt_s);
+        let (noise, moved) = (observer.variance.max(least), observer.rate().norm() * dt_s);
         let unexplained = &state.unexplained;
         (state.periodic).step(&f.periodic, unexplained, 2.0 * noise, moved, dt_s);
     }

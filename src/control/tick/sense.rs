@@ -25,10 +25,8 @@ pub(super) fn estimate(config: &LoopConfig, state: &mut LoopState, input: &Input
     }
     motors.last_steps = now;
     let energised = motors.idle_s.map(|s| s < config.motors_idle_after_s);
-    let coils_ut = config
-        .motors
-        .as_ref()
-        .map_or_else(Vector3::zeros, |m| m.at(&input.steps.0, &energised));
+    let coils = config.motors.as_ref();
+    let coils_ut = coils.map_or_else(Vector3::zeros, |m| m.at(&input.steps.0, &energised));
     let tip = match input.imu {
         ImuReading::Sample(sample, quality) => {
             ImuReading::Sample(config.imu.apply(&sample), quality)
