@@ -67,10 +67,8 @@ impl Feedforward {
         new.zero(up);
         let response = HORIZONS_S.map(|horizon_s| new.held(&PROBE_MM, horizon_s).bend.0.norm());
         let last = HORIZONS_S.len() - 1;
-        let enough = response
-            .iter()
-            .position(|r| *r >= RESPONSE_MIN * response[last]);
-        new.horizon_s = HORIZONS_S[enough.unwrap_or(last)];
+        let enough = |r: &f64| *r >= RESPONSE_MIN * response[last];
+        new.horizon_s = HORIZONS_S[response.iter().position(enough).unwrap_or(last)];
         new
     }
 
@@ -135,12 +133,7 @@ impl Feedforward {
             }
             before = Some((self.solution_mm, reached));
             let step = self.slope * missing;
-            let size = step.amax();
-            let share = if size > CHANGE_MAX_MM {
-                CHANGE_MAX_MM / size
-            } else {
-                1.0
-            };
+            let share = (CHANGE_MAX_MM / step.amax()).min(1.0);
             let next = self.solution_mm + step * share;
             self.solution_mm = wanted_mm
                 + (next - wanted_mm).map(|d| d.clamp(-CORRECTION_MAX_MM, CORRECTION_MAX_MM));

@@ -51,12 +51,7 @@ impl<const D: usize> Follower<D> {
         } else {
             SVector::zeros()
         };
-        let mut change = wanted - self.velocity;
-        let size = change.norm();
-        if size > change_max {
-            change *= change_max / size;
-        }
-        self.velocity += change;
+        self.velocity += (wanted - self.velocity).cap_magnitude(change_max);
         self.at += self.velocity * dt_s;
     }
 

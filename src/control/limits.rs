@@ -120,6 +120,8 @@ impl ActuatorLimits {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::Bend;
+    use crate::primitives::Mm;
     use proptest::prelude::*;
 
     const LIMITS: ActuatorLimits = ActuatorLimits {

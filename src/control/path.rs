@@ -202,6 +202,7 @@ fn parabola(t: &[f64], y: &[Vector3<f64>]) -> [Vector3<f64>; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::Bend;
 
     /// A circle of 20° in 2 s, with a row every 50 ms.
     fn circle() -> Path {

@@ -48,21 +48,24 @@ pub struct Sensed {
 impl Sensed {
     /// What the drive reports at `t`, which is `t_ns` on the clock of the step generator, without any sample.
     pub fn of_drive<G: StepGenerator>(t: Seconds, t_ns: u64, drive: &Drive<G>) -> Self {
-        let state = drive.state();
-        let (mut counted, mut inputs, mut counted_age_s) =
-            (Steps::default(), Inputs::default(), 0.0);
+        let mut sensed = Self {
+            t,
+            energised: drive.generator().is_energised(),
+            ..Self::default()
+        };
         if let Some(report) = drive.generator().latest() {
-            (counted, inputs) = (report.counted, report.inputs);
+            (sensed.counted, sensed.inputs) = (report.counted, report.inputs);
             // pistons that rest send few reports, and their counts stay true
             if matches!(report.mode, StepperMode::Following | StepperMode::Stopping) {
-                counted_age_s = (t_ns as i64 - report.complete_ns as i64) as f64 * 1e-9;
+                sensed.counted_age_s = (t_ns as i64 - report.complete_ns as i64) as f64 * 1e-9;
             }
         }
-        inputs.emergency_stop |= drive.stopped;
-        let alarm = match state {
-            DriveState::Faulted(StepperFault::Late { late_ns, .. }) => Some(Alarm::Late {
-                late_s: late_ns as f64 * 1e-9,
-            }),
+        sensed.inputs.emergency_stop |= drive.stopped;
+        sensed.alarm = match drive.state() {
+            DriveState::Faulted(StepperFault::Late { late_ns, .. }) => {
+                let late_s = late_ns as f64 * 1e-9;
+                Some(Alarm::Late { late_s })
+            }
             DriveState::Faulted(StepperFault::Discontinuity { jump_mm, .. }) => {
                 Some(Alarm::Discontinuity { jump_mm })
             }
@@ -71,16 +74,7 @@ impl Sensed {
             DriveState::Silent => Some(Alarm::Silent),
             _ => drive.starved.then_some(Alarm::Underrun),
         };
-        let energised = drive.generator().is_energised();
-        Self {
-            t,
-            counted,
-            counted_age_s,
-            energised,
-            inputs,
-            alarm,
-            ..Self::default()
-        }
+        sensed
     }
 }
 

@@ -195,7 +195,12 @@ impl ResidualMonitor {
 
     /// One tick; returns a new suspicion.
     pub fn step(&mut self, input: &ResidualInput) -> Option<Suspicion> {
-        let residual = input.estimate - self.predict(input);
+        // the bend from the pistons after a first-order lag
+        let keep = (-input.dt_s / input.answer_s.max(1e-3)).exp();
+        let from = self.model.unwrap_or(input.estimate);
+        let model = input.given + (from - input.given) * keep;
+        self.model = Some(model);
+        let residual = input.estimate - model;
         let moved = (input.given - self.last_given).norm();
         self.path_rad += moved;
         self.last_given = input.given;
@@ -233,15 +238,6 @@ impl ResidualMonitor {
         if verdict.good_moves >= GOOD_MOVES {
             self.forget();
         }
-    }
-
-    /// Predicted bend: the bend from the pistons after a first-order lag.
-    fn predict(&mut self, input: &ResidualInput) -> Vector2<f64> {
-        let keep = (-input.dt_s / input.answer_s.max(1e-3)).exp();
-        let from = self.model.unwrap_or(input.estimate);
-        let model = input.given + (from - input.given) * keep;
-        self.model = Some(model);
-        model
     }
 
     fn assess(&mut self, input: &ResidualInput) -> Option<Suspicion> {

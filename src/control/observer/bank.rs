@@ -177,10 +177,10 @@ impl DynamicsBank {
     fn interpolated(&self, (l, d): (usize, usize)) -> Dynamics {
         let delay = |l: usize| vertex(&DELAYS_S, d, |d| self.unexplained((l, d)));
         let last = LAGS_S.len() - 1;
+        let left = |l: &usize| delay(*l).1;
         let near = l.saturating_sub(1)..=(l + 1).min(last);
-        let l = near
-            .min_by(|&a, &b| delay(a).1.total_cmp(&delay(b).1))
-            .unwrap_or(l);
+        let least = near.min_by(|a, b| left(a).total_cmp(&left(b)));
+        let l = least.unwrap_or(l);
         let (lag_s, _) = vertex(&LAGS_S, l, |l| delay(l).1);
         // a longer lag goes with a shorter dead time
         let other = if lag_s < LAGS_S[l] {

@@ -7,6 +7,7 @@ use crate::control::follow::Follower;
 use crate::control::inverse::{self, Choice};
 use crate::control::limits::Cut;
 use crate::control::observer::laws::{ROTATION, bend_of};
+use crate::control::obstruction::Push;
 use crate::control::rule::{self, Rule};
 use crate::model::{Bend, Shape, Wanted};
 use crate::primitives::Steps;
@@ -21,6 +22,8 @@ const STREAM_PERIOD_S: f64 = 0.1;
 const SLOW_S: f64 = 0.16;
 /// Time constant with which the offset after a hold decays, s.
 const EASE_S: f64 = 0.15;
+/// Time beyond lag, dead time and their error within which a free tip answers, s.
+const ANSWERED_S: f64 = 0.1;
 
 /// Decides whether the pistons must stand: during a re-alignment, and in closed loop without a usable sensor. At the
 /// beginning of a hold each piston stops within its braking distance; afterwards the targets start from where it stands.
@@ -85,7 +88,7 @@ pub(super) struct Decision<'a> {
 
 impl Decision<'_> {
     /// Commands the pistons.
-    pub(super) fn command(mut self, moving: bool) -> Decided {
+    pub(super) fn command(&mut self, moving: bool) -> Decided {
         let (config, dt_s) = (self.config, self.dt_s);
         let length_mm = self.state.setpoint.length.at.x;
         if config.feedback.is_some() && self.state.setpoint.acceleration.is_none() {
@@ -342,6 +345,33 @@ impl Decision<'_> {
             piston_mm
         });
         self.aim(piston_mm);
+    }
+
+    /// Notes whether the tip is obstructed, and whether the controller has reached its limits away from the target.
+    pub(super) fn watch(&mut self, moving: bool, cut: Cut) {
+        let (state, estimate, dt_s) = (&mut *self.state, self.estimate, self.dt_s);
+        let Some(f) = &self.config.feedback else {
+            return;
+        };
+        state.rule.step(moving, dt_s);
+        let error = state.setpoint.target.bend.0 - estimate;
+        let was_blocked = state.obstruction.blocked;
+        let response_s = state.observer.dynamics.response_s();
+        let answer_s = response_s + state.dynamics.error_max_s() + ANSWERED_S;
+        let given = state.observer.given;
+        let push = Push {
+            given,
+            estimate,
+            error,
+        };
+        (state.obstruction).step(&f.obstruction, moving, &push, answer_s, dt_s);
+        if state.obstruction.blocked && !was_blocked {
+            // what was learned against the obstruction says nothing about the tip
+            state.return_to_known(&estimate, f64::INFINITY);
+        }
+        let off = error.norm() > f.obstruction.error_deg.to_radians();
+        let full = state.feedback_full;
+        state.saturation.step(moving, off, full, cut, dt_s);
     }
 }
 

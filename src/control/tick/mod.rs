@@ -24,7 +24,6 @@ pub use state::LoopState;
 pub use types::{Belief, FeedbackConfig, Frame, Input, LoopConfig, Reference, Senses, TickPhase};
 
 use crate::control::limits::Cut;
-use crate::control::obstruction::Push;
 use crate::estimation::fusion::health::HealthAction;
 use crate::estimation::fusion::tip::TipEstimate;
 use crate::model::Bend;
@@ -57,14 +56,14 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
         observe::learn(config, state, &estimate, moving, dt_s);
     }
     state.last_estimate = bend.0;
-    let decision = Decision {
+    let mut decision = Decision {
         config,
-        state,
+        state: &mut *state,
         estimate: bend.0,
         dt_s,
     };
     let mut decided = decision.command(moving);
-    watch(config, state, bend.0, moving || holding, decided.cut, dt_s);
+    decision.watch(moving || holding, decided.cut);
     if decided.cut == Cut::None {
         decided.cut = setpoint_cut;
     }
@@ -84,38 +83,6 @@ fn depart(config: &LoopConfig, state: &mut LoopState, moving: bool, suspected: b
         state.rule.depart();
     }
     state.moving = moving;
-}
-
-/// Time beyond lag, dead time and their error within which a free tip answers, s.
-const ANSWERED_S: f64 = 0.1;
-
-/// Whether the tip is obstructed, and whether the controller has reached its limits away from the target.
-fn watch(
-    config: &LoopConfig,
-    state: &mut LoopState,
-    estimate: Vector2<f64>,
-    moving: bool,
-    cut: Cut,
-    dt_s: f64,
-) {
-    let Some(f) = &config.feedback else { return };
-    state.rule.step(moving, dt_s);
-    let error = state.setpoint.target.bend.0 - estimate;
-    let was_blocked = state.obstruction.blocked;
-    let answer_s = state.observer.dynamics.response_s() + state.dynamics.error_max_s() + ANSWERED_S;
-    let push = Push {
-        given: state.observer.given,
-        estimate,
-        error,
-    };
-    (state.obstruction).step(&f.obstruction, moving, &push, answer_s, dt_s);
-    if state.obstruction.blocked && !was_blocked {
-        // what was learned against the obstruction says nothing about the tip
-        state.return_to_known(&estimate, f64::INFINITY);
-    }
-    let off = error.norm() > f.obstruction.error_deg.to_radians();
-    let full = state.feedback_full;
-    state.saturation.step(moving, off, full, cut, dt_s);
 }
 
 fn frame(
@@ -174,12 +141,10 @@ fn belief(state: &LoopState) -> Belief {
 }
 
 fn senses(state: &LoopState, estimate: Option<TipEstimate>) -> Senses {
+    let fusion = &state.fusion;
     Senses {
-        action: state
-            .fusion
-            .verdict()
-            .map_or(HealthAction::Use, |v| v.action()),
-        in_force: state.fusion.in_force(),
+        action: (fusion.verdict()).map_or(HealthAction::Use, |v| v.action()),
+        in_force: fusion.in_force(),
         held: state.hold.is_holding(),
         disagrees: estimate.is_some_and(|e| e.disagrees),
     }

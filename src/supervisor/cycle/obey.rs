@@ -1,7 +1,7 @@
 //! How the supervisor carries out each order.
 
 use crate::control::Pace;
-use crate::model::{Line, Shape};
+use crate::model::{Bend, Line, Shape};
 use crate::primitives::Steps;
 use crate::supervisor::cycle::source::Source;
 use crate::supervisor::cycle::state::Position;
@@ -54,16 +54,16 @@ impl Supervisor {
             return Err(Refusal::Latched);
         }
         match self.mode {
-            Mode::Holding => {
-                self.stopped = false;
-                return Ok(());
-            }
+            Mode::Holding => {}
             Mode::Disarmed if self.gate.is_busy() => return Err(Refusal::Busy),
-            _ => self.take(Event::Arm)?,
+            _ => {
+                self.take(Event::Arm)?;
+                self.gate.reset(&self.sent);
+                let estimate = self.state.fusion.estimate();
+                self.take_over(estimate.map_or(Bend::STRAIGHT, |e| e.bend));
+            }
         }
         self.stopped = false;
-        self.gate.reset(&self.sent);
-        self.take_over(self.estimated_bend());
         Ok(())
     }
 

@@ -253,12 +253,6 @@ impl Supervisor {
         self.position == Position::Known && self.state.fusion.estimate().is_some()
     }
 
-    /// The estimated bend, or straight before the alignment.
-    pub(super) fn estimated_bend(&self) -> Bend {
-        let estimate = self.state.fusion.estimate();
-        estimate.map_or(Bend::STRAIGHT, |e| e.bend)
-    }
-
     /// The controller continues from the present position of the pistons and holds the tip at `at`.
     pub(super) fn take_over(&mut self, at: Bend) {
         self.state.stand(&self.config.tick, &self.sent, at);

@@ -17,11 +17,8 @@ use nalgebra::{Vector2, Vector3};
 impl Supervisor {
     /// One cycle.
     pub fn turn(&mut self, sensed: &Sensed, order: Option<Order>) -> CycleOutput {
-        let first = self.last.is_none();
-        let dt_s = self
-            .last
-            .map_or(self.config.gate.tick_s, |last| sensed.t.0 - last.t.0);
-        self.last = Some(*sensed);
+        let last = self.last.replace(*sensed);
+        let dt_s = last.map_or(self.config.gate.tick_s, |last| sensed.t.0 - last.t.0);
         if self.mode == Mode::Boot {
             self.occur(Event::Opened);
         }
@@ -62,7 +59,7 @@ impl Supervisor {
             stopped: self.stopped,
             unverified: self.unverified,
             dt_s,
-            first,
+            first: last.is_none(),
         }
     }
 
