@@ -11,6 +11,7 @@
 
 mod obey;
 pub mod order;
+mod reference;
 pub mod restart_check;
 pub mod runner;
 mod sensor_watch;

@@ -67,7 +67,7 @@ pub struct CycleOutput {
     pub bias_moved: bool,
     /// A stream of set-points fell silent in this cycle, and the tip was stopped.
     pub stream_ended: bool,
-    /// What leads the set-point.
+    /// Where the set-point comes from.
     pub source: Source,
     /// A stop is latched.
     pub stopped: bool,
