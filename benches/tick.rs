@@ -15,12 +15,13 @@ use retroflex::config::board::{Board, PlantSection};
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
-use retroflex::control::tick::{Command, Frame, Input, LoopConfig, LoopState, tick};
+use retroflex::control::tick::{Frame, Input, LoopConfig, LoopState, tick};
 use retroflex::drill::bench::BenchConfig;
 use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::{HOLD_S, paper};
+use retroflex::model::Shape;
 use retroflex::primitives::units::{Mm, Seconds, Steps};
 use retroflex::service::rt_loop::{LoopFrame, RestartNote};
 use retroflex::simulation::lockstep::Lockstep;
@@ -65,7 +66,7 @@ fn inputs(config: &LoopConfig) -> Vec<Input> {
     let mut all = Vec::new();
     for k in 0..60_000 {
         if k >= 3000 && k % 1500 == 0 {
-            input.command = poses.next().map(|p| Command {
+            input.command = poses.next().map(|p| Shape {
                 bend: p.bend(),
                 length: Mm(config.geometry.rest_length_mm),
             });

@@ -9,11 +9,10 @@
 )]
 
 use retroflex::config::{Board, Calibration, Gains, assemble, source};
-use retroflex::control::Command;
 use retroflex::experiment::evaluation::{Arm, for_world};
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::arrivals;
-use retroflex::model::Bend;
+use retroflex::model::{Bend, Shape};
 use retroflex::primitives::Mm;
 use retroflex::report::chart::{Axis, Chart, Series, Stroke};
 use retroflex::report::svg::Ink;
@@ -37,7 +36,7 @@ fn main() {
     let ticks = (HOLD_S / rig.period_s()).round() as usize;
     let every = (0.02 / rig.period_s()).round() as usize;
     for (n, pose) in arrivals(1).iter().take(POSES).enumerate() {
-        let mut command = Some(Command {
+        let mut command = Some(Shape {
             bend: pose.bend(),
             length: Mm(rig.config.geometry.rest_length_mm),
         });

@@ -14,12 +14,12 @@
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use retroflex::config::{Board, Calibration, Gains, assemble, source};
-use retroflex::control::{Command, LoopConfig};
+use retroflex::control::LoopConfig;
 use retroflex::experiment::evaluation::{Arm, for_world};
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::{HOLD_S, Pose, SCORED_S, arrivals};
 use retroflex::experiment::sweep::{CONDITIONS, DIRECTIONS, Study, TURN_DEG};
-use retroflex::model::Bend;
+use retroflex::model::{Bend, Shape};
 use retroflex::primitives::Mm;
 use retroflex::simulation::plant::PlantConfig;
 use retroflex::simulation::sim::Sim;
@@ -98,7 +98,7 @@ fn run(config: &LoopConfig, unit: &PlantConfig, period_s: f64, noise: u64) -> Fi
 fn hold(rig: &mut Rig<'_>, pose: &Pose, figures: &mut Figures, n: &mut f64) {
     let ticks = (HOLD_S / rig.period_s()).round() as usize;
     let scored_from = ticks - (SCORED_S / rig.period_s()).round() as usize;
-    let mut command = Some(Command {
+    let mut command = Some(Shape {
         bend: pose.bend(),
         length: Mm(rig.config.geometry.rest_length_mm),
     });

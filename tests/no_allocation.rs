@@ -9,7 +9,7 @@ mod common;
 
 use common::{described, uncalibrated, unit};
 use nalgebra::Vector2;
-use retroflex::control::tick::{Command, Input, LoopConfig, LoopState, Reference, tick};
+use retroflex::control::tick::{Input, LoopConfig, LoopState, Reference, tick};
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::schedule::paper;
 use retroflex::model::arc::Shape;
@@ -87,7 +87,7 @@ fn during_ticks(config: &LoopConfig, world: &mut dyn World) -> u64 {
     let mut during = 0;
     for k in 0..40_000 {
         if k > 3000 && k % 1500 == 0 {
-            input.command = poses.next().map(|p| Command {
+            input.command = poses.next().map(|p| Shape {
                 bend: p.bend(),
                 length: Mm(config.geometry.rest_length_mm),
             });

@@ -18,11 +18,12 @@ use retroflex::config::board::{Board, PlantSection};
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
-use retroflex::control::tick::{Command, Input, LoopConfig, LoopState, tick};
+use retroflex::control::tick::{Input, LoopConfig, LoopState, tick};
 use retroflex::estimation::fusion::health::ImuReading;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::schedule::{HOLD_S, paper};
 use retroflex::hardware::rt::{self, RtRequest, monotonic_ns, sleep_until_ns};
+use retroflex::model::Shape;
 use retroflex::model::bend::Bend;
 use retroflex::primitives::sample::ImuSample;
 use retroflex::primitives::units::{Mm, Seconds};
@@ -142,7 +143,7 @@ fn inputs(config: &LoopConfig) -> Result<Vec<Input>, Box<dyn Error>> {
     let mut all = Vec::new();
     for k in 0..(LENGTH_S / dt_s) as usize {
         if k >= rest && (k - rest).is_multiple_of(hold) {
-            input.command = poses.next().map(|p| Command {
+            input.command = poses.next().map(|p| Shape {
                 bend: p.bend(),
                 length: Mm(config.geometry.rest_length_mm),
             });

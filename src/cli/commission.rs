@@ -32,8 +32,11 @@ pub struct Args {
 /// A report: bad input, hardware that does not answer, or the reason that ended the procedure.
 pub fn run(args: &Args) -> Result<bool> {
     let (board, mut machine) = manual_motion::open(&args.board, |_| ())?;
-    let mut config = TrialConfig::new(board.geometry.law());
-    (config.stroke_mm, config.hold_s) = (args.stroke, args.hold);
+    let config = TrialConfig {
+        geometry: board.geometry.law(),
+        stroke_mm: args.stroke,
+        hold_s: args.hold,
+    };
     let report = |e| match e {
         TrialError::Motion(e) => manual_motion::motion_error(e),
         e => miette!("{e}"),
@@ -43,7 +46,7 @@ pub fn run(args: &Args) -> Result<bool> {
     })?;
     drop(machine);
     output::print(findings.report());
-    if let (true, Some(wiring)) = (args.write, &findings.wiring) {
+    if let (true, Some(wiring)) = (args.write, findings.wirings.first()) {
         write_back(&args.board, &board, wiring)?;
     }
     Ok(findings.is_good())

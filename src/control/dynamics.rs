@@ -81,10 +81,9 @@ impl DynamicsRange {
 
     /// Largest plausible error of the response time, s.
     pub fn error_max_s(&self) -> f64 {
-        let response_s = self.best.response_s();
-        (self.response_max_s - response_s)
-            .max(response_s - self.response_min_s)
-            .max(0.0)
+        let best_s = self.best.response_s();
+        let (above_s, below_s) = (self.response_max_s - best_s, best_s - self.response_min_s);
+        above_s.max(below_s).max(0.0)
     }
 }
 

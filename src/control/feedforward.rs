@@ -4,11 +4,11 @@
 //! shape, once they have been held for a short horizon, is the wanted one. The horizon is the shortest at which the shape shows
 //! most of the response, so that an effect that delays has an answer too. Broyden's method (*Math. Comp.* 1965) starts from the
 //! last solution with the last slope, so a tick needs one or two evaluations of the laws and never more than five. Nothing
-//! allocates after [`FeedforwardState::new`].
+//! allocates after [`Feedforward::new`].
 
 use crate::model::effects::{Effect, Memory, Moment};
 use crate::model::{Bend, Chain, DescribedMachine, Shape, orientation};
-use crate::primitives::{Mm, Rotation};
+use crate::primitives::Rotation;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::sync::Arc;
 
@@ -31,11 +31,10 @@ const SLOPE_MIN: f64 = 0.05;
 /// Evaluations of the drive's inverse.
 const DRIVE_ROUNDS: usize = 6;
 
-type Laws<'a> = Chain<'a, Arc<dyn Effect>>;
-
-/// State of the effects, and the solution of the last tick.
+/// Feedforward through a machine: the state of its effects, and the solution of the last tick.
 #[derive(Debug, Clone)]
-pub struct FeedforwardState {
+pub struct Feedforward {
+    machine: Arc<DescribedMachine>,
     memory: Vec<Memory>,
     trial: Vec<Memory>,
     t_s: f64,
@@ -49,11 +48,13 @@ pub struct FeedforwardState {
     slope: Matrix3<f64>,
 }
 
-impl FeedforwardState {
+impl Feedforward {
     /// At rest.
-    pub fn new(machine: &DescribedMachine) -> Self {
+    pub fn new(machine: Arc<DescribedMachine>) -> Self {
         let memory = machine.memory();
-        let mut state = Self {
+        let up = machine.rest.up;
+        let mut new = Self {
+            machine,
             trial: memory.clone(),
             memory,
             t_s: 0.0,
@@ -63,33 +64,21 @@ impl FeedforwardState {
             solution_mm: Vector3::zeros(),
             slope: Matrix3::identity(),
         };
-        state.zero(machine, machine.rest.up);
-        let response = HORIZONS_S.map(|horizon_s| state.response(machine, horizon_s));
-        let enough = response
-            .iter()
-            .position(|r| *r >= RESPONSE_MIN * response[HORIZONS_S.len() - 1]);
-        state.horizon_s = HORIZONS_S[enough.unwrap_or(HORIZONS_S.len() - 1)];
-        state
-    }
-
-    /// Bend, rad, after the probe has been held for the horizon.
-    fn response(&mut self, machine: &DescribedMachine, horizon_s: f64) -> f64 {
-        let chain = machine.chain();
-        let at = self.moment(&chain, horizon_s);
-        self.trial.clone_from(&self.memory);
-        shape(&chain, &mut self.trial, &at, &self.rest, &PROBE_MM)
-            .bend
-            .0
-            .norm()
+        new.zero(up);
+        let response = HORIZONS_S.map(|horizon_s| new.held(&PROBE_MM, horizon_s).bend.0.norm());
+        let last = HORIZONS_S.len() - 1;
+        let enough = |r: &f64| *r >= RESPONSE_MIN * response[last];
+        new.horizon_s = HORIZONS_S[response.iter().position(enough).unwrap_or(last)];
+        new
     }
 
     /// Defines zero for a base in which `up` is up.
-    pub fn zero(&mut self, machine: &DescribedMachine, up: Vector3<f64>) {
+    pub fn zero(&mut self, up: Vector3<f64>) {
         if up == self.up_base {
             return;
         }
         self.up_base = up;
-        let chain = machine.chain();
+        let chain = self.machine.chain();
         let at = self.moment(&chain, self.horizon_s);
         self.trial.clone_from(&self.memory);
         self.rest = orientation(&chain.pose(&mut self.trial, &at, &Vector3::zeros()));
@@ -103,35 +92,38 @@ impl FeedforwardState {
     }
 
     /// Advances the effects by `dt_s` with the play outputs at `play_output_mm`; returns the shape there.
-    pub fn advance(
-        &mut self,
-        machine: &DescribedMachine,
-        play_output_mm: &Vector3<f64>,
-        dt_s: f64,
-    ) -> Shape {
-        let chain = machine.chain();
+    pub fn advance(&mut self, play_output_mm: &Vector3<f64>, dt_s: f64) -> Shape {
+        let chain = self.machine.chain();
         let at = self.moment(&chain, dt_s);
         self.t_s += dt_s;
         shape(&chain, &mut self.memory, &at, &self.rest, play_output_mm)
     }
 
     /// Shape once the play outputs have been held for the horizon.
-    pub fn foresee(&mut self, machine: &DescribedMachine, play_output_mm: &Vector3<f64>) -> Shape {
-        let chain = machine.chain();
-        let at = self.moment(&chain, self.horizon_s);
+    pub fn foresee(&mut self, play_output_mm: &Vector3<f64>) -> Shape {
+        self.held(play_output_mm, self.horizon_s)
+    }
+
+    /// Shape once the play outputs have been held for `horizon_s`.
+    fn held(&mut self, play_output_mm: &Vector3<f64>, horizon_s: f64) -> Shape {
+        let chain = self.machine.chain();
+        let at = self.moment(&chain, horizon_s);
         self.trial.clone_from(&self.memory);
         shape(&chain, &mut self.trial, &at, &self.rest, play_output_mm)
     }
 
+    /// Play outputs of the nominal channels, mm, that give the `wanted` shape, itself given as bellow lengths.
+    pub fn play_outputs(&mut self, wanted_mm: &Vector3<f64>) -> Vector3<f64> {
+        let bellow_mm = self.invert(wanted_mm);
+        self.machine.play_outputs(&bellow_mm)
+    }
+
     /// Nominal bellow lengths, mm, whose play outputs give the `wanted` shape, itself given as bellow lengths.
-    pub fn invert(&mut self, machine: &DescribedMachine, wanted_mm: &Vector3<f64>) -> Vector3<f64> {
-        let chain = machine.chain();
+    pub fn invert(&mut self, wanted_mm: &Vector3<f64>) -> Vector3<f64> {
         let mut before: Option<(Vector3<f64>, Vector3<f64>)> = None;
         for _ in 0..ROUNDS {
-            let play_output_mm = machine.play_outputs(&self.solution_mm);
-            let reached = chain
-                .geometry
-                .lengths(&self.foresee(machine, &play_output_mm));
+            let shape = self.foresee(&self.machine.play_outputs(&self.solution_mm));
+            let reached = self.machine.geometry.lengths(&shape);
             if let Some((solution, shape)) = before {
                 self.learn_slope(&(self.solution_mm - solution), &(reached - shape));
             }
@@ -141,12 +133,7 @@ impl FeedforwardState {
             }
             before = Some((self.solution_mm, reached));
             let step = self.slope * missing;
-            let size = step.amax();
-            let share = if size > CHANGE_MAX_MM {
-                CHANGE_MAX_MM / size
-            } else {
-                1.0
-            };
+            let share = (CHANGE_MAX_MM / step.amax()).min(1.0);
             let next = self.solution_mm + step * share;
             self.solution_mm = wanted_mm
                 + (next - wanted_mm).map(|d| d.clamp(-CORRECTION_MAX_MM, CORRECTION_MAX_MM));
@@ -166,41 +153,31 @@ impl FeedforwardState {
     }
 
     /// Counted pistons that put the true pistons at `piston_mm`.
-    pub fn counted(
-        &mut self,
-        machine: &DescribedMachine,
-        piston_mm: &Vector3<f64>,
-    ) -> Vector3<f64> {
+    pub fn counted(&mut self, piston_mm: &Vector3<f64>) -> Vector3<f64> {
         let mut counted = *piston_mm;
         for _ in 0..DRIVE_ROUNDS {
-            counted += piston_mm - self.pistons_at(machine, &counted);
+            counted += piston_mm - self.pistons_at(&counted);
         }
         counted
     }
 
     /// True pistons that counted ones would make now.
-    pub fn pistons_at(
-        &mut self,
-        machine: &DescribedMachine,
-        counted_mm: &Vector3<f64>,
-    ) -> Vector3<f64> {
-        let chain = machine.chain();
+    pub fn pistons_at(&mut self, counted_mm: &Vector3<f64>) -> Vector3<f64> {
+        let chain = self.machine.chain();
         let at = self.moment(&chain, 0.0);
         self.trial.clone_from(&self.memory);
         chain.pistons(&mut self.trial, &at, counted_mm)
     }
 
     /// True pistons for counted ones.
-    pub fn pistons(
-        &mut self,
-        machine: &DescribedMachine,
-        counted_mm: &Vector3<f64>,
-    ) -> Vector3<f64> {
-        let piston_mm = self.pistons_at(machine, counted_mm);
+    pub fn pistons(&mut self, counted_mm: &Vector3<f64>) -> Vector3<f64> {
+        let piston_mm = self.pistons_at(counted_mm);
         std::mem::swap(&mut self.memory, &mut self.trial);
         piston_mm
     }
 }
+
+type Laws<'a> = Chain<'a, Arc<dyn Effect>>;
 
 /// Shape relative to rest, at play outputs.
 fn shape(
@@ -213,10 +190,10 @@ fn shape(
     let bellow_mm = chain.bellows(memory, at, play_output_mm);
     let pose = chain.pose(memory, at, &bellow_mm);
     let tip = rest.inverse() * orientation(&pose);
-    Shape {
-        bend: Bend::nearest(&Rotation::assert_frames(tip)),
-        length: Mm(chain.geometry.rest_length_mm + bellow_mm.sum() / 3.0),
-    }
+    Shape::new(
+        Bend::nearest(&Rotation::assert_frames(tip)).0,
+        chain.geometry.rest_length_mm + bellow_mm.sum() / 3.0,
+    )
 }
 
 #[cfg(test)]
@@ -230,7 +207,7 @@ mod tests {
 
     const DT_S: f64 = 0.005;
 
-    fn machine(causes: &[(&str, &[f64])]) -> DescribedMachine {
+    fn machine(causes: &[(&str, &[f64])]) -> Arc<DescribedMachine> {
         let rest = RestReadings {
             up: Vector3::new(0.6, -0.3, 0.742).normalize(),
             ..RestReadings::default()
@@ -243,19 +220,15 @@ mod tests {
             .iter()
             .map(|(name, p)| (by_name(name).unwrap(), p.to_vec()))
             .collect();
-        DescribedMachine::new(
-            Geometry::default(),
-            rest,
-            &nominal_theta(&lines, 0.02),
-            causes,
-        )
+        let theta = nominal_theta(&lines, 0.02);
+        DescribedMachine::new(Geometry::default(), rest, &theta, causes).into()
     }
 
     /// Bends held one after the other: the largest error at the ends of the holds, degrees, with and without the inverse.
-    fn errors(machine: &DescribedMachine) -> [f64; 2] {
+    fn errors(machine: &Arc<DescribedMachine>) -> [f64; 2] {
         let chain = machine.chain();
         [true, false].map(|inverted| {
-            let mut state = FeedforwardState::new(machine);
+            let mut state = Feedforward::new(Arc::clone(machine));
             let mut worst: f64 = 0.0;
             for (bend_deg, dir_deg) in [
                 (40.0, 20.0),
@@ -266,20 +239,19 @@ mod tests {
                 (55.0, 120.0),
             ] {
                 let wanted = Bend::from_deg(bend_deg, dir_deg);
-                let wanted_mm = chain.geometry.lengths(&Shape {
-                    bend: wanted,
-                    length: Mm(chain.geometry.rest_length_mm),
-                });
+                let wanted_mm = chain
+                    .geometry
+                    .lengths(&Shape::new(wanted.0, chain.geometry.rest_length_mm));
                 let mut reached = Bend::STRAIGHT;
                 for _ in 0..500 {
                     let bellow_mm = if inverted {
-                        state.invert(machine, &wanted_mm)
+                        state.invert(&wanted_mm)
                     } else {
                         wanted_mm
                     };
                     let play_output_mm =
                         Vector3::from_fn(|i, _| chain.lines[i].play_output_mm(bellow_mm[i]));
-                    reached = state.advance(machine, &play_output_mm, DT_S).bend;
+                    reached = state.advance(&play_output_mm, DT_S).bend;
                 }
                 worst = worst.max((reached.0 - wanted.0).norm().to_degrees());
             }
@@ -316,26 +288,22 @@ mod tests {
 
     #[test]
     fn without_effects_the_inverse_is_the_nominal_one() {
-        let machine = machine(&[]);
-        let mut state = FeedforwardState::new(&machine);
+        let mut state = Feedforward::new(machine(&[]));
         let wanted = Vector3::new(-3.0, 1.0, 2.0);
         for _ in 0..3 {
-            assert!((state.invert(&machine, &wanted) - wanted).amax() < SOLVED_MM);
+            assert!((state.invert(&wanted) - wanted).amax() < SOLVED_MM);
         }
-        assert!((state.counted(&machine, &wanted) - wanted).amax() < 1e-12);
+        assert!((state.counted(&wanted) - wanted).amax() < 1e-12);
     }
 
     #[test]
     fn the_pistons_of_a_periodic_gear_come_back() {
         let machine = machine(&[("gear_periodic", &[0.2, -0.1, 0.15, 0.1, 0.05, -0.1, 3.2])]);
-        let mut state = FeedforwardState::new(&machine);
+        let mut state = Feedforward::new(machine);
         for k in 0..40 {
             let wanted = Vector3::new(0.3, -0.2, 0.4) * f64::from(k);
-            let counted = state.counted(&machine, &wanted);
-            assert!(
-                (state.pistons(&machine, &counted) - wanted).amax() < 0.02,
-                "{k}"
-            );
+            let counted = state.counted(&wanted);
+            assert!((state.pistons(&counted) - wanted).amax() < 0.02, "{k}");
         }
     }
 }

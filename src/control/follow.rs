@@ -2,7 +2,7 @@
 //!
 //! From distance `d` the point can stop if its speed is at most `√(2 a d)` (the braking parabola). The point aims for that
 //! speed, and its velocity changes by at most `a dt` per tick. The target may change at any time. The bend set-point (a
-//! point in the bend plane), the centre length and each piston use this profile.
+//! point in the bend plane) and the centre length use this profile.
 
 use nalgebra::SVector;
 
@@ -33,14 +33,14 @@ impl<const D: usize> Follower<D> {
         }
     }
 
-    /// One tick towards `target`; returns the new position.
-    pub fn step(&mut self, target: &SVector<f64, D>, pace: &Pace, dt_s: f64) -> SVector<f64, D> {
+    /// One tick towards `target`.
+    pub fn step(&mut self, target: &SVector<f64, D>, pace: &Pace, dt_s: f64) {
         let to_go = target - self.at;
         let distance = to_go.norm();
         let change_max = pace.acceleration * dt_s;
         if distance <= change_max * dt_s && self.velocity.norm() <= 2.0 * change_max {
             *self = Self::resting(*target);
-            return self.at;
+            return;
         }
         // brake half a tick early, because the parabola is continuous and the ticks are not
         let braking = (2.0 * pace.acceleration * distance).sqrt() - 0.5 * change_max;
@@ -51,14 +51,8 @@ impl<const D: usize> Follower<D> {
         } else {
             SVector::zeros()
         };
-        let mut change = wanted - self.velocity;
-        let size = change.norm();
-        if size > change_max {
-            change *= change_max / size;
-        }
-        self.velocity += change;
+        self.velocity += (wanted - self.velocity).cap_magnitude(change_max);
         self.at += self.velocity * dt_s;
-        self.at
     }
 
     /// True once the point has reached `target`.

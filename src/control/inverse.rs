@@ -5,10 +5,8 @@
 //! the common length is chosen, within a small range, such that no line has to.
 
 use crate::control::ActuatorLimits;
-use crate::control::observer::{
-    Observer,
-    laws::{Channels, Theta},
-};
+use crate::control::observer::Observer;
+use crate::control::observer::laws::{Channels, Theta};
 use crate::model::Geometry;
 use nalgebra::{Vector2, Vector3};
 
@@ -43,21 +41,17 @@ fn reverses(channels: &Channels, i: usize, sign: f64) -> bool {
 /// Least bend variance that a move by `bend` adds, rad².
 pub fn risk(observer: &Observer, bend: &Vector2<f64>, free_mm: f64) -> f64 {
     let outputs = outputs(bend);
-    let free = free_mm / observer.geometry().r_mm;
+    let free = free_mm / observer.geometry.r_mm;
     let of = |signs: [f64; 3]| {
         let length = common_length(signs, outputs.map(|q| -q), [-free, free], 1e-12, 0.0)?;
-        Some(
-            (0..3)
-                .filter(|&i| (outputs[i] + length) * signs[i] > 1e-4)
-                .filter(|&i| reverses(&observer.now, i, signs[i]))
-                .map(|i| reversal(observer, i, 0.0))
-                .sum(),
-        )
+        let reversals = (0..3)
+            .filter(|&i| (outputs[i] + length) * signs[i] > 1e-4)
+            .filter(|&i| reverses(&observer.now, i, signs[i]))
+            .map(|i| reversal(observer, i, 0.0));
+        Some(reversals.sum())
     };
-    patterns()
-        .filter_map(of)
-        .min_by(f64::total_cmp)
-        .unwrap_or(0.0)
+    let least = patterns().filter_map(of).min_by(f64::total_cmp);
+    least.unwrap_or(0.0)
 }
 
 /// The common length within `range` nearest to `wanted` with which every channel moves towards its sign from `least`.
@@ -122,20 +116,28 @@ pub fn choose(from: &From<'_>, bend: &Vector2<f64>) -> Choice {
     } else {
         from.length.clamp(low, high)
     };
-    let spare = from.free_mm / observer.geometry().r_mm;
+    let spare = from.free_mm / observer.geometry.r_mm;
     let range = [
         (centre - spare).max(low.min(centre)),
         (centre + spare).min(high.max(centre)),
     ];
     let needed = std::array::from_fn(|i| now[i] - wanted[i]);
+    let settled = |length: f64, signs: [f64; 3]| {
+        let outputs = wanted.map(|q| q + length);
+        let moves = |i: usize| (outputs[i] - now[i]).abs() > STILL_RAD;
+        Choice {
+            outputs,
+            sides: std::array::from_fn(|i| if moves(i) { signs[i] } else { 0.0 }),
+            length,
+        }
+    };
+    let preferred = from.keep.unwrap_or(centre);
     let mut best: Option<(f64, Choice)> = None;
     for signs in patterns() {
-        let Some(length) =
-            common_length(signs, needed, range, STILL_RAD, from.keep.unwrap_or(centre))
-        else {
+        let Some(length) = common_length(signs, needed, range, STILL_RAD, preferred) else {
             continue;
         };
-        let choice = settle(&wanted, &now, length, signs);
+        let choice = settled(length, signs);
         let reversals: f64 = (0..3)
             .filter(|&i| choice.sides[i] != 0.0 && reverses(from.there, i, signs[i]))
             .map(|i| reversal(observer, i, GAP_SIGMA_MIN_MM))
@@ -145,32 +147,8 @@ pub fn choose(from: &From<'_>, bend: &Vector2<f64>) -> Choice {
             best = Some((cost, choice));
         }
     }
-    best.map_or_else(
-        || {
-            settle(
-                &wanted,
-                &now,
-                centre,
-                std::array::from_fn(|i| (wanted[i] + centre - now[i]).signum()),
-            )
-        },
-        |(_, choice)| choice,
-    )
-}
-
-fn settle(wanted: &[f64; 3], now: &[f64; 3], length: f64, signs: [f64; 3]) -> Choice {
-    let outputs = wanted.map(|q| q + length);
-    Choice {
-        outputs,
-        sides: std::array::from_fn(|i| {
-            if (outputs[i] - now[i]).abs() <= STILL_RAD {
-                0.0
-            } else {
-                signs[i]
-            }
-        }),
-        length,
-    }
+    let straight = || std::array::from_fn(|i| (wanted[i] + centre - now[i]).signum());
+    best.map_or_else(|| settled(centre, straight()), |(_, choice)| choice)
 }
 
 /// Common lengths with which every piston keeps its travel and every line its pressure, rad; crossed if there is none.
@@ -181,7 +159,7 @@ fn room(from: &From<'_>, wanted: &[f64; 3]) -> [f64; 2] {
     let mut room = [f64::NEG_INFINITY, f64::INFINITY];
     for i in 0..3 {
         let (half_width_mm, mm_per_rad) = (observer.lines[i].k_lambda_mm, observer.mm_per_rad(i));
-        let bellow_mm = shown[i] * observer.geometry().r_mm;
+        let bellow_mm = shown[i] * observer.geometry.r_mm;
         let least_mm = (-limits.travel_mm).max(bellow_mm - squeeze_mm) + half_width_mm;
         let most_mm = limits.travel_mm.min(bellow_mm + squeeze_mm) - half_width_mm;
         let output = |piston_mm: f64| from.there.output(i, piston_mm / mm_per_rad, from.theta);
@@ -247,7 +225,7 @@ mod tests {
             limits: &LIMITS,
             there: &observer.now,
             theta: &observer.theta(),
-            estimate: &observer.given(),
+            estimate: &observer.given,
             keep: None,
             length: 0.0,
             free_mm,
@@ -270,7 +248,7 @@ mod tests {
                 limits: &LIMITS,
                 there: &observer.now,
                 theta: &observer.theta(),
-                estimate: &observer.given(),
+                estimate: &observer.given,
                 keep: None,
                 length: 0.0,
                 free_mm: 0.25,
@@ -288,7 +266,7 @@ mod tests {
             (0..24)
                 .map(|k| {
                     let (sin, cos) = (0.2618 * f64::from(k)).sin_cos();
-                    let to = observer.given() + Vector2::new(cos, sin) * 0.012;
+                    let to = observer.given + Vector2::new(cos, sin) * 0.012;
                     let choice = chosen(&observer, &to, free_mm);
                     let turned = |i: &usize| {
                         choice.sides[*i] != 0.0 && reverses(&observer.now, *i, choice.sides[*i])

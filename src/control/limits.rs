@@ -3,7 +3,7 @@
 //! The range of a bellow, 14 to 29 mm, limits the target shape, not the command: feedback must be able to overdrive a
 //! lossy line. Travel and pressure limit the piston itself.
 
-use crate::model::{Bend, Geometry, Line, Shape};
+use crate::model::{Geometry, Line, Shape};
 use nalgebra::Vector3;
 
 /// Static limits of a board and its tip.
@@ -38,10 +38,8 @@ pub enum Cut {
 impl ActuatorLimits {
     /// Scales the length changes q (mm) towards zero until every bellow is within its range.
     pub fn bellows(&self, q_mm: &Vector3<f64>, rest_length_mm: f64) -> (Vector3<f64>, Cut) {
-        let (shortest, longest) = (
-            self.bellow_min_mm - rest_length_mm,
-            self.bellow_max_mm - rest_length_mm,
-        );
+        let shortest = self.bellow_min_mm - rest_length_mm;
+        let longest = self.bellow_max_mm - rest_length_mm;
         let scale = q_mm.iter().fold(1.0f64, |s, &q| {
             let bound = if q < 0.0 { shortest } else { longest };
             if q == 0.0 {
@@ -76,18 +74,13 @@ impl ActuatorLimits {
     /// Share of the bend of `shape`, at most 1, that these lines can hold at its length.
     pub fn largest_share(&self, geometry: &Geometry, lines: &[Line; 3], shape: &Shape) -> f64 {
         let holds = |share: f64| {
-            let q_mm = geometry.lengths(&Shape {
-                bend: Bend(shape.bend.0 * share),
-                ..*shape
-            });
+            let q_mm = geometry.lengths(&Shape::new(shape.bend.0 * share, shape.length.0));
             let relieved = q_mm.add_scalar(self.relief(&q_mm, lines));
             let piston_mm =
                 Vector3::from_fn(|i, _| lines[i].piston_mm(relieved[i], relieved[i].signum()));
-            let within = self
-                .bellows(&(q_mm * (1.0 - 1e-9)), geometry.rest_length_mm)
-                .1
-                == Cut::None;
-            within && self.pistons(&(piston_mm * (1.0 - 1e-9)), &relieved).1 == Cut::None
+            let (inner_q_mm, inner_mm) = (q_mm * (1.0 - 1e-9), piston_mm * (1.0 - 1e-9));
+            self.bellows(&inner_q_mm, geometry.rest_length_mm).1 == Cut::None
+                && self.pistons(&inner_mm, &relieved).1 == Cut::None
         };
         if holds(1.0) {
             return 1.0;
@@ -110,8 +103,8 @@ impl ActuatorLimits {
         let mut cut = Cut::None;
         let squeeze_max_mm = self.pressure_max_kpa / self.pressure_kpa_per_mm;
         let bounded = Vector3::from_fn(|i, _| {
-            let by_pressure =
-                piston_mm[i].clamp(q_mm[i] - squeeze_max_mm, q_mm[i] + squeeze_max_mm);
+            let (least, most) = (q_mm[i] - squeeze_max_mm, q_mm[i] + squeeze_max_mm);
+            let by_pressure = piston_mm[i].clamp(least, most);
             let by_travel = by_pressure.clamp(-self.travel_mm, self.travel_mm);
             if by_travel != by_pressure {
                 cut = Cut::Travel;
@@ -127,6 +120,8 @@ impl ActuatorLimits {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::Bend;
+    use crate::primitives::Mm;
     use proptest::prelude::*;
 
     const LIMITS: ActuatorLimits = ActuatorLimits {

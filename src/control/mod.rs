@@ -21,6 +21,6 @@ pub use follow::Pace;
 pub use limits::ActuatorLimits;
 pub use path::Path;
 pub use tick::{
-    Command, FeedbackConfig, Frame, Input, LoopConfig, LoopState, Reference, RestartRest,
-    RestartState, TickPhase,
+    FeedbackConfig, Frame, Input, LoopConfig, LoopState, Reference, RestartRest, RestartState,
+    TickPhase,
 };

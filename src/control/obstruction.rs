@@ -7,6 +7,7 @@
 //! position.
 
 use crate::parameters;
+use crate::primitives::lasting;
 use nalgebra::Vector2;
 
 parameters! {
@@ -63,18 +64,14 @@ impl ObstructionDetector {
             *self = Self::default();
             return;
         }
-        let Push {
-            given,
-            estimate,
-            error,
-        } = push;
+        let (given, estimate, error) = (&push.given, &push.estimate, &push.error);
         let (given0, estimate0) = *self.start.get_or_insert((*given, *estimate));
         let (push, followed) = (given - given0, estimate - estimate0);
         let size = push.norm();
         let withdraws = push.dot(error) < 0.0;
         let pushes = size > config.push_deg.to_radians()
             && followed.dot(&push) < config.follow_min * size * size;
-        self.pushed_s = if pushes { self.pushed_s + dt_s } else { 0.0 };
+        self.pushed_s = lasting(pushes, self.pushed_s, dt_s);
         if self.blocked {
             // on target, or the tip has moved away: then more push helps
             let free = config.error_deg.to_radians();

@@ -3,9 +3,8 @@
 use crate::control::follow::Pace;
 use crate::control::limits::ActuatorLimits;
 use crate::control::tick::Reference;
-use crate::model::{Bend, Geometry, Line, Shape};
+use crate::model::{Geometry, Line, Shape};
 use crate::motion::MotionLimits;
-use crate::primitives::Mm;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// Interval at which a path is compared with what the pistons can do, s.
@@ -82,12 +81,8 @@ impl Path {
             // the stream has ended
             return reference([self.rows[known - 1], Vector3::zeros(), Vector3::zeros()]);
         }
-        expected(
-            &self.t_s[..known],
-            &self.rows[..known],
-            now_s + ahead_s,
-            pace,
-        )
+        let (t_s, rows) = (&self.t_s[..known], &self.rows[..known]);
+        expected(t_s, rows, now_s + ahead_s, pace)
     }
 
     /// Largest speed and acceleration that the path asks of the pistons, as the factor by which its time must be stretched
@@ -95,24 +90,17 @@ impl Path {
     pub fn demand(&self, geometry: &Geometry, lines: &[Line; 3], limits: &MotionLimits) -> f64 {
         let scans = (self.duration_s() / SCAN_S).ceil() as usize;
         let pistons = |v: Vector2<f64>| {
-            let q = geometry.lengths(&Shape {
-                bend: Bend(v),
-                length: Mm(geometry.rest_length_mm),
-            });
-            (0..3)
-                .map(|i| lines[i].play_output_mm(q[i]).abs())
-                .fold(0.0, f64::max)
+            let q = geometry.lengths(&Shape::new(v, geometry.rest_length_mm));
+            let each = (0..3).map(|i| lines[i].play_output_mm(q[i]).abs());
+            each.fold(0.0, f64::max)
         };
-        let (speed_max, acceleration_max) = (
-            USABLE * limits.speed_max_mm_s,
-            USABLE * limits.acceleration_max_mm_s2,
-        );
-        (0..=scans)
-            .map(|k| self.at(k as f64 * SCAN_S))
-            .fold(0.0, |most, at| {
-                most.max(pistons(at.rate) / speed_max)
-                    .max((pistons(at.acceleration) / acceleration_max).sqrt())
-            })
+        let speed_max = USABLE * limits.speed_max_mm_s;
+        let acceleration_max = USABLE * limits.acceleration_max_mm_s2;
+        let along = (0..=scans).map(|k| self.at(k as f64 * SCAN_S));
+        along.fold(0.0, |most: f64, at| {
+            most.max(pistons(at.rate) / speed_max)
+                .max((pistons(at.acceleration) / acceleration_max).sqrt())
+        })
     }
 
     /// The first row with a bend that these lines cannot hold, and what is expected instead.
@@ -123,22 +111,20 @@ impl Path {
         lines: &[Line; 3],
     ) -> Option<(usize, String)> {
         self.rows.iter().enumerate().find_map(|(k, row)| {
-            let bend = Bend(row.xy());
-            let share = limits.largest_share(geometry, lines, &Shape { bend, length: Mm(row.z) });
-            let (most, dir_deg) = (share * bend.beta().to_degrees(), bend.delta().to_degrees());
+            let shape = Shape::new(row.xy(), row.z);
+            let share = limits.largest_share(geometry, lines, &shape);
+            let most = share * shape.bend.beta().to_degrees();
+            let dir_deg = shape.bend.delta().to_degrees();
             (share < 1.0).then(|| (k, format!("within reach: the largest bend towards {dir_deg:.0}° at {:.1} mm is {most:.1}°", row.z)))
         })
     }
 
     /// The same path with its time stretched by `factor`.
     pub fn slowed(&self, factor: f64) -> Self {
-        let t_s = self.t_s.iter().map(|t| t * factor).collect();
-        let second = self.second.iter().map(|m| m / (factor * factor)).collect();
-        Self {
-            t_s,
-            second,
-            rows: self.rows.clone(),
-        }
+        let mut slowed = self.clone();
+        slowed.t_s.iter_mut().for_each(|t| *t *= factor);
+        (slowed.second.iter_mut()).for_each(|m| *m /= factor * factor);
+        slowed
     }
 }
 
@@ -146,18 +132,12 @@ impl Path {
 /// the speed and acceleration of `pace` at most. Times in s, bend vectors in rad and lengths in mm.
 pub fn expected(t_s: &[f64], rows: &[Vector3<f64>], wanted_s: f64, pace: &Pace) -> Reference {
     let newest_s = t_s[t_s.len() - 1];
-    let from = t_s
-        .partition_point(|&row| row < newest_s - WINDOW_S)
-        .min(t_s.len().saturating_sub(3));
+    let recent = t_s.partition_point(|&row| row < newest_s - WINDOW_S);
+    let from = recent.min(t_s.len().saturating_sub(3));
     let [at, rate, acceleration] = parabola(&t_s[from..], &rows[from..]);
-    let capped = |v: Vector3<f64>, most: f64| {
-        let bend = v.xy().cap_magnitude(most);
-        Vector3::new(bend.x, bend.y, v.z)
-    };
-    let (rate, acceleration) = (
-        capped(rate, pace.speed),
-        capped(acceleration, pace.acceleration),
-    );
+    let capped = |v: Vector3<f64>, most: f64| v.xy().cap_magnitude(most).push(v.z);
+    let rate = capped(rate, pace.speed);
+    let acceleration = capped(acceleration, pace.acceleration);
     let h = (wanted_s - newest_s).min(EXTRAPOLATE_S);
     let ahead = at + rate * h + acceleration * (h * h / 2.0);
     if wanted_s - newest_s > h {
@@ -168,10 +148,7 @@ pub fn expected(t_s: &[f64], rows: &[Vector3<f64>], wanted_s: f64, pace: &Pace) 
 
 fn reference([at, rate, acceleration]: [Vector3<f64>; 3]) -> Reference {
     Reference {
-        shape: Shape {
-            bend: Bend(at.xy()),
-            length: Mm(at.z),
-        },
+        shape: Shape::new(at.xy(), at.z),
         rate: rate.xy(),
         acceleration: acceleration.xy(),
     }
@@ -209,9 +186,8 @@ fn parabola(t: &[f64], y: &[Vector3<f64>]) -> [Vector3<f64>; 3] {
         right += powers * y.transpose();
     }
     match (t.len(), normal.try_inverse()) {
-        (1, _) | (3.., None) => last,
         (2, _) => [y[1], (y[1] - y[0]) / (t[1] - t[0]), Vector3::zeros()],
-        (_, Some(inverse)) => {
+        (3.., Some(inverse)) => {
             let fit = inverse * right;
             [
                 fit.row(0).transpose(),
@@ -219,13 +195,14 @@ fn parabola(t: &[f64], y: &[Vector3<f64>]) -> [Vector3<f64>; 3] {
                 fit.row(2).transpose() * (2.0 / (scale * scale)),
             ]
         }
-        (0, None) => last,
+        _ => last,
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::Bend;
 
     /// A circle of 20° in 2 s, with a row every 50 ms.
     fn circle() -> Path {

@@ -14,6 +14,7 @@ use crate::control::CalmConfig;
 use crate::control::dynamics::Dynamics;
 use crate::control::observer::Observer;
 use crate::control::observer::laws::{OFFSET, ROTATION};
+use crate::primitives::lasting;
 use nalgebra::{Vector2, Vector3};
 
 /// Weight of one answer in the mean square of the slip, the share that a new target keeps, and the largest slip, rad.
@@ -38,7 +39,8 @@ pub struct Rule {
     pub goal_mm: Vector3<f64>,
     /// Common length commanded last, rad of output.
     pub length: f64,
-    held_s: f64,
+    /// Time for which the set-point has rested, s.
+    pub held_s: f64,
     /// Target of the last move, and the time since.
     acted: Option<(Vector2<f64>, f64)>,
     /// Mean square of what the tip missed after earlier moves, rad².
@@ -57,11 +59,6 @@ impl Rule {
         }
     }
 
-    /// Time for which the set-point has rested, s.
-    pub fn held_s(&self) -> f64 {
-        self.held_s
-    }
-
     /// A new target.
     pub fn depart(&mut self) {
         self.acted = None;
@@ -70,8 +67,8 @@ impl Rule {
 
     /// One tick with a set-point that moves or rests.
     pub fn step(&mut self, moving: bool, dt_s: f64) {
-        self.held_s = if moving { 0.0 } else { self.held_s + dt_s };
-        self.rests_s = if moving { 0.0 } else { self.rests_s + dt_s };
+        self.held_s = lasting(!moving, self.held_s, dt_s);
+        self.rests_s = lasting(!moving, self.rests_s, dt_s);
     }
 
     /// Takes the answer to the last move. A disturbed tip is no measurement.
@@ -141,11 +138,8 @@ impl Rule {
             let engages = play.w_mm
                 + to_go.signum() * (observer.lines[i].k_lambda_mm - LATE_FACTOR * sigma_mm);
             if !engaged && (engages - from) * to_go > 0.0 {
-                return if (goal - engages) * to_go > 0.0 {
-                    engages
-                } else {
-                    goal
-                };
+                let crosses = (goal - engages) * to_go > 0.0;
+                return if crosses { engages } else { goal };
             }
             let most = speed * LATE_FACTOR * observer.mm_per_rad(i) * dt_s;
             from + to_go.clamp(-most, most)

@@ -5,6 +5,7 @@
 //! feedback; this monitor only checks whether more feedback is available, and so also detects a weak line.
 
 use crate::control::limits::Cut;
+use crate::primitives::lasting;
 
 /// The limit that the controller has reached.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
@@ -50,7 +51,8 @@ pub struct SaturationMonitor {
     /// Limit reached in the last tick, and for how long, s.
     present: Saturation,
     present_s: f64,
-    reported: Saturation,
+    /// Saturation that has lasted long enough to be reported.
+    pub reported: Saturation,
 }
 
 impl SaturationMonitor {
@@ -63,20 +65,11 @@ impl SaturationMonitor {
             Cut::None | Cut::Bellow if full => Saturation::Feedback,
             Cut::None | Cut::Bellow => Saturation::No,
         };
-        self.present_s = if present == self.present {
-            self.present_s + dt_s
-        } else {
-            0.0
-        };
+        self.present_s = lasting(present == self.present, self.present_s, dt_s);
         self.present = present;
         if present == Saturation::No || self.present_s >= REPORT_AFTER_S {
             self.reported = present;
         }
-    }
-
-    /// Saturation that has lasted long enough to be reported.
-    pub fn now(&self) -> Saturation {
-        self.reported
     }
 }
 
@@ -89,7 +82,7 @@ mod tests {
         for _ in 0..(seconds * 1e3) as u32 {
             s.step(moving, off, full, cut, 1e-3);
         }
-        s.now()
+        s.reported
     }
 
     #[test]

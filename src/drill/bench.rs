@@ -2,9 +2,9 @@
 
 use crate::config::supervisor::assemble;
 use crate::config::{Board, Calibration, Gains};
-use crate::control::{Command, RestartState};
+use crate::control::RestartState;
 use crate::estimation::fusion::health::{ImuReading, ReadFault};
-use crate::model::Bend;
+use crate::model::{Bend, Shape};
 use crate::motion::DriveLimits;
 use crate::motion::Inputs;
 use crate::primitives::{Base, Mm, Rotation, Seconds, Steps, Tip};
@@ -272,5 +272,5 @@ impl Bench {
 /// An order to bend; angles in degrees.
 pub fn bend(bend_deg: f64, dir_deg: f64) -> Order {
     let (bend, length) = (Bend::from_deg(bend_deg, dir_deg), Mm(20.0));
-    Order::Bend(Command { bend, length }, None)
+    Order::Bend(Shape { bend, length }, None)
 }

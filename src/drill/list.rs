@@ -1,12 +1,11 @@
 //! The table of faults in flight.
 
-use crate::control::Command;
 use crate::drill::bench::bend;
 use crate::drill::spec::Bound::{self, Brakes, Continues, Copes, Freezes, Holds};
 use crate::drill::spec::Detector::{self, Trip};
 use crate::drill::spec::{Injection, Situation, Spec};
 use crate::estimation::fusion::health::{HealthCause, ReadFault as Read};
-use crate::model::Bend;
+use crate::model::{Bend, Shape};
 use crate::primitives::Mm;
 use crate::simulation::plant::{Channel, InjectedFault as Fault};
 use crate::supervisor::{Alarm, Order, Refusal, SuspicionKind, TripCause};
@@ -128,7 +127,7 @@ fn timing_faults() -> Vec<Spec> {
 fn order_faults() -> Vec<Spec> {
     use TripCause::{EmergencyStop, Pressure, StepGenerator, Temperature};
     let length = Mm(20.0);
-    let to = |bend| Injection::Order(Order::Bend(Command { bend, length }, None));
+    let to = |bend| Injection::Order(Order::Bend(Shape { bend, length }, None));
     let refused = |name, injection, expected| {
         let detector = Detector::Refusal(expected);
         Spec::new(name, injection, detector, Continues, MOVING)

@@ -3,10 +3,9 @@
 //! The true bend is that of the estimator, [`Bend::nearest`]: where the tip has twisted, half of the twist is in its
 //! direction. The bend angle β is the same in every definition.
 
-use crate::control::Command;
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
-use crate::model::{Bend, Line};
+use crate::model::{Bend, Line, Shape};
 use crate::primitives::{Base, Mm, Rotation, Tip};
 use serde::Serialize;
 
@@ -163,7 +162,7 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
     let dt_s = rig.period_s();
     let ticks = (HOLD_S / dt_s).round() as usize;
     let scored_from = ticks - (SCORED_S / dt_s).round() as usize;
-    let mut command = Some(Command {
+    let mut command = Some(Shape {
         bend: pose.bend(),
         length: Mm(rig.config.geometry.rest_length_mm),
     });

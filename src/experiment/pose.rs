@@ -8,7 +8,7 @@
 use crate::control::learning::batch::Measurement;
 use crate::control::learning::sides::Sides;
 use crate::control::observer::bank::DynamicsBank;
-use crate::control::{Command, DynamicsPrior, Frame, TickPhase};
+use crate::control::{DynamicsPrior, Frame, TickPhase};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::{Bend, Geometry, Shape};
 use crate::primitives::Mm;
@@ -76,13 +76,13 @@ impl Round {
         (self.at, self.poses.len())
     }
     /// Command for the present pose, or for the last one when all have ended.
-    pub fn command(&self) -> Command {
+    pub fn command(&self) -> Shape {
         let bend = self
             .poses
             .get(self.at)
             .or(self.poses.last())
             .map_or(Bend(Vector2::zeros()), Pose::bend);
-        Command {
+        Shape {
             bend,
             length: Mm(self.geometry.rest_length_mm),
         }

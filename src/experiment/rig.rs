@@ -1,6 +1,7 @@
 //! A loop and a world in lockstep. The pistons follow the loop's targets as those of the hardware do ([`Lockstep`]).
 
-use crate::control::tick::{Command, Frame, Input, LoopConfig, LoopState, Reference, tick};
+use crate::control::tick::{Frame, Input, LoopConfig, LoopState, Reference, tick};
+use crate::model::Shape;
 use crate::primitives::Seconds;
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::world::World;
@@ -66,7 +67,7 @@ impl<'w> Rig<'w> {
     ///
     /// # Errors
     /// Those of the world.
-    pub fn advance(&mut self, command: Option<Command>) -> Result<(Frame, Sensed), RigError> {
+    pub fn advance(&mut self, command: Option<Shape>) -> Result<(Frame, Sensed), RigError> {
         self.input.command = command;
         self.input.reference = self.reference.take();
         let frame = tick(&self.config, &mut self.state, &self.input);

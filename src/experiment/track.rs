@@ -1,6 +1,6 @@
 //! A path driven in closed loop on a fresh world, scored against the true bend.
 
-use crate::control::{Command, Path};
+use crate::control::Path;
 use crate::experiment::arm::{percentile, root_mean};
 use crate::experiment::rig::{Rig, RigError};
 use crate::model::Bend;
@@ -52,11 +52,7 @@ pub fn run(
     let time_scale = if live { 1.0 } else { demand.max(1.0) };
     let path = path.slowed(time_scale);
     rig.align()?;
-    let start = path.at(0.0).shape;
-    let mut command = Some(Command {
-        bend: start.bend,
-        length: start.length,
-    });
+    let mut command = Some(path.at(0.0).shape);
     let (from_s, dt_s) = (rig.now().0, rig.period_s());
     loop {
         let (frame, _) = rig.advance(command.take())?;

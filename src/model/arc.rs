@@ -40,6 +40,16 @@ pub struct Shape {
     pub length: Mm,
 }
 
+impl Shape {
+    /// From a bend vector, rad, and a length, mm.
+    pub fn new(bend: Vector2<f64>, length_mm: f64) -> Self {
+        Self {
+            bend: Bend(bend),
+            length: Mm(length_mm),
+        }
+    }
+}
+
 impl Geometry {
     /// Direction of bellow `i` (0-based) as `(cos α_i, −sin α_i)`: the projection of a bend vector
     /// on it, times r, is what the bellow shortens by.

@@ -10,4 +10,4 @@ pub use check::{Checker, Invalid, shown};
 pub use frames::{Base, Rotation, Sensor, Tip, World};
 pub use parameters::{Allowed, Check, Parameter, Parameters, Setting, Shape, Table, join};
 pub use sample::ImuSample;
-pub use units::{Mm, Rad, Seconds, Steps};
+pub use units::{Mm, Rad, Seconds, Steps, lasting};

@@ -4,12 +4,12 @@
 //! (paper, §IV-C) repeats all poses with the latest gains until these change by less than 2 %. The short form is one
 //! pass with the present calibration as prior.
 
+use crate::control::DynamicsPrior;
 use crate::control::learning::batch::{Prior, relative_step, solve};
-use crate::control::{Command, DynamicsPrior};
 use crate::experiment::identify::{CONVERGED, IdentifyError, PASSES_MAX, plausible};
 use crate::experiment::pose::{Round, Step};
 use crate::experiment::schedule;
-use crate::model::{Geometry, Line};
+use crate::model::{Geometry, Line, Shape};
 use crate::supervisor::{CycleOutput, Mode};
 use nalgebra::Vector3;
 
@@ -19,7 +19,7 @@ pub enum Next {
     /// Wait for the next cycle.
     Wait,
     /// Move to this pose.
-    Drive(Command),
+    Drive(Shape),
     /// Use these gains.
     Lines([Line; 3]),
     /// The calibration has ended.

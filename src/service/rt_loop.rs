@@ -169,7 +169,7 @@ pub fn rings() -> (LoopRings, HubRings) {
 /// Everything the real-time thread owns.
 pub struct Loop {
     /// Supervisor and machine.
-    pub runner: Runner<Box<dyn Machine>>,
+    pub runner: Runner<dyn Machine>,
     /// The loop's ends of the rings.
     pub rings: LoopRings,
     /// Counters.

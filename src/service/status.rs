@@ -5,7 +5,7 @@ use crate::control::saturation::Saturation;
 use crate::model::Bend;
 use crate::service::memory::LearnedGains;
 use crate::service::protocol::VERSION;
-use crate::supervisor::{CycleOutput, Guidance, Mode, SupervisorConfig, TripCause};
+use crate::supervisor::{CycleOutput, Mode, Source, SupervisorConfig, TripCause};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
@@ -74,13 +74,13 @@ pub fn base(f: &Frame) -> Option<&'static str> {
 }
 
 /// What is said of an orientation in the world that the tip keeps.
-pub fn world(guidance: Guidance) -> Option<&'static str> {
-    match guidance {
-        Guidance::World => Some("the tip keeps its orientation in the world"),
-        Guidance::WorldOutOfReach => Some(
+pub fn world(source: Source) -> Option<&'static str> {
+    match source {
+        Source::World { reached: true, .. } => Some("the tip keeps its orientation in the world"),
+        Source::World { .. } => Some(
             "the orientation in the world is out of reach: the tip bends towards it as far as it can",
         ),
-        Guidance::WorldLost => Some(
+        Source::WorldLost => Some(
             "the IMU on the base failed: the tip keeps its bend, and turns with the base; repair it, then give `retroflex bend --world` again",
         ),
         _ => None,
@@ -117,7 +117,7 @@ pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
         "base_moved": f.base_moved,
         "base": base(f),
         "path": null,
-        "world": world(output.guidance),
+        "world": world(output.source),
         "base_imu": output.base_imu.map(|(follows, active)| {
             let state = if follows { "follows" } else { "lost" };
             json!({"state": state, "active": active.iter().map(|c| c.name()).collect::<Vec<_>>()})

@@ -48,21 +48,24 @@ pub struct Sensed {
 impl Sensed {
     /// What the drive reports at `t`, which is `t_ns` on the clock of the step generator, without any sample.
     pub fn of_drive<G: StepGenerator>(t: Seconds, t_ns: u64, drive: &Drive<G>) -> Self {
-        let state = drive.state();
-        let (mut counted, mut inputs, mut counted_age_s) =
-            (Steps::default(), Inputs::default(), 0.0);
+        let mut sensed = Self {
+            t,
+            energised: drive.generator().is_energised(),
+            ..Self::default()
+        };
         if let Some(report) = drive.generator().latest() {
-            (counted, inputs) = (report.counted, report.inputs);
+            (sensed.counted, sensed.inputs) = (report.counted, report.inputs);
             // pistons that rest send few reports, and their counts stay true
             if matches!(report.mode, StepperMode::Following | StepperMode::Stopping) {
-                counted_age_s = (t_ns as i64 - report.complete_ns as i64) as f64 * 1e-9;
+                sensed.counted_age_s = (t_ns as i64 - report.complete_ns as i64) as f64 * 1e-9;
             }
         }
-        inputs.emergency_stop |= drive.stopped;
-        let alarm = match state {
-            DriveState::Faulted(StepperFault::Late { late_ns, .. }) => Some(Alarm::Late {
-                late_s: late_ns as f64 * 1e-9,
-            }),
+        sensed.inputs.emergency_stop |= drive.stopped;
+        sensed.alarm = match drive.state() {
+            DriveState::Faulted(StepperFault::Late { late_ns, .. }) => {
+                let late_s = late_ns as f64 * 1e-9;
+                Some(Alarm::Late { late_s })
+            }
             DriveState::Faulted(StepperFault::Discontinuity { jump_mm, .. }) => {
                 Some(Alarm::Discontinuity { jump_mm })
             }
@@ -71,16 +74,7 @@ impl Sensed {
             DriveState::Silent => Some(Alarm::Silent),
             _ => drive.starved.then_some(Alarm::Underrun),
         };
-        let energised = drive.generator().is_energised();
-        Self {
-            t,
-            counted,
-            counted_age_s,
-            energised,
-            inputs,
-            alarm,
-            ..Self::default()
-        }
+        sensed
     }
 }
 
@@ -235,28 +229,4 @@ pub trait Machine: Send {
 
     /// Remarks for the status, one line each: devices, real-time privileges.
     fn remarks(&self) -> Vec<String>;
-}
-
-impl<M: Machine + ?Sized> Machine for Box<M> {
-    fn info(&self) -> &MachineInfo {
-        (**self).info()
-    }
-    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
-        (**self).turn(now, wanted)
-    }
-    fn energise(&mut self, on: bool) {
-        (**self).energise(on);
-    }
-    fn recount(&mut self, counted: &Steps) {
-        (**self).recount(counted);
-    }
-    fn clear(&mut self) {
-        (**self).clear();
-    }
-    fn is_simulated(&self) -> bool {
-        (**self).is_simulated()
-    }
-    fn remarks(&self) -> Vec<String> {
-        (**self).remarks()
-    }
 }

@@ -19,7 +19,7 @@ pub mod suspicion;
 
 pub use cycle::order::{BEND_MAX_RAD, Order, Refusal};
 pub use cycle::runner::Runner;
-pub use cycle::{CycleOutput, Guidance, Supervisor, SupervisorConfig};
+pub use cycle::{CycleOutput, Source, Supervisor, SupervisorConfig};
 pub use gate::{GateLimits, SafeState, SafeStates, TripCause};
 pub use machine::{Alarm, Gauges, Machine, MachineError, MachineInfo, Sensed};
 pub use mode::Mode;

@@ -40,10 +40,9 @@ impl Mode {
 
     /// The mode that follows on `event`; `None` if the event has no effect in this mode.
     pub fn after(self, event: Event) -> Option<Self> {
-        TABLE
-            .iter()
-            .find(|(from, on, _)| *from == self && *on == event)
-            .map(|(_, _, to)| *to)
+        let row = TABLE.iter().find(|(on, ..)| *on == event);
+        row.filter(|(_, from, _)| from.contains(&self))
+            .map(|(.., to)| *to)
     }
 }
 
@@ -87,41 +86,41 @@ named! {
     }
 }
 
-/// All transitions: mode, event, next mode.
-pub const TABLE: &[(Mode, Event, Mode)] = &[
-    (Mode::Boot, Event::Opened, Mode::Aligning),
-    (Mode::Aligning, Event::Aligned, Mode::Disarmed),
-    (Mode::Aligning, Event::Doubted, Mode::Lost),
-    (Mode::Aligning, Event::Trip, Mode::Faulted),
-    (Mode::Disarmed, Event::Arm, Mode::Holding),
-    (Mode::Disarmed, Event::Zero, Mode::Aligning),
-    (Mode::Disarmed, Event::Relax, Mode::Relaxing),
-    (Mode::Disarmed, Event::Trip, Mode::Faulted),
-    (Mode::Holding, Event::Bend, Mode::Tracking),
-    (Mode::Holding, Event::Disarm, Mode::Disarmed),
-    (Mode::Holding, Event::Relax, Mode::Relaxing),
-    (Mode::Holding, Event::Calibrate, Mode::Calibrating),
-    (Mode::Holding, Event::Trip, Mode::Faulted),
-    (Mode::Tracking, Event::Settled, Mode::Holding),
-    (Mode::Tracking, Event::Stop, Mode::Holding),
-    (Mode::Tracking, Event::Disarm, Mode::Disarmed),
-    (Mode::Tracking, Event::Relax, Mode::Relaxing),
-    (Mode::Tracking, Event::Trip, Mode::Faulted),
-    (Mode::Calibrating, Event::Settled, Mode::Holding),
-    (Mode::Calibrating, Event::Stop, Mode::Holding),
-    (Mode::Calibrating, Event::Disarm, Mode::Disarmed),
-    (Mode::Calibrating, Event::Relax, Mode::Relaxing),
-    (Mode::Calibrating, Event::Trip, Mode::Faulted),
-    (Mode::Relaxing, Event::Rested, Mode::Disarmed),
-    (Mode::Relaxing, Event::RestedUnaligned, Mode::Aligning),
-    (Mode::Relaxing, Event::Stop, Mode::Holding),
-    (Mode::Relaxing, Event::Doubted, Mode::Lost),
-    (Mode::Relaxing, Event::Trip, Mode::Faulted),
-    (Mode::Faulted, Event::Relax, Mode::Relaxing),
-    (Mode::Faulted, Event::Reset, Mode::Disarmed),
-    (Mode::Faulted, Event::ResetUnaligned, Mode::Aligning),
-    (Mode::Faulted, Event::Doubted, Mode::Lost),
-    (Mode::Lost, Event::Zero, Mode::Aligning),
-    (Mode::Lost, Event::Relax, Mode::Relaxing),
-    (Mode::Lost, Event::Trip, Mode::Faulted),
-];
+/// All transitions: each event with the modes in which it has an effect, and the mode that follows.
+pub const TABLE: &[(Event, &[Mode], Mode)] = {
+    use Mode::{Aligning, Boot, Calibrating, Disarmed, Faulted, Holding, Lost, Relaxing, Tracking};
+    &[
+        (Event::Opened, &[Boot], Aligning),
+        (Event::Aligned, &[Aligning], Disarmed),
+        (Event::Doubted, &[Aligning, Relaxing, Faulted], Lost),
+        (Event::Arm, &[Disarmed], Holding),
+        (Event::Disarm, &[Holding, Tracking, Calibrating], Disarmed),
+        (Event::Bend, &[Holding], Tracking),
+        (Event::Settled, &[Tracking, Calibrating], Holding),
+        (Event::Stop, &[Tracking, Calibrating, Relaxing], Holding),
+        (
+            Event::Relax,
+            &[Disarmed, Holding, Tracking, Calibrating, Faulted, Lost],
+            Relaxing,
+        ),
+        (Event::Rested, &[Relaxing], Disarmed),
+        (Event::RestedUnaligned, &[Relaxing], Aligning),
+        (Event::Calibrate, &[Holding], Calibrating),
+        (Event::Zero, &[Disarmed, Lost], Aligning),
+        (
+            Event::Trip,
+            &[
+                Aligning,
+                Disarmed,
+                Holding,
+                Tracking,
+                Calibrating,
+                Relaxing,
+                Lost,
+            ],
+            Faulted,
+        ),
+        (Event::Reset, &[Faulted], Disarmed),
+        (Event::ResetUnaligned, &[Faulted], Aligning),
+    ]
+};

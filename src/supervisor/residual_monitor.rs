@@ -20,6 +20,7 @@ pub use crate::supervisor::suspicion::{Suspicion, SuspicionKind};
 
 use crate::model::Geometry;
 use crate::parameters;
+use crate::primitives::lasting;
 use nalgebra::Vector2;
 
 parameters! {
@@ -194,7 +195,12 @@ impl ResidualMonitor {
 
     /// One tick; returns a new suspicion.
     pub fn step(&mut self, input: &ResidualInput) -> Option<Suspicion> {
-        let residual = input.estimate - self.predict(input);
+        // the bend from the pistons after a first-order lag
+        let keep = (-input.dt_s / input.answer_s.max(1e-3)).exp();
+        let from = self.model.unwrap_or(input.estimate);
+        let model = input.given + (from - input.given) * keep;
+        self.model = Some(model);
+        let residual = input.estimate - model;
         let moved = (input.given - self.last_given).norm();
         self.path_rad += moved;
         self.last_given = input.given;
@@ -215,8 +221,8 @@ impl ResidualMonitor {
         let keep = (-input.dt_s / SMOOTH_S).exp();
         self.smooth = since + (self.smooth - since) * keep;
         let threshold_rad = self.config.jump_deg.to_radians();
-        self.jump
-            .step(threshold_rad, residual, moved.max(gapless), input.dt_s);
+        let path_rad = moved.max(gapless);
+        (self.jump).step(threshold_rad, residual, path_rad, input.dt_s);
         self.assess(input)
     }
 
@@ -227,31 +233,18 @@ impl ResidualMonitor {
         };
         let moved = (input.given - self.baseline.1).norm();
         let allowed = self.config.rest_deg.to_radians() + self.config.share * moved;
-        verdict.good_moves = if self.smooth.norm() < GOOD_SHARE * allowed {
-            verdict.good_moves + 1
-        } else {
-            0
-        };
+        let good = self.smooth.norm() < GOOD_SHARE * allowed;
+        verdict.good_moves = if good { verdict.good_moves + 1 } else { 0 };
         if verdict.good_moves >= GOOD_MOVES {
             self.forget();
         }
     }
 
-    /// Predicted bend: the bend from the pistons after a first-order lag.
-    fn predict(&mut self, input: &ResidualInput) -> Vector2<f64> {
-        let keep = (-input.dt_s / input.answer_s.max(1e-3)).exp();
-        let from = self.model.unwrap_or(input.estimate);
-        let model = input.given + (from - input.given) * keep;
-        self.model = Some(model);
-        model
-    }
-
     fn assess(&mut self, input: &ResidualInput) -> Option<Suspicion> {
         let net = (input.given - self.baseline.1).norm();
-        let (least_deg, moved) = if self.settled {
-            (self.config.rest_deg, net)
-        } else {
-            (self.config.motion_deg, net.max(self.path_rad))
+        let (least_deg, moved) = match self.settled {
+            true => (self.config.rest_deg, net),
+            false => (self.config.motion_deg, net.max(self.path_rad)),
         };
         let allowed = least_deg.to_radians() + self.config.share * moved;
         let sudden = self.jump.is_recent();
@@ -289,16 +282,17 @@ impl ResidualMonitor {
 
     /// Channel and kind of the fault that explains the residual; `moved` is the motion since the baseline, rad.
     fn classify(&self, input: &ResidualInput, moved: f64, sudden: bool, abrupt: bool) -> Suspicion {
+        use SuspicionKind::{Burst, Contact, Inverted, Leak, LostSteps, NoResponse, Strong, Weak};
         let u = if sudden { self.jump.jump } else { self.smooth };
         let along: [f64; 3] = std::array::from_fn(|j| u.dot(&Geometry::spoke(j)));
-        let mut j = 0;
-        for other in 1..3 {
-            j = if along[other].abs() > along[j].abs() {
-                other
+        let longer = |a: usize, b: usize| {
+            if along[b].abs() > along[a].abs() {
+                b
             } else {
-                j
-            };
-        }
+                a
+            }
+        };
+        let j = longer(longer(0, 1), 2);
         let x_mm = -1.5 * self.r_mm * along[j];
         let bellow_mm = |bend: &Vector2<f64>| -self.r_mm * Geometry::spoke(j).dot(bend);
         let motion_mm = bellow_mm(&(input.given - self.baseline.1));
@@ -311,7 +305,7 @@ impl ResidualMonitor {
         };
         let contact = |share| Suspicion {
             channel: None,
-            ..of(SuspicionKind::Contact, share)
+            ..of(Contact, share)
         };
         let (of_motion, of_deflection) = (x_mm / motion_mm, x_mm / deflection_mm);
         // what begins abruptly at rest is judged by the deflection: the motion since is the loop's answer
@@ -321,43 +315,32 @@ impl ResidualMonitor {
         // a residual along one spoke has its cause in one line, even if the controller reports an obstruction
         let one_line = along[j].abs() > 0.9 * u.norm();
         if in_motion && one_line && of_motion < LOST {
-            of(
-                if of_motion < -1.5 {
-                    SuspicionKind::Inverted
-                } else {
-                    SuspicionKind::NoResponse
-                },
-                of_motion,
-            )
+            let inverted = of_motion < -1.5;
+            of(if inverted { Inverted } else { NoResponse }, of_motion)
         } else if self.settled && one_line && deflected && of_deflection < LOST {
-            of(SuspicionKind::Burst, of_deflection)
+            of(Burst, of_deflection)
         } else if input.blocked && !sudden {
             contact(-1.0)
         } else if in_motion {
             match of_motion {
-                share if share < LOST => of(SuspicionKind::NoResponse, share),
-                share if share < 0.0 => of(SuspicionKind::Weak, share),
-                share => of(SuspicionKind::Strong, share),
+                share if share < LOST => of(NoResponse, share),
+                share if share < 0.0 => of(Weak, share),
+                share => of(Strong, share),
             }
         } else if deflection_mm.abs() < DEFLECTION_MIN_MM {
             // an undeflected channel has no pressure to lose: the cause is the drive or a contact
             if sudden {
-                of(SuspicionKind::LostSteps, 0.0)
+                of(LostSteps, 0.0)
             } else {
                 contact(0.0)
             }
         } else {
             match (of_deflection, sudden || abrupt) {
-                (share, true) if share < -0.75 => of(SuspicionKind::Burst, share),
-                (share, true) if share < 0.0 => of(SuspicionKind::Weak, share),
-                (share, false) if share < 0.0 => of(SuspicionKind::Leak, share),
-                (share, _) => of(SuspicionKind::Strong, share),
+                (share, true) if share < -0.75 => of(Burst, share),
+                (share, true) if share < 0.0 => of(Weak, share),
+                (share, false) if share < 0.0 => of(Leak, share),
+                (share, _) => of(Strong, share),
             }
         }
     }
-}
-
-/// Time for which a condition has held, s, after a cycle of `dt_s`.
-fn lasting(holds: bool, since_s: f64, dt_s: f64) -> f64 {
-    if holds { since_s + dt_s } else { 0.0 }
 }

@@ -40,9 +40,8 @@ pub struct Suspicion {
 impl std::fmt::Display for Suspicion {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         use SuspicionKind::{Burst, Contact, Inverted, Leak, LostSteps, NoResponse, Strong, Weak};
-        let line = self
-            .channel
-            .map_or_else(|| "the tip".to_owned(), |c| format!("line {c}"));
+        let tip = || "the tip".to_owned();
+        let line = self.channel.map_or_else(tip, |c| format!("line {c}"));
         let percent = (self.share.abs() * 100.0).min(999.0);
         let (moves, deg) = (format!("{line} moves the tip"), self.deg);
         let text = match self.kind {

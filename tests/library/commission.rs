@@ -86,8 +86,9 @@ fn commission(mut m: Miswired, hold_s: f64) -> Result<Findings, TrialError> {
     trial::run(
         &mut ManualMotion::new(&mut m, &mut wait),
         &TrialConfig {
+            geometry,
+            stroke_mm: 3.0,
             hold_s,
-            ..TrialConfig::new(geometry)
         },
         &mut |_| (),
     )
@@ -135,7 +136,7 @@ fn wrong_wiring_is_identified() {
     };
     let f = commission(cut, 0.0).unwrap();
     assert!(
-        f.report().contains("channel 2: NO MOTION") && f.wiring.is_none(),
+        f.report().contains("channel 2: NO MOTION") && f.wirings.is_empty(),
         "{}",
         f.report()
     );

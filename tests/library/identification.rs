@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 use retroflex::config::calib::Calibration;
 use retroflex::config::source;
 use retroflex::control::learning::batch::Prior;
-use retroflex::control::tick::{Command, LoopConfig};
+use retroflex::control::tick::LoopConfig;
 use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::identify::algorithm_1;
@@ -32,7 +32,7 @@ fn effective_closed(config: &LoopConfig, mut world: Sim) -> [f64; 3] {
     let mut rig = Rig::new(config.clone(), &mut world);
     rig.align().unwrap();
     for pose in paper() {
-        let mut command = Some(Command {
+        let mut command = Some(Shape {
             bend: pose.bend(),
             length: Mm(config.geometry.rest_length_mm),
         });
@@ -154,7 +154,7 @@ fn a_gain_30_percent_off_converges_to_5_percent_in_one_experiment() {
 
 /// Commands a bend and waits.
 fn hold(rig: &mut Rig<'_>, bend: Bend, seconds: f64) {
-    let mut command = Some(Command {
+    let mut command = Some(Shape {
         bend,
         length: Mm(rig.config.geometry.rest_length_mm),
     });
@@ -219,7 +219,7 @@ fn two_hours_of_random_commands_do_not_diverge() {
     );
     assert!(worst < 0.2, "{:?}", rig.state.lines());
     assert!(drift < 0.05, "{first:?} then {second:?}");
-    let mut command = Some(Command {
+    let mut command = Some(Shape {
         bend: Bend(Vector2::new(0.8, 0.3)),
         length: Mm(rig.config.geometry.rest_length_mm),
     });

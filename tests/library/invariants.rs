@@ -2,10 +2,11 @@
 
 use crate::common::{uncalibrated, unit};
 use nalgebra::{UnitQuaternion, Vector3};
-use retroflex::control::tick::{Command, Frame, LoopConfig};
+use retroflex::control::tick::{Frame, LoopConfig};
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::paper;
+use retroflex::model::Shape;
 use retroflex::model::transmission::Line;
 use retroflex::primitives::frames::Rotation;
 use retroflex::primitives::units::{Mm, Steps};
@@ -24,7 +25,7 @@ fn frames(world: &mut dyn World) -> Vec<Frame> {
     rig.align().unwrap();
     let mut all = Vec::new();
     for pose in paper().iter().step_by(6) {
-        let mut command = Some(Command {
+        let mut command = Some(Shape {
             bend: pose.bend(),
             length,
         });

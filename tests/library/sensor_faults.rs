@@ -10,10 +10,11 @@ use retroflex::config::assemble;
 use retroflex::config::board::Board;
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
-use retroflex::control::tick::{Command, Frame, Input, LoopConfig, LoopState, tick};
+use retroflex::control::tick::{Frame, Input, LoopConfig, LoopState, tick};
 use retroflex::estimation::fusion::health::{HealthAction, HealthCause, ImuReading};
 use retroflex::hardware::imu::ImuRecovery;
 use retroflex::hardware::imu::icm20948::{self, Icm20948};
+use retroflex::model::Shape;
 use retroflex::model::bend::Bend;
 use retroflex::primitives::units::{Mm, Seconds};
 
@@ -156,7 +157,7 @@ impl Chip {
     }
 
     fn command(&mut self, bend_deg: f64, dir_deg: f64) {
-        self.input.command = Some(Command {
+        self.input.command = Some(Shape {
             bend: Bend::from_deg(bend_deg, dir_deg),
             length: Mm(20.0),
         });

@@ -156,7 +156,7 @@ fn relax_does_not_end_lost_and_only_a_confirmed_or_asserted_zero_does() {
         before.run(3.0).unwrap();
         let remembered = before.runner.supervisor.keep();
         let mut bench = config.bench_on(
-            before.runner.machine,
+            *before.runner.machine,
             rest.then_some(remembered),
             before.now_s,
         );

@@ -8,8 +8,9 @@ use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::config::supervisor::assemble;
 use retroflex::control::saturation::Saturation;
-use retroflex::control::tick::{Command, RestartState};
+use retroflex::control::tick::RestartState;
 use retroflex::drill::bench::{Bench, BenchConfig};
+use retroflex::model::Shape;
 use retroflex::model::bend::Bend;
 use retroflex::primitives::units::{Mm, Seconds, Steps};
 use retroflex::service::status;
@@ -27,7 +28,7 @@ use retroflex::supervisor::mode::Mode;
 /// An order to bend, degrees.
 fn bend_to(b: f64, d: f64) -> Order {
     Order::Bend(
-        Command {
+        Shape {
             bend: Bend::from_deg(b, d),
             length: Mm(20.0),
         },
@@ -615,7 +616,7 @@ fn feedback_returns_however_a_calibration_ends() {
         f.turn(Some(Order::Arm));
         f.run(0.1);
         f.order(Order::Calibrate(true));
-        let command = Command {
+        let command = Shape {
             bend: Bend::STRAIGHT,
             length: Mm(20.0),
         };

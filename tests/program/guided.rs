@@ -10,8 +10,8 @@ use retroflex::config::source;
 use retroflex::config::supervisor::assemble;
 use retroflex::control::dynamics::Dynamics;
 use retroflex::control::path::Path;
-use retroflex::control::tick::Command;
 use retroflex::drill::process::{Daemon, daemon::ask};
+use retroflex::model::Shape;
 use retroflex::model::bend::Bend;
 use retroflex::model::transmission::Line;
 use retroflex::primitives::frames::{Rotation, Tip, World};
@@ -23,7 +23,7 @@ use retroflex::simulation::plant::{InjectedFault, Output};
 use retroflex::simulation::sim::Sim;
 use retroflex::supervisor::cycle::order::{Order, Refusal};
 use retroflex::supervisor::cycle::runner::Runner;
-use retroflex::supervisor::cycle::{CycleOutput, Guidance, Supervisor};
+use retroflex::supervisor::cycle::{CycleOutput, Source, Supervisor};
 use retroflex::supervisor::machine::Machine;
 use retroflex::supervisor::mode::Mode;
 use std::io::Write as _;
@@ -114,15 +114,15 @@ impl Flight {
     }
 }
 
-fn at(bend_deg: f64, dir_deg: f64) -> Command {
-    Command {
+fn at(bend_deg: f64, dir_deg: f64) -> Shape {
+    Shape {
         bend: Bend::from_deg(bend_deg, dir_deg),
         length: Mm(20.0),
     }
 }
 
 /// A circle of 30° at 0.2 Hz.
-fn circle(t_s: f64) -> Command {
+fn circle(t_s: f64) -> Shape {
     at(30.0, 72.0 * t_s)
 }
 
@@ -133,7 +133,7 @@ fn rms(differences: &[f64]) -> f64 {
         .to_degrees()
 }
 
-fn path(seconds: f64, at: impl Fn(f64) -> Command) -> Box<Path> {
+fn path(seconds: f64, at: impl Fn(f64) -> Shape) -> Box<Path> {
     let t_s: Vec<f64> = (0..=(seconds * 50.0) as u32)
         .map(|k| f64::from(k) / 50.0)
         .collect();
@@ -159,9 +159,9 @@ fn a_loaded_path_is_followed_as_evaluate_follows_it_and_ends_in_a_hold() {
     while flight.now_s() - from_s < 9.9 {
         let output = flight.turn(None);
         assert!(
-            output.mode == Mode::Tracking && matches!(output.guidance, Guidance::Path { .. }),
+            output.mode == Mode::Tracking && matches!(output.source, Source::Path { .. }),
             "{:?}",
-            output.guidance
+            output.source
         );
         off.push((flight.true_bend().0 - circle(flight.now_s() - from_s).bend.0).norm());
     }
@@ -170,7 +170,7 @@ fn a_loaded_path_is_followed_as_evaluate_follows_it_and_ends_in_a_hold() {
     assert!(rms(&off) < 1.1, "{:.2}", rms(&off));
     let last = flight.run(2.0);
     assert!(
-        last.mode == Mode::Holding && last.guidance == Guidance::Target,
+        last.mode == Mode::Holding && last.source == Source::Target,
         "{:?}",
         last.mode
     );
@@ -189,7 +189,7 @@ fn a_loaded_path_is_followed_as_evaluate_follows_it_and_ends_in_a_hold() {
     flight.run(0.5);
     flight.order(Order::Stop);
     let stopped = flight.run(0.5);
-    assert!(stopped.mode == Mode::Holding && stopped.guidance == Guidance::Target);
+    assert!(stopped.mode == Mode::Holding && stopped.source == Source::Target);
     assert_eq!(flight.answer(Order::Play), Err(Refusal::Stopped));
 }
 
@@ -258,7 +258,7 @@ fn swaying(imu: bool) -> impl Fn(&mut PlantConfig) {
 
 #[test]
 fn a_tip_keeps_its_orientation_in_the_world_while_the_base_sways() {
-    let pointing = |unit: u64, order: fn(Command) -> Order| {
+    let pointing = |unit: u64, order: fn(Shape) -> Order| {
         let mut flight = Flight::new(unit, swaying(true));
         flight.order(order(at(40.0, 60.0)));
         // the attitude of the base at the command, and the tip's in it
@@ -296,7 +296,10 @@ fn an_orientation_in_the_world_needs_a_healthy_imu_on_the_base() {
 
     let mut flight = Flight::new(0, swaying(true));
     flight.order(Order::World(at(40.0, 60.0), None));
-    assert_eq!(flight.run(5.0).guidance, Guidance::World);
+    assert!(matches!(
+        flight.run(5.0).source,
+        Source::World { reached: true, .. }
+    ));
     flight
         .runner
         .machine
@@ -304,16 +307,16 @@ fn an_orientation_in_the_world_needs_a_healthy_imu_on_the_base() {
         .plant_mut()
         .inject(InjectedFault::OfBaseImu(&InjectedFault::SILENT));
     let lost = flight.run(0.3);
-    assert_eq!(lost.guidance, Guidance::WorldLost);
+    assert_eq!(lost.source, Source::WorldLost);
     let kept = lost.frame.target.bend.0;
     let last = flight.run(3.0);
     assert!(
         (last.frame.target.bend.0 - kept).norm() < 1e-9
             && last.mode == Mode::Holding
-            && last.guidance == Guidance::WorldLost
+            && last.source == Source::WorldLost
     );
     flight.order(Order::Bend(at(20.0, 0.0), None));
-    assert_eq!(flight.run(0.1).guidance, Guidance::Target);
+    assert_eq!(flight.run(0.1).source, Source::Target);
 }
 
 #[test]
@@ -338,9 +341,10 @@ fn an_orientation_out_of_reach_is_approached_as_far_as_the_tip_bends() {
     let bend_deg = last.frame.target.bend.beta().to_degrees();
     println!("out of reach: {bend_deg:.1}° of 105° asked for");
     assert!(
-        last.guidance == Guidance::WorldOutOfReach && (78.0..92.0).contains(&bend_deg),
+        matches!(last.source, Source::World { reached: false, .. })
+            && (78.0..92.0).contains(&bend_deg),
         "{:?} {bend_deg}",
-        last.guidance
+        last.source
     );
     flight
         .runner
@@ -354,7 +358,7 @@ fn an_orientation_out_of_reach_is_approached_as_far_as_the_tip_bends() {
         });
     let last = flight.run(5.0);
     assert!(
-        last.guidance == Guidance::World
+        matches!(last.source, Source::World { reached: true, .. })
             && (last.frame.target.bend.0 - at(75.0, 0.0).bend.0)
                 .norm()
                 .to_degrees()

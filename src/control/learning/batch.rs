@@ -7,7 +7,7 @@
 //! from earlier units adds one more pair of rows per channel.
 
 use crate::model::Line;
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2, Vector3, Vector6};
 use thiserror::Error;
 
 /// Measurement of one held pose.
@@ -45,8 +45,6 @@ pub struct Estimate {
     pub condition: f64,
     /// Root mean square of the weighted residual, mm.
     pub residual_mm: f64,
-    /// Number of rows with a weight.
-    pub rows: usize,
 }
 
 /// Why the data do not determine the gains.
@@ -54,36 +52,32 @@ pub struct Estimate {
 pub enum Unidentifiable {
     /// Too few rows.
     #[error(
-        "channel {channel}: {rows} usable poses, at least {needed} are required; hold more poses whose last motion crosses the backlash"
+        "channel {channel}: {rows} usable poses, at least {ROWS_MIN} are required; hold more poses whose last motion crosses the backlash"
     )]
     TooFew {
         /// Channel, 1 to 3.
         channel: usize,
         /// Number of rows with a weight.
         rows: usize,
-        /// Required rows.
-        needed: usize,
     },
     /// Extension and backlash cannot be distinguished.
     #[error(
-        "channel {channel}: extension and backlash cannot be distinguished (condition number {condition:.0}, at most {max:.0}); hold poses of different size, approached from both sides"
+        "channel {channel}: extension and backlash cannot be distinguished (condition number {condition:.0}, at most {CONDITION_MAX:.0}); hold poses of different size, approached from both sides"
     )]
     Condition {
         /// Channel, 1 to 3.
         channel: usize,
         /// Condition number.
         condition: f64,
-        /// Largest accepted value.
-        max: f64,
     },
 }
 
 /// Fewest rows of a channel without a prior.
-pub const ROWS_MIN: usize = 8;
+const ROWS_MIN: usize = 8;
 /// Largest accepted condition number of the scaled normal matrix.
-pub const CONDITION_MAX: f64 = 100.0;
+const CONDITION_MAX: f64 = 100.0;
 /// Assumed standard deviation of one row, which scales a prior, mm of piston.
-pub const ROW_SIGMA_MM: f64 = 0.6;
+const ROW_SIGMA_MM: f64 = 0.6;
 
 /// Solves Eq. 25 for the three channels, each with its prior if one is given.
 ///
@@ -97,11 +91,8 @@ pub fn solve(
     Ok([channel(0)?, channel(1)?, channel(2)?])
 }
 
-/// Normal equations of one channel.
-struct Normal {
-    matrix: Matrix2<f64>,
-    rhs: Vector2<f64>,
-}
+/// Eq. 21 for one channel: row of A, entry of b, weight.
+type Row = (Vector2<f64>, f64, f64);
 
 /// Number of robust standard deviations above which Huber's rule reduces the weight of a row.
 const HUBER: f64 = 1.5;
@@ -113,33 +104,34 @@ fn solve_channel(
     i: usize,
     prior: Option<&Prior>,
 ) -> Result<Estimate, Unidentifiable> {
-    let rows: Vec<_> = data
-        .iter()
-        .map(|m| row(m, i))
-        .filter(|r| r.2 > 0.0)
-        .collect();
+    let usable = data.iter().map(|m| row(m, i)).filter(|r| r.2 > 0.0);
+    let rows: Vec<Row> = usable.collect();
+    let channel = i + 1;
     if prior.is_none() && rows.len() < ROWS_MIN {
-        return Err(Unidentifiable::TooFew {
-            channel: i + 1,
-            rows: rows.len(),
-            needed: ROWS_MIN,
-        });
+        let rows = rows.len();
+        return Err(Unidentifiable::TooFew { channel, rows });
     }
+    let solved = |weights: &[f64]| {
+        let (matrix, right) = normal(&rows, weights, prior);
+        let condition = condition(&matrix);
+        match matrix.try_inverse() {
+            Some(inverse) if condition < CONDITION_MAX => Ok((inverse * right, inverse, condition)),
+            _ => Err(Unidentifiable::Condition { channel, condition }),
+        }
+    };
     let mut weights: Vec<f64> = rows.iter().map(|r| r.2).collect();
-    let (mut k, mut inverse) = invert(&normal(&rows, &weights, prior), i)?;
+    let (mut k, mut inverse, mut condition) = solved(&weights)?;
     for _ in 0..ROUNDS {
         let off: Vec<f64> = rows.iter().map(|(a, b, _)| (b - a.dot(&k)).abs()).collect();
         let bar = HUBER * robust_spread(&off);
         for ((w, r), e) in weights.iter_mut().zip(&rows).zip(&off) {
             *w = r.2 * (bar / e.max(1e-12)).min(1.0);
         }
-        (k, inverse) = invert(&normal(&rows, &weights, prior), i)?;
+        (k, inverse, condition) = solved(&weights)?;
     }
-    let squares: f64 = rows
-        .iter()
-        .zip(&weights)
-        .map(|((a, b, _), w)| w * (b - a.dot(&k)).powi(2))
-        .sum();
+    let weighted = rows.iter().zip(&weights);
+    let squares = weighted.map(|((a, b, _), w)| w * (b - a.dot(&k)).powi(2));
+    let squares: f64 = squares.sum();
     let variance = if rows.len() > 2 {
         squares / (rows.len() - 2) as f64
     } else {
@@ -151,9 +143,8 @@ fn solve_channel(
             k_lambda_mm: k.y,
         },
         covariance: inverse * variance,
-        condition: condition(&normal(&rows, &weights, prior).matrix),
+        condition,
         residual_mm: variance.sqrt(),
-        rows: rows.len(),
     })
 }
 
@@ -164,14 +155,12 @@ fn robust_spread(off: &[f64]) -> f64 {
     (1.4826 * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)).max(1e-9)
 }
 
-fn normal(rows: &[(Vector2<f64>, f64, f64)], weights: &[f64], prior: Option<&Prior>) -> Normal {
-    let mut n = Normal {
-        matrix: Matrix2::zeros(),
-        rhs: Vector2::zeros(),
-    };
+/// Normal equations of one channel.
+fn normal(rows: &[Row], weights: &[f64], prior: Option<&Prior>) -> (Matrix2<f64>, Vector2<f64>) {
+    let (mut matrix, mut right) = (Matrix2::zeros(), Vector2::zeros());
     for ((a, b, _), w) in rows.iter().zip(weights) {
-        n.matrix += a * a.transpose() * *w;
-        n.rhs += a * (b * w);
+        matrix += a * a.transpose() * *w;
+        right += a * (b * w);
     }
     if let Some(p) = prior {
         let variance = ROW_SIGMA_MM * ROW_SIGMA_MM;
@@ -179,34 +168,15 @@ fn normal(rows: &[(Vector2<f64>, f64, f64)], weights: &[f64], prior: Option<&Pri
             variance / (p.k_epsilon_sigma * p.k_epsilon_sigma),
             variance / (p.k_lambda_sigma_mm * p.k_lambda_sigma_mm),
         ));
-        n.matrix += information;
-        n.rhs += information * Vector2::new(p.line.k_epsilon, p.line.k_lambda_mm);
+        matrix += information;
+        right += information * Vector2::new(p.line.k_epsilon, p.line.k_lambda_mm);
     }
-    n
+    (matrix, right)
 }
 
-fn invert(normal: &Normal, i: usize) -> Result<(Vector2<f64>, Matrix2<f64>), Unidentifiable> {
-    let condition = condition(&normal.matrix);
-    let inverse = normal
-        .matrix
-        .try_inverse()
-        .filter(|_| condition < CONDITION_MAX);
-    inverse
-        .map(|inverse| (inverse * normal.rhs, inverse))
-        .ok_or(Unidentifiable::Condition {
-            channel: i + 1,
-            condition,
-            max: CONDITION_MAX,
-        })
-}
-
-/// Eq. 21 for channel `i`: row of A, entry of b, weight.
-fn row(m: &Measurement, i: usize) -> (Vector2<f64>, f64, f64) {
-    (
-        Vector2::new(m.bellow_mm[i], m.side[i]),
-        m.piston_mm[i] - m.bellow_mm[i],
-        m.weight[i],
-    )
+fn row(m: &Measurement, i: usize) -> Row {
+    let a = Vector2::new(m.bellow_mm[i], m.side[i]);
+    (a, m.piston_mm[i] - m.bellow_mm[i], m.weight[i])
 }
 
 /// Condition number after both columns are scaled to unit length.
@@ -223,13 +193,8 @@ fn condition(normal: &Matrix2<f64>) -> f64 {
 /// so that the first pass never ends the iteration.
 pub fn relative_step(new: &[Line; 3], old: &[Line; 3]) -> f64 {
     let six = |l: &[Line; 3]| {
-        nalgebra::Vector6::from_fn(|i, _| {
-            if i < 3 {
-                l[i].k_epsilon
-            } else {
-                l[i - 3].k_lambda_mm
-            }
-        })
+        let (k_epsilon, k_lambda_mm) = (l.map(|l| l.k_epsilon), l.map(|l| l.k_lambda_mm));
+        Vector6::from_iterator(k_epsilon.into_iter().chain(k_lambda_mm))
     };
     let size = six(old).norm();
     if size == 0.0 {

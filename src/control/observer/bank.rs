@@ -145,28 +145,22 @@ impl DynamicsBank {
         let rows = (self.motion_rad / PATH_PER_ROW_RAD).min(ROWS_MAX);
         let rows = rows / (share + SHARE_FLOOR);
         let score = |c| rows * self.unexplained(c) + before.distance_squared(&candidate(c));
-        let (best, least) = all()
-            .map(|c| (c, score(c)))
-            .fold(
-                ((0, 0), f64::INFINITY),
-                |a, b| if b.1 < a.1 { b } else { a },
-            );
-        let best = if score(nearest(&now.best)) > least + BETTER {
-            self.interpolated(best)
-        } else {
-            now.best
-        };
+        let scored = all().map(|c| (c, score(c)));
+        let none = ((0, 0), f64::INFINITY);
+        let (best, least) = scored.fold(none, |a, b| if b.1 < a.1 { b } else { a });
         let mut range = DynamicsRange {
-            best,
+            best: now.best,
             response_min_s: f64::INFINITY,
             response_max_s: 0.0,
         };
+        if score(nearest(&now.best)) > least + BETTER {
+            range.best = self.interpolated(best);
+        }
         for c in all().filter(|c| score(*c) < least + PLAUSIBLE) {
             // a candidate stands for everything up to half of the way to its neighbours
-            let ([lag_min_s, lag_max_s], [delay_min_s, delay_max_s]) =
-                (cell(&LAGS_S, c.0), cell(&DELAYS_S, c.1));
-            range.response_min_s = range.response_min_s.min(lag_min_s + delay_min_s);
-            range.response_max_s = range.response_max_s.max(lag_max_s + delay_max_s);
+            let (lag_s, delay_s) = (cell(&LAGS_S, c.0), cell(&DELAYS_S, c.1));
+            range.response_min_s = range.response_min_s.min(lag_s[0] + delay_s[0]);
+            range.response_max_s = range.response_max_s.max(lag_s[1] + delay_s[1]);
         }
         // what no candidate explains, such as a wall, makes none of them likelier
         if share > EXPLAINED_MAX && range.error_max_s() > now.error_max_s() {
@@ -183,10 +177,10 @@ impl DynamicsBank {
     fn interpolated(&self, (l, d): (usize, usize)) -> Dynamics {
         let delay = |l: usize| vertex(&DELAYS_S, d, |d| self.unexplained((l, d)));
         let last = LAGS_S.len() - 1;
+        let left = |l: &usize| delay(*l).1;
         let near = l.saturating_sub(1)..=(l + 1).min(last);
-        let l = near
-            .min_by(|&a, &b| delay(a).1.total_cmp(&delay(b).1))
-            .unwrap_or(l);
+        let least = near.min_by(|a, b| left(a).total_cmp(&left(b)));
+        let l = least.unwrap_or(l);
         let (lag_s, _) = vertex(&LAGS_S, l, |l| delay(l).1);
         // a longer lag goes with a shorter dead time
         let other = if lag_s < LAGS_S[l] {
@@ -194,14 +188,14 @@ impl DynamicsBank {
         } else {
             (l + 1).min(last)
         };
-        let part = if other == l {
-            0.0
-        } else {
-            (lag_s - LAGS_S[l]) / (LAGS_S[other] - LAGS_S[l])
-        };
+        let mut delay_s = delay(l).0;
+        if other != l {
+            let part = (lag_s - LAGS_S[l]) / (LAGS_S[other] - LAGS_S[l]);
+            delay_s += part * (delay(other).0 - delay(l).0);
+        }
         Dynamics {
             lag_s,
-            delay_s: (delay(l).0 + part * (delay(other).0 - delay(l).0)).max(0.0),
+            delay_s: delay_s.max(0.0),
         }
     }
 
@@ -249,20 +243,15 @@ fn vertex(grid: &[f64], i: usize, value: impl Fn(usize) -> f64) -> (f64, f64) {
 
 /// Half of the way from a value of a grid to its neighbours on both sides.
 fn cell(grid: &[f64], i: usize) -> [f64; 2] {
-    let halfway = |j: usize| (grid[i] + grid[j]) / 2.0;
-    [
-        halfway(i.saturating_sub(1)),
-        halfway((i + 1).min(grid.len() - 1)),
-    ]
+    [i.saturating_sub(1), (i + 1).min(grid.len() - 1)].map(|j| (grid[i] + grid[j]) / 2.0)
 }
 
 /// The candidate nearest to the given dynamics.
 fn nearest(to: &Dynamics) -> (usize, usize) {
     let index = |grid: &[f64], x: f64| {
         let gap = |i: &usize| (grid[*i] - x).abs();
-        (0..grid.len())
-            .min_by(|a, b| gap(a).total_cmp(&gap(b)))
-            .unwrap_or(0)
+        let nearest = (0..grid.len()).min_by(|a, b| gap(a).total_cmp(&gap(b)));
+        nearest.unwrap_or(0)
     };
     (index(&LAGS_S, to.lag_s), index(&DELAYS_S, to.delay_s))
 }

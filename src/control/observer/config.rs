@@ -49,21 +49,19 @@ parameters! {
 /// Standard deviations of the parameters before any motion.
 pub(super) fn standard_deviations(config: &ObserverConfig, fixed: bool) -> Theta {
     let mut sigma = Theta::zeros();
-    if !fixed {
-        sigma.rows_mut(laws::GAIN, 3).fill(config.gain_sigma);
-        sigma.rows_mut(laws::PLAY, 3).fill(config.play_sigma_mm);
+    let of_lines = if fixed { 0.0 } else { 1.0 };
+    for (first, count, value) in [
+        (laws::GAIN, 3, config.gain_sigma * of_lines),
+        (laws::EVEN, 3, config.curve_sigma),
+        (laws::ODD, 3, config.curve_sigma),
+        (laws::PLAY, 3, config.play_sigma_mm * of_lines),
+        (laws::PLY, laws::PLIES, config.ply_sigma),
+        (laws::CREEP, laws::CREEPS, config.creep_sigma),
+        (laws::LEAK, 3, config.leak_sigma_1_s),
+        (laws::ROTATION, 1, config.rotation_sigma_deg.to_radians()),
+        (laws::OFFSET, 2, config.offset_sigma_deg.to_radians()),
+    ] {
+        sigma.rows_mut(first, count).fill(value);
     }
-    sigma.rows_mut(laws::EVEN, 6).fill(config.curve_sigma);
-    sigma
-        .rows_mut(laws::PLY, laws::PLIES)
-        .fill(config.ply_sigma);
-    sigma
-        .rows_mut(laws::CREEP, laws::CREEPS)
-        .fill(config.creep_sigma);
-    sigma.rows_mut(laws::LEAK, 3).fill(config.leak_sigma_1_s);
-    sigma[laws::ROTATION] = config.rotation_sigma_deg.to_radians();
-    sigma
-        .rows_mut(laws::OFFSET, 2)
-        .fill(config.offset_sigma_deg.to_radians());
     sigma
 }

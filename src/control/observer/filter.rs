@@ -63,38 +63,47 @@ pub struct Measured {
     pub laws: bool,
 }
 
+/// How the tip answers the channels, delayed and lagged.
+#[derive(Debug, Clone, Copy, Default)]
+struct Answer {
+    /// Bend of the model without learned columns, rad, and the columns.
+    lagged: Vector2<f64>,
+    columns: Columns,
+    /// Rate of the predicted bend, rad/s, the largest within the response time, and the derivative with respect to the lag.
+    rate: Vector2<f64>,
+    recent_rate: f64,
+    lag_derivative: Vector2<f64>,
+    /// What the tip did otherwise at the last measurement, rad, and its rate, rad/s.
+    residual: Vector2<f64>,
+    residual_rate: f64,
+}
+
 /// The observer.
 #[derive(Debug, Clone)]
 pub struct Observer {
-    geometry: Geometry,
+    /// Geometry of the bending section.
+    pub geometry: Geometry,
     /// Gains before the learned columns, with the half-widths in use.
     pub lines: [Line; 3],
     sigma: Theta,
     /// Gains and half-widths are not learned.
     fixed: bool,
-    known: Knowledge,
+    /// What the filter knows, apart from the state of the channels. The half-widths in use are in [`Self::lines`].
+    pub known: Knowledge,
     /// The channels at the counted steps, and at those of the dead time ago.
     pub now: Channels,
     then: Channels,
     /// Counted pistons and given bend of the last ticks; on the heap, so that a state is moved cheaply.
     history: Box<[(Vector3<f64>, Vector2<f64>)]>,
     head: usize,
-    /// Bend of the model without learned columns: now, rad.
-    given: Vector2<f64>,
-    /// The same and the columns, delayed and lagged.
-    lagged: Vector2<f64>,
-    columns: Columns,
-    /// Rate of the predicted bend, rad/s, and the largest within the response time.
-    pub rate: Vector2<f64>,
-    recent_rate: f64,
-    lag_derivative: Vector2<f64>,
+    /// Bend of the model without learned columns at the counted steps, rad.
+    pub given: Vector2<f64>,
+    answer: Answer,
     /// Lag and dead time by the bank.
     bank: Dynamics,
     /// The same with their corrections.
     pub dynamics: Dynamics,
     timing_error_s: f64,
-    last_residual: Vector2<f64>,
-    residual_rate: f64,
     noise_2: f64,
     /// Variance of the last measurement per axis, rad².
     pub variance: f64,
@@ -130,16 +139,10 @@ impl Observer {
             history: vec![(Vector3::zeros(), Vector2::zeros()); HISTORY].into(),
             head: 0,
             given: Vector2::zeros(),
-            lagged: Vector2::zeros(),
-            columns: Columns::zeros(),
-            rate: Vector2::zeros(),
-            recent_rate: 0.0,
-            lag_derivative: Vector2::zeros(),
+            answer: Answer::default(),
             bank: dynamics.best,
             dynamics: dynamics.best,
             timing_error_s: dynamics.error_max_s(),
-            last_residual: Vector2::zeros(),
-            residual_rate: 0.0,
             noise_2: 0.0,
             variance: 0.0,
             due_s: 0.0,
@@ -155,16 +158,6 @@ impl Observer {
     /// The bend g that no law explains here, rad.
     pub fn residual(&self) -> Vector2<f64> {
         Vector2::new(self.known.x[RESIDUAL], self.known.x[RESIDUAL + 1])
-    }
-
-    /// What the filter knows, to return to.
-    pub fn knowledge(&self) -> Knowledge {
-        self.known
-    }
-
-    /// Returns to what was known. The half-widths keep their values.
-    pub fn recall(&mut self, known: &Knowledge) {
-        self.known = *known;
     }
 
     /// Values and standard deviations of the parameters of the laws, to be remembered.
@@ -191,18 +184,13 @@ impl Observer {
     pub fn believe(&mut self, bend: &Vector2<f64>, sigmas: f64) {
         let most = sigmas * self.known.residual_size;
         let residual = (bend - self.settled_by_laws()).cap_magnitude(most);
-        self.known
-            .reset_residual(&residual, self.known.residual_size);
+        let size = self.known.residual_size;
+        self.known.reset_residual(&residual, size);
     }
 
     /// Outputs of the plays once the pistons are at `piston_mm`, mm.
     pub fn play_outputs(&self, piston_mm: &Vector3<f64>) -> Vector3<f64> {
         Vector3::from_fn(|i, _| self.lines[i].play(self.now.play[i].w_mm, piston_mm[i]))
-    }
-
-    /// Geometry of the bending section.
-    pub fn geometry(&self) -> &Geometry {
-        &self.geometry
     }
 
     /// Displacement of piston `i` per v, mm/rad.
@@ -212,8 +200,7 @@ impl Observer {
 
     /// One tick with the counted pistons. `given` is the bend of a described machine, in place of the nominal one, rad.
     pub fn follow(&mut self, piston_mm: &Vector3<f64>, given: Option<Vector2<f64>>, dt_s: f64) {
-        self.now
-            .advance(&self.lines, &self.geometry, piston_mm, dt_s);
+        (self.now).advance(&self.lines, &self.geometry, piston_mm, dt_s);
         self.given = given.unwrap_or_else(|| self.now.nominal());
         self.head = (self.head + 1) % HISTORY;
         self.history[self.head] = (*piston_mm, self.given);
@@ -222,27 +209,24 @@ impl Observer {
         let part = (ticks - whole as f64).clamp(0.0, 1.0);
         let ago = |n: usize| self.history[(self.head + HISTORY - n) % HISTORY];
         let ((later_mm, later), (earlier_mm, earlier)) = (ago(whole), ago(whole + 1));
-        self.then.advance(
-            &self.lines,
-            &self.geometry,
-            &later_mm.lerp(&earlier_mm, part),
-            dt_s,
-        );
+        let then_mm = later_mm.lerp(&earlier_mm, part);
+        (self.then).advance(&self.lines, &self.geometry, &then_mm, dt_s);
         let from = given.map_or_else(|| self.then.nominal(), |_| later.lerp(&earlier, part));
         let before = self.predicted();
-        let keep = (-dt_s / self.dynamics.lag_s.max(1e-3)).exp();
+        let Dynamics { lag_s, .. } = self.dynamics;
+        let keep = (-dt_s / lag_s.max(1e-3)).exp();
         let columns = self.then.columns(&self.lines, &self.geometry);
-        self.lagged = from + (self.lagged - from) * keep;
-        self.columns = columns + (self.columns - columns) * keep;
+        self.answer.lagged = from + (self.answer.lagged - from) * keep;
+        self.answer.columns = columns + (self.answer.columns - columns) * keep;
         let moved = (self.predicted() - before).cap_magnitude(SPEED_MAX * dt_s);
-        self.rate = moved / dt_s.max(f64::MIN_POSITIVE);
-        let keep = (-dt_s / self.dynamics.lag_s.max(5e-3)).exp();
-        self.lag_derivative = -self.rate + (self.lag_derivative + self.rate) * keep;
         self.path += moved.norm();
-        let slowest = (-dt_s
-            / (self.dynamics.response_s() + self.timing_error_s / TIMING_SIGMAS).max(0.02))
-        .exp();
-        self.recent_rate = self.rate.norm().max(self.recent_rate * slowest);
+        let answer = &mut self.answer;
+        answer.rate = moved / dt_s.max(f64::MIN_POSITIVE);
+        let keep = (-dt_s / lag_s.max(5e-3)).exp();
+        answer.lag_derivative = -answer.rate + (answer.lag_derivative + answer.rate) * keep;
+        let answered_s = self.dynamics.response_s() + self.timing_error_s / TIMING_SIGMAS;
+        let slowest = (-dt_s / answered_s.max(0.02)).exp();
+        answer.recent_rate = answer.rate.norm().max(answer.recent_rate * slowest);
         self.due_s += dt_s;
     }
 
@@ -254,37 +238,37 @@ impl Observer {
         given: Option<Vector2<f64>>,
         at: &Vector2<f64>,
     ) {
-        self.now
-            .advance(&self.lines, &self.geometry, piston_mm, 0.0);
+        (self.now).advance(&self.lines, &self.geometry, piston_mm, 0.0);
         self.then = self.now;
         self.given = given.unwrap_or_else(|| self.now.nominal());
         self.history.fill((*piston_mm, self.given));
-        (self.lagged, self.columns) = (self.given, self.now.columns(&self.lines, &self.geometry));
-        (self.rate, self.lag_derivative, self.recent_rate) =
-            (Vector2::zeros(), Vector2::zeros(), 0.0);
+        self.answer = Answer {
+            lagged: self.given,
+            columns: self.now.columns(&self.lines, &self.geometry),
+            ..Answer::default()
+        };
         let residual = at - self.settled_by_laws();
-        self.known
-            .reset_residual(&residual, config.residual_deg.to_radians());
-        (self.last_residual, self.residual_rate) = (Vector2::zeros(), 0.0);
+        (self.known).reset_residual(&residual, config.residual_deg.to_radians());
     }
 
     /// The channels have the play outputs `w_mm` with the pistons at `piston_mm`, and have rested there.
     pub fn rest(&mut self, w_mm: &Vector3<f64>, piston_mm: &Vector3<f64>) {
         for i in 0..3 {
             let w_mm = self.lines[i].play(w_mm[i], piston_mm[i]);
-            self.now.rest(
-                i,
-                w_mm,
-                piston_mm[i] - w_mm,
-                self.lines[i].k_lambda_mm,
-                self.mm_per_rad(i),
-            );
+            let (off_mm, half_width_mm) = (piston_mm[i] - w_mm, self.lines[i].k_lambda_mm);
+            let mm_per_rad = self.mm_per_rad(i);
+            (self.now).rest(i, w_mm, off_mm, half_width_mm, mm_per_rad);
         }
+    }
+
+    /// Rate of the predicted bend, rad/s.
+    pub fn rate(&self) -> Vector2<f64> {
+        self.answer.rate
     }
 
     /// Bend by the laws as the tip shows it now, without g, rad.
     pub fn predicted(&self) -> Vector2<f64> {
-        self.lagged + self.columns * self.theta()
+        self.answer.lagged + self.answer.columns * self.theta()
     }
 
     /// Bend of the plays through straight `lines` at the counted steps, and dead time ago, rad.
@@ -294,11 +278,6 @@ impl Observer {
                 channels.play[i].w_mm / laws::mm_per_rad(&lines[i], &self.geometry)
             }))
         })
-    }
-
-    /// Bend of the model without learned columns at the counted steps, rad.
-    pub fn given(&self) -> Vector2<f64> {
-        self.given
     }
 
     /// Bend by the laws once the tip has settled at the counted steps, without g, rad.
@@ -311,19 +290,14 @@ impl Observer {
         let mut there = self.now;
         there.advance(&self.lines, &self.geometry, piston_mm, 0.0);
         let given = self.given + there.nominal() - self.now.nominal();
-        let bend =
-            given + there.columns(&self.lines, &self.geometry) * self.theta() + self.residual();
-        (bend, there)
+        let columns = there.columns(&self.lines, &self.geometry);
+        (given + columns * self.theta() + self.residual(), there)
     }
 
     /// Takes a measurement. At rest g follows it with the rate `ki_1_s`: the steady rate of a filter for a random walk of variance rate d²
     /// in noise of density r is √(d²/r).
     pub fn measure(&mut self, config: &ObserverConfig, ki_1_s: f64, measured: &Measured) {
-        let &Measured {
-            bend,
-            covariance,
-            laws,
-        } = measured;
+        let (bend, laws) = (measured.bend, measured.laws);
         if self.due_s < PERIOD_S - 1e-9 {
             return;
         }
@@ -333,12 +307,13 @@ impl Observer {
         let drift_2 = (ki_1_s * config.noise_deg.to_radians()).powi(2) * PERIOD_S;
         self.known.predict(config, &self.sigma, drift_2, path, dt_s);
         let residual = bend - self.predicted();
-        let change = residual - std::mem::replace(&mut self.last_residual, residual);
+        let answer = &mut self.answer;
+        let change = residual - std::mem::replace(&mut answer.residual, residual);
         let rate = change.norm() / dt_s;
-        self.residual_rate += (rate - self.residual_rate) * (dt_s / RESIDUAL_RATE_S).min(1.0);
+        answer.residual_rate += (rate - answer.residual_rate) * (dt_s / RESIDUAL_RATE_S).min(1.0);
         let least = config.noise_deg.to_radians().powi(2);
         let noise_2 = (change.norm_squared() / 4.0).min(OUTLIER_2 * least.max(self.noise_2));
-        if self.recent_rate < SETTLED_RAD_S {
+        if answer.recent_rate < SETTLED_RAD_S {
             self.noise_2 += (noise_2 - self.noise_2) * (dt_s / NOISE_S).min(1.0);
         }
         let response_s = self.dynamics.response_s();
@@ -347,38 +322,31 @@ impl Observer {
         if !corrects {
             timing_s = timing_s.max(self.timing_error_s / 3.0);
         }
-        let unsettled = config.unsettled_s * (self.residual_rate - SETTLED_RAD_S).max(0.0);
-        let timing_2 = (timing_s * self.recent_rate).powi(2) + unsettled.powi(2);
+        let unsettled = config.unsettled_s * (answer.residual_rate - SETTLED_RAD_S).max(0.0);
+        let timing_2 = (timing_s * answer.recent_rate).powi(2) + unsettled.powi(2);
         let same_sign = (SAME_SIGN_S[usize::from(!corrects)] / dt_s).max(1.0);
         self.variance = least.max(self.noise_2);
         if laws {
             self.variance += timing_2 * same_sign;
         }
-        let (axes, doubt_2) = doubt(covariance, &(residual - self.residual()), dt_s);
+        let (axes, doubt_2) = doubt(measured.covariance, &(residual - self.residual()), dt_s);
         let certain = self.variance;
         self.variance += doubt_2.mean();
-        let mut rows = [State::zeros(); 2];
-        for (axis, row) in rows.iter_mut().enumerate() {
-            row.fixed_rows_mut::<LAWS>(0)
-                .copy_from(&self.columns.row(axis).transpose());
-            row[RESIDUAL + axis] = 1.0;
-            if corrects {
-                (row[LAG], row[DELAY]) = (self.lag_derivative[axis], -self.rate[axis]);
+        let rows = [0, 1].map(|axis| {
+            // what the laws may have wrong is g's if they do not learn
+            let columns = laws.then_some(&self.answer.columns);
+            let mut row = row_of(columns, axis);
+            if laws && corrects {
+                row[LAG] = self.answer.lag_derivative[axis];
+                row[DELAY] = -self.answer.rate[axis];
             }
-        }
-        if !laws {
-            // what the laws may have wrong is g's then
-            for (axis, row) in rows.iter_mut().enumerate() {
-                row.fill(0.0);
-                row[RESIDUAL + axis] = 1.0;
-            }
-        }
+            row
+        });
         for axis in 0..2 {
             let along = axes.column(axis);
             let row = rows[0] * along[0] + rows[1] * along[1];
             let innovation = (bend - self.predicted() - self.residual()).dot(&along);
-            self.known
-                .correct(&row, innovation, certain + doubt_2[axis], laws);
+            (self.known).correct(&row, innovation, certain + doubt_2[axis], laws);
         }
         self.take_times();
         self.take_plays();
@@ -409,20 +377,17 @@ impl Observer {
         for i in 0..3 {
             let change = std::mem::take(&mut self.known.x[laws::PLAY + i]);
             let now_mm = self.lines[i].k_lambda_mm;
-            let next_mm = if change == 0.0 {
-                now_mm
-            } else {
-                (now_mm + change).clamp(HALF_WIDTH_MM[0], HALF_WIDTH_MM[1])
+            let next_mm = match change {
+                0.0 => now_mm,
+                _ => (now_mm + change).clamp(HALF_WIDTH_MM[0], HALF_WIDTH_MM[1]),
             };
-            let spread_mm = self
-                .half_width_sigma_mm(i)
-                .max(SPREAD_MIN_MM)
-                .min(SPREAD_MAX * next_mm);
+            let spread_mm = self.half_width_sigma_mm(i).max(SPREAD_MIN_MM);
+            let spread_mm = spread_mm.min(SPREAD_MAX * next_mm);
             let (change_mm, mm_per_rad) = (next_mm - now_mm, self.mm_per_rad(i));
             self.lines[i].k_lambda_mm = next_mm;
             self.now.widen(i, change_mm, spread_mm, mm_per_rad);
             self.then.widen(i, change_mm, spread_mm, mm_per_rad);
-            self.lagged += self.columns.column(laws::PLAY + i) * change_mm;
+            self.answer.lagged += self.answer.columns.column(laws::PLAY + i) * change_mm;
         }
     }
 
@@ -433,46 +398,38 @@ impl Observer {
             return;
         }
         (self.bank, self.dynamics) = (range.best, range.best);
-        for (k, time_s) in [range.best.lag_s, range.best.delay_s]
-            .into_iter()
-            .enumerate()
-        {
-            let (share, least_s) = TIMES_SIGMA[k];
-            let sigma_s = (share * time_s + least_s).max(self.timing_error_s / 3.0);
-            self.known.reset(LAG + k, sigma_s * sigma_s);
+        for (k, variance) in self.times_variance().into_iter().enumerate() {
+            self.known.reset(LAG + k, variance);
         }
+    }
+
+    /// Variances of lag and of dead time about those of the bank, s².
+    fn times_variance(&self) -> [f64; 2] {
+        let times_s = [self.bank.lag_s, self.bank.delay_s];
+        std::array::from_fn(|k| {
+            let (share, least_s) = TIMES_SIGMA[k];
+            let sigma_s = (share * times_s[k] + least_s).max(self.timing_error_s / 3.0);
+            sigma_s * sigma_s
+        })
     }
 
     /// A new pose begins: the next motion has its own speed, and what the last pose was off by tells how rough the map is.
     pub fn depart(&mut self) {
-        for (k, time_s) in [self.bank.lag_s, self.bank.delay_s].into_iter().enumerate() {
-            let (share, least_s) = TIMES_SIGMA[k];
-            let most = (share * time_s + least_s)
-                .max(self.timing_error_s / 3.0)
-                .powi(2);
+        for (k, most) in self.times_variance().into_iter().enumerate() {
             self.known.p[(LAG + k, LAG + k)] += 0.5 * most;
             self.known.cap(LAG + k, most);
         }
         let size_2 = (self.residual().norm_squared() / 2.0).min(SIZE_MAX_2);
-        let known = &mut self.known;
-        known.residual_size = (known.residual_size.powi(2) * (1.0 - SIZE_GAIN)
-            + SIZE_GAIN * size_2)
-            .sqrt()
-            .max(SIZE_MIN);
+        let before_2 = self.known.residual_size.powi(2);
+        let mean_2 = before_2 * (1.0 - SIZE_GAIN) + SIZE_GAIN * size_2;
+        self.known.residual_size = mean_2.sqrt().max(SIZE_MIN);
     }
 
     /// Variance of the settled bend with the channels at `there`, rad², summed over both axes.
     pub fn settled_variance(&self, there: &Channels) -> f64 {
         let columns = there.columns(&self.lines, &self.geometry);
-        (0..2)
-            .map(|axis| {
-                let mut row = State::zeros();
-                row.fixed_rows_mut::<LAWS>(0)
-                    .copy_from(&columns.row(axis).transpose());
-                row[RESIDUAL + axis] = 1.0;
-                row.dot(&(self.known.p * row))
-            })
-            .sum()
+        let rows = (0..2).map(|axis| row_of(Some(&columns), axis));
+        rows.map(|row| row.dot(&(self.known.p * row))).sum()
     }
 
     /// Standard deviation of the half-width of channel `i`, mm.
@@ -488,6 +445,17 @@ impl Observer {
     fn sigma_of(&self, k: usize) -> f64 {
         self.known.p[(k, k)].max(0.0).sqrt()
     }
+}
+
+/// Derivatives of the bend along an axis with respect to the states: of the laws, if they count, and of g.
+fn row_of(columns: Option<&Columns>, axis: usize) -> State {
+    let mut row = State::zeros();
+    if let Some(columns) = columns {
+        let of_laws = columns.row(axis).transpose();
+        row.fixed_rows_mut::<LAWS>(0).copy_from(&of_laws);
+    }
+    row[RESIDUAL + axis] = 1.0;
+    row
 }
 
 /// Principal axes of the covariance of the estimate, rad², and the measurement noise along each, rad². An error of the estimate lasts for

@@ -90,11 +90,7 @@ impl Knowledge {
     pub(super) fn cap(&mut self, k: usize, most: f64) {
         let variance = self.p[(k, k)];
         if variance > most {
-            let share = if most > 0.0 {
-                (most / variance).sqrt()
-            } else {
-                0.0
-            };
+            let share = (most / variance).sqrt();
             self.p.row_mut(k).scale_mut(share);
             self.p.column_mut(k).scale_mut(share);
         }

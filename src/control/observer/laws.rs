@@ -191,19 +191,15 @@ impl Channels {
 
     /// Q of channel `i` at `v`, from the present state of plies and creep on. Extrapolated no steeper or flatter than a tip can be.
     pub fn output(&self, i: usize, v: f64, theta: &Theta) -> f64 {
-        let creep: f64 = (0..CREEPS)
-            .map(|j| theta[CREEP + j] * self.creep[i][j])
-            .sum();
+        let creep = (0..CREEPS).map(|j| theta[CREEP + j] * self.creep[i][j]);
+        let creep: f64 = creep.sum();
         let smooth = |v: f64| {
             v * (1.0 + theta[GAIN + i]) + theta[EVEN + i] * even(v) + theta[ODD + i] * odd(v)
         };
         let change = v - self.v[i];
         let plies = |change: f64| -> f64 {
-            (0..PLIES)
-                .map(|j| {
-                    theta[PLY + j] * (self.ply[i][j] + change).clamp(-YIELD_RAD[j], YIELD_RAD[j])
-                })
-                .sum()
+            let of = |j: usize| (self.ply[i][j] + change).clamp(-YIELD_RAD[j], YIELD_RAD[j]);
+            (0..PLIES).map(|j| theta[PLY + j] * of(j)).sum()
         };
         let (from, to) = (smooth(self.v[i]) - plies(0.0), smooth(v) - plies(change));
         let to = if change.abs() > 1e-6 {

@@ -84,12 +84,8 @@ impl Oscillator {
         for k in 0..HARMONICS {
             let (sin, cos) = (self.rate_rad_s * (k + 1) as f64 * dt_s).sin_cos();
             let i = 1 + 2 * k;
-            (
-                turn[(i, i)],
-                turn[(i, i + 1)],
-                turn[(i + 1, i)],
-                turn[(i + 1, i + 1)],
-            ) = (cos, sin, -sin, cos);
+            let rotation = SMatrix::<f64, 2, 2>::new(cos, sin, -sin, cos);
+            turn.fixed_view_mut::<2, 2>(i, i).copy_from(&rotation);
         }
         self.states = self.states.map(|x| turn * x);
         self.covariance = turn * self.covariance * turn.transpose();
@@ -150,10 +146,9 @@ impl Periodic {
             }
             LOW_HZ * (HIGH_HZ / LOW_HZ).powf((k - 1) as f64 / (FREQUENCIES - 1) as f64)
         };
+        let amplitude_rad = config.amplitude_deg.to_radians();
         Self {
-            bank: std::array::from_fn(|k| {
-                Oscillator::new(hertz(k), config.amplitude_deg.to_radians())
-            }),
+            bank: std::array::from_fn(|k| Oscillator::new(hertz(k), amplitude_rad)),
             believed: None,
             age_s: 0.0,
             due_s: 0.0,
@@ -173,15 +168,14 @@ impl Periodic {
         if !config.enabled {
             return;
         }
-        (self.age_s, self.due_s, self.path) =
-            (self.age_s + dt_s, self.due_s + dt_s, self.path + moved);
+        self.age_s += dt_s;
+        self.due_s += dt_s;
+        self.path += moved;
         if self.due_s < PERIOD_S - 1e-9 {
             return;
         }
-        let (dt_s, path) = (
-            std::mem::take(&mut self.due_s),
-            std::mem::take(&mut self.path),
-        );
+        let dt_s = std::mem::take(&mut self.due_s);
+        let path = std::mem::take(&mut self.path);
         let keep = (-dt_s / config.memory_s).exp();
         let mut jumped = true;
         for one in &mut self.bank {
@@ -194,9 +188,7 @@ impl Periodic {
             // neither a breath nor a drift: what was before says nothing about what follows
             *self = Self::new(config);
             for one in &mut self.bank {
-                for axis in 0..2 {
-                    one.states[axis][0] = residual[axis];
-                }
+                (one.states[0][0], one.states[1][0]) = (residual.x, residual.y);
             }
         }
         let mut best = 1;
@@ -206,16 +198,11 @@ impl Periodic {
             }
         }
         let lead = self.bank[0].cost - self.bank[best].cost;
-        let bar = if self.believed.is_some() {
-            0.0
-        } else {
-            config.believed
-        };
+        let bar = self.believed.map_or(config.believed, |_| 0.0);
         let worth = self.bank[best].amplitude() > WORTH_RAD && self.age_s > FIRST_S;
         self.believed = (lead > bar && worth).then(|| {
-            let now = self
-                .believed
-                .filter(|&k| self.bank[k].cost < self.bank[best].cost + BETTER);
+            let enough = self.bank[best].cost + BETTER;
+            let now = self.believed.filter(|&k| self.bank[k].cost < enough);
             now.unwrap_or(best)
         });
     }

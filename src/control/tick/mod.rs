@@ -10,9 +10,9 @@
 //! The tick neither allocates, locks nor reads a clock. Hardware, simulation and replay run the same function and get
 //! the same bits.
 
+mod crossing;
 mod decide;
 mod observe;
-mod path;
 mod restart;
 mod sense;
 mod setpoint;
@@ -21,17 +21,13 @@ mod types;
 
 pub use restart::{RestartRest, RestartState};
 pub use state::LoopState;
-pub use types::{
-    Belief, Command, FeedbackConfig, Frame, Input, LoopConfig, Reference, Senses, TickPhase,
-};
+pub use types::{Belief, FeedbackConfig, Frame, Input, LoopConfig, Reference, Senses, TickPhase};
 
 use crate::control::limits::Cut;
-use crate::control::obstruction::Push;
 use crate::estimation::fusion::health::HealthAction;
 use crate::estimation::fusion::tip::TipEstimate;
-use crate::model::{Bend, Shape};
-use crate::primitives::Mm;
-use decide::PistonOutput;
+use crate::model::Bend;
+use decide::{Decided, Decision};
 use nalgebra::Vector2;
 
 /// One tick of the loop.
@@ -39,17 +35,12 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
     sense::estimate(config, state, input);
     observe::follow_steps(config, state, &input.steps, input.dt_s);
     let Some(estimate) = state.fusion.estimate() else {
-        let output = PistonOutput::resting(state);
-        return frame(config, state, input, None, output);
+        return frame(config, state, input, None, &Decided::default());
     };
-    let bend = estimate.bend;
-    state.setpoint.target_rests_s += input.dt_s;
-    if let Some(command) = input.command {
-        state.setpoint.target = Shape {
-            bend: command.bend,
-            length: command.length,
-        };
-        state.setpoint.target_rests_s = 0.0;
+    let (bend, dt_s) = (estimate.bend, input.dt_s);
+    state.setpoint.target_rests_s += dt_s;
+    if let Some(target) = input.command {
+        (state.setpoint.target, state.setpoint.target_rests_s) = (target, 0.0);
     }
     let holding = decide::hold(config, state, &input.steps);
     let setpoint_cut = if holding {
@@ -60,24 +51,23 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
     let moving = !state.setpoint.has_arrived();
     depart(config, state, moving, input.suspected);
     sense::watch_base(config, state, input, bend);
-    state.attribute_to_base(input.dt_s);
+    state.attribute_to_base(dt_s);
     if !holding && !state.base.moved && !input.idle {
-        observe::learn(config, state, &estimate, moving, input.dt_s);
+        observe::learn(config, state, &estimate, moving, dt_s);
     }
     state.last_estimate = bend.0;
-    let mut output = decide::command(config, state, bend, moving, input.dt_s);
-    watch(
+    let mut decision = Decision {
         config,
-        state,
-        bend,
-        moving || holding,
-        output.cut,
-        input.dt_s,
-    );
-    if output.cut == Cut::None {
-        output.cut = setpoint_cut;
+        state: &mut *state,
+        estimate: bend.0,
+        dt_s,
+    };
+    let mut decided = decision.command(moving);
+    decision.watch(moving || holding, decided.cut);
+    if decided.cut == Cut::None {
+        decided.cut = setpoint_cut;
     }
-    frame(config, state, input, Some(estimate), output)
+    frame(config, state, input, Some(estimate), &decided)
 }
 
 /// When the set-point begins to move.
@@ -95,47 +85,12 @@ fn depart(config: &LoopConfig, state: &mut LoopState, moving: bool, suspected: b
     state.moving = moving;
 }
 
-/// Time beyond lag, dead time and their error within which a free tip answers, s.
-const ANSWERED_S: f64 = 0.1;
-
-/// Whether the tip is obstructed, and whether the controller has reached its limits away from the target.
-fn watch(
-    config: &LoopConfig,
-    state: &mut LoopState,
-    estimate: Bend,
-    moving: bool,
-    cut: Cut,
-    dt_s: f64,
-) {
-    let Some(f) = &config.feedback else { return };
-    state.rule.step(moving, dt_s);
-    let error = state.setpoint.target.bend.0 - estimate.0;
-    let was_blocked = state.obstruction.blocked;
-    let answer_s = state.observer.dynamics.response_s() + state.dynamics.error_max_s() + ANSWERED_S;
-    let push = Push {
-        given: state.observer.given(),
-        estimate: estimate.0,
-        error,
-    };
-    state
-        .obstruction
-        .step(&f.obstruction, moving, &push, answer_s, dt_s);
-    if state.obstruction.blocked && !was_blocked {
-        // what was learned against the obstruction says nothing about the tip
-        state.return_to_known(&estimate.0, f64::INFINITY);
-    }
-    let off = error.norm() > f.obstruction.error_deg.to_radians();
-    state
-        .saturation
-        .step(moving, off, state.feedback_full, cut, dt_s);
-}
-
 fn frame(
     config: &LoopConfig,
     state: &LoopState,
     input: &Input,
     estimate: Option<TipEstimate>,
-    output: PistonOutput,
+    decided: &Decided,
 ) -> Frame {
     let phase = match estimate {
         None => TickPhase::Aligning,
@@ -148,28 +103,25 @@ fn frame(
         t: input.t,
         phase,
         target: state.setpoint.target,
-        setpoint: Shape {
-            bend: Bend(state.setpoint.bend.at),
-            length: Mm(state.setpoint.length.at.x),
-        },
+        setpoint: state.setpoint.shape(),
         estimate,
         bend_from_pistons: Bend(state.played()),
         predicted,
         unexplained: estimate.map_or_else(Vector2::zeros, |e| predicted - e.bend.0),
         feedback: state.feedback,
-        command: output.command,
-        bellow_mm: output.bellow_mm,
-        piston_target_mm: output.piston_target_mm,
-        steps: config.drive.steps(&output.piston_target_mm),
+        command: decided.command,
+        bellow_mm: decided.bellow_mm,
+        piston_target_mm: state.targets_mm,
+        steps: config.drive.steps(&state.targets_mm),
         k_epsilon: state.lines.map(|l| l.k_epsilon),
         k_lambda_mm: state.lines.map(|l| l.k_lambda_mm),
         dynamics,
-        cut: output.cut,
+        cut: decided.cut,
         at_rest: phase == TickPhase::Holding
             && state.rule.rests_s > dynamics.delay_s + 3.0 * dynamics.lag_s,
         blocked: state.obstruction.blocked,
         belief: belief(state),
-        saturation: state.saturation.now(),
+        saturation: state.saturation.reported,
         senses: senses(state, estimate),
         base_moved: state.base.moved,
         base_doubted: state.fusion.suspects_base_motion(&config.fuse),
@@ -189,12 +141,10 @@ fn belief(state: &LoopState) -> Belief {
 }
 
 fn senses(state: &LoopState, estimate: Option<TipEstimate>) -> Senses {
+    let fusion = &state.fusion;
     Senses {
-        action: state
-            .fusion
-            .verdict()
-            .map_or(HealthAction::Use, |v| v.action()),
-        in_force: state.fusion.in_force(),
+        action: (fusion.verdict()).map_or(HealthAction::Use, |v| v.action()),
+        in_force: fusion.in_force(),
         held: state.hold.is_holding(),
         disagrees: estimate.is_some_and(|e| e.disagrees),
     }

@@ -18,17 +18,13 @@ const CUBIC: f64 = 0.6;
 pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &Steps, dt_s: f64) {
     let mut piston_mm = config.drive.piston_mm(steps);
     let mut given = None;
-    if let Some((machine, described)) = config.feedforward.as_deref().zip(state.described.as_mut())
-    {
-        piston_mm = described.pistons(machine, &piston_mm);
+    if let Some(described) = &mut state.described {
+        piston_mm = described.pistons(&piston_mm);
         let play_output_mm = state.observer.play_outputs(&piston_mm);
-        given = Some(described.advance(machine, &play_output_mm, dt_s).bend.0);
+        given = Some(described.advance(&play_output_mm, dt_s).bend.0);
     }
     state.observer.follow(&piston_mm, given, dt_s);
-    let from = match given {
-        Some(bend) => bend,
-        None => state.observer.played_by(&state.accepted)[1],
-    };
+    let from = given.unwrap_or_else(|| state.observer.played_by(&state.accepted)[1]);
     let keep = (-dt_s / state.observer.dynamics.lag_s.max(1e-3)).exp();
     state.shown_by_accepted = from + (state.shown_by_accepted - from) * keep;
 }
@@ -44,19 +40,18 @@ pub(super) fn learn(
     let Some(f) = &config.feedback else { return };
     let (bend, observer) = (estimate.bend.0, &mut state.observer);
     let disturbance = state.periodic.at(0.0).0;
-    let laws = !state.obstruction.blocked && state.rule.held_s() < TEACHES_S;
-    if f.learn_dynamics && laws && state.bank.step(observer.given(), bend - disturbance, dt_s) {
+    let laws = !state.obstruction.blocked && state.rule.held_s < TEACHES_S;
+    if f.learn_dynamics && laws && state.bank.step(observer.given, bend - disturbance, dt_s) {
         state.dynamics = state.bank.assess(&state.before, &state.dynamics);
         observer.take_dynamics(&state.dynamics, moving);
     }
-    state.unexplained += bend - state.last_estimate - observer.rate * dt_s;
+    state.unexplained += bend - state.last_estimate - observer.rate() * dt_s;
     // a path has periods of its own
     if state.setpoint.acceleration.is_none() {
         let least = f.observer.noise_deg.to_radians().powi(2);
-        let (noise, moved) = (observer.variance.max(least), observer.rate.norm() * dt_s);
-        state
-            .periodic
-            .step(&f.periodic, &state.unexplained, 2.0 * noise, moved, dt_s);
+        let (noise, moved) = (observer.variance.max(least), observer.rate().norm() * dt_s);
+        let unexplained = &state.unexplained;
+        (state.periodic).step(&f.periodic, unexplained, 2.0 * noise, moved, dt_s);
     }
     let sway_2 = state.before_base.sway_rad.powi(2);
     let measured = Measured {

@@ -54,9 +54,8 @@ pub struct RestartLaws {
 impl RestartLaws {
     fn is_possible(&self) -> bool {
         let [values, sigmas] = &self.parameters;
-        Line::each(self.k_epsilon, [0.0; 3])
-            .iter()
-            .all(Line::is_possible)
+        let lines = Line::each(self.k_epsilon, [0.0; 3]);
+        lines.iter().all(Line::is_possible)
             && values.iter().all(|x| x.abs() <= PARAMETER_MAX)
             && sigmas.iter().all(|x| (0.0..=PARAMETER_MAX).contains(x))
     }
@@ -67,9 +66,8 @@ impl RestartState {
     pub fn is_possible(&self) -> bool {
         let times_s = [self.lag_s, self.delay_s, self.dynamics_uncertainty_s];
         let bend_rad = Vector2::from(self.bend_rad).norm();
-        Line::each(self.k_epsilon, self.k_lambda_mm)
-            .iter()
-            .all(Line::is_possible)
+        let lines = Line::each(self.k_epsilon, self.k_lambda_mm);
+        lines.iter().all(Line::is_possible)
             && times_s.into_iter().all(DynamicsPrior::is_possible_s)
             && bend_rad <= std::f64::consts::PI
             && self.play_output_mm.iter().all(|w| w.abs() <= PISTON_MAX_MM)
@@ -141,29 +139,25 @@ impl LoopState {
 
     /// Restores the position of the pistons and the learned values, before an alignment.
     pub fn take_up(&mut self, config: &LoopConfig, remembered: &RestartState) {
-        let expected = Dynamics {
-            lag_s: remembered.lag_s,
-            delay_s: remembered.delay_s,
-        };
         self.before = DynamicsPrior {
-            expected,
+            expected: Dynamics {
+                lag_s: remembered.lag_s,
+                delay_s: remembered.delay_s,
+            },
             uncertainty_s: remembered.dynamics_uncertainty_s,
         };
         self.dynamics = self.before.range();
-        let published = Line::each(remembered.k_epsilon, remembered.k_lambda_mm);
-        let gains = remembered
-            .laws
-            .map_or(remembered.k_epsilon, |laws| laws.k_epsilon);
+        let published = remembered.k_epsilon;
+        let gains = (remembered.laws).map_or(published, |laws| laws.k_epsilon);
         self.set_lines(config, Line::each(gains, remembered.k_lambda_mm));
         if let Some(laws) = &remembered.laws {
             self.observer.assume(&laws.parameters);
         }
         if self.described.is_none() {
-            self.lines = published;
+            self.lines = Line::each(published, remembered.k_lambda_mm);
         }
         let piston_mm = config.drive.piston_mm(&remembered.steps);
-        self.observer
-            .rest(&remembered.play_output_mm.into(), &piston_mm);
+        (self.observer).rest(&remembered.play_output_mm.into(), &piston_mm);
         self.stand(config, &remembered.steps, Bend(remembered.bend_rad.into()));
     }
 }

@@ -6,7 +6,8 @@ use crate::estimation::fusion::base_watch::{Watch, WatchInput};
 use crate::estimation::fusion::health::ImuReading;
 use crate::estimation::fusion::tip::FusionInput;
 use crate::model::Bend;
-use nalgebra::{Vector2, Vector3};
+use crate::primitives::lasting;
+use nalgebra::Vector3;
 
 /// Time since the last step after which the tip counts as still, s.
 const STILL_AFTER_S: f64 = 0.5;
@@ -17,28 +18,15 @@ const BELIEVED_SIGMAS: f64 = 2.0;
 /// Updates the fusion with the samples, the motors' field and whether the pistons rest.
 pub(super) fn estimate(config: &LoopConfig, state: &mut LoopState, input: &Input) {
     let motors = &mut state.motors;
-    motors.still_s = if input.steps == motors.last_steps {
-        motors.still_s + input.dt_s
-    } else {
-        0.0
-    };
-    for (idle_s, (now, before)) in motors
-        .idle_s
-        .iter_mut()
-        .zip(input.steps.0.iter().zip(motors.last_steps.0))
-    {
-        *idle_s = if *now == before {
-            *idle_s + input.dt_s
-        } else {
-            0.0
-        };
+    let (now, before) = (input.steps, motors.last_steps);
+    motors.still_s = lasting(now == before, motors.still_s, input.dt_s);
+    for i in 0..3 {
+        motors.idle_s[i] = lasting(now.0[i] == before.0[i], motors.idle_s[i], input.dt_s);
     }
-    motors.last_steps = input.steps;
+    motors.last_steps = now;
     let energised = motors.idle_s.map(|s| s < config.motors_idle_after_s);
-    let coils_ut = config
-        .motors
-        .as_ref()
-        .map_or_else(Vector3::zeros, |m| m.at(&input.steps.0, &energised));
+    let coils = config.motors.as_ref();
+    let coils_ut = coils.map_or_else(Vector3::zeros, |m| m.at(&input.steps.0, &energised));
     let tip = match input.imu {
         ImuReading::Sample(sample, quality) => {
             ImuReading::Sample(config.imu.apply(&sample), quality)
@@ -46,26 +34,21 @@ pub(super) fn estimate(config: &LoopConfig, state: &mut LoopState, input: &Input
         other => other,
     };
     let still = motors.still_s >= STILL_AFTER_S;
-    if let (Some(machine), Some(described), Some(rest)) = (
-        config.feedforward.as_deref(),
-        state.described.as_mut(),
-        state
-            .fusion
-            .alignment()
-            .filter(|_| config.feedback.is_some()),
+    if let (Some(described), Some(rest), Some(_)) = (
+        &mut state.described,
+        state.fusion.alignment(),
+        &config.feedback,
     ) {
-        described.zero(machine, rest.acc_rest_m_s2.normalize());
+        described.zero(rest.acc_rest_m_s2.normalize());
     }
-    state.fusion.update(
-        &config.fuse,
-        &FusionInput {
-            now: input.t,
-            tip,
-            base: input.base_imu,
-            coils_ut,
-            still,
-        },
-    );
+    let input = FusionInput {
+        now: input.t,
+        tip,
+        base: input.base_imu,
+        coils_ut,
+        still,
+    };
+    state.fusion.update(&config.fuse, &input);
 }
 
 /// Detects a base that turns, if no base IMU measures it, and serves a request for a new alignment.
@@ -76,12 +59,12 @@ pub(super) fn watch_base(
     estimate: Bend,
 ) {
     let played = state.played();
+    // the tip is where it was in the last quiet pose, moved by what the pistons have done since
+    let quiet = &state.base.quiet;
+    let by_pistons = quiet.estimate + played - quiet.played;
     if input.realign {
-        let quiet = &state.base.quiet;
-        let bend = Bend(quiet.estimate + played - quiet.played);
-        state
-            .fusion
-            .realign(if state.base.moved { bend } else { estimate });
+        let moved = state.base.moved;
+        (state.fusion).realign(if moved { Bend(by_pistons) } else { estimate });
         return;
     }
     if state.fusion.realigning() {
@@ -95,11 +78,8 @@ pub(super) fn watch_base(
         // also again: what was noticed while the base IMU was lost no longer counts
         (state.base.moved, state.base.watch) = (false, Watch::default());
     }
-    let Some(rate_rad_s) = state
-        .fusion
-        .rate_rad_s()
-        .filter(|_| !state.fusion.tracks_base())
-    else {
+    let rate_rad_s = state.fusion.rate_rad_s();
+    let Some(rate_rad_s) = rate_rad_s.filter(|_| !state.fusion.tracks_base()) else {
         return;
     };
     let observed = WatchInput {
@@ -122,7 +102,9 @@ pub(super) fn watch_base(
     }
     state.base.moved = flagged;
     if flagged {
-        return_to_before_the_turn(state, played);
+        // what was learned since the base began to turn is taken back
+        state.return_to_known(&by_pistons, BELIEVED_SIGMAS);
+        state.unlearn(&by_pistons, BELIEVED_SIGMAS);
     } else if state.base.watch.quiet() {
         state.base.quiet = QuietPose {
             estimate: estimate.0,
@@ -130,12 +112,4 @@ pub(super) fn watch_base(
         };
         state.fusion.remember(input.t);
     }
-}
-
-/// Takes back what was learned since the base began to turn. The tip is where it was before, moved by what the pistons have done since.
-fn return_to_before_the_turn(state: &mut LoopState, played: Vector2<f64>) {
-    let quiet = &state.base.quiet;
-    let bend = quiet.estimate + played - quiet.played;
-    state.return_to_known(&bend, BELIEVED_SIGMAS);
-    state.unlearn(&bend, BELIEVED_SIGMAS);
 }

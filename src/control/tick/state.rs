@@ -3,7 +3,7 @@
 use super::setpoint::SetPoint;
 use super::types::LoopConfig;
 use crate::control::dynamics::{DynamicsPrior, DynamicsRange};
-use crate::control::feedforward::FeedforwardState;
+use crate::control::feedforward::Feedforward;
 use crate::control::observer::bank::DynamicsBank;
 use crate::control::observer::laws::LAWS;
 use crate::control::observer::{Knowledge, Observer, Periodic};
@@ -13,7 +13,7 @@ use crate::control::saturation::SaturationMonitor;
 use crate::estimation::fusion::base_watch::Watch;
 use crate::estimation::fusion::tip::Fusion;
 use crate::model::{Bend, Line, Shape, SideState};
-use crate::primitives::{Mm, Steps};
+use crate::primitives::Steps;
 use nalgebra::{Vector2, Vector3};
 
 /// Time by which the pistons answer a command, s.
@@ -59,8 +59,8 @@ pub struct LoopState {
     pub(super) feedback_full: bool,
     pub(super) obstruction: ObstructionDetector,
     pub(super) saturation: SaturationMonitor,
-    /// State of the effects, with a feedforward through a described machine.
-    pub(super) described: Option<FeedforwardState>,
+    /// The feedforward through a described machine, if there is one.
+    pub(super) described: Option<Feedforward>,
     pub(super) base: BaseState,
     pub(super) hold: Hold,
     /// Piston targets of the last tick, mm.
@@ -167,10 +167,10 @@ impl LoopState {
                 idle_s: [f64::INFINITY; 3],
                 still_s: 0.0,
             },
-            setpoint: SetPoint::resting(Shape {
-                bend: Bend::STRAIGHT,
-                length: Mm(config.geometry.rest_length_mm),
-            }),
+            setpoint: SetPoint::resting(Shape::new(
+                Vector2::zeros(),
+                config.geometry.rest_length_mm,
+            )),
             lines: config.lines,
             shown: [0.0; 3],
             sides: Default::default(),
@@ -178,7 +178,7 @@ impl LoopState {
             shown_by_accepted: Vector2::zeros(),
             before_base: BeforeBaseMotion::of(observer.learned()),
             known: Known {
-                laws: observer.knowledge(),
+                laws: observer.known,
                 dynamics,
                 bank: DynamicsBank::default(),
             },
@@ -195,7 +195,7 @@ impl LoopState {
             feedback_full: false,
             obstruction: ObstructionDetector::default(),
             saturation: SaturationMonitor::default(),
-            described: config.feedforward.as_deref().map(FeedforwardState::new),
+            described: config.feedforward.clone().map(Feedforward::new),
             base: BaseState::default(),
             hold: Hold::RELEASED,
             targets_mm: Vector3::zeros(),
@@ -232,7 +232,7 @@ impl LoopState {
     /// Bend that the counted steps cause by the accepted gains or, where a machine is described, by its laws, rad.
     pub(super) fn played(&self) -> Vector2<f64> {
         match self.described {
-            Some(_) => self.observer.given(),
+            Some(_) => self.observer.given,
             None => self.observer.played_by(&self.accepted)[0],
         }
     }
@@ -274,7 +274,7 @@ impl LoopState {
     /// Remembers what is known, to return to.
     pub(super) fn remember(&mut self) {
         self.known = Known {
-            laws: self.observer.knowledge(),
+            laws: self.observer.known,
             dynamics: self.dynamics,
             bank: self.bank.clone(),
         };
@@ -324,7 +324,7 @@ impl LoopState {
 
     /// Returns to what was remembered; the tip, once settled, bends by `bend`, rad, see [`Observer::believe`].
     pub(super) fn return_to_known(&mut self, bend: &Vector2<f64>, sigmas: f64) {
-        self.observer.recall(&self.known.laws);
+        self.observer.known = self.known.laws;
         self.observer.believe(bend, sigmas);
         (self.dynamics, self.bank) = (self.known.dynamics, self.known.bank.clone());
         self.observer.take_dynamics(&self.dynamics, false);
@@ -334,30 +334,25 @@ impl LoopState {
     /// nothing moves.
     pub fn stand(&mut self, config: &LoopConfig, steps: &Steps, at: Bend) {
         let piston_mm = config.drive.piston_mm(steps);
-        let mut length_mm = config.geometry.rest_length_mm;
-        let mut given = None;
+        let rest_length_mm = config.geometry.rest_length_mm;
         let play_output_mm = self.observer.play_outputs(&piston_mm);
         let bellow_mm = Vector3::from_fn(|i, _| self.lines[i].bellow_mm(play_output_mm[i]));
-        length_mm += bellow_mm.sum() / 3.0;
-        if let Some(machine) = config.feedforward.as_deref() {
-            let mut described = FeedforwardState::new(machine);
-            let shape = described.advance(machine, &play_output_mm, SETTLED_S);
+        let mut length_mm = rest_length_mm + bellow_mm.sum() / 3.0;
+        let mut given = None;
+        if let Some(machine) = config.feedforward.clone() {
+            let described = self.described.insert(Feedforward::new(machine));
+            let shape = described.advance(&play_output_mm, SETTLED_S);
             (given, length_mm) = (Some(shape.bend.0), shape.length.0);
-            self.described = Some(described);
         }
-        let rest_length_mm = config.geometry.rest_length_mm;
         // within its plays and the free length, a tip at its rest length has that length
         let f = config.feedback.unwrap_or_default();
         let plays_mm = self.lines.map(|line| line.bellow_mm(line.k_lambda_mm));
-        if (length_mm - rest_length_mm).abs()
-            <= f.free_length_mm + plays_mm.iter().sum::<f64>() / 3.0
-        {
+        let free_mm = f.free_length_mm + plays_mm.iter().sum::<f64>() / 3.0;
+        if (length_mm - rest_length_mm).abs() <= free_mm {
             length_mm = rest_length_mm;
         }
-        self.setpoint = SetPoint::resting(Shape {
-            bend: at,
-            length: Mm(length_mm.clamp(0.5 * rest_length_mm, 2.0 * rest_length_mm)),
-        });
+        let possible_mm = length_mm.clamp(0.5 * rest_length_mm, 2.0 * rest_length_mm);
+        self.setpoint = SetPoint::resting(Shape::new(at.0, possible_mm));
         self.observer.stand(&f.observer, &piston_mm, given, &at.0);
         self.begin();
         self.accept_lines(config);

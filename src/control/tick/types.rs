@@ -15,7 +15,7 @@ use crate::estimation::imu_calibration::motor::MotorField;
 use crate::model::{Bend, DescribedMachine, Drive, Geometry, Line, Shape, Side};
 use crate::motion::DriveLimits;
 use crate::parameters;
-use crate::primitives::{ImuSample, Mm, Seconds, Steps};
+use crate::primitives::{ImuSample, Seconds, Steps};
 use nalgebra::{Vector2, Vector3};
 use std::sync::Arc;
 
@@ -105,15 +105,6 @@ parameters! {
     }
 }
 
-/// A target for the tip.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Command {
-    /// Bend vector, rad.
-    pub bend: Bend,
-    /// Centre length, mm.
-    pub length: Mm,
-}
-
 /// Where a moving tip is to be, for the time at which it answers the command of this tick ([`super::LoopState::answers_after_s`]).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reference {
@@ -137,7 +128,7 @@ pub struct Input {
     /// Sample of the base IMU, if there is one.
     pub base_imu: Option<ImuSample>,
     /// A new target.
-    pub command: Option<Command>,
+    pub command: Option<Shape>,
     /// The moving reference of this tick, in place of targets.
     pub reference: Option<Reference>,
     /// Microsteps counted so far.

@@ -98,7 +98,7 @@ fn restart_bent(
     row: &mut FaultResult,
 ) -> Result<(), MachineError> {
     let (restart, now_s) = (before.runner.supervisor.keep(), before.now_s);
-    let mut machine = before.runner.machine;
+    let mut machine = *before.runner.machine;
     if moved {
         let (bend_deg, dir_deg) = (15.0, 200.0);
         machine.inject(InjectedFault::Push { bend_deg, dir_deg });

@@ -259,7 +259,6 @@ pub fn decode(message: &[u8]) -> postcard::Result<(u64, Vec<Cycle>)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::tick::Command;
     use crate::estimation::fusion::health::{Quality, ReadFault};
     use crate::model::bend::Bend;
     use crate::model::transmission::Line;
@@ -277,7 +276,7 @@ mod tests {
             acc_m_s2: Vector3::z(),
             mag_ut: Some(Vector3::x()),
         };
-        let command = Command {
+        let command = Shape {
             bend: Bend([0.1, 0.2].into()),
             length: Mm(20.0),
         };

@@ -14,7 +14,7 @@ use crate::service::shared::Watched;
 use crate::service::start::Start;
 use crate::service::status;
 use crate::supervisor::cycle::order::hint;
-use crate::supervisor::{Guidance, Mode};
+use crate::supervisor::{Mode, Source};
 use serde_json::{Value, json};
 use std::collections::HashMap;
 use std::io;
@@ -294,9 +294,9 @@ impl Hub {
             "memory": {"error": self.persistence.error, "damaged": self.facts.damaged},
             "faults": memory.faults[memory.faults.len().saturating_sub(FAULTS_SHOWN)..],
         });
-        if let Some(Guidance::Path { at_s }) = last.map(|t| t.guidance) {
+        if let Some((t_s, Source::Path { began_s })) = last.map(|t| (t.sensed.t.0, t.source)) {
             value["path"] = self.path.clone();
-            value["path"]["at_s"] = json!(at_s);
+            value["path"]["at_s"] = json!(t_s - began_s);
         }
         if let (Value::Object(to), Value::Object(from)) = (&mut value, more) {
             to.extend(from);

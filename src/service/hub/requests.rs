@@ -3,7 +3,7 @@
 use super::state::{Caller, Hub, Reply, Subscription, too_many};
 use crate::config::Gains;
 use crate::config::source;
-use crate::control::{Command, Path};
+use crate::control::Path;
 use crate::model::{Bend, Shape};
 use crate::primitives::Mm;
 use crate::service::calibrate::{Found, Session};
@@ -160,20 +160,17 @@ impl Hub {
     fn reach(&self) -> Value {
         let (tick, lines) = (&self.config.supervisor.tick, self.in_use().lines);
         let largest = |k: u32| {
-            let Command { bend, length } =
-                self.target(BEND_MAX_RAD.to_degrees(), f64::from(k) * 5.0, None);
-            bend.beta().to_degrees()
-                * tick
-                    .limits
-                    .largest_share(&tick.geometry, &lines, &Shape { bend, length })
+            let shape = self.target(BEND_MAX_RAD.to_degrees(), f64::from(k) * 5.0, None);
+            shape.bend.beta().to_degrees()
+                * tick.limits.largest_share(&tick.geometry, &lines, &shape)
         };
         let bend_deg: Vec<f64> = (0..72).map(largest).collect();
         json!({"bend_deg": bend_deg, "r_mm": tick.geometry.r_mm, "rest_length_mm": tick.geometry.rest_length_mm})
     }
 
-    fn target(&self, bend_deg: f64, dir_deg: f64, length_mm: Option<f64>) -> Command {
+    fn target(&self, bend_deg: f64, dir_deg: f64, length_mm: Option<f64>) -> Shape {
         let length = Mm(length_mm.unwrap_or(self.config.supervisor.tick.geometry.rest_length_mm));
-        Command {
+        Shape {
             bend: Bend::from_deg(bend_deg, dir_deg),
             length,
         }
@@ -197,7 +194,7 @@ impl Hub {
             return Ok(false);
         }
         let shapes = checked.iter().map(|&(_, bend_deg, dir_deg, length_mm)| {
-            let Command { bend, length } = self.target(bend_deg, dir_deg, length_mm);
+            let Shape { bend, length } = self.target(bend_deg, dir_deg, length_mm);
             bend.0.push(length.0)
         });
         let path = Path::new(checked.iter().map(|row| row.0).collect(), shapes.collect())

@@ -3,8 +3,7 @@
 
 mod house;
 
-use crate::control::Command;
-use crate::model::Bend;
+use crate::model::{Bend, Shape};
 use crate::primitives::Mm;
 use crate::service::protocol::{CalibrateAction, Frame, RecordAction, Request};
 use crate::service::rt_loop::Precondition;
@@ -279,7 +278,7 @@ fn what_was_decided_on_an_old_picture_is_not_carried_out() {
             3 => Order::Calibrate(house.rng.random_range(0..2) == 0),
             4 => Order::Hold,
             _ => Order::Bend(
-                Command {
+                Shape {
                     bend: Bend::from_deg(5.0, 90.0),
                     length: Mm(20.0),
                 },

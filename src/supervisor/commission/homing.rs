@@ -80,29 +80,27 @@ pub fn with_switches(
 ) -> Result<Homed, HomingError> {
     let mut repeat_mm = [0.0; 3];
     let mut closed_mm = [0.0; 3];
-    for channel in 0..3 {
+    for i in 0..3 {
         let mut search = Search {
             drive,
             config,
-            channel,
-            side: config.at_mm[channel].signum(),
+            i,
+            channel: i + 1,
         };
         search.leave()?;
         search.close(config.speed_mm_s, config.search_max_mm)?;
         search.leave()?;
-        let slow = 0.25 * config.speed_mm_s;
-        let first_mm = search.close(slow, 2.0 * config.back_off_mm)?;
+        let (slow, most_mm) = (0.25 * config.speed_mm_s, 2.0 * config.back_off_mm);
+        let first_mm = search.close(slow, most_mm)?;
         search.leave()?;
-        closed_mm[channel] = search.close(slow, 2.0 * config.back_off_mm)?;
+        closed_mm[i] = search.close(slow, most_mm)?;
         search.leave()?;
-        repeat_mm[channel] = (closed_mm[channel] - first_mm).abs();
-        if repeat_mm[channel] > config.repeat_max_mm {
-            return Err(HomingError::NotRepeatable {
-                channel: channel + 1,
-                mm: repeat_mm[channel],
-                max: config.repeat_max_mm,
-            });
+        let (mm, max) = ((closed_mm[i] - first_mm).abs(), config.repeat_max_mm);
+        if mm > max {
+            let channel = i + 1;
+            return Err(HomingError::NotRepeatable { channel, mm, max });
         }
+        repeat_mm[i] = mm;
     }
     let (stands_mm, step_mm) = (drive.stands_mm(), drive.step_mm());
     let moved_mm: [f64; 3] = std::array::from_fn(|i| config.at_mm[i] - closed_mm[i]);
@@ -120,49 +118,43 @@ pub fn with_switches(
 struct Search<'h, 'a> {
     drive: &'h mut ManualMotion<'a>,
     config: &'h HomingConfig,
+    i: usize,
+    /// The channel, from 1.
     channel: usize,
-    side: f64,
 }
 
 impl Search<'_, '_> {
     /// The present target, with this channel moved towards its switch by `by_mm`.
     fn towards(&self, by_mm: f64) -> [f64; 3] {
-        let mut target = self.drive.wanted_mm();
-        target[self.channel] += self.side * by_mm;
+        let mut target = self.drive.wanted_mm;
+        target[self.i] += self.config.at_mm[self.i].signum() * by_mm;
         target
     }
 
     /// Approaches until the switch closes; returns the position of the closing, mm.
     fn close(&mut self, speed_mm_s: f64, most_mm: f64) -> Result<f64, HomingError> {
-        let (channel, step_mm) = (self.channel, self.drive.step_mm());
+        let (i, channel, mm) = (self.i, self.channel, most_mm);
+        let (step_mm, target) = (self.drive.step_mm(), self.towards(most_mm));
         let mut at = None;
-        let target = self.towards(most_mm);
         self.drive.go(target, speed_mm_s, &mut |s| {
-            if s.inputs.home[channel] {
-                at.get_or_insert(f64::from(s.counted.0[channel]) * step_mm);
+            if s.inputs.home[i] {
+                at.get_or_insert(f64::from(s.counted.0[i]) * step_mm);
             }
             at.is_some()
         })?;
-        at.ok_or(HomingError::NeverClosed {
-            channel: channel + 1,
-            mm: most_mm,
-        })
+        at.ok_or(HomingError::NeverClosed { channel, mm })
     }
 
     /// Backs off from a closed switch by the whole distance.
     fn leave(&mut self) -> Result<(), HomingError> {
-        let channel = self.channel;
-        if !self.drive.turn()?.inputs.home[channel] {
+        let (i, channel, mm) = (self.i, self.channel, self.config.back_off_mm);
+        if !self.drive.turn()?.inputs.home[i] {
             return Ok(());
         }
-        let target = self.towards(-self.config.back_off_mm);
-        self.drive
-            .go(target, self.config.speed_mm_s, &mut |_| false)?;
-        if self.drive.turn()?.inputs.home[channel] {
-            return Err(HomingError::NeverOpened {
-                channel: channel + 1,
-                mm: self.config.back_off_mm,
-            });
+        let target = self.towards(-mm);
+        (self.drive).go(target, self.config.speed_mm_s, &mut |_| false)?;
+        if self.drive.turn()?.inputs.home[i] {
+            return Err(HomingError::NeverOpened { channel, mm });
         }
         Ok(())
     }

@@ -49,7 +49,7 @@ pub struct ManualMotion<'a> {
     machine: &'a mut dyn Machine,
     wait: &'a mut Wait<'a>,
     now: Seconds,
-    wanted_mm: [f64; 3],
+    pub(super) wanted_mm: [f64; 3],
     last: Option<Sensed>,
 }
 
@@ -70,11 +70,6 @@ impl<'a> ManualMotion<'a> {
     /// Piston travel per microstep, mm.
     pub fn step_mm(&self) -> f64 {
         self.machine.info().step_mm
-    }
-
-    /// Requested positions, mm.
-    pub fn wanted_mm(&self) -> [f64; 3] {
-        self.wanted_mm
     }
 
     /// Counted positions, mm.
@@ -105,11 +100,9 @@ impl<'a> ManualMotion<'a> {
             // at these speeds an underrun is only a short pause
             None | Some(Alarm::Underrun) => Ok(sensed),
             Some(alarm) => {
-                let details = self
-                    .machine
-                    .remarks()
-                    .into_iter()
-                    .find_map(|r| r.strip_prefix("pins: ").map(str::to_owned));
+                let remarks = self.machine.remarks();
+                let mut of_pins = remarks.iter().filter_map(|r| r.strip_prefix("pins: "));
+                let details = of_pins.next().map(str::to_owned);
                 Err(ManualMotionError::Alarm { alarm, details })
             }
         }
@@ -143,11 +136,8 @@ impl<'a> ManualMotion<'a> {
                 return Ok(());
             }
         }
-        Err(ManualMotionError::NotSwitched(if on {
-            "on"
-        } else {
-            "off"
-        }))
+        let switch = if on { "on" } else { "off" };
+        Err(ManualMotionError::NotSwitched(switch))
     }
 
     /// Moves to `target_mm`; `speed_mm_s` is the speed of the channel with the longest way. The move ends early when
@@ -162,15 +152,13 @@ impl<'a> ManualMotion<'a> {
         enough: &mut dyn FnMut(&Sensed) -> bool,
     ) -> Result<bool, ManualMotionError> {
         let from_mm = self.wanted_mm;
-        let way_mm = (0..3)
-            .map(|i| (target_mm[i] - from_mm[i]).abs())
-            .fold(0.0, f64::max);
+        let ways_mm = (0..3).map(|i| (target_mm[i] - from_mm[i]).abs());
+        let way_mm = ways_mm.fold(0.0, f64::max);
         let began_s = self.now.0;
         loop {
-            let share = if way_mm > 0.0 {
-                ((self.now.0 - began_s) * speed_mm_s / way_mm).min(1.0)
-            } else {
-                1.0
+            let share = match way_mm > 0.0 {
+                true => ((self.now.0 - began_s) * speed_mm_s / way_mm).min(1.0),
+                false => 1.0,
             };
             self.wanted_mm =
                 std::array::from_fn(|i| from_mm[i] + share * (target_mm[i] - from_mm[i]));
@@ -201,10 +189,8 @@ impl<'a> ManualMotion<'a> {
             }
         }
         let stands = self.last.map_or(Steps::default(), |s| s.counted);
-        Err(ManualMotionError::NotArrived(
-            ARRIVE_MAX_S,
-            format!("{:?}", stands.0),
-        ))
+        let stands = format!("{:?}", stands.0);
+        Err(ManualMotionError::NotArrived(ARRIVE_MAX_S, stands))
     }
 
     /// Assigns other counts to the present position of the pistons.

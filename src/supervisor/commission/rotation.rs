@@ -12,74 +12,47 @@ use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
 /// Longest gap between two samples that is integrated in full, s.
 const GAP_MAX_S: f64 = 0.1;
-/// Fewest samples for a bias.
-const SAMPLES_MIN: u32 = 20;
 
-/// Gyroscope bias: the mean angular rate of a tip at rest.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct GyroBias {
-    sum_rad_s: Vector3<f64>,
-    max_rad_s: f64,
-    samples: u32,
-}
-
-impl GyroBias {
-    /// Adds the sample of one cycle, if there is one.
-    pub fn add(&mut self, sensed: &Sensed) {
-        if let ImuReading::Sample(s, _) = &sensed.imu {
-            self.sum_rad_s += s.gyro_rad_s;
-            self.max_rad_s = self.max_rad_s.max(s.gyro_rad_s.norm());
-            self.samples += 1;
-        }
-    }
-
-    /// The bias, rad/s; `None` if there are too few samples or the tip moved.
-    pub fn rad_s(&self, still_max_rad_s: f64) -> Option<Vector3<f64>> {
-        let mean = self.sum_rad_s / f64::from(self.samples.max(1));
-        (self.has_samples() && self.max_rad_s - mean.norm() <= still_max_rad_s).then_some(mean)
-    }
-
-    /// Number of samples.
-    pub fn samples(&self) -> u32 {
-        self.samples
-    }
-
-    /// True if there are enough samples for a bias.
-    pub fn has_samples(&self) -> bool {
-        self.samples >= SAMPLES_MIN
-    }
-}
-
-/// Rotation since the start.
-#[derive(Debug, Clone, Copy)]
+/// What the gyroscope says of a tip: its mean rate, and its rotation from the first sample on, less the bias.
+#[derive(Debug, Clone, Copy, Default)]
 pub struct TipRotation {
     bias_rad_s: Vector3<f64>,
     r: UnitQuaternion<f64>,
     last: Option<ImuSample>,
+    sum_rad_s: Vector3<f64>,
+    /// Largest rate of a sample, rad/s.
+    pub max_rad_s: f64,
+    /// Number of samples.
+    pub samples: u32,
 }
 
 impl TipRotation {
-    /// The identity.
+    /// No rotation, of a gyroscope with this bias.
     pub fn new(bias_rad_s: Vector3<f64>) -> Self {
         Self {
             bias_rad_s,
-            r: UnitQuaternion::identity(),
-            last: None,
+            ..Self::default()
         }
     }
 
-    /// Integrates the sample of one cycle, if there is one.
+    /// Takes the sample of one cycle, if there is one.
     pub fn add(&mut self, sensed: &Sensed) {
         let ImuReading::Sample(sample, _) = &sensed.imu else {
             return;
         };
-        if let Some(last) = &self.last {
+        self.sum_rad_s += sample.gyro_rad_s;
+        self.max_rad_s = self.max_rad_s.max(sample.gyro_rad_s.norm());
+        self.samples += 1;
+        if let Some(last) = self.last.replace(*sample) {
             let mean = 0.5 * (last.gyro_rad_s + sample.gyro_rad_s) - self.bias_rad_s;
-            self.r *= UnitQuaternion::from_scaled_axis(
-                mean * (sample.t.0 - last.t.0).clamp(0.0, GAP_MAX_S),
-            );
+            let took_s = (sample.t.0 - last.t.0).clamp(0.0, GAP_MAX_S);
+            self.r *= UnitQuaternion::from_scaled_axis(mean * took_s);
         }
-        self.last = Some(*sample);
+    }
+
+    /// Mean rate of all samples, rad/s: the bias, if the tip rests.
+    pub fn mean_rad_s(&self) -> Vector3<f64> {
+        self.sum_rad_s / f64::from(self.samples.max(1))
     }
 
     /// The bend vector, rad.

@@ -2,7 +2,7 @@
 
 use crate::model::Geometry;
 use crate::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};
-use crate::supervisor::commission::rotation::{GyroBias, TipRotation};
+use crate::supervisor::commission::rotation::TipRotation;
 use crate::supervisor::commission::wiring::{self, Wiring};
 use nalgebra::{Vector2, Vector3};
 use std::fmt::Write;
@@ -23,21 +23,10 @@ const LEAK_MAX_PER_S: f64 = 0.005;
 pub struct TrialConfig {
     /// The bending section.
     pub geometry: Geometry,
-    /// Piston stroke of the wiring test, mm.
+    /// Piston stroke of the wiring test, mm: 3 bends the tip by a few degrees at less than a fifth of the permitted pressure.
     pub stroke_mm: f64,
     /// Duration of the leak test, s; 0 skips it.
     pub hold_s: f64,
-}
-
-impl TrialConfig {
-    /// The standard strokes: a few degrees of bend at less than a fifth of the permitted pressure.
-    pub fn new(geometry: Geometry) -> Self {
-        Self {
-            geometry,
-            stroke_mm: 3.0,
-            hold_s: 10.0,
-        }
-    }
 }
 
 /// Why the procedure has no result.
@@ -65,10 +54,8 @@ pub struct Findings {
     pub answers: [Vector2<f64>; 3],
     /// Channels that did not move the tip.
     pub dead: [bool; 3],
-    /// Wiring; `None` if no hypothesis fits or a channel is dead.
-    pub wiring: Option<Wiring>,
-    /// Other wirings that fit equally well.
-    pub others: Vec<Wiring>,
+    /// The simplest wiring, and others that fit equally well; none if no hypothesis fits or a channel is dead.
+    pub wirings: Vec<Wiring>,
     /// Relative loss of bend per second, 1/s; `None` if not measured.
     pub leak_per_s: [Option<f64>; 3],
 }
@@ -84,7 +71,7 @@ impl Findings {
     pub fn is_good(&self) -> bool {
         self.dead == [false; 3]
             && self.leaks() == [false; 3]
-            && self.wiring.is_some_and(|w| w.is_right())
+            && self.wirings.first().is_some_and(Wiring::is_right)
     }
 
     /// The findings as text, one per line.
@@ -92,9 +79,8 @@ impl Findings {
         let mut text = String::new();
         for i in 0..3 {
             let (deg, leak) = (self.answers[i].norm().to_degrees(), self.leak_per_s[i]);
-            let hold = leak.map_or(String::new(), |l| {
-                format!(", loses {:.2} % per second", 100.0 * l.max(0.0))
-            });
+            let loses = |l: f64| format!(", loses {:.2} % per second", 100.0 * l.max(0.0));
+            let hold = leak.map_or(String::new(), loses);
             let _ = writeln!(text, "channel {}: bends the tip by {deg:.1}°{hold}", i + 1);
         }
         for i in (0..3).filter(|i| self.dead[*i]) {
@@ -111,11 +97,11 @@ impl Findings {
                 i + 1
             );
         }
-        match &self.wiring {
-            Some(w) if w.is_right() => text.push_str("wiring: agrees with the board file\n"),
-            Some(w) => {
+        match self.wirings.split_first() {
+            Some((w, _)) if w.is_right() => text.push_str("wiring: agrees with the board file\n"),
+            Some((w, others)) => {
                 let _ = writeln!(text, "wiring: WRONG: {}", w.differences());
-                for other in &self.others {
+                for other in others {
                     let _ = writeln!(text, "  or, indistinguishable: {}", other.differences());
                 }
             }
@@ -141,56 +127,55 @@ pub fn run(
     gyro_bias(drive)?;
     drive.energise(true)?;
     let mut answers = [Vector2::zeros(); 3];
-    for (channel, answer) in answers.iter_mut().enumerate() {
-        progress(&format!(
-            "channel {}: stroke of {} mm",
-            channel + 1,
-            config.stroke_mm
-        ));
-        *answer = stroke(drive, channel, config.stroke_mm, 0.0)?.0;
+    let &TrialConfig {
+        geometry,
+        stroke_mm,
+        hold_s,
+    } = config;
+    for (i, answer) in answers.iter_mut().enumerate() {
+        progress(&format!("channel {}: stroke of {stroke_mm} mm", i + 1));
+        *answer = stroke(drive, i, stroke_mm, 0.0)?.0;
     }
     let dead = answers.map(|a| a.norm() < DEAD_RAD);
     let mut leak_per_s = [None; 3];
-    for channel in (0..3).filter(|i| config.hold_s > 0.0 && !dead[*i]) {
-        progress(&format!(
-            "channel {}: holding for {} s",
-            channel + 1,
-            config.hold_s
-        ));
-        leak_per_s[channel] = Some(stroke(drive, channel, HOLD_MM, config.hold_s)?.1);
+    for i in (0..3).filter(|i| hold_s > 0.0 && !dead[*i]) {
+        progress(&format!("channel {}: holding for {hold_s} s", i + 1));
+        leak_per_s[i] = Some(stroke(drive, i, HOLD_MM, hold_s)?.1);
     }
     drive.energise(false)?;
     let expected = [0, 1, 2].map(|i| {
         let mut q = Vector3::zeros();
         q[i] = 1.0;
-        config.geometry.shape(&q).bend.0
+        geometry.shape(&q).bend.0
     });
-    let found = if dead == [false; 3] {
-        wiring::identify(&answers, &expected)
-    } else {
-        None
+    let wirings = match dead {
+        [false, false, false] => wiring::identify(&answers, &expected),
+        _ => Vec::new(),
     };
-    let (wiring, others) = found.map_or((None, Vec::new()), |(w, o)| (Some(w), o));
     Ok(Findings {
         answers,
         dead,
-        wiring,
-        others,
+        wirings,
         leak_per_s,
     })
 }
 
 /// Measures the gyroscope bias over one second, rad/s.
 fn gyro_bias(drive: &mut ManualMotion<'_>) -> Result<Vector3<f64>, TrialError> {
-    let mut bias = GyroBias::default();
-    drive.stand(1.0, &mut |s| bias.add(s))?;
-    match bias.rad_s(STILL_MAX_RAD_S) {
-        Some(bias) => Ok(bias),
-        None if !bias.has_samples() => Err(TrialError::Blind(bias.samples())),
-        None => Err(TrialError::NotStill),
+    let mut rotation = TipRotation::default();
+    drive.stand(1.0, &mut |s| rotation.add(s))?;
+    let mean_rad_s = rotation.mean_rad_s();
+    if rotation.samples < SAMPLES_MIN {
+        Err(TrialError::Blind(rotation.samples))
+    } else if rotation.max_rad_s - mean_rad_s.norm() <= STILL_MAX_RAD_S {
+        Ok(mean_rad_s)
+    } else {
+        Err(TrialError::NotStill)
     }
 }
 
+/// Fewest samples for a bias.
+const SAMPLES_MIN: u32 = 20;
 /// Largest measured rate of a tip at rest, noise included, rad/s.
 const STILL_MAX_RAD_S: f64 = 0.06;
 
@@ -212,11 +197,8 @@ fn stroke(
     let bend = rotation.bend().0;
     drive.stand(hold_s, &mut |s| rotation.add(s))?;
     let left = rotation.bend().0.norm() / bend.norm().max(f64::MIN_POSITIVE);
-    let lost_per_s = if hold_s > 0.0 {
-        -left.max(1e-6).ln() / hold_s
-    } else {
-        0.0
-    };
+    let lost = -left.max(1e-6).ln();
+    let lost_per_s = if hold_s > 0.0 { lost / hold_s } else { 0.0 };
     drive.go([0.0; 3], SPEED_MM_S, &mut |_| false)?;
     drive.stand(SETTLE_S, &mut |_| ())?;
     Ok((bend, lost_per_s))

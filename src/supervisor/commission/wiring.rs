@@ -27,7 +27,7 @@ pub const TURN_SMALL_RAD: f64 = 0.35;
 /// Residuals that exceed the best by less fit equally well, rad.
 const ALIKE_RAD: f64 = 0.12;
 /// Residual above which no hypothesis fits, rad.
-pub const RESIDUAL_MAX_RAD: f64 = 0.35;
+const RESIDUAL_MAX_RAD: f64 = 0.35;
 
 const ORDERS: [[usize; 3]; 6] = [
     [0, 1, 2],
@@ -48,43 +48,27 @@ impl Wiring {
 
     /// Number of changes, weighted.
     fn cost(&self) -> f64 {
-        let moved = self
-            .reaches
-            .iter()
-            .enumerate()
-            .filter(|(i, p)| i != *p)
-            .count() as f64;
+        let moved = (0..3).filter(|&i| self.reaches[i] != i).count() as f64;
         let inverted = self.inverted.iter().filter(|x| **x).count() as f64;
-        let turned = if self.turned_rad.abs() < TURN_SMALL_RAD {
-            0.0
-        } else {
-            1.5
-        };
+        let small = self.turned_rad.abs() < TURN_SMALL_RAD;
+        let turned = if small { 0.0 } else { 1.5 };
         moved + inverted + turned + 0.1 * self.turned_rad.abs()
     }
 
     /// Differences to the board file as text; empty if there are none.
     pub fn differences(&self) -> String {
         let mut text = String::new();
-        for i in 0..3 {
-            if self.reaches[i] != i {
-                let _ = write!(
-                    text,
-                    "line {} reaches bellow {}; ",
-                    i + 1,
-                    self.reaches[i] + 1
-                );
-            }
+        for i in (0..3).filter(|&i| self.reaches[i] != i) {
+            let bellow = self.reaches[i] + 1;
+            let _ = write!(text, "line {} reaches bellow {bellow}; ", i + 1);
         }
         for i in (0..3).filter(|i| self.inverted[*i]) {
             let _ = write!(text, "motor {} turns in the wrong direction; ", i + 1);
         }
         if self.turned_rad.abs() >= TURN_SMALL_RAD {
             let deg = self.turned_rad.to_degrees();
-            let _ = write!(
-                text,
-                "the sensor is turned by {deg:.0}° about the tip axis; "
-            );
+            let turned = format!("the sensor is turned by {deg:.0}° about the tip axis");
+            text.push_str(&turned);
         }
         text.trim_end_matches("; ").to_owned()
     }
@@ -93,8 +77,8 @@ impl Wiring {
 /// A bend of the tip for each channel, rad.
 type Bends = [Vector2<f64>; 3];
 
-/// The simplest wiring that explains the responses, and others that fit equally well; `None` if none fits.
-pub fn identify(answers: &Bends, expected: &Bends) -> Option<(Wiring, Vec<Wiring>)> {
+/// The simplest wiring that explains the responses, then others that fit equally well; none if none fits.
+pub fn identify(answers: &Bends, expected: &Bends) -> Vec<Wiring> {
     let mut all = Vec::new();
     for reaches in ORDERS {
         let inverted = (0..8).map(|bits| [0, 1, 2].map(|i| bits >> i & 1 == 1));
@@ -102,14 +86,14 @@ pub fn identify(answers: &Bends, expected: &Bends) -> Option<(Wiring, Vec<Wiring
     }
     let best = all.iter().map(|w| w.residual_rad).fold(f64::MAX, f64::min);
     if best.is_nan() || best > RESIDUAL_MAX_RAD {
-        return None;
+        return Vec::new();
     }
     all.retain(|w| w.residual_rad <= best + ALIKE_RAD);
     all.sort_by(|a, b| a.cost().total_cmp(&b.cost()));
-    let simplest = all.remove(0);
-    all.retain(|w| w.cost() <= simplest.cost() + 1.6);
-    all.truncate(3);
-    Some((simplest, all))
+    let most = all[0].cost() + 1.6;
+    all.retain(|w| w.cost() <= most);
+    all.truncate(4);
+    all
 }
 
 fn fit(answers: &Bends, expected: &Bends, reaches: [usize; 3], inverted: [bool; 3]) -> Wiring {
@@ -161,12 +145,13 @@ mod tests {
             for (a, n) in observed.iter_mut().zip(noise) {
                 *a = Rotation2::new(n) * *a;
             }
-            let (found, others) = identify(&observed, &expected()).unwrap();
+            let all = identify(&observed, &expected());
+            let (found, others) = all.split_first().unwrap();
             // the noise rotates the result by up to its own size, possibly across the bound of a small rotation
             let near_bound = (turned_rad.abs() - TURN_SMALL_RAD).abs() < 0.15;
             let bound = truth.cost() + 0.05 + if near_bound { 1.5 } else { 0.0 };
             prop_assert!(found.cost() <= bound, "{found:?} for {truth:?}");
-            let again = answers(&found);
+            let again = answers(found);
             for i in 0..3 {
                 prop_assert!(again[i].angle(&observed[i]) < 0.5);
             }
@@ -182,51 +167,38 @@ mod tests {
             turned_rad: 0.0,
             residual_rad: 0.0,
         };
-        let (w, others) = identify(&answers(&right), &expected()).unwrap();
+        let all = identify(&answers(&right), &expected());
         assert!(
-            w.is_right() && w.differences().is_empty() && others.is_empty(),
-            "{w:?} {others:?}"
+            all.len() == 1 && all[0].is_right() && all[0].differences().is_empty(),
+            "{all:?}"
         );
         let swapped = Wiring {
             reaches: [1, 0, 2],
             ..right
         };
-        let (w, _) = identify(&answers(&swapped), &expected()).unwrap();
+        let simplest = |of: &Wiring| identify(&answers(of), &expected())[0].differences();
         assert_eq!(
-            w.differences(),
+            simplest(&swapped),
             "line 1 reaches bellow 2; line 2 reaches bellow 1"
         );
         let inverted = Wiring {
             inverted: [false, true, false],
             ..right
         };
-        assert_eq!(
-            identify(&answers(&inverted), &expected())
-                .unwrap()
-                .0
-                .differences(),
-            "motor 2 turns in the wrong direction"
-        );
+        assert_eq!(simplest(&inverted), "motor 2 turns in the wrong direction");
         let turned = Wiring {
             turned_rad: 0.9,
             ..right
         };
-        let (w, _) = identify(&answers(&turned), &expected()).unwrap();
-        assert!(
-            w.differences().contains("turned by 52°"),
-            "{}",
-            w.differences()
-        );
+        let found = simplest(&turned);
+        assert!(found.contains("turned by 52°"), "{found}");
         // lines moved by one place and a sensor turned by 120° are indistinguishable
         let cycled = Wiring {
             reaches: [1, 2, 0],
             ..right
         };
-        let (w, others) = identify(&answers(&cycled), &expected()).unwrap();
-        let all: Vec<String> = std::iter::once(&w)
-            .chain(&others)
-            .map(Wiring::differences)
-            .collect();
+        let all = identify(&answers(&cycled), &expected());
+        let all: Vec<String> = all.iter().map(Wiring::differences).collect();
         assert!(
             all.iter().any(|t| t.contains("line 1 reaches bellow 2"))
                 && all.iter().any(|t| t.contains("turned by")),
@@ -237,8 +209,7 @@ mod tests {
     #[test]
     fn responses_without_a_fitting_wiring_are_not_explained() {
         let same = [Vector2::new(0.1, 0.0); 3];
-        assert!(
-            identify(&same, &expected()).is_none_or(|(w, _)| w.residual_rad < RESIDUAL_MAX_RAD)
-        );
+        let found = identify(&same, &expected());
+        assert!((found.first()).is_none_or(|w| w.residual_rad < RESIDUAL_MAX_RAD));
     }
 }

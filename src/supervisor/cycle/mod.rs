@@ -9,16 +9,17 @@
 //! The service, the drills and the soak test run the same cycle; only the machine and the source of the orders differ.
 //! A cycle neither allocates nor locks, and takes the time as an argument.
 
-mod guide;
-mod lead;
 mod obey;
 pub mod order;
+mod reference;
 pub mod restart_check;
 pub mod runner;
 mod sensor_watch;
+mod source;
 mod state;
 mod turn;
 mod types;
 
+pub use source::Source;
 pub use state::Supervisor;
-pub use types::{CycleOutput, Guidance, SupervisorConfig};
+pub use types::{CycleOutput, SupervisorConfig};

@@ -1,10 +1,10 @@
 //! How the supervisor carries out each order.
 
-use crate::control::{Command, Pace};
-use crate::model::{Line, Shape};
+use crate::control::Pace;
+use crate::model::{Bend, Line, Shape};
 use crate::primitives::Steps;
-use crate::supervisor::cycle::guide::Guide;
-use crate::supervisor::cycle::state::{ModeState, Position};
+use crate::supervisor::cycle::source::Source;
+use crate::supervisor::cycle::state::Position;
 use crate::supervisor::mode::Event;
 use crate::supervisor::{BEND_MAX_RAD, Mode, Order, Refusal, Sensed, Supervisor};
 use std::f64::consts::PI;
@@ -21,21 +21,22 @@ impl Supervisor {
             Order::Arm => self.arm(),
             _ if self.stopped && order.starts_motion() => Err(Refusal::Stopped),
             Order::Disarm => self.disarm(),
-            _ if order.leads_setpoint() && self.mode().moves() && !sensed.energised => {
+            _ if order.leads_setpoint() && self.mode.moves() && !sensed.energised => {
                 Err(Refusal::Busy)
             }
-            Order::Bend(command, speed_rad_s) => self.bend(&command, speed_rad_s, None),
+            Order::Bend(to, speed_rad_s) => self.bend(Source::Target, &to, speed_rad_s, None),
             Order::Stream(_) | Order::Timed(..) | Order::Play | Order::World(..)
-                if self.mode() == Mode::Calibrating =>
+                if self.mode == Mode::Calibrating =>
             {
                 Err(Refusal::Mode(Mode::Calibrating))
             }
-            Order::Stream(command) => {
-                self.bend(&command, None, Some(sensed.t.0 + self.config.dead_man_s))
+            Order::Stream(to) => {
+                let until_s = sensed.t.0 + self.config.dead_man_s;
+                self.bend(Source::Target, &to, None, Some(until_s))
             }
-            Order::Timed(command, t_s) => self.stream(&command, t_s, sensed.t.0),
+            Order::Timed(to, t_s) => self.stream(&to, t_s, sensed.t.0),
             Order::Play => self.play(sensed.t.0),
-            Order::World(command, speed_rad_s) => self.point(&command, speed_rad_s),
+            Order::World(to, speed_rad_s) => self.point(&to, speed_rad_s),
             Order::Hold => self.hold(),
             Order::Stop => self.stop(),
             Order::Relax => self.relax(sensed),
@@ -52,23 +53,23 @@ impl Supervisor {
         if self.gate.latched().is_some() {
             return Err(Refusal::Latched);
         }
-        match self.mode() {
-            Mode::Holding => {
-                self.stopped = false;
-                return Ok(());
-            }
+        match self.mode {
+            Mode::Holding => {}
             Mode::Disarmed if self.gate.is_busy() => return Err(Refusal::Busy),
-            _ => self.take(Event::Arm)?,
+            _ => {
+                self.take(Event::Arm)?;
+                self.gate.reset(&self.sent);
+                let estimate = self.state.fusion.estimate();
+                self.take_over(estimate.map_or(Bend::STRAIGHT, |e| e.bend));
+            }
         }
         self.stopped = false;
-        self.gate.reset(&self.sent);
-        self.take_over(self.estimated_bend());
         Ok(())
     }
 
     fn disarm(&mut self) -> Result<(), Refusal> {
         // a correction of a held pose is a motion too
-        let in_motion = self.mode() != Mode::Holding || !self.gate.rests();
+        let in_motion = self.mode != Mode::Holding || !self.gate.rests();
         self.take(Event::Disarm)?;
         if in_motion {
             self.gate.brake();
@@ -76,13 +77,15 @@ impl Supervisor {
         Ok(())
     }
 
+    /// Bends to `to`, or from there on as the source leads. A stream must go on by `stream_until_s`.
     pub(super) fn bend(
         &mut self,
-        command: &Command,
+        source: Source,
+        to: &Shape,
         speed_rad_s: Option<f64>,
         stream_until_s: Option<f64>,
     ) -> Result<(), Refusal> {
-        self.check_target(command)?;
+        self.check_target(to)?;
         if self.gate.is_braking() {
             return Err(Refusal::Busy);
         }
@@ -90,67 +93,55 @@ impl Supervisor {
         if !SPEED_RAD_S.contains(&speed) {
             return Err(Refusal::Speed);
         }
-        if !matches!(self.mode(), Mode::Tracking | Mode::Calibrating) {
+        if !matches!(self.mode, Mode::Tracking | Mode::Calibrating) {
             self.take(Event::Bend)?;
         }
-        if let ModeState::Tracking {
-            stream_until_s: until_s,
-        } = &mut self.mode
-        {
-            *until_s = stream_until_s;
-        }
+        self.stream_until_s = stream_until_s;
         // no client leads the tip faster than the board permits
         let speed = speed.min(self.pace.speed);
         self.config.tick.bend_pace = Pace { speed, ..self.pace };
-        self.guide = Guide::Target;
-        self.pending.command = Some(*command);
+        self.pending.target = (source == Source::Target).then_some(*to);
+        self.source = source;
         Ok(())
     }
 
     /// Refuses what the tip cannot reach; the tick limits a valid target further.
-    fn check_target(&self, command: &Command) -> Result<(), Refusal> {
-        let (bend, length_mm) = (command.bend.0, command.length.0);
-        let limits = &self.config.tick.limits;
+    fn check_target(&self, to: &Shape) -> Result<(), Refusal> {
+        let (bend, length_mm) = (to.bend.0, to.length.0);
+        let (limits, geometry) = (&self.config.tick.limits, &self.config.tick.geometry);
         if !bend.iter().all(|x| x.is_finite()) || !length_mm.is_finite() {
-            Err(Refusal::NotANumber)
-        } else if bend.norm() > BEND_MAX_RAD {
-            Err(Refusal::TooFar)
-        } else if !(limits.bellow_min_mm..=limits.bellow_max_mm).contains(&length_mm) {
-            Err(Refusal::Length)
-        } else {
-            let shape = Shape {
-                bend: command.bend,
-                length: command.length,
-            };
-            match limits.largest_share(&self.config.tick.geometry, self.state.lines(), &shape) {
-                share if share < 1.0 => Err(Refusal::Unreachable(
-                    (bend.norm().to_degrees() * share * 10.0) as u16,
-                )),
-                _ => Ok(()),
-            }
+            return Err(Refusal::NotANumber);
         }
+        if bend.norm() > BEND_MAX_RAD {
+            return Err(Refusal::TooFar);
+        }
+        if !(limits.bellow_min_mm..=limits.bellow_max_mm).contains(&length_mm) {
+            return Err(Refusal::Length);
+        }
+        let share = limits.largest_share(geometry, self.state.lines(), to);
+        if share < 1.0 {
+            let most_deg = bend.norm().to_degrees() * share;
+            return Err(Refusal::Unreachable((most_deg * 10.0) as u16));
+        }
+        Ok(())
     }
 
     fn hold(&mut self) -> Result<(), Refusal> {
-        match &mut self.mode {
-            ModeState::Holding => Ok(()),
-            ModeState::Tracking { stream_until_s } => {
-                *stream_until_s = None;
-                self.guide = Guide::Target;
-                self.pending.command = Some(Command {
-                    bend: self.setpoint.bend,
-                    length: self.setpoint.length,
-                });
-                Ok(())
+        match self.mode {
+            Mode::Holding => {}
+            Mode::Tracking => {
+                self.stream_until_s = None;
+                self.rest_at(self.setpoint);
             }
-            other => Err(Refusal::Mode(other.mode())),
+            other => return Err(Refusal::Mode(other)),
         }
+        Ok(())
     }
 
     /// Engages the latch in every mode. [`Supervisor::pass_gate`] ends a return of the gate's own.
     fn stop(&mut self) -> Result<(), Refusal> {
         self.stopped = true;
-        match self.mode() {
+        match self.mode {
             Mode::Relaxing => return self.stop_return(),
             Mode::Holding => {}
             Mode::Tracking | Mode::Calibrating => self.take(Event::Stop)?,
@@ -165,17 +156,16 @@ impl Supervisor {
     fn stop_return(&mut self) -> Result<(), Refusal> {
         let event = match (self.gate.latched(), self.is_located()) {
             (Some(_), _) => Event::Trip,
-            (None, false) => Event::Doubted,
-            (None, true) => Event::Stop,
+            (None, false) => {
+                self.position = Position::Adrift;
+                Event::Doubted
+            }
+            (None, true) => {
+                self.gate.brake();
+                return self.take(Event::Stop);
+            }
         };
-        if event == Event::Stop {
-            self.gate.brake();
-        } else {
-            self.gate.stand();
-        }
-        if event == Event::Doubted {
-            self.position = Position::Adrift;
-        }
+        self.gate.stand();
         self.take(event)
     }
 
@@ -191,7 +181,7 @@ impl Supervisor {
 
     /// Defines the present pose as rest. Only the operator's word (`asserted`) replaces an attitude that confirms it.
     fn zero(&mut self, asserted: bool) -> Result<(), Refusal> {
-        let mode = self.mode();
+        let mode = self.mode;
         // a step that is still on its way counts too
         if mode == Mode::Disarmed && !(self.gate.rests() && self.sent == Steps::default()) {
             return Err(Refusal::NotAtRest);
@@ -231,7 +221,7 @@ impl Supervisor {
             self.residual.forget();
             return Ok(());
         }
-        if self.mode() == Mode::Faulted {
+        if self.mode == Mode::Faulted {
             self.take(match self.position {
                 Position::Adrift => Event::Doubted,
                 _ if self.is_located() => Event::Reset,
@@ -270,13 +260,12 @@ impl Supervisor {
     }
 
     fn change_lines(&mut self, lines: [Line; 3]) -> Result<(), Refusal> {
-        if !lines
-            .iter()
-            .all(|l| (0.0..=10.0).contains(&l.k_epsilon) && (0.0..=3.0).contains(&l.k_lambda_mm))
-        {
+        let is_physical =
+            |l: &Line| (0.0..=10.0).contains(&l.k_epsilon) && (0.0..=3.0).contains(&l.k_lambda_mm);
+        if !lines.iter().all(is_physical) {
             return Err(Refusal::Gains);
         }
-        let mode = self.mode();
+        let mode = self.mode;
         if !matches!(mode, Mode::Disarmed | Mode::Calibrating | Mode::Holding) {
             return Err(Refusal::Mode(mode));
         }

@@ -1,7 +1,7 @@
 //! Orders to the supervisor, and the reasons for refusing them.
 
-use crate::control::Command;
 use crate::model::Line;
+use crate::model::Shape;
 use crate::supervisor::Mode;
 
 /// Largest bend that may be ordered, rad (135°).
@@ -15,9 +15,9 @@ pub enum Order {
     /// Accepts no more motion; the drivers are released if the pistons are at zero.
     Disarm,
     /// Bends to a target, optionally at a given speed in rad/s.
-    Bend(Command, Option<f64>),
+    Bend(Shape, Option<f64>),
     /// Like [`Order::Bend`] as part of a stream: the tip stops when the stream falls silent.
-    Stream(Command),
+    Stream(Shape),
     /// Comes to rest smoothly at the set-point and holds.
     Hold,
     /// Brakes at once and holds; until the next [`Order::Arm`] nothing starts a motion.
@@ -35,11 +35,11 @@ pub enum Order {
     /// Replaces the transmission gains.
     Lines([Line; 3]),
     /// Like [`Order::Stream`], for a time in s on the clock of the stream: the tip follows a smooth curve through the set-points.
-    Timed(Command, f64),
+    Timed(Shape, f64),
     /// Follows the path that was loaded.
     Play,
     /// Keeps the orientation in the world that this bend has now, optionally at a given speed in rad/s.
-    World(Command, Option<f64>),
+    World(Shape, Option<f64>),
 }
 
 impl Order {

@@ -30,9 +30,8 @@ pub fn agrees(config: &RestartCheckConfig, remembered: &RestartState, state: &Lo
     };
     let tip_from_base = Bend(remembered.bend_rad.into()).rotation().inverse();
     let angle_deg = |measured: &Vector3<f64>, rest: [f64; 3]| {
-        measured
-            .angle(&tip_from_base.apply(&Vector3::from(rest)))
-            .to_degrees()
+        let remembered = tip_from_base.apply(&Vector3::from(rest));
+        measured.angle(&remembered).to_degrees()
     };
     let gravity = angle_deg(&now.acc_rest_m_s2, then.acc_m_s2) <= config.gravity_deg;
     let field = match (now.mag_rest_ut, then.mag_ut) {

@@ -5,9 +5,9 @@ use crate::supervisor::{CycleOutput, Machine, MachineError, Order, Sensed, Super
 
 /// A machine with its supervisor.
 #[derive(Debug)]
-pub struct Runner<M> {
+pub struct Runner<M: ?Sized> {
     /// The machine.
-    pub machine: M,
+    pub machine: Box<M>,
     /// The supervisor.
     pub supervisor: Supervisor,
     wanted: Steps,
@@ -15,12 +15,12 @@ pub struct Runner<M> {
     energised: Option<bool>,
 }
 
-impl<M: Machine> Runner<M> {
+impl<M: Machine + ?Sized> Runner<M> {
     /// A runner before its first cycle.
-    pub fn new(machine: M, supervisor: Supervisor) -> Self {
+    pub fn new(machine: impl Into<Box<M>>, supervisor: Supervisor) -> Self {
         let wanted = supervisor.keep().steps;
         Self {
-            machine,
+            machine: machine.into(),
             supervisor,
             wanted,
             energised: None,

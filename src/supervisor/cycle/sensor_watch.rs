@@ -3,6 +3,7 @@
 use crate::control::{Frame, TickPhase};
 use crate::estimation::fusion::health::CauseSet;
 use crate::estimation::fusion::tip::Fusion;
+use crate::primitives::lasting;
 use nalgebra::Vector3;
 
 /// Change of the gyroscope bias since the alignment that is reported, rad/s (0.9 °/s).
@@ -34,14 +35,10 @@ impl SensorWatch {
     ) -> CauseSet {
         let verdict = fusion.verdict();
         if let Some(verdict) = &verdict {
-            self.blind_s = if verdict.gyro {
-                0.0
-            } else {
-                self.blind_s + dt_s
-            };
+            self.blind_s = lasting(!verdict.gyro, self.blind_s, dt_s);
         }
         let rests = frame.estimate.is_some() && frame.phase == TickPhase::Holding;
-        self.resting_s = if rests { self.resting_s + paced_s } else { 0.0 };
+        self.resting_s = lasting(rests, self.resting_s, paced_s);
         if let Some(rate) = fusion.rate_rad_s() {
             let keep = (-paced_s / RESTING_S).exp();
             self.rate_rad_s = rate + (self.rate_rad_s - rate) * keep;
@@ -55,13 +52,9 @@ impl SensorWatch {
         if self.resting_s > 3.0 * RESTING_S && self.rate_rad_s.norm() > RESTING_RAD_S {
             return true;
         }
-        let now = fusion
-            .estimator()
-            .and_then(|e| e.as_bend())
-            .map(|f| f.gyro_bias_rad_s());
-        let (Some(now), Some(rest)) = (now, fusion.alignment()) else {
-            return false;
-        };
-        (now - rest.gyro_bias_rad_s).norm() > BIAS_MOVED_RAD_S
+        let filter = fusion.estimator().and_then(|e| e.as_bend());
+        filter.zip(fusion.alignment()).is_some_and(|(now, rest)| {
+            (now.gyro_bias_rad_s() - rest.gyro_bias_rad_s).norm() > BIAS_MOVED_RAD_S
+        })
     }
 }

@@ -1,59 +1,15 @@
-//! State of the supervisor. Each mode owns its data; every change of mode goes through [`Supervisor::take`].
+//! State of the supervisor. Every change of mode goes through [`Supervisor::take`].
 
-use crate::control::{Command, FeedbackConfig, LoopState, Pace, Path, RestartRest, RestartState};
+use crate::control::{FeedbackConfig, LoopState, Pace, Path, RestartRest, RestartState};
 use crate::model::{Bend, Line, Shape};
-use crate::primitives::{Mm, Steps};
-use crate::supervisor::cycle::guide::{Guide, Recent};
+use crate::primitives::Steps;
 use crate::supervisor::cycle::sensor_watch::SensorWatch;
+use crate::supervisor::cycle::source::{Recent, Source};
 use crate::supervisor::gate::Gate;
 use crate::supervisor::mode::Event;
 use crate::supervisor::residual_monitor::ResidualMonitor;
 use crate::supervisor::{Mode, Refusal, Sensed, SupervisorConfig, TripCause};
-use nalgebra::Vector3;
-
-/// The mode with its data.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "a box would allocate on the control path"
-)]
-pub(super) enum ModeState {
-    Boot,
-    Aligning,
-    Disarmed,
-    Holding,
-    /// `stream_until_s`: the instant by which a stream must deliver its next set-point.
-    Tracking {
-        stream_until_s: Option<f64>,
-    },
-    /// `arriving`: the gate has sent the last step, and the machine has not counted it yet.
-    Relaxing {
-        arriving: bool,
-    },
-    /// `feedback`: the outer loop's settings, set aside while the calibration runs open loop; `lines`: the gains in use before it.
-    Calibrating {
-        feedback: Option<FeedbackConfig>,
-        lines: [Line; 3],
-    },
-    Faulted,
-    Lost,
-}
-
-impl ModeState {
-    pub(super) fn mode(&self) -> Mode {
-        match self {
-            Self::Boot => Mode::Boot,
-            Self::Aligning => Mode::Aligning,
-            Self::Disarmed => Mode::Disarmed,
-            Self::Holding => Mode::Holding,
-            Self::Tracking { .. } => Mode::Tracking,
-            Self::Relaxing { .. } => Mode::Relaxing,
-            Self::Calibrating { .. } => Mode::Calibrating,
-            Self::Faulted => Mode::Faulted,
-            Self::Lost => Mode::Lost,
-        }
-    }
-}
+use nalgebra::{Vector2, Vector3};
 
 /// What is known about the position of the pistons.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -73,7 +29,7 @@ pub(super) enum Position {
 /// Messages for the next tick and for the machine.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Pending {
-    pub(super) command: Option<Command>,
+    pub(super) target: Option<Shape>,
     pub(super) clear: bool,
     pub(super) recount: Option<Steps>,
 }
@@ -83,7 +39,13 @@ pub(super) struct Pending {
 pub struct Supervisor {
     pub(super) config: SupervisorConfig,
     pub(super) state: LoopState,
-    pub(super) mode: ModeState,
+    pub(super) mode: Mode,
+    /// While tracking: the instant by which a stream must deliver its next set-point, s.
+    pub(super) stream_until_s: Option<f64>,
+    /// While relaxing: the gate has sent the last step, and the machine has not counted it yet.
+    pub(super) arriving: bool,
+    /// While calibrating: the settings of the outer loop, without which a calibration runs, and the gains in use before it.
+    pub(super) set_aside: Option<(Option<FeedbackConfig>, [Line; 3])>,
     pub(super) position: Position,
     pub(super) gate: Gate,
     pub(super) residual: ResidualMonitor,
@@ -98,8 +60,8 @@ pub struct Supervisor {
     /// Time that the machine still has to clear its alarm, s.
     pub(super) clearing_s: f64,
     pub(super) pending: Pending,
-    /// What leads the set-point.
-    pub(super) guide: Guide,
+    /// Where the set-point comes from.
+    pub(super) source: Source,
     /// The path that was loaded.
     pub(super) path: Option<Box<Path>>,
     /// Set-points that came with a time.
@@ -126,21 +88,21 @@ impl Supervisor {
         let bent = remembered.filter(|r| r.steps != Steps::default());
         Self {
             state,
-            mode: ModeState::Boot,
+            mode: Mode::Boot,
+            stream_until_s: None,
+            arriving: false,
+            set_aside: None,
             position: bent.map_or(Position::Known, Position::Unchecked),
             gate: Gate::new(&config.gate, &sent),
             residual: ResidualMonitor::new(&config.residual, config.tick.geometry.r_mm),
             sensors: SensorWatch::default(),
             last: None,
             sent,
-            setpoint: Shape {
-                bend: Bend::STRAIGHT,
-                length: Mm(config.tick.geometry.rest_length_mm),
-            },
+            setpoint: Shape::new(Vector2::zeros(), config.tick.geometry.rest_length_mm),
             pace: config.tick.bend_pace,
             clearing_s: 0.0,
             pending,
-            guide: Guide::Target,
+            source: Source::Target,
             path: None,
             recent: Recent::default(),
             stopped: false,
@@ -204,7 +166,7 @@ impl Supervisor {
 
     /// The mode.
     pub fn mode(&self) -> Mode {
-        self.mode.mode()
+        self.mode
     }
 
     /// The cause that is latched.
@@ -240,14 +202,12 @@ impl Supervisor {
     /// straight by what it measures.
     pub fn is_idle(&self) -> bool {
         let straight_rad = self.config.restart_check.straight_deg.to_radians();
-        self.mode == ModeState::Disarmed
+        self.mode == Mode::Disarmed
             && self.is_at_rest()
             && !self.stopped
             && self.gate.latched().is_none()
             && !self.gate.is_busy()
-            && self
-                .off_straight_rad()
-                .is_some_and(|rad| rad <= straight_rad)
+            && (self.off_straight_rad()).is_some_and(|rad| rad <= straight_rad)
     }
 
     /// Angle of the tip from straight, rad: by the estimate while the position is known, otherwise between measured and
@@ -264,38 +224,26 @@ impl Supervisor {
     /// `new`, outside the real-time loop.
     pub fn reload(&mut self, new: &mut SupervisorConfig) {
         std::mem::swap(&mut self.config, new);
-        if let ModeState::Calibrating { feedback, .. } = &mut self.mode {
+        if let Some((feedback, _)) = &mut self.set_aside {
             *feedback = self.config.tick.feedback.take();
         }
         self.pace = self.config.tick.bend_pace;
     }
 
-    /// Takes an event. Data of the mode that is left go back to where they came from.
+    /// Takes an event. What a mode has set aside goes back to where it came from when the mode is left.
     ///
     /// # Errors
     /// [`Refusal::Mode`] if the table has no transition; nothing changes then.
     pub(super) fn take(&mut self, event: Event) -> Result<(), Refusal> {
-        let mode = self.mode();
-        let next = match mode.after(event).ok_or(Refusal::Mode(mode))? {
-            Mode::Boot => ModeState::Boot,
-            Mode::Aligning => ModeState::Aligning,
-            Mode::Disarmed => ModeState::Disarmed,
-            Mode::Holding => ModeState::Holding,
-            Mode::Tracking => ModeState::Tracking {
-                stream_until_s: None,
-            },
-            Mode::Relaxing => ModeState::Relaxing { arriving: false },
-            Mode::Calibrating => ModeState::Calibrating {
-                feedback: self.config.tick.feedback.take(),
-                lines: *self.state.lines(),
-            },
-            Mode::Faulted => ModeState::Faulted,
-            Mode::Lost => ModeState::Lost,
-        };
-        if let ModeState::Calibrating { feedback, lines } = std::mem::replace(&mut self.mode, next)
-        {
+        let next = self.mode.after(event).ok_or(Refusal::Mode(self.mode))?;
+        (self.mode, self.stream_until_s, self.arriving) = (next, None, false);
+        if let Some((feedback, lines)) = self.set_aside.take() {
             (self.config.tick.feedback, self.config.tick.lines) = (feedback, lines);
             self.state.set_lines(&self.config.tick, lines);
+        }
+        if next == Mode::Calibrating {
+            let feedback = self.config.tick.feedback.take();
+            self.set_aside = Some((feedback, *self.state.lines()));
         }
         Ok(())
     }
@@ -303,14 +251,6 @@ impl Supervisor {
     /// True if both the rest pose and the position of the pistons are known.
     pub(super) fn is_located(&self) -> bool {
         self.position == Position::Known && self.state.fusion.estimate().is_some()
-    }
-
-    /// The estimated bend, or straight before the alignment.
-    pub(super) fn estimated_bend(&self) -> Bend {
-        self.state
-            .fusion
-            .estimate()
-            .map_or(Bend::STRAIGHT, |e| e.bend)
     }
 
     /// The controller continues from the present position of the pistons and holds the tip at `at`.

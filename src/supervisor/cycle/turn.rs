@@ -5,7 +5,7 @@ use crate::estimation::fusion::health::CauseSet;
 use crate::model::{Bend, Shape};
 use crate::primitives::{Seconds, Steps};
 use crate::supervisor::cycle::restart_check;
-use crate::supervisor::cycle::state::{ModeState, Position};
+use crate::supervisor::cycle::state::Position;
 use crate::supervisor::gate::{Following, GateInput};
 use crate::supervisor::mode::Event;
 use crate::supervisor::residual_monitor::ResidualInput;
@@ -17,12 +17,9 @@ use nalgebra::{Vector2, Vector3};
 impl Supervisor {
     /// One cycle.
     pub fn turn(&mut self, sensed: &Sensed, order: Option<Order>) -> CycleOutput {
-        let first = self.last.is_none();
-        let dt_s = self
-            .last
-            .map_or(self.config.gate.tick_s, |last| sensed.t.0 - last.t.0);
-        self.last = Some(*sensed);
-        if self.mode() == Mode::Boot {
+        let last = self.last.replace(*sensed);
+        let dt_s = last.map_or(self.config.gate.tick_s, |last| sensed.t.0 - last.t.0);
+        if self.mode == Mode::Boot {
             self.occur(Event::Opened);
         }
         let answer = order.map(|o| self.obey(o, sensed));
@@ -30,20 +27,20 @@ impl Supervisor {
         let input = self.tick_input(sensed, dt_s);
         let frame = tick(&self.config.tick, &mut self.state, &input);
         self.setpoint = frame.setpoint;
-        let raised = self
-            .sensors
-            .step(&self.state.fusion, &frame, dt_s, input.dt_s);
+        let raised = (self.sensors).step(&self.state.fusion, &frame, dt_s, input.dt_s);
         self.follow_alignment(&frame);
         let tripped = self.pass_gate(&frame, sensed, dt_s);
         self.follow_motion(&frame);
         let suspects = self.monitor_residual(&frame, sensed, input.dt_s);
+        let fusion = &self.state.fusion;
+        let base = fusion.base_health();
         CycleOutput {
             frame,
             input,
             sensed: *sensed,
             order,
             answer,
-            mode: self.mode(),
+            mode: self.mode,
             steps: self.sent,
             counted: sensed.counted,
             energise: self.energise(),
@@ -54,23 +51,15 @@ impl Supervisor {
             suspicion: self.residual.suspicion().copied(),
             suspects,
             raised,
-            base_imu: self
-                .state
-                .fusion
-                .base_health()
-                .map(|(in_force, _)| (self.state.fusion.tracks_base(), in_force)),
-            base_raised: self
-                .state
-                .fusion
-                .base_health()
-                .map_or(CauseSet::EMPTY, |(_, raised)| raised),
-            bias_moved: self.sensors.bias_moved(&self.state.fusion),
+            base_imu: base.map(|(in_force, _)| (fusion.tracks_base(), in_force)),
+            base_raised: base.map_or(CauseSet::EMPTY, |(_, raised)| raised),
+            bias_moved: self.sensors.bias_moved(fusion),
             stream_ended,
-            guidance: self.guidance(sensed.t.0),
+            source: self.source,
             stopped: self.stopped,
             unverified: self.unverified,
             dt_s,
-            first,
+            first: last.is_none(),
         }
     }
 
@@ -82,14 +71,14 @@ impl Supervisor {
     fn tick_input(&mut self, sensed: &Sensed, dt_s: f64) -> Input {
         // a late cycle does not let the set-point jump
         let dt_s = dt_s.max(0.0).min(2.0 * self.config.gate.tick_s);
-        let reference = self.guided(sensed.t.0, dt_s);
+        let reference = self.reference(sensed.t.0, dt_s);
         Input {
             reference,
             t: sensed.t,
             dt_s,
             imu: sensed.imu,
             base_imu: sensed.base_imu,
-            command: self.pending.command.take(),
+            command: self.pending.target.take(),
             steps: sensed.counted,
             idle: !self.leads(),
             suspected: self.residual.suspicion().is_some(),
@@ -99,7 +88,7 @@ impl Supervisor {
 
     /// Stops the tip if its stream of set-points has fallen silent.
     fn end_silent_stream(&mut self, now: Seconds) -> bool {
-        let silent = matches!(self.mode, ModeState::Tracking { stream_until_s: Some(until_s) } if now.0 > until_s);
+        let silent = self.stream_until_s.is_some_and(|until_s| now.0 > until_s);
         if silent && self.occur(Event::Stop) {
             self.gate.brake();
         }
@@ -108,16 +97,13 @@ impl Supervisor {
 
     /// Leaves `aligning` once the rest pose is known and, after a restart, the remembered pose has been checked.
     fn follow_alignment(&mut self, frame: &Frame) {
-        if self.mode() != Mode::Aligning
-            || frame.estimate.is_none()
-            || self.state.fusion.realigning()
-        {
+        let aligned = frame.estimate.is_some() && !self.state.fusion.realigning();
+        if self.mode != Mode::Aligning || !aligned {
             return;
         }
         match self.position {
             Position::Known => {
-                self.state
-                    .stand(&self.config.tick, &self.sent, Bend::STRAIGHT);
+                (self.state).stand(&self.config.tick, &self.sent, Bend::STRAIGHT);
                 self.straight = self.state.keep(&self.sent).rest;
                 self.occur(Event::Aligned);
             }
@@ -139,13 +125,10 @@ impl Supervisor {
     fn pass_gate(&mut self, frame: &Frame, sensed: &Sensed, dt_s: f64) -> Option<TripCause> {
         self.clearing_s = (self.clearing_s - dt_s).max(0.0);
         let input = self.gate_input(frame, sensed, dt_s);
-        if (input.armed && !sensed.energised) || (self.stopped && self.mode().moves()) {
+        if (input.armed && !sensed.energised) || (self.stopped && self.mode.moves()) {
             // drivers that are not energised yet lose steps, and after a stop the gate stands: the controller waits
-            self.state.stand(
-                &self.config.tick,
-                &self.sent,
-                frame.estimate.map_or(Bend::STRAIGHT, |e| e.bend),
-            );
+            let at = frame.estimate.map_or(Bend::STRAIGHT, |e| e.bend);
+            self.state.stand(&self.config.tick, &self.sent, at);
         }
         if self.stopped && self.gate.is_returning() {
             self.gate.stand();
@@ -167,31 +150,15 @@ impl Supervisor {
 
     fn gate_input(&self, frame: &Frame, sensed: &Sensed, dt_s: f64) -> GateInput {
         let armed = self.leads();
-        let open_loop = matches!(
-            self.mode,
-            ModeState::Calibrating {
-                feedback: Some(_),
-                ..
-            }
-        );
+        let open_loop = matches!(self.set_aside, Some((Some(_), _)));
         let must_follow = armed && !open_loop && !frame.senses.held;
-        let geometry = &self.config.tick.geometry;
-        let bellow_mm = |bend| {
-            geometry
-                .lengths(&Shape {
-                    bend,
-                    length: frame.setpoint.length,
-                })
-                .into()
-        };
+        let (geometry, length) = (&self.config.tick.geometry, frame.setpoint.length);
+        let bellow_mm = |bend| geometry.lengths(&Shape { bend, length }).into();
         let setpoint = frame.setpoint.bend.0.into();
+        let passes = armed && sensed.energised;
         GateInput {
             dt_s,
-            wanted: if armed && sensed.energised {
-                frame.steps
-            } else {
-                self.sent
-            },
+            wanted: if passes { frame.steps } else { self.sent },
             counted: sensed.counted,
             counted_age_s: sensed.counted_age_s,
             armed,
@@ -211,16 +178,16 @@ impl Supervisor {
 
     /// True while the controller, not the gate, moves the pistons.
     pub(super) fn leads(&self) -> bool {
-        self.mode().moves() && !self.gate.is_braking()
+        self.mode.moves() && !self.gate.is_braking()
     }
 
     /// Ends `relaxing` once the machine has counted the last step of the return.
     fn follow_return(&mut self, rested: bool, sensed: &Sensed) {
-        let ModeState::Relaxing { arriving } = &mut self.mode else {
+        if self.mode != Mode::Relaxing {
             return;
-        };
-        *arriving |= rested;
-        if !*arriving || sensed.counted != self.sent {
+        }
+        self.arriving |= rested;
+        if !self.arriving || sensed.counted != self.sent {
             return;
         }
         if self.gate.latched().is_none() {
@@ -242,15 +209,11 @@ impl Supervisor {
     /// The controller takes over after braking; `tracking` ends when the set-point has arrived.
     fn follow_motion(&mut self, frame: &Frame) {
         // after a stop the gate stands until `arm`, so that feedback makes no step either
-        if !(self.stopped && self.mode().moves()) && self.gate.hand_over() {
+        if !(self.stopped && self.mode.moves()) && self.gate.hand_over() {
             self.take_over(frame.estimate.map_or(Bend::STRAIGHT, |e| e.bend));
         }
-        if self.mode
-            == (ModeState::Tracking {
-                stream_until_s: None,
-            })
-            && frame.phase == TickPhase::Holding
-        {
+        let streams = self.stream_until_s.is_some();
+        if self.mode == Mode::Tracking && !streams && frame.phase == TickPhase::Holding {
             self.occur(Event::Settled);
         }
     }
@@ -270,7 +233,7 @@ impl Supervisor {
             given: frame.bend_from_pistons.0,
             gapless: self.bend_without_play(sensed),
             estimate: estimate.bend.0,
-            answer_s: frame.dynamics.lag_s + frame.dynamics.delay_s,
+            answer_s: frame.dynamics.response_s(),
             moving: frame.phase == TickPhase::Tracking,
             blocked: frame.blocked,
         };
@@ -281,16 +244,13 @@ impl Supervisor {
     fn bend_without_play(&self, sensed: &Sensed) -> Vector2<f64> {
         let (config, lines) = (&self.config.tick, self.state.lines());
         let piston_mm = config.drive.piston_mm(&sensed.counted);
-        config
-            .geometry
-            .shape(&Vector3::from_fn(|i, _| lines[i].bellow_mm(piston_mm[i])))
-            .bend
-            .0
+        let bellow_mm = Vector3::from_fn(|i, _| lines[i].bellow_mm(piston_mm[i]));
+        config.geometry.shape(&bellow_mm).bend.0
     }
 
     /// Whether the drivers shall be energised: holding torque keeps a bent tip in place, and at zero none is needed.
     fn energise(&self) -> bool {
-        match self.mode() {
+        match self.mode {
             Mode::Boot | Mode::Aligning => self.finds_energised(),
             // a return by unknown counts that was stopped keeps its pressure
             Mode::Lost => self.stopped && self.last.is_some_and(|sensed| sensed.energised),

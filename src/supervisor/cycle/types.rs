@@ -5,7 +5,9 @@ use crate::estimation::fusion::health::CauseSet;
 use crate::primitives::Steps;
 use crate::supervisor::cycle::restart_check::RestartCheckConfig;
 use crate::supervisor::residual_monitor::Suspicion;
-use crate::supervisor::{GateLimits, Mode, Order, Refusal, ResidualConfig, Sensed, TripCause};
+use crate::supervisor::{
+    GateLimits, Mode, Order, Refusal, ResidualConfig, Sensed, Source, TripCause,
+};
 
 /// Everything that stays constant while the supervisor runs, except for a reload.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,26 +22,6 @@ pub struct SupervisorConfig {
     pub restart_check: RestartCheckConfig,
     /// Longest gap between two set-points of a stream, s.
     pub dead_man_s: f64,
-}
-
-/// What leads the set-point.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Guidance {
-    /// A target, or nothing.
-    Target,
-    /// A path.
-    Path {
-        /// Time since its beginning, s.
-        at_s: f64,
-    },
-    /// Set-points with times.
-    Stream,
-    /// An orientation in the world.
-    World,
-    /// An orientation in the world that is out of reach: the largest bend towards it.
-    WorldOutOfReach,
-    /// The last bend towards an orientation in the world, since the IMU on the base failed.
-    WorldLost,
 }
 
 /// Output of one cycle.
@@ -85,8 +67,8 @@ pub struct CycleOutput {
     pub bias_moved: bool,
     /// A stream of set-points fell silent in this cycle, and the tip was stopped.
     pub stream_ended: bool,
-    /// What leads the set-point.
-    pub guidance: Guidance,
+    /// Where the set-point comes from.
+    pub source: Source,
     /// A stop is latched.
     pub stopped: bool,
     /// No measurement has confirmed the last zero.

@@ -1,6 +1,7 @@
 //! The distance between set-point and estimate, and how long it has been too large.
 
 use super::limits::GateLimits;
+use crate::primitives::lasting;
 
 /// Set-point and estimated bend vector, rad.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,7 +35,7 @@ impl FollowingError {
         let allowed = limits.following_rad + limits.following_s * self.recent_rad_s;
         // NaN does not follow
         let follows = distance(&setpoint, &estimate) <= allowed;
-        self.exceeded_s = if follows { 0.0 } else { self.exceeded_s + dt_s };
+        self.exceeded_s = lasting(!follows, self.exceeded_s, dt_s);
     }
 }
 

@@ -7,6 +7,7 @@
 
 #![allow(clippy::neg_cmp_op_on_partial_ord, reason = "NaN exceeds every limit")]
 
+use super::limits::GateLimits;
 use crate::primitives::Steps;
 
 /// Ticks of one window.
@@ -29,11 +30,11 @@ pub(super) struct History {
 
 impl History {
     /// Pistons that have rested for both windows, presumably at `at`.
-    pub(super) fn resting(at: &Steps, step_mm: f64, tick_s: f64) -> Self {
+    pub(super) fn resting(at: &Steps, limits: &GateLimits) -> Self {
         Self {
-            step_mm,
+            step_mm: limits.step_mm,
             counted: [*at; 2 * WINDOW + 1],
-            took_s: [tick_s; 2 * WINDOW + 1],
+            took_s: [limits.tick_s; 2 * WINDOW + 1],
             head: 0,
             since_s: 0.0,
             fresh: true,
@@ -93,9 +94,8 @@ impl History {
 
     /// Duration of the window that ended `ago` ticks ago, s.
     fn took_s(&self, ago: usize) -> f64 {
-        (ago..ago + WINDOW)
-            .map(|ticks| self.took_s[self.back(ticks)])
-            .sum()
+        let window = ago..ago + WINDOW;
+        window.map(|ticks| self.took_s[self.back(ticks)]).sum()
     }
 }
 

@@ -20,7 +20,7 @@ mod limits;
 pub use following::Following;
 pub use limits::{GateLimits, SafeState, SafeStates, TripCause};
 
-use crate::primitives::Steps;
+use crate::primitives::{Steps, lasting};
 use following::FollowingError;
 use history::History;
 
@@ -111,7 +111,7 @@ impl Gate {
             motion: Motion::Passing,
             latched: None,
             reported: [false; 3],
-            history: History::resting(at, limits.step_mm, limits.tick_s),
+            history: History::resting(at, limits),
             sent: *at,
             agreed_s: 0.0,
             at_mm: [0.0; 3],
@@ -158,7 +158,7 @@ impl Gate {
     /// The step generator came to rest at these counts, whatever was sent. A latched cause stays latched.
     pub fn recount(&mut self, at: &Steps) {
         self.settle(at);
-        self.at_mm = at.0.map(|n| f64::from(n) * self.limits.step_mm);
+        self.at_mm = self.mm(at);
     }
 
     /// Brakes and returns to zero slowly. A latched cause stays latched.
@@ -188,19 +188,14 @@ impl Gate {
 
     /// One tick.
     pub fn pass(&mut self, input: &GateInput) -> GateOutput {
-        self.following
-            .step(&self.limits, input.following, input.dt_s);
+        (self.following).step(&self.limits, input.following, input.dt_s);
         if self.motion == Motion::Passing && !input.armed {
             // the counts of pistons at rest may be declared anew
-            self.history =
-                History::resting(&input.counted, self.limits.step_mm, self.limits.tick_s);
+            self.history = History::resting(&input.counted, &self.limits);
         }
-        self.history
-            .push(input.counted, input.dt_s, input.counted_age_s);
-        self.agreed_s = match input.counted == self.sent {
-            true => self.agreed_s + self.elapsed_s(input.dt_s),
-            false => 0.0,
-        };
+        (self.history).push(input.counted, input.dt_s, input.counted_age_s);
+        let agrees = input.counted == self.sent;
+        self.agreed_s = lasting(agrees, self.agreed_s, self.elapsed_s(input.dt_s));
         let tripped = self.check(input);
         if let Some(cause) = tripped {
             self.latched = Some(self.latched.unwrap_or(cause));
@@ -217,17 +212,11 @@ impl Gate {
             Motion::Passing => self.send(input.wanted),
             Motion::Braking | Motion::Standing => self.go(input.dt_s, |_, _| 0.0),
             Motion::Returning => {
-                let GateLimits {
-                    brake_mm_s2,
-                    relax_mm_s,
-                    ..
-                } = self.limits;
+                let (brake_mm_s2, relax_mm_s) = (self.limits.brake_mm_s2, self.limits.relax_mm_s);
                 self.go(input.dt_s, |at_mm, dt_s| {
                     let to_go = at_mm.abs();
-                    -at_mm.signum()
-                        * relax_mm_s
-                            .min((brake_mm_s2 * to_go).sqrt())
-                            .min(to_go / dt_s)
+                    let braking = (brake_mm_s2 * to_go).sqrt();
+                    -at_mm.signum() * relax_mm_s.min(braking).min(to_go / dt_s)
                 });
                 rested = self.arrive();
             }
@@ -307,6 +296,11 @@ impl Gate {
         stale.or(disagree).or(astray).filter(|_| input.armed)
     }
 
+    /// Position at these counts, mm.
+    fn mm(&self, counts: &Steps) -> [f64; 3] {
+        counts.0.map(|n| f64::from(n) * self.limits.step_mm)
+    }
+
     /// Time that the gate counts for a tick, s: a late one causes no jump and proves no rest.
     fn elapsed_s(&self, dt_s: f64) -> f64 {
         dt_s.max(0.0).min(self.limits.tick_s * 2.0)
@@ -316,14 +310,10 @@ impl Gate {
     /// to brake.
     fn begin(&mut self, motion: Motion) {
         if self.motion == Motion::Passing {
-            let GateLimits {
-                step_mm, react_s, ..
-            } = self.limits;
             self.speed_mm_s = std::array::from_fn(|i| self.history.speed(i).value);
-            let counted = self.history.newest().0;
-            self.at_mm = std::array::from_fn(|i| {
-                f64::from(counted[i]) * step_mm + self.speed_mm_s[i] * react_s
-            });
+            let counted_mm = self.mm(&self.history.newest());
+            let reacts = |i: usize| self.speed_mm_s[i] * self.limits.react_s;
+            self.at_mm = std::array::from_fn(|i| counted_mm[i] + reacts(i));
         }
         self.motion = motion;
     }
@@ -353,8 +343,7 @@ impl Gate {
     fn arrive(&mut self) -> bool {
         let there = self.sent == Steps::default() && self.rests();
         if there {
-            self.speed_mm_s = [0.0; 3];
-            self.at_mm = [0.0; 3];
+            (self.speed_mm_s, self.at_mm) = ([0.0; 3], [0.0; 3]);
             self.motion = Motion::Released;
         }
         there
@@ -362,7 +351,7 @@ impl Gate {
 
     /// The pistons have rested at these counts for as long as the gate remembers.
     fn settle(&mut self, at: &Steps) {
-        self.history = History::resting(at, self.limits.step_mm, self.limits.tick_s);
+        self.history = History::resting(at, &self.limits);
         self.send(*at);
         self.speed_mm_s = [0.0; 3];
         self.following = FollowingError::default();

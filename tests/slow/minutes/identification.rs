@@ -3,7 +3,7 @@
 use crate::common::{identified, unit};
 use nalgebra::Vector3;
 use retroflex::control::learning::batch::{Measurement, solve};
-use retroflex::control::tick::{Command, LoopConfig};
+use retroflex::control::tick::LoopConfig;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::{HOLD_S, paper};
 use retroflex::model::arc::Shape;
@@ -27,7 +27,7 @@ fn effective(config: &LoopConfig, mut world: Sim, warm: usize) -> [Line; 3] {
     for (round, pose) in
         (0..=warm).flat_map(|round| paper().into_iter().map(move |pose| (round, pose)))
     {
-        let mut command = Some(Command {
+        let mut command = Some(Shape {
             bend: pose.bend(),
             length: Mm(config.geometry.rest_length_mm),
         });

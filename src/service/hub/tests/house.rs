@@ -370,10 +370,10 @@ fn may_follow(from: Mode, to: Mode) -> bool {
         list.contains(&event)
     };
     from == to
-        || TABLE.iter().any(|&(a, one, b)| {
-            let then = |&(c, two, d): &(Mode, Event, Mode)| {
-                c == b && d == to && (by_itself(one) || by_itself(two))
+        || TABLE.iter().any(|&(one, before, between)| {
+            let then = |&(two, before, after): &(Event, &[Mode], Mode)| {
+                before.contains(&between) && after == to && (by_itself(one) || by_itself(two))
             };
-            a == from && (b == to || TABLE.iter().any(then))
+            before.contains(&from) && (between == to || TABLE.iter().any(then))
         })
 }

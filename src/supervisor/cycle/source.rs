@@ -1,4 +1,4 @@
-//! What leads the set-point in place of a target: a path, set-points with times, or an orientation in the world.
+//! The source of the set-point: a target, a path, set-points with times, or an orientation in the world.
 
 use crate::control::path::expected;
 use crate::control::{Pace, Reference};
@@ -9,23 +9,32 @@ use nalgebra::Vector3;
 /// Set-points that are remembered.
 const ROWS: usize = 128;
 
-/// What leads the set-point.
+/// Where the set-point comes from.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Guide {
+pub enum Source {
     /// A target, or nothing.
     Target,
-    /// The loaded path, since this time.
-    Path { began_s: f64 },
-    /// Set-points whose clock is behind that of the loop by `offset_s`.
-    Stream { offset_s: f64 },
-    /// An orientation in the world, which is the base at the alignment. `reached`: the tip can bend that far now.
+    /// The loaded path.
+    Path {
+        /// Time of its beginning, s.
+        began_s: f64,
+    },
+    /// Set-points with times.
+    Stream {
+        /// By how much their clock is behind that of the loop, s.
+        offset_s: f64,
+    },
+    /// An orientation in the world, which is the base at the alignment.
     World {
+        /// The orientation.
         aim: Rotation<World, Tip>,
+        /// Length of the tip.
         length: Mm,
+        /// The tip can bend that far now; otherwise it bends towards the orientation as far as it can.
         reached: bool,
     },
-    /// An orientation in the world until the IMU on the base failed; now the last bend is a target.
-    Lost,
+    /// The last bend towards an orientation in the world, since the IMU on the base failed.
+    WorldLost,
 }
 
 /// The last set-points, oldest first: times in s, bend vectors in rad, lengths in mm.
@@ -33,7 +42,7 @@ pub(super) enum Guide {
 pub(super) struct Recent {
     t_s: [f64; ROWS],
     rows: [Vector3<f64>; ROWS],
-    count: usize,
+    pub(super) count: usize,
 }
 
 impl Default for Recent {
@@ -47,10 +56,6 @@ impl Default for Recent {
 }
 
 impl Recent {
-    pub(super) fn clear(&mut self) {
-        self.count = 0;
-    }
-
     pub(super) fn newest_s(&self) -> Option<f64> {
         self.count.checked_sub(1).map(|k| self.t_s[k])
     }
@@ -61,18 +66,15 @@ impl Recent {
             self.rows.copy_within(1.., 0);
             self.count -= 1;
         }
-        (self.t_s[self.count], self.rows[self.count]) = (
-            t_s,
-            Vector3::new(shape.bend.0.x, shape.bend.0.y, shape.length.0),
-        );
+        self.t_s[self.count] = t_s;
+        self.rows[self.count] = shape.bend.0.push(shape.length.0);
         self.count += 1;
     }
 
     /// What is expected at `wanted_s` from the set-points up to then.
     pub(super) fn expected(&self, wanted_s: f64, pace: &Pace) -> Option<Reference> {
-        let due = self.t_s[..self.count]
-            .partition_point(|t| *t <= wanted_s)
-            .max(1);
+        let due = self.t_s[..self.count].partition_point(|t| *t <= wanted_s);
+        let due = due.max(1);
         (self.count > 0).then(|| expected(&self.t_s[..due], &self.rows[..due], wanted_s, pace))
     }
 }
