@@ -4,6 +4,7 @@
 
 use crate::service::client::connect_within;
 use crate::service::error::ServiceError;
+use socket2::{Domain, SockAddr, Socket, Type};
 use std::io::ErrorKind;
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
@@ -68,23 +69,20 @@ impl Listener {
         if Self::is_stale(path)? {
             std::fs::remove_file(path).map_err(fail)?;
         }
-        // nobody but the owner may connect before the permissions are set
-        // SAFETY: umask takes and returns an integer; no other thread creates files at this time
-        let umask = unsafe { libc::umask(0o177) };
-        let bound = UnixListener::bind(path).map_err(fail);
-        // SAFETY: as above
-        unsafe { libc::umask(umask) };
-        let socket = bound?;
-        // SAFETY: the descriptor is a bound socket; a second listen(2) changes the length of its queue
-        unsafe { libc::listen(socket.as_raw_fd(), BACKLOG) };
-        std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).map_err(fail)?;
-        let inode = inode(path).map_err(fail)?;
-        socket.set_nonblocking(true).map_err(fail)?;
-        Ok(Self {
-            socket,
-            path: path.to_owned(),
-            inode,
-        })
+        let listen = || -> std::io::Result<Self> {
+            let socket = Socket::new(Domain::UNIX, Type::STREAM, None)?;
+            socket.bind(&SockAddr::unix(path)?)?;
+            // nobody can connect before the permissions are set
+            std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode))?;
+            socket.listen(BACKLOG)?;
+            socket.set_nonblocking(true)?;
+            Ok(Self {
+                socket: socket.into(),
+                path: path.to_owned(),
+                inode: inode(path)?,
+            })
+        };
+        listen().map_err(fail)
     }
 
     /// The next connection that waits, as one that does not block.

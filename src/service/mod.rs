@@ -10,11 +10,10 @@
 //! ```
 //!
 //! The loop thread ([`rt_loop`]) uses no lock, no file and no allocator. Each socket has a thread ([`port`]); those of
-//! `stop` ([`stop_socket`]) and of the commands pass a stop to the loop directly. The hub ([`hub`]) does everything else
+//! `stop` and of the commands pass a stop to the loop directly ([`stop`]). The hub ([`hub`]) does everything else
 //! and writes no file. If it is late, frames are lost and counted, and the loop is not affected. The loop watches the age
 //! of the other threads ([`shared`]).
 
-pub mod belief;
 pub mod calibrate;
 pub mod client;
 pub mod connection;
@@ -32,17 +31,14 @@ pub mod record;
 pub mod rt_loop;
 pub mod server;
 pub mod shared;
-pub mod slot;
 pub mod start;
 pub mod state_writer;
 pub mod status;
 pub mod stop;
-pub mod stop_socket;
 pub mod store;
 
 use crate::config::ServiceSection;
 use crate::hardware::rt::{self, RtRequest, RtStatus};
-use crate::service::belief::Belief;
 use crate::service::error::ServiceError;
 use crate::service::hub::{Facts, Hub, HubIo};
 use crate::service::listener::Listener;
@@ -51,11 +47,11 @@ use crate::service::notify::Notifier;
 use crate::service::paths::Paths;
 use crate::service::port::Port;
 use crate::service::rt_loop::Loop;
-use crate::service::shared::{HeartbeatMonitor, Shared, ThreadWatch, Watched};
+use crate::service::shared::{Shared, ThreadWatch, Watched};
 use crate::service::start::{RunConfig, Start};
 use crate::service::state_writer::StateWriter;
 use crate::service::stop::StopCounter;
-use crate::service::store::{Found, Recall, Store};
+use crate::service::store::{Belief, Found, Recall, Store};
 use crate::supervisor::{Machine, MachineError, Runner};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::PathBuf;
@@ -131,19 +127,8 @@ pub struct Setup {
 /// # Errors
 /// [`ServiceError`].
 pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
-    let Setup {
-        machine,
-        mut config,
-        pace,
-        record,
-    } = setup;
-    let Claim {
-        mut store,
-        recall,
-        control,
-        status,
-        stop,
-    } = claim;
+    let (machine, mut config, pace) = (setup.machine, setup.config, setup.pace);
+    let (mut store, recall) = (claim.store, claim.recall);
     let (belief, memory) = believed(&recall, machine.is_simulated());
     let start = Start::new(&config, &memory, belief);
     config.supervisor = start.config.clone();
@@ -161,7 +146,7 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         rings: loop_rings,
         shared: Arc::clone(&shared),
         pace,
-        heartbeat: HeartbeatMonitor::new(notifier.heartbeat()),
+        heartbeat: notifier.heartbeat(),
         stops: StopCounter::default(),
         watch: ThreadWatch::default(),
     };
@@ -170,7 +155,7 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         priority,
         cpu: None,
     });
-    let stop = stop_socket::start(stop, Arc::clone(&shared), urgent);
+    let stop = port::start_stop(claim.stop, Arc::clone(&shared), urgent);
     let stop = stop.map_err(ServiceError::system("the thread of stop"))?;
     let start_port = |socket, which, wish| {
         let port = Port::start(socket, Arc::clone(&shared), which, wish);
@@ -178,8 +163,8 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
     };
     let state_writer = StateWriter::start(store);
     let io = HubIo {
-        control: start_port(control, Watched::Control, urgent)?,
-        status: start_port(status, Watched::Status, calm)?,
+        control: start_port(claim.control, Watched::Control, urgent)?,
+        status: start_port(claim.status, Watched::Status, calm)?,
         notifier,
         state_writer: state_writer.map_err(ServiceError::system("the state writer"))?,
         rings,
@@ -191,7 +176,7 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         damaged: recall.damaged,
         belief,
     };
-    let ended = Hub::new(io, config, memory, facts).run(record);
+    let ended = Hub::new(io, config, memory, facts).run(setup.record);
     shared.quit();
     thread.join().map_err(|_| ServiceError::LoopPanicked)??;
     ended?.into_iter().for_each(Port::join);
@@ -237,10 +222,7 @@ fn control_priority(service: &ServiceSection) -> i32 {
 
 /// What is believed of a memory. A simulated plant begins at rest with the service, so only a damaged memory is doubted.
 fn believed(recall: &Recall, simulated: bool) -> (Belief, Memory) {
-    let (mut belief, mut memory) = (
-        Belief::in_recall(recall),
-        recall.memory.clone().unwrap_or_default(),
-    );
+    let (mut belief, mut memory) = (recall.belief(), recall.memory.clone().unwrap_or_default());
     let lost = recall.found == Found::Damaged || memory.lost;
     if simulated && belief != Belief::Certain && !lost {
         (belief, memory.restart, memory.unverified) = (Belief::Certain, None, false);

@@ -165,14 +165,12 @@ pub enum CalibrateAction {
 impl Request {
     /// A move at the rest length; angles in degrees, speed in °/s.
     pub fn bend(bend_deg: f64, dir_deg: f64, speed_deg_s: Option<f64>) -> Self {
-        let length_mm = None;
-        let frame = Frame::Base;
         Self::Bend {
             bend_deg,
             dir_deg,
-            length_mm,
+            length_mm: None,
             speed_deg_s,
-            frame,
+            frame: Frame::Base,
         }
     }
 
@@ -203,19 +201,21 @@ pub struct Failure {
 }
 
 impl Failure {
+    fn new(code: u8, message: impl Into<String>) -> Self {
+        let message = message.into();
+        Self { code, message }
+    }
     /// The request is valid but not possible now.
     pub fn refused(message: impl Into<String>) -> Self {
-        Self {
-            code: 1,
-            message: message.into(),
-        }
+        Self::new(1, message)
     }
     /// The request is invalid.
     pub fn bad(message: impl Into<String>) -> Self {
-        Self {
-            code: 2,
-            message: message.into(),
-        }
+        Self::new(2, message)
+    }
+    /// The service or its loop does not answer.
+    pub fn unreachable(message: impl Into<String>) -> Self {
+        Self::new(3, message)
     }
 }
 
@@ -236,12 +236,8 @@ pub fn parse(line: &str) -> (Value, Result<Request, Failure>) {
     let version = object.remove("v");
     if version.as_ref().and_then(Value::as_u64) != Some(VERSION) {
         let found = version.map_or_else(|| "none".to_owned(), |v| v.to_string());
-        return (
-            id,
-            Err(Failure::bad(format!(
-                "protocol version {found}: this service uses \"v\":{VERSION}"
-            ))),
-        );
+        let why = format!("protocol version {found}: this service uses \"v\":{VERSION}");
+        return (id, Err(Failure::bad(why)));
     }
     let request = serde_json::from_value(Value::Object(object))
         .map_err(|e| Failure::bad(format!("not understood: {e}")));
@@ -253,29 +249,27 @@ struct Object(serde_json::Map<String, Value>);
 
 impl<'de> Deserialize<'de> for Object {
     fn deserialize<D: serde::Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        from.deserialize_map(ObjectVisitor)
+        from.deserialize_map(Self(serde_json::Map::new()))
     }
 }
 
-struct ObjectVisitor;
-
-impl<'de> serde::de::Visitor<'de> for ObjectVisitor {
-    type Value = Object;
+/// The object that is filled.
+impl<'de> serde::de::Visitor<'de> for Object {
+    type Value = Self;
 
     fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("an object")
     }
 
-    fn visit_map<A: serde::de::MapAccess<'de>>(self, mut map: A) -> Result<Object, A::Error> {
-        let mut object = serde_json::Map::new();
+    fn visit_map<A: serde::de::MapAccess<'de>>(mut self, mut map: A) -> Result<Self, A::Error> {
         while let Some((key, value)) = map.next_entry::<String, Value>()? {
-            if object.contains_key(&key) {
+            if self.0.contains_key(&key) {
                 let why = format!("the key {key:?} is given twice");
                 return Err(serde::de::Error::custom(why));
             }
-            object.insert(key, value);
+            self.0.insert(key, value);
         }
-        Ok(Object(object))
+        Ok(self)
     }
 }
 

@@ -2,9 +2,9 @@
 
 use crate::config::{Board, Calibration, Gains, ServiceSection};
 use crate::control::{Dynamics, DynamicsPrior, LoopConfig, RestartState};
-use crate::service::belief::Belief;
 use crate::service::flight::start::Header;
 use crate::service::memory::Memory;
+use crate::service::store::Belief;
 use crate::supervisor::{MachineInfo, Supervisor, SupervisorConfig};
 use std::path::PathBuf;
 

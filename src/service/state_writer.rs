@@ -6,9 +6,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 
-/// Id of the last write of a service that ends.
-const FINAL: u64 = u64::MAX;
-
 /// A memory to write, and the id under which its completion is reported.
 type Job = (Box<Memory>, Option<u64>);
 
@@ -21,14 +18,8 @@ pub struct StateWriter {
     thread: std::thread::JoinHandle<()>,
 }
 
-/// The result of one write.
-#[derive(Debug)]
-pub struct Completed {
-    /// The id given with it.
-    pub id: Option<u64>,
-    /// Sequence number of the write.
-    pub result: Result<u64, MemoryError>,
-}
+/// The id given with a write, and its sequence number or why it failed.
+pub type Completed = (Option<u64>, Result<u64, MemoryError>);
 
 impl StateWriter {
     /// Starts the thread.
@@ -46,7 +37,7 @@ impl StateWriter {
                 for (memory, id) in work {
                     let result = store.write(&memory);
                     own.fetch_sub(1, Relaxed);
-                    if report.send(Completed { id, result }).is_err() {
+                    if report.send((id, result)).is_err() {
                         return;
                     }
                 }
@@ -81,12 +72,9 @@ impl StateWriter {
 
     /// Writes a last time after everything that is queued, waits for the disk and ends the thread.
     pub fn finish(self, memory: &Memory) -> Option<Completed> {
-        self.under_way.fetch_add(1, Relaxed);
-        let sent = self.jobs.send((Box::new(memory.clone()), Some(FINAL)));
+        let sent = self.jobs.send((Box::new(memory.clone()), None)).is_ok();
         drop(self.jobs);
-        let last = sent
-            .ok()
-            .and_then(|()| self.completed.iter().find(|c| c.id == Some(FINAL)));
+        let last = self.completed.iter().last().filter(|_| sent);
         // it has nothing left to do and nothing to report
         let _ = self.thread.join();
         last

@@ -1,18 +1,19 @@
 //! Recordings, and the status of the service.
 
-use super::state::{Caller, Hub, RecordingState, Reply};
-use crate::service::belief::Belief;
+use super::state::{Hub, RecordingState, Reply, refuse};
 use crate::service::calibrate::Session;
 use crate::service::flight::file::zero_unix_ns;
 use crate::service::flight::log::FlightLog;
 use crate::service::flight::start::Event;
 use crate::service::paths::Paths;
+use crate::service::port::Caller;
 use crate::service::protocol::{Failure, RecordAction};
 use crate::service::record::{Progress, Recording};
-use crate::service::rt_loop::Message;
+use crate::service::rt_loop::Change;
 use crate::service::shared::Watched;
 use crate::service::start::Start;
 use crate::service::status;
+use crate::service::store::Belief;
 use crate::supervisor::cycle::order::hint;
 use crate::supervisor::{Guidance, Mode};
 use serde_json::{Value, json};
@@ -39,9 +40,8 @@ impl Hub {
         owned: bool,
         caller: &Caller,
     ) -> Reply {
-        let refuse = |why: String| Some(Err(Failure::refused(why)));
         match (action, &mut self.recording) {
-            (RecordAction::Stop, None) => refuse("no recording is in progress".to_owned()),
+            (RecordAction::Stop, None) => refuse("no recording is in progress"),
             (RecordAction::Stop, Some(state)) => {
                 state.recording.finish();
                 state.ending.push(caller.clone());
@@ -95,12 +95,6 @@ impl Hub {
         self.facts.remarks.first().map_or("", String::as_str)
     }
 
-    /// Remembers what was sent to the loop, until its first cycle has come.
-    pub(super) fn note_change(&mut self, event: Event) {
-        self.changes_sent += 1;
-        self.changes.push_back((self.changes_sent, Arc::new(event)));
-    }
-
     /// Starts a recording. It can be replayed if the supervisor is in its first cycle (`at_boot`), or if it is idle now and when
     /// the loop replaces it by a freshly reset one.
     pub(super) fn start_recording(&mut self, path: &Path, at_boot: bool) -> io::Result<()> {
@@ -118,14 +112,9 @@ impl Hub {
             self.memory.restart = self.note.map(|note| note.state);
             let start = Start::new(&self.config, &self.memory, Belief::Certain);
             let header = start.header(&self.config, self.machine());
-            match self
-                .io
-                .rings
-                .orders
-                .push(Message::ReplaceSupervisor(Box::new(start.supervisor())))
-            {
-                Ok(()) => self.note_change(Event::Start(header)),
-                Err(_) => recording.give_up_replay(),
+            let change = Change::Supervisor(Box::new(start.supervisor()));
+            if self.change(change, Event::Start(header)).is_err() {
+                recording.give_up_replay();
             }
         }
         self.recording_ended = None;
@@ -146,58 +135,54 @@ impl Hub {
         if self.changes.iter().any(undecided) {
             return;
         }
-        while let Some(progress) = self
-            .recording
-            .as_mut()
-            .and_then(|state| state.recording.progress())
-        {
-            let Some(mut state) = self.recording.take() else {
-                return;
-            };
-            let (path, reply) = (
-                state.recording.path().to_owned(),
-                Ok(recording_json(&state.recording)),
-            );
-            match progress {
-                Progress::Started => {
+        while let Some(mut state) = self.recording.take() {
+            match state.recording.progress() {
+                Some(Progress::Ended(result)) => self.recording_over(state, result),
+                Some(Progress::Started) => {
                     if let Some(caller) = state.starting.take() {
-                        let hangs = self
-                            .hangs_deg()
-                            .filter(|deg| *deg > self.config.supervisor.restart_check.straight_deg);
-                        let remark =
-                            hangs.map(|deg| format!("the tip hangs {deg:.1}° away from straight"));
-                        let replayable = state.recording.is_replayable();
-                        self.reply(
-                            &caller,
-                            &Ok(json!({"path": path, "replayable": replayable, "remark": remark})),
-                        );
+                        let straight_deg = self.config.supervisor.restart_check.straight_deg;
+                        let hangs_deg = self.hangs_deg().filter(|deg| *deg > straight_deg);
+                        let remark = hangs_deg
+                            .map(|deg| format!("the tip hangs {deg:.1}° away from straight"));
+                        let r = &state.recording;
+                        let started = json!({"path": r.path(), "replayable": r.is_replayable(), "remark": remark});
+                        self.reply(&caller, &Ok(started));
                     }
                     self.recording = Some(state);
                 }
-                Progress::Ended(result) => {
-                    let rows = state.recording.rows().count;
-                    let (reply, why) = match result {
-                        Ok(reason) => (reply, reason.map(str::to_owned)),
-                        Err(e) => (
-                            Err(Failure::refused(format!("{}: {e}", path.display()))),
-                            Some(e.to_string()),
-                        ),
-                    };
-                    match &why {
-                        None => {
-                            tracing::info!(event = "record", path = %path.display(), rows, "recording finished")
-                        }
-                        Some(why) => {
-                            tracing::error!(event = "record", path = %path.display(), rows, "the recording has ended: {why}")
-                        }
-                    }
-                    for caller in state.starting.into_iter().chain(state.ending) {
-                        self.reply(&caller, &reply);
-                    }
-                    self.recording_ended = why.or(self.recording_ended.take());
+                None => {
+                    self.recording = Some(state);
+                    return;
                 }
             }
         }
+    }
+
+    fn recording_over(&mut self, state: RecordingState, result: io::Result<Option<&'static str>>) {
+        let (shown, rows) = (
+            state.recording.path().display(),
+            state.recording.rows().count,
+        );
+        let (reply, why) = match result {
+            Ok(reason) => (
+                Ok(recording_json(&state.recording)),
+                reason.map(str::to_owned),
+            ),
+            Err(e) => (
+                Err(Failure::refused(format!("{shown}: {e}"))),
+                Some(e.to_string()),
+            ),
+        };
+        match &why {
+            None => tracing::info!(event = "record", path = %shown, rows, "recording finished"),
+            Some(why) => {
+                tracing::error!(event = "record", path = %shown, rows, "the recording has ended: {why}")
+            }
+        }
+        for caller in state.starting.iter().chain(&state.ending) {
+            self.reply(caller, &reply);
+        }
+        self.recording_ended = why.or(self.recording_ended.take());
     }
 
     /// Ends the logs with the service, and waits for the disk.
@@ -218,21 +203,14 @@ impl Hub {
 
     /// Estimated bend of a tip whose pistons are at zero, degrees.
     fn hangs_deg(&self) -> Option<f64> {
-        let estimate = self
-            .last
-            .as_ref()
-            .filter(|_| self.is_at_zero())?
-            .frame
-            .estimate?;
-        Some(estimate.bend.beta().to_degrees())
+        let last = self.last.as_ref().filter(|_| self.is_at_zero())?;
+        Some(last.frame.estimate?.bend.beta().to_degrees())
     }
 
     /// The status, built once per round however many ask for it.
     pub(super) fn cached_status(&mut self) -> Value {
-        if self.status_cache.is_none() {
-            self.status_cache = Some(self.status());
-        }
-        self.status_cache.clone().unwrap_or_default()
+        let status = self.status_cache.take().unwrap_or_else(|| self.status());
+        self.status_cache.insert(status).clone()
     }
 
     fn why_lost(&self) -> &str {
@@ -284,7 +262,7 @@ impl Hub {
             "unverified": memory.unverified,
             "hangs_deg": self.hangs_deg(),
             "thread_age_s": Watched::ALL.iter().map(|w| (w.name(), shared.age_s(*w))).collect::<HashMap<_, _>>(),
-            "clients": self.io.control.clients() + self.io.status.clients(),
+            "clients": shared.clients.iter().map(|n| n.load(Relaxed)).sum::<usize>(),
             "cycles": shared.cycles.load(Relaxed),
             "late_cycles": shared.late.load(Relaxed),
             "max_lateness_us": shared.max_lateness_us.load(Relaxed),

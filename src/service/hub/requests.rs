@@ -1,18 +1,20 @@
 //! The requests of clients.
 
-use super::state::{Caller, Hub, Reply, Subscription, too_many};
+use super::state::{Hub, Reply, Subscription, may_command, refuse};
 use crate::config::Gains;
 use crate::config::source;
 use crate::control::{Command, Path};
+use crate::experiment::pose::Round;
+use crate::experiment::schedule;
 use crate::model::{Bend, Shape};
 use crate::primitives::Mm;
 use crate::service::calibrate::{Found, Session};
 use crate::service::flight::start::Event;
-use crate::service::port::Incoming;
+use crate::service::port::Caller;
 use crate::service::protocol::{
     CalibrateAction, Failure, Frame, PATH_MAX_S, PATH_ROWS, POSES, PathRow, Request,
 };
-use crate::service::rt_loop::Message;
+use crate::service::rt_loop::Change;
 use crate::service::start::{RunConfig, with_gains};
 use crate::supervisor::{BEND_MAX_RAD, Mode, Order, SupervisorConfig};
 use serde_json::{Value, json};
@@ -21,28 +23,12 @@ use std::time::Instant;
 /// Interval at which the speed of a path is looked at, s.
 const SCAN_S: f64 = 0.005;
 
-fn refuse(message: impl Into<String>) -> Reply {
-    Some(Err(Failure::refused(message)))
-}
-
 impl Hub {
-    /// Handles one line of a client. `may_command` is false on the status socket.
-    pub(super) fn handle(&mut self, incoming: Incoming, may_command: bool) {
-        let Incoming {
-            client,
-            id,
-            request,
-            close,
-            stops,
-        } = incoming;
-        let command = request.as_ref().map(Request::name).unwrap_or_default();
-        let caller = Caller {
-            client,
-            id,
-            command,
-            since: Instant::now(),
-            stops,
-        };
+    /// Handles one line of a client.
+    pub(super) fn handle(&mut self, mut caller: Caller, request: Result<Request, Failure>) {
+        let client = caller.client;
+        caller.since = Instant::now();
+        caller.command = request.as_ref().map(Request::name).unwrap_or_default();
         let reply = match request {
             Err(failure) => {
                 if let Some(hidden) = self.log_limit.admit("invalid") {
@@ -51,8 +37,8 @@ impl Hub {
                 }
                 Some(Err(failure))
             }
-            Ok(request) if request.only_reads() => self.read_request(&caller, &request),
-            Ok(_) if !may_command => {
+            Ok(request) if request.only_reads() => self.obey(&caller, &request),
+            Ok(_) if !may_command(client) => {
                 refuse("this socket is read-only; use the control socket for commands")
             }
             Ok(_) if self.ending.is_some() => refuse("the service is ending"),
@@ -62,23 +48,15 @@ impl Hub {
                 {
                     tracing::info!(event = "command", command = caller.command, client, hidden, config = %self.config.config_hash, "{request:?}");
                 }
-                self.command(&caller, &request)
+                self.obey(&caller, &request)
             }
         };
         if let Some(reply) = reply {
             self.reply(&caller, &reply);
         }
-        if close {
-            self.io.port(client).close(client);
-        }
     }
 
-    fn read_request(&mut self, caller: &Caller, request: &Request) -> Reply {
-        let rate_hz = match *request {
-            Request::Subscribe { rate_hz } => rate_hz,
-            Request::Reach {} => return Some(Ok(self.reach())),
-            _ => return Some(Ok(self.cached_status())),
-        };
+    fn subscribe(&mut self, rate_hz: f64, caller: &Caller) -> Reply {
         if !(0.1..=1000.0).contains(&rate_hz) {
             let why = format!("rate_hz {rate_hz} is outside 0.1 to 1000");
             return Some(Err(Failure::bad(why)));
@@ -95,11 +73,11 @@ impl Hub {
         None
     }
 
-    fn command(&mut self, caller: &Caller, request: &Request) -> Reply {
+    fn obey(&mut self, caller: &Caller, request: &Request) -> Reply {
         let order = match *request {
-            Request::Status {} | Request::Reach {} | Request::Subscribe { .. } => {
-                return self.read_request(caller, request);
-            }
+            Request::Status {} => return Some(Ok(self.cached_status())),
+            Request::Reach {} => return Some(Ok(self.reach())),
+            Request::Subscribe { rate_hz } => return self.subscribe(rate_hz, caller),
             Request::Record {
                 action,
                 ref name,
@@ -119,14 +97,11 @@ impl Hub {
                 speed_deg_s,
                 frame,
             } => {
-                let (target, speed_rad_s) = (
-                    self.target(bend_deg, dir_deg, length_mm),
-                    speed_deg_s.map(f64::to_radians),
-                );
-                if frame == Frame::World {
-                    Order::World(target, speed_rad_s)
-                } else {
-                    Order::Bend(target, speed_rad_s)
+                let target = self.target(bend_deg, dir_deg, length_mm);
+                let speed_rad_s = speed_deg_s.map(f64::to_radians);
+                match frame {
+                    Frame::World => Order::World(target, speed_rad_s),
+                    Frame::Base => Order::Bend(target, speed_rad_s),
                 }
             }
             Request::Stream {
@@ -162,10 +137,8 @@ impl Hub {
         let largest = |k: u32| {
             let Command { bend, length } =
                 self.target(BEND_MAX_RAD.to_degrees(), f64::from(k) * 5.0, None);
-            bend.beta().to_degrees()
-                * tick
-                    .limits
-                    .largest_share(&tick.geometry, &lines, &Shape { bend, length })
+            let (limits, shape) = (&tick.limits, Shape { bend, length });
+            bend.beta().to_degrees() * limits.largest_share(&tick.geometry, &lines, &shape)
         };
         let bend_deg: Vec<f64> = (0..72).map(largest).collect();
         json!({"bend_deg": bend_deg, "r_mm": tick.geometry.r_mm, "rest_length_mm": tick.geometry.rest_length_mm})
@@ -232,12 +205,7 @@ impl Hub {
         let event = Event::Path(t_s.to_vec(), rows.to_vec());
         self.path = json!({"duration_s": path.duration_s(), "time_scale": time_scale});
         let path = Path::new(t_s.to_vec(), rows.to_vec()).ok_or_else(expected)?;
-        self.io
-            .rings
-            .orders
-            .push(Message::Path(Box::new(path)))
-            .map_err(|_| too_many())?;
-        self.note_change(event);
+        self.change(Change::Path(Some(Box::new(path))), event)?;
         Ok(true)
     }
 
@@ -261,21 +229,17 @@ impl Hub {
             ..
         } = &self.config;
         let next = with_gains(supervisor, board, calibration, gains);
-        let message = Message::Reload(Box::new(next.clone()));
-        self.io.rings.orders.push(message).map_err(|_| too_many())?;
         let (text, lines) = (crate::config::show::compact(gains), next.tick.lines);
         let gains = text.clone();
-        self.note_change(Event::Reload { gains, lines });
+        let change = Change::Config(Box::new(next.clone()));
+        self.change(change, Event::Reload { gains, lines })?;
         self.config.supervisor = next;
         self.config.texts[1] = text;
         Ok(json!({"gains": self.config.gains}))
     }
 
     fn calibrate(&mut self, action: CalibrateAction, poses: usize, caller: &Caller) -> Reply {
-        let SupervisorConfig { tick, gate, .. } = &self.config.supervisor;
-        let (geometry, step_mm, prior) =
-            (tick.geometry, gate.step_mm, self.config.calibration.prior());
-        let session = match action {
+        let (poses, prior) = match action {
             CalibrateAction::Discard => {
                 return match self.memory.proposed.take() {
                     Some(_) => Some(Ok(json!({}))),
@@ -284,7 +248,7 @@ impl Hub {
             }
             CalibrateAction::Accept => return self.accept(caller),
             _ if self.calibration.is_some() => return refuse("a calibration is already running"),
-            CalibrateAction::Full => Session::full(geometry, step_mm, self.in_use()),
+            CalibrateAction::Full => (schedule::paper(), None),
             CalibrateAction::Short if !POSES.contains(&poses) => {
                 return refuse(format!(
                     "`poses` is {poses}; a short calibration has {} to {}",
@@ -292,9 +256,10 @@ impl Hub {
                     POSES.end()
                 ));
             }
-            CalibrateAction::Short => {
-                Session::short(geometry, step_mm, (prior, poses), self.in_use())
-            }
+            CalibrateAction::Short => (
+                schedule::short(poses),
+                Some(self.config.calibration.prior()),
+            ),
         };
         if self.mode() != Mode::Holding {
             let mode = self.mode();
@@ -302,7 +267,9 @@ impl Hub {
                 "not while {mode}: `retroflex arm` first and wait until the tip holds"
             ));
         }
-        self.calibration = Some(session);
+        let SupervisorConfig { tick, gate, .. } = &self.config.supervisor;
+        let round = Round::new(tick.geometry, poses);
+        self.calibration = Some(Session::new(round, gate.step_mm, prior, self.in_use()));
         self.calibration_failed = None;
         self.order(Order::Calibrate(true), caller.clone());
         None

@@ -2,22 +2,22 @@
 
 use crate::hardware::rt::RtStatus;
 use crate::model::Line;
-use crate::service::belief::Belief;
 use crate::service::calibrate::Session;
 use crate::service::flight::log::FlightLog;
 use crate::service::flight::start::Event;
 use crate::service::memory::{LearnedGains, Memory};
 use crate::service::notify::Notifier;
-use crate::service::port::Port;
+use crate::service::port::{Caller, Port};
 use crate::service::protocol::{Failure, PathRow, reply_line};
 use crate::service::record::Recording;
-use crate::service::rt_loop::{HubRings, Message, Precondition, RestartNote};
+use crate::service::rt_loop::{Change, HubRings, Message, Precondition, RestartNote};
 use crate::service::shared::Shared;
 use crate::service::start::RunConfig;
 use crate::service::state_writer::StateWriter;
+use crate::service::store::Belief;
 use crate::supervisor::{CycleOutput, Mode, Order};
 use serde_json::Value;
-use std::collections::{HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -37,10 +37,15 @@ pub struct HubIo {
     pub shared: Arc<Shared>,
 }
 
+/// True for a client of the command socket: those have odd numbers.
+pub(super) fn may_command(client: u64) -> bool {
+    client % 2 == 1
+}
+
 impl HubIo {
-    /// The socket of a client: those of the command socket have odd numbers.
+    /// The socket of a client.
     pub(super) fn port(&self, client: u64) -> &Port {
-        if client % 2 == 1 {
+        if may_command(client) {
             &self.control
         } else {
             &self.status
@@ -60,29 +65,12 @@ pub struct Facts {
     pub belief: Belief,
 }
 
-/// The reply address of a request, and when it came.
-#[derive(Debug, Clone)]
-pub(super) struct Caller {
-    pub(super) client: u64,
-    pub(super) id: Value,
-    pub(super) command: String,
-    pub(super) since: Instant,
-    /// Number of stops requested when the request was received.
-    pub(super) stops: u64,
-}
-
 /// A request whose order is on its way.
 pub(super) struct Pending {
     pub(super) caller: Caller,
     pub(super) order: Order,
     /// The order waits until this write of the memory is on the disk.
     pub(super) held: Option<u64>,
-}
-
-/// The client whose command moves the tip, and when it was accepted.
-pub(super) struct MotionOwner {
-    pub(super) client: u64,
-    pub(super) since: Instant,
 }
 
 /// A recording and the clients that wait for its start and its end.
@@ -96,6 +84,10 @@ pub(super) struct RecordingState {
 
 /// The reply to a request, or `None` if the loop or the disk has to answer first.
 pub(super) type Reply = Option<Result<Value, Failure>>;
+
+pub(super) fn refuse(message: impl Into<String>) -> Reply {
+    Some(Err(Failure::refused(message)))
+}
 
 pub(super) struct Subscription {
     pub(super) client: u64,
@@ -111,7 +103,7 @@ pub struct Hub {
     pub(super) memory: Memory,
     pub(super) started: Instant,
     pub(super) next_id: u64,
-    pub(super) pending: HashMap<u64, Pending>,
+    pub(super) pending: BTreeMap<u64, Pending>,
     pub(super) subscriptions: Vec<Subscription>,
     /// Rows of a path of which more will come, and the client that sends them.
     pub(super) path_rows: (u64, Vec<PathRow>),
@@ -124,14 +116,15 @@ pub struct Hub {
     pub(super) cycle: u64,
     /// The log of this run, if there is one.
     pub(super) flight: Option<FlightLog>,
-    /// Messages other than orders that were sent to the loop.
+    /// Changes that were sent to the loop.
     pub(super) changes_sent: u64,
     /// Those whose first cycle has not come yet, with their numbers.
     pub(super) changes: VecDeque<(u64, Arc<Event>)>,
     pub(super) recording: Option<RecordingState>,
     /// Why the last recording ended, unless a client ended it.
     pub(super) recording_ended: Option<String>,
-    pub(super) motion_owner: Option<MotionOwner>,
+    /// The client whose command moves the tip, and when it was accepted.
+    pub(super) motion_owner: Option<(u64, Instant)>,
     /// Since when the tip has held its pose without a stop, by the loop's clock, s.
     pub(super) held_since_s: Option<f64>,
     /// The status of this round, once a client has asked for it.
@@ -142,9 +135,8 @@ pub struct Hub {
     pub(super) persistence: Persistence,
     pub(super) stops_logged: u64,
     pub(super) last_status: (String, Instant),
-    pub(super) ending: Option<Instant>,
-    /// Time of the loop's clock at that instant, s.
-    pub(super) ending_from_s: f64,
+    /// Since when the service is ending, also by the loop's clock, s.
+    pub(super) ending: Option<(Instant, f64)>,
     /// When the service was ready, s since the computer started.
     pub(super) ready_after_boot_s: f64,
     /// What the firmware says about the supply, if there is such a firmware, and when it was asked.
@@ -153,7 +145,7 @@ pub struct Hub {
 }
 
 /// State of the memory on the disk.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Persistence {
     /// The disk says that drivers may be armed.
     pub(super) armed_on_disk: bool,
@@ -171,18 +163,6 @@ pub(super) struct Persistence {
 }
 
 impl Persistence {
-    pub(super) fn new(now: Instant, armed_on_disk: bool) -> Self {
-        Self {
-            armed_on_disk,
-            arming: None,
-            error: None,
-            accepted_before: None,
-            lines_before: None,
-            armed_cycle: 0,
-            last_checkpoint: Some(now),
-        }
-    }
-
     /// Makes the next round write a checkpoint.
     pub(super) fn write_soon(&mut self) {
         self.last_checkpoint = None;
@@ -199,14 +179,18 @@ impl Hub {
     pub fn new(io: HubIo, config: RunConfig, memory: Memory, facts: Facts) -> Self {
         let now = Instant::now();
         Self {
-            persistence: Persistence::new(now, memory.armed),
+            persistence: Persistence {
+                armed_on_disk: memory.armed,
+                last_checkpoint: Some(now),
+                ..Persistence::default()
+            },
             io,
             config,
             facts,
             memory,
             started: now,
             next_id: 1,
-            pending: HashMap::new(),
+            pending: BTreeMap::new(),
             subscriptions: Vec::new(),
             path_rows: (0, Vec::new()),
             path: Value::Null,
@@ -226,7 +210,6 @@ impl Hub {
             stops_logged: 0,
             last_status: (String::new(), now),
             ending: None,
-            ending_from_s: 0.0,
             ready_after_boot_s: 0.0,
             supply: (None, None),
             log_limit: LogLimit::default(),
@@ -236,31 +219,21 @@ impl Hub {
     /// Sends an order of a client.
     pub(super) fn order(&mut self, order: Order, caller: Caller) {
         let id = self.next_id();
-        let precondition = Precondition {
-            stops: caller.stops,
-            since: caller.since,
-            mode: None,
+        let (stops, since, mode) = (caller.stops, caller.since, None);
+        let pending = Pending {
+            caller,
+            order,
+            held: None,
         };
-        self.pending.insert(
-            id,
-            Pending {
-                caller,
-                order,
-                held: None,
-            },
-        );
-        self.push_order(id, order, precondition);
+        self.pending.insert(id, pending);
+        self.push_order(id, order, Precondition { stops, since, mode });
     }
 
     /// Sends an order of the hub itself, which is carried out only in `mode` if there is one.
     pub(super) fn own_order(&mut self, order: Order, mode: Option<Mode>) {
+        let (stops, since) = (self.io.shared.stop.requested(), Instant::now());
         let id = self.next_id();
-        let precondition = Precondition {
-            stops: self.io.shared.stop.requested(),
-            since: Instant::now(),
-            mode,
-        };
-        self.push_order(id, order, precondition);
+        self.push_order(id, order, Precondition { stops, since, mode });
     }
 
     pub(super) fn push_order(&mut self, id: u64, order: Order, precondition: Precondition) {
@@ -282,6 +255,15 @@ impl Hub {
         }
     }
 
+    /// Sends a change to the loop, and remembers what it means for a replay until its first cycle has come.
+    pub(super) fn change(&mut self, change: Change, event: Event) -> Result<(), Failure> {
+        let sent = self.io.rings.orders.push(Message::Change(change));
+        sent.map_err(|_| too_many())?;
+        self.changes_sent += 1;
+        self.changes.push_back((self.changes_sent, Arc::new(event)));
+        Ok(())
+    }
+
     /// Answers an order that was not carried out, and takes back what was prepared for it.
     pub(super) fn fail(&mut self, pending: &Pending, failure: Failure) {
         match pending.order {
@@ -299,13 +281,8 @@ impl Hub {
             _ => {}
         }
         if let Some(hidden) = self.log_limit.admit("refused") {
-            let (
-                why,
-                Caller {
-                    command, client, ..
-                },
-            ) = (&failure.message, &pending.caller);
-            tracing::warn!(event = "refused", command, client, hidden, config = %self.config.config_hash, "{why}");
+            let (why, caller) = (&failure.message, &pending.caller);
+            tracing::warn!(event = "refused", command = caller.command, client = caller.client, hidden, config = %self.config.config_hash, "{why}");
         }
         self.reply(&pending.caller, &Err(failure));
     }
@@ -316,9 +293,8 @@ impl Hub {
     }
 
     pub(super) fn reply(&mut self, to: &Caller, reply: &Result<Value, Failure>) {
-        self.io
-            .port(to.client)
-            .reply(to.client, reply_line(&to.id, reply));
+        let line = reply_line(&to.id, reply);
+        self.io.port(to.client).reply(to.client, line);
     }
 
     pub(super) fn mode(&self) -> Mode {
@@ -330,7 +306,7 @@ impl Hub {
     }
 }
 
-pub(super) fn too_many() -> Failure {
+fn too_many() -> Failure {
     Failure::refused("too many commands at once; try again in a moment")
 }
 
