@@ -84,12 +84,8 @@ impl Client {
                 Ok(0) => {
                     self.closing = true;
                     // a line without an end is discarded
-                    let complete = self
-                        .input
-                        .iter()
-                        .rposition(|b| *b == b'\n')
-                        .map_or(0, |n| n + 1);
-                    self.input.truncate(complete);
+                    let end = self.input.iter().rposition(|b| *b == b'\n');
+                    self.input.truncate(end.map_or(0, |n| n + 1));
                 }
                 Ok(n) => {
                     total += n;

@@ -32,12 +32,7 @@ impl Listener {
     /// # Errors
     /// [`ServiceError::Socket`] if another service listens there or it cannot be told, and for a file of another kind.
     pub fn is_stale(path: &Path) -> Result<bool, ServiceError> {
-        let refuse = |why: &str| {
-            Err(ServiceError::Socket {
-                path: path.display().to_string(),
-                source: std::io::Error::other(why),
-            })
-        };
+        let refuse = |why: &str| Err(ServiceError::socket(path)(std::io::Error::other(why)));
         let Ok(there) = std::fs::symlink_metadata(path) else {
             return Ok(false);
         };
@@ -62,14 +57,11 @@ impl Listener {
     /// # Errors
     /// As for [`is_stale`](Self::is_stale), and the operating system's.
     pub fn bind(path: &Path, mode: u32) -> Result<Self, ServiceError> {
-        let fail = |source| ServiceError::Socket {
-            path: path.display().to_string(),
-            source,
-        };
-        if Self::is_stale(path)? {
-            std::fs::remove_file(path).map_err(fail)?;
-        }
+        let stale = Self::is_stale(path)?;
         let listen = || -> std::io::Result<Self> {
+            if stale {
+                std::fs::remove_file(path)?;
+            }
             let socket = Socket::new(Domain::UNIX, Type::STREAM, None)?;
             socket.bind(&SockAddr::unix(path)?)?;
             // nobody can connect before the permissions are set
@@ -82,7 +74,7 @@ impl Listener {
                 inode: inode(path)?,
             })
         };
-        listen().map_err(fail)
+        listen().map_err(ServiceError::socket(path))
     }
 
     /// The next connection that waits, as one that does not block.

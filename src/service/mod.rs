@@ -78,34 +78,31 @@ impl Claim {
     /// # Errors
     /// [`ServiceError`].
     pub fn new(service: &ServiceSection) -> Result<Self, ServiceError> {
-        let Paths {
-            control,
-            status,
-            state,
-        } = Paths::of(service);
-        let (store, recall) = Store::open(&state)?;
-        for folder in [control.parent(), status.parent()].into_iter().flatten() {
+        let paths = Paths::of(service);
+        let (store, recall) = Store::open(&paths.state)?;
+        let stop = paths::stop_socket(&paths.control);
+        let (command, read) = (service.socket_mode, service.status_mode);
+        let sockets = [
+            (&paths.control, command),
+            (&paths.status, read),
+            (&stop, command),
+        ];
+        for folder in sockets.iter().filter_map(|(path, _)| path.parent()) {
             let mut builder = std::fs::DirBuilder::new();
             let created = builder.recursive(true).mode(0o755).create(folder);
-            created.map_err(|source| ServiceError::Socket {
-                path: folder.display().to_string(),
-                source,
-            })?;
+            created.map_err(ServiceError::socket(folder))?;
         }
-        let stop = paths::stop_socket(&control);
         // none is replaced unless all may be; the test whether a service answers on the last stops the tip of that service
-        for path in [&control, &status, &stop] {
+        for (path, _) in sockets {
             Listener::is_stale(path)?;
         }
-        let control = Listener::bind(&control, service.socket_mode)?;
-        let status = Listener::bind(&status, service.status_mode)?;
-        let stop = Listener::bind(&stop, service.socket_mode)?;
+        let [control, status, stop] = sockets.map(|(path, mode)| Listener::bind(path, mode));
         Ok(Self {
             store,
             recall,
-            control,
-            status,
-            stop,
+            control: control?,
+            status: status?,
+            stop: stop?,
         })
     }
 }

@@ -119,12 +119,9 @@ impl Server {
             entry(self.wake.as_raw_fd(), libc::POLLIN),
         ];
         for c in &self.clients {
-            let reads = if c.wants_input() { libc::POLLIN } else { 0 };
-            let writes = if c.output.is_empty() {
-                0
-            } else {
-                libc::POLLOUT
-            };
+            let when = |is: bool, event| if is { event } else { 0 };
+            let reads = when(c.wants_input(), libc::POLLIN);
+            let writes = when(!c.output.is_empty(), libc::POLLOUT);
             set.push(entry(c.stream.as_raw_fd(), reads | writes));
         }
         listener::wait(&mut set, wait);
@@ -163,11 +160,8 @@ impl Server {
                 c.last_line,
             )
         };
-        let candidates = self
-            .clients
-            .iter()
-            .enumerate()
-            .filter(|(_, c)| !c.protected);
+        let all = self.clients.iter().enumerate();
+        let candidates = all.filter(|(_, c)| !c.protected);
         let Some((n, _)) = candidates.min_by_key(|(_, c)| key(c)) else {
             return false;
         };

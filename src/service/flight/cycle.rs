@@ -24,17 +24,14 @@ pub struct Cycle {
 impl Cycle {
     /// A cycle with a digest of all decisions, and, if `each`, one of each field.
     pub fn new(output: &CycleOutput, each: bool) -> Self {
-        let (sensed, target) = (
-            Sensed {
-                truth: None,
-                ..output.sensed
-            },
-            output.frame.target,
-        );
+        let sensed = Sensed {
+            truth: None,
+            ..output.sensed
+        };
         Self {
             sensed,
             order: output.order,
-            target,
+            target: output.frame.target,
             digests: digests(output, each),
         }
     }
@@ -44,15 +41,9 @@ impl Cycle {
     pub fn differences(&self, output: &CycleOutput) -> Option<Vec<&'static str>> {
         let now = digests(output, !self.digests.1.is_empty());
         let pairs = now.1.iter().zip(&self.digests.1);
-        let named = || {
-            FIELDS
-                .iter()
-                .zip(pairs)
-                .filter(|(_, (a, b))| a != b)
-                .map(|(name, _)| *name)
-                .collect()
-        };
-        (now != self.digests).then(named)
+        let different = FIELDS.iter().zip(pairs).filter(|(_, (a, b))| a != b);
+        let names = || different.map(|(name, _)| *name).collect();
+        (now != self.digests).then(names)
     }
 }
 
@@ -225,21 +216,16 @@ pub fn encode(first: u64, cycles: &[Cycle]) -> postcard::Result<Vec<u8>> {
 /// # Errors
 /// Those of `postcard`, for a damaged message.
 pub fn decode(message: &[u8]) -> postcard::Result<(u64, Vec<Cycle>)> {
-    let Message {
-        first,
-        times,
-        values,
-        digests,
-        mut cycles,
-    } = postcard::from_bytes(message)?;
+    let message: Message = postcard::from_bytes(message)?;
+    let (first, mut cycles) = (message.first, message.cycles);
     let time = |bytes: &Vec<u8>, n: usize| {
         f64::from_le_bytes(std::array::from_fn(|k| bytes[k * (bytes.len() / 8) + n]))
     };
-    let times = times.map(|bytes| (0..bytes.len() / 8).map(|n| time(&bytes, n)).collect());
-    let [t, sample_t] = times;
-    let [gyro, acc, mag, loads] = values.map(Numbers::values);
+    let times = |bytes: Vec<u8>| (0..bytes.len() / 8).map(|n| time(&bytes, n)).collect();
+    let [t, sample_t] = message.times.map(times);
+    let [gyro, acc, mag, loads] = message.values.map(Numbers::values);
     let mut columns = [t, sample_t, gyro, acc, mag, loads].map(Vec::into_iter);
-    let mut digests = digests.into_iter();
+    let mut digests = message.digests.into_iter();
     let mut whole = first.checked_add(cycles.len() as u64).is_some();
     for cycle in &mut cycles {
         visit_numbers(cycle, &mut |n, x| {

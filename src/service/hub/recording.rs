@@ -49,7 +49,7 @@ impl Hub {
             }
             (RecordAction::Start, Some(state)) => refuse(format!(
                 "{} is being recorded; stop that recording first",
-                state.recording.path().display()
+                state.recording.path.display()
             )),
             (RecordAction::Start, None) => {
                 let folder = Paths::of(&self.config.service).state.join("recordings");
@@ -145,7 +145,7 @@ impl Hub {
                         let remark = hangs_deg
                             .map(|deg| format!("the tip hangs {deg:.1}° away from straight"));
                         let r = &state.recording;
-                        let started = json!({"path": r.path(), "replayable": r.is_replayable(), "remark": remark});
+                        let started = json!({"path": r.path, "replayable": r.is_replayable(), "remark": remark});
                         self.reply(&caller, &Ok(started));
                     }
                     self.recording = Some(state);
@@ -159,10 +159,7 @@ impl Hub {
     }
 
     fn recording_over(&mut self, state: RecordingState, result: io::Result<Option<&'static str>>) {
-        let (shown, rows) = (
-            state.recording.path().display(),
-            state.recording.rows().count,
-        );
+        let (shown, rows) = (state.recording.path.display(), state.recording.rows.count);
         let (reply, why) = match result {
             Ok(reason) => (
                 Ok(recording_json(&state.recording)),
@@ -292,7 +289,7 @@ fn next_name(folder: &Path) -> String {
 }
 
 fn recording_json(r: &Recording) -> Value {
-    json!({"path": r.path(), "rows": r.rows().count, "duration_s": r.rows().last_s, "replayable": r.is_replayable()})
+    json!({"path": r.path, "rows": r.rows.count, "duration_s": r.rows.last_s, "replayable": r.is_replayable()})
 }
 
 fn flight_json(flight: &FlightLog) -> Value {
