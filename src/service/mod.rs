@@ -107,24 +107,18 @@ impl Claim {
     }
 }
 
-/// The machine and the way to run it.
-pub struct Setup {
-    /// The machine, opened.
-    pub machine: Box<dyn Machine>,
-    /// The configuration.
-    pub config: RunConfig,
-    /// Pace of simulated time beside real time; infinity: as fast as possible. `None`: real time.
-    pub pace: Option<f64>,
-    /// Record from the first cycle on into this file.
-    pub record: Option<PathBuf>,
-}
-
-/// Runs until a signal ends it, then returns the tip to rest.
+/// Runs until a signal ends it, then returns the tip to rest. `pace` is that of simulated time beside real time, infinity as fast as
+/// possible, `None` real time; `record` is a file to record into from the first cycle on.
 ///
 /// # Errors
 /// [`ServiceError`].
-pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
-    let (machine, mut config, pace) = (setup.machine, setup.config, setup.pace);
+pub fn serve(
+    claim: Claim,
+    machine: Box<dyn Machine>,
+    mut config: RunConfig,
+    pace: Option<f64>,
+    record: Option<PathBuf>,
+) -> Result<(), ServiceError> {
     let (mut store, recall) = (claim.store, claim.recall);
     let (belief, memory) = believed(&recall, machine.is_simulated());
     let start = Start::new(&config, &memory, belief);
@@ -173,7 +167,7 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         damaged: recall.damaged,
         belief,
     };
-    let ended = Hub::new(io, config, memory, facts).run(setup.record);
+    let ended = Hub::new(io, config, memory, facts).run(record);
     shared.quit();
     thread.join().map_err(|_| ServiceError::LoopPanicked)??;
     ended?.into_iter().for_each(Port::join);

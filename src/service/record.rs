@@ -14,6 +14,7 @@ use crate::primitives::ImuSample;
 use crate::service::disk::{create_recording, free_bytes, mib, require_free};
 use crate::service::flight::file::{FlightFile, io_error};
 use crate::service::flight::start::{Event, Logged};
+use crate::service::port::Caller;
 use crate::supervisor::Sensed;
 use flate2::{Compression, write::GzEncoder};
 use std::io::{self, BufWriter, Write};
@@ -69,6 +70,11 @@ pub struct Recording {
     waiting: bool,
     /// Why it ends early.
     reason: Option<&'static str>,
+    /// It ends when this client disconnects.
+    pub(super) owner: Option<u64>,
+    /// Who waits for its start, and for its end.
+    pub(super) starting: Option<Caller>,
+    pub(super) ending: Vec<Caller>,
 }
 
 /// Path of the flight log of a recording.
@@ -116,6 +122,9 @@ impl Recording {
             step_mm,
             rows: Rows::default(),
             reason: None,
+            owner: None,
+            starting: None,
+            ending: Vec::new(),
         })
     }
 

@@ -33,8 +33,8 @@ impl Hub {
             // a supervisor that was not idle any more has stayed
             events.retain(|(change, event)| {
                 let stayed = *change > 0 && !output.first && matches!(**event, Event::Start(_));
-                if stayed && let Some(state) = &mut self.recording {
-                    state.recording.give_up_replay();
+                if stayed && let Some(recording) = &mut self.recording {
+                    recording.give_up_replay();
                 }
                 !stayed
             });
@@ -100,8 +100,8 @@ impl Hub {
     fn process(&mut self, logged: &Logged, sends: bool) {
         let output = &logged.output;
         self.log(output);
-        if let Some(state) = &mut self.recording {
-            state.recording.write(logged);
+        if let Some(recording) = &mut self.recording {
+            recording.write(logged);
         }
         if let Some(flight) = &mut self.flight {
             flight.push(logged);

@@ -1,6 +1,6 @@
 //! Recordings, and the status of the service.
 
-use super::state::{Hub, RecordingState, Reply, refuse};
+use super::state::{Hub, Reply, refuse};
 use crate::service::calibrate::Session;
 use crate::service::flight::file::zero_unix_ns;
 use crate::service::flight::log::FlightLog;
@@ -42,14 +42,14 @@ impl Hub {
     ) -> Reply {
         match (action, &mut self.recording) {
             (RecordAction::Stop, None) => refuse("no recording is in progress"),
-            (RecordAction::Stop, Some(state)) => {
-                state.recording.finish();
-                state.ending.push(caller.clone());
-                None
+            (RecordAction::Stop, Some(recording)) => {
+                recording.finish();
+                recording.ending.push(caller.clone());
+                Ok(None)
             }
-            (RecordAction::Start, Some(state)) => refuse(format!(
+            (RecordAction::Start, Some(recording)) => refuse(format!(
                 "{} is being recorded; stop that recording first",
-                state.recording.path.display()
+                recording.path.display()
             )),
             (RecordAction::Start, None) => {
                 let folder = Paths::of(&self.config.service).state.join("recordings");
@@ -60,19 +60,19 @@ impl Hub {
                     || name.len() > NAME_MAX
                     || !name.chars().all(allowed)
                 {
-                    return Some(Err(Failure::bad(format!(
+                    return Err(Failure::bad(format!(
                         "`{name}` is not a valid name: use letters, digits, - _ . and no folder"
-                    ))));
+                    )));
                 }
                 let path = folder.join(name + ".csv.gz");
                 if let Err(e) = self.start_recording(&path, false) {
                     return refuse(format!("{}: {e}", path.display()));
                 }
-                if let Some(state) = &mut self.recording {
-                    (state.owner, state.starting) =
-                        (owned.then_some(caller.client), Some(caller.clone()));
+                if let Some(recording) = &mut self.recording {
+                    recording.owner = owned.then_some(caller.client);
+                    recording.starting = Some(caller.clone());
                 }
-                None
+                Ok(None)
             }
         }
     }
@@ -118,12 +118,7 @@ impl Hub {
             }
         }
         self.recording_ended = None;
-        self.recording = Some(RecordingState {
-            recording,
-            owner: None,
-            starting: None,
-            ending: Vec::new(),
-        });
+        self.recording = Some(recording);
         Ok(())
     }
 
@@ -135,36 +130,33 @@ impl Hub {
         if self.changes.iter().any(undecided) {
             return;
         }
-        while let Some(mut state) = self.recording.take() {
-            match state.recording.progress() {
-                Some(Progress::Ended(result)) => self.recording_over(state, result),
+        while let Some(mut recording) = self.recording.take() {
+            match recording.progress() {
+                Some(Progress::Ended(result)) => self.recording_over(&recording, result),
                 Some(Progress::Started) => {
-                    if let Some(caller) = state.starting.take() {
+                    if let Some(caller) = recording.starting.take() {
                         let straight_deg = self.config.supervisor.restart_check.straight_deg;
                         let hangs_deg = self.hangs_deg().filter(|deg| *deg > straight_deg);
                         let remark = hangs_deg
                             .map(|deg| format!("the tip hangs {deg:.1}° away from straight"));
-                        let r = &state.recording;
+                        let r = &recording;
                         let started = json!({"path": r.path, "replayable": r.is_replayable(), "remark": remark});
                         self.reply(&caller, &Ok(started));
                     }
-                    self.recording = Some(state);
+                    self.recording = Some(recording);
                 }
                 None => {
-                    self.recording = Some(state);
+                    self.recording = Some(recording);
                     return;
                 }
             }
         }
     }
 
-    fn recording_over(&mut self, state: RecordingState, result: io::Result<Option<&'static str>>) {
-        let (shown, rows) = (state.recording.path.display(), state.recording.rows.count);
+    fn recording_over(&mut self, recording: &Recording, result: io::Result<Option<&'static str>>) {
+        let (shown, rows) = (recording.path.display(), recording.rows.count);
         let (reply, why) = match result {
-            Ok(reason) => (
-                Ok(recording_json(&state.recording)),
-                reason.map(str::to_owned),
-            ),
+            Ok(reason) => (Ok(recording_json(recording)), reason.map(str::to_owned)),
             Err(e) => (
                 Err(Failure::refused(format!("{shown}: {e}"))),
                 Some(e.to_string()),
@@ -176,7 +168,7 @@ impl Hub {
                 tracing::error!(event = "record", path = %shown, rows, "the recording has ended: {why}")
             }
         }
-        for caller in state.starting.iter().chain(&state.ending) {
+        for caller in recording.starting.iter().chain(&recording.ending) {
             self.reply(caller, &reply);
         }
         self.recording_ended = why.or(self.recording_ended.take());
@@ -187,8 +179,8 @@ impl Hub {
         if let Some(flight) = &mut self.flight {
             flight.finish(END_MAX);
         }
-        if let Some(state) = &mut self.recording {
-            state.recording.finish();
+        if let Some(recording) = &mut self.recording {
+            recording.finish();
         }
         self.changes.clear();
         let since = Instant::now();
@@ -252,7 +244,7 @@ impl Hub {
             "calibrating": self.calibration.as_ref().map(Session::progress),
             "calibration_failed": self.calibration_failed,
             "proposed": memory.proposed,
-            "recording": self.recording.as_ref().map(|state| recording_json(&state.recording)),
+            "recording": self.recording.as_ref().map(recording_json),
             "recording_ended": self.recording_ended,
             "flight_log": self.flight.as_ref().map(flight_json),
             "lost": (self.mode() == Mode::Lost).then(|| format!("{}: {}", self.why_lost(), hint(Mode::Lost))),

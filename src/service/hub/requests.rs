@@ -1,6 +1,6 @@
 //! The requests of clients.
 
-use super::state::{Hub, Reply, Subscription, may_command, refuse};
+use super::state::{Hub, Reply, Subscription, done, may_command, refuse};
 use crate::config::Gains;
 use crate::config::source;
 use crate::control::{Command, Path};
@@ -15,7 +15,7 @@ use crate::service::protocol::{
     CalibrateAction, Failure, Frame, PATH_MAX_S, PATH_ROWS, POSES, PathRow, Request,
 };
 use crate::service::rt_loop::Change;
-use crate::service::start::{RunConfig, with_gains};
+use crate::service::start::with_gains;
 use crate::supervisor::{BEND_MAX_RAD, Mode, Order, SupervisorConfig};
 use serde_json::{Value, json};
 use std::time::Instant;
@@ -35,7 +35,7 @@ impl Hub {
                     let why = &failure.message;
                     tracing::warn!(event = "invalid_request", client, hidden, "{why}");
                 }
-                Some(Err(failure))
+                Err(failure)
             }
             Ok(request) if request.only_reads() => self.obey(&caller, &request),
             Ok(_) if !may_command(client) => {
@@ -51,7 +51,7 @@ impl Hub {
                 self.obey(&caller, &request)
             }
         };
-        if let Some(reply) = reply {
+        if let Some(reply) = reply.transpose() {
             self.reply(&caller, &reply);
         }
     }
@@ -59,7 +59,7 @@ impl Hub {
     fn subscribe(&mut self, rate_hz: f64, caller: &Caller) -> Reply {
         if !(0.1..=1000.0).contains(&rate_hz) {
             let why = format!("rate_hz {rate_hz} is outside 0.1 to 1000");
-            return Some(Err(Failure::bad(why)));
+            return Err(Failure::bad(why));
         }
         // the reply precedes the first frame
         self.reply(caller, &Ok(json!({})));
@@ -70,13 +70,13 @@ impl Hub {
             period_s,
             next_s,
         });
-        None
+        Ok(None)
     }
 
     fn obey(&mut self, caller: &Caller, request: &Request) -> Reply {
         let order = match *request {
-            Request::Status {} => return Some(Ok(self.cached_status())),
-            Request::Reach {} => return Some(Ok(self.reach())),
+            Request::Status {} => return Ok(Some(self.cached_status())),
+            Request::Reach {} => return Ok(Some(self.reach())),
             Request::Subscribe { rate_hz } => return self.subscribe(rate_hz, caller),
             Request::Record {
                 action,
@@ -85,11 +85,12 @@ impl Hub {
             } => return self.record(action, name.as_deref(), owned, caller),
             Request::Reload {} => return self.reload(),
             Request::Calibrate { action, poses } => return self.calibrate(action, poses, caller),
-            Request::Path { ref rows, more } => match self.path(rows, more, caller.client) {
-                Ok(true) => Order::Play,
-                Ok(false) => return Some(Ok(json!({}))),
-                Err(failure) => return Some(Err(failure)),
-            },
+            Request::Path { ref rows, more } => {
+                if !self.path(rows, more, caller.client)? {
+                    return done();
+                }
+                Order::Play
+            }
             Request::Bend {
                 bend_deg,
                 dir_deg,
@@ -128,7 +129,7 @@ impl Hub {
         } else {
             self.order(order, caller.clone());
         }
-        None
+        Ok(None)
     }
 
     /// The largest bend at the rest length every 5° from direction 0 on, degrees, and the dimensions of the bending section.
@@ -175,19 +176,14 @@ impl Hub {
         });
         let path = Path::new(checked.iter().map(|row| row.0).collect(), shapes.collect())
             .filter(|path| path.duration_s() <= PATH_MAX_S);
-        let expected = || {
-            Failure::bad(format!(
-                "a path has two or more rows with times that increase by at most {PATH_MAX_S} s in all"
-            ))
-        };
+        let rule = "a path has two or more rows with times that increase by at most";
+        let expected = || Failure::bad(format!("{rule} {PATH_MAX_S} s in all"));
         let (path, tick) = (path.ok_or_else(expected)?, &self.config.supervisor.tick);
         let lines = self.in_use().lines;
         if let Some((k, expected)) = path.out_of_reach(&tick.limits, &tick.geometry, &lines) {
-            return Err(Failure::bad(format!(
-                "row {}, bend_deg {}: expected {expected}",
-                from + k + 1,
-                checked[k].1
-            )));
+            let (row, bend_deg) = (from + k + 1, checked[k].1);
+            let why = format!("row {row}, bend_deg {bend_deg}: expected {expected}");
+            return Err(Failure::bad(why));
         }
         if more {
             self.path_rows = (client, all);
@@ -215,34 +211,24 @@ impl Hub {
                 "no gains file was given; start the service with `retroflex run --gains FILE`",
             );
         };
-        Some(match source::read(&path) {
-            Ok(gains) => self.apply(&gains),
-            Err(e) => Err(Failure::bad(format!("{e}; the present gains stay in use"))),
-        })
-    }
-
-    fn apply(&mut self, gains: &Gains) -> Result<Value, Failure> {
-        let RunConfig {
-            supervisor,
-            board,
-            calibration,
-            ..
-        } = &self.config;
-        let next = with_gains(supervisor, board, calibration, gains);
-        let (text, lines) = (crate::config::show::compact(gains), next.tick.lines);
+        let stay = |e| Failure::bad(format!("{e}; the present gains stay in use"));
+        let gains: Gains = source::read(&path).map_err(stay)?;
+        let now = &self.config;
+        let next = with_gains(&now.supervisor, &now.board, &now.calibration, &gains);
+        let (text, lines) = (crate::config::show::compact(&gains), next.tick.lines);
         let gains = text.clone();
         let change = Change::Config(Box::new(next.clone()));
         self.change(change, Event::Reload { gains, lines })?;
         self.config.supervisor = next;
         self.config.texts[1] = text;
-        Ok(json!({"gains": self.config.gains}))
+        Ok(Some(json!({"gains": path})))
     }
 
     fn calibrate(&mut self, action: CalibrateAction, poses: usize, caller: &Caller) -> Reply {
         let (poses, prior) = match action {
             CalibrateAction::Discard => {
                 return match self.memory.proposed.take() {
-                    Some(_) => Some(Ok(json!({}))),
+                    Some(_) => done(),
                     None => refuse("there is no proposed calibration to discard"),
                 };
             }
@@ -250,10 +236,9 @@ impl Hub {
             _ if self.calibration.is_some() => return refuse("a calibration is already running"),
             CalibrateAction::Full => (schedule::paper(), None),
             CalibrateAction::Short if !POSES.contains(&poses) => {
+                let (least, most) = (POSES.start(), POSES.end());
                 return refuse(format!(
-                    "`poses` is {poses}; a short calibration has {} to {}",
-                    POSES.start(),
-                    POSES.end()
+                    "`poses` is {poses}; a short calibration has {least} to {most}"
                 ));
             }
             CalibrateAction::Short => (
@@ -272,7 +257,7 @@ impl Hub {
         self.calibration = Some(Session::new(round, gate.step_mm, prior, self.in_use()));
         self.calibration_failed = None;
         self.order(Order::Calibrate(true), caller.clone());
-        None
+        Ok(None)
     }
 
     /// The transmission parameters in use.
@@ -303,6 +288,6 @@ impl Hub {
             return refuse(format!("not while {}", self.mode()));
         }
         self.write_accepted(gains, caller.clone());
-        None
+        Ok(None)
     }
 }

@@ -137,11 +137,11 @@ impl Hub {
                 "a client was disconnected: {reason}"
             );
         }
-        if let Some(state) = &mut self.recording
-            && state.owner == Some(client)
+        if let Some(recording) = &mut self.recording
+            && recording.owner == Some(client)
         {
             self.recording_ended = Some("the client that asked for it disconnected".to_owned());
-            state.recording.finish();
+            recording.finish();
         }
         let attended = |(owner, since): (u64, Instant)| {
             owner == client && since.elapsed().as_secs_f64() > self.config.service.attended_s

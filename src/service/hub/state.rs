@@ -16,7 +16,7 @@ use crate::service::start::RunConfig;
 use crate::service::state_writer::StateWriter;
 use crate::service::store::Belief;
 use crate::supervisor::{CycleOutput, Mode, Order};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -73,20 +73,16 @@ pub(super) struct Pending {
     pub(super) held: Option<u64>,
 }
 
-/// A recording and the clients that wait for its start and its end.
-pub(super) struct RecordingState {
-    pub(super) recording: Recording,
-    /// The recording ends when this client disconnects.
-    pub(super) owner: Option<u64>,
-    pub(super) starting: Option<Caller>,
-    pub(super) ending: Vec<Caller>,
+/// The reply to a request; without a value, the loop or the disk has to answer first.
+pub(super) type Reply = Result<Option<Value>, Failure>;
+
+pub(super) fn refuse<T>(message: impl Into<String>) -> Result<T, Failure> {
+    Err(Failure::refused(message))
 }
 
-/// The reply to a request, or `None` if the loop or the disk has to answer first.
-pub(super) type Reply = Option<Result<Value, Failure>>;
-
-pub(super) fn refuse(message: impl Into<String>) -> Reply {
-    Some(Err(Failure::refused(message)))
+/// The reply to what was done at once and has nothing to tell.
+pub(super) fn done() -> Reply {
+    Ok(Some(json!({})))
 }
 
 pub(super) struct Subscription {
@@ -120,7 +116,7 @@ pub struct Hub {
     pub(super) changes_sent: u64,
     /// Those whose first cycle has not come yet, with their numbers.
     pub(super) changes: VecDeque<(u64, Arc<Event>)>,
-    pub(super) recording: Option<RecordingState>,
+    pub(super) recording: Option<Recording>,
     /// Why the last recording ended, unless a client ended it.
     pub(super) recording_ended: Option<String>,
     /// The client whose command moves the tip, and when it was accepted.

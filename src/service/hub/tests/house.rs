@@ -326,9 +326,9 @@ impl House {
             self.hub
                 .pending
                 .retain(|_, p| p.caller.client != 2 * client + 1);
-            if let Some(state) = &mut self.hub.recording {
-                state.starting.take_if(|c| c.client == 2 * client + 1);
-                state.ending.retain(|c| c.client != 2 * client + 1);
+            if let Some(recording) = &mut self.hub.recording {
+                recording.starting.take_if(|c| c.client == 2 * client + 1);
+                recording.ending.retain(|c| c.client != 2 * client + 1);
             }
             return;
         }
