@@ -107,9 +107,8 @@ impl Client {
     pub fn request(&mut self, request: &Request) -> Result<Value, Failure> {
         let (id, deadline) = (self.next_id, Instant::now() + self.timeout);
         self.next_id += 1;
-        self.stream
-            .write_all(request_line(id, request).as_bytes())
-            .map_err(|e| no_reply(&e))?;
+        let sent = self.stream.write_all(request_line(id, request).as_bytes());
+        sent.map_err(|e| no_reply(&e))?;
         loop {
             let value = self.read_until(deadline)?;
             if value["id"] == id {
@@ -156,11 +155,8 @@ impl Client {
             return Err(no_reply(&ErrorKind::WouldBlock.into()));
         }
         let mut chunk = [0; CHUNK];
-        let read = self
-            .stream
-            .set_read_timeout(Some(left))
-            .and_then(|()| self.stream.read(&mut chunk));
-        match read {
+        let ready = self.stream.set_read_timeout(Some(left));
+        match ready.and_then(|()| self.stream.read(&mut chunk)) {
             Ok(0) => Err(Failure::unreachable("the service closed the connection")),
             Ok(n) => {
                 self.input.extend_from_slice(&chunk[..n]);
@@ -178,13 +174,8 @@ fn result(reply: &Value) -> Result<Value, Failure> {
         return Ok(reply["result"].clone());
     }
     let code = reply["code"].as_u64().and_then(|c| u8::try_from(c).ok());
-    Err(Failure {
-        code: code.unwrap_or(2),
-        message: reply["error"]
-            .as_str()
-            .unwrap_or("no reason given")
-            .to_owned(),
-    })
+    let why = reply["error"].as_str().unwrap_or("no reason given");
+    Err(Failure::new(code.unwrap_or(2), why))
 }
 
 fn no_reply(e: &std::io::Error) -> Failure {

@@ -18,17 +18,11 @@ pub struct Paths {
 impl Paths {
     /// The paths that this section names, and the default ones for this user.
     pub fn of(service: &ServiceSection) -> Self {
-        let control = service
-            .socket
-            .clone()
-            .unwrap_or_else(|| runtime_folder().join("control.sock"));
-        let status = service
-            .status_socket
-            .clone()
-            .unwrap_or_else(|| status_socket(&control));
+        let (socket, status) = (service.socket.clone(), service.status_socket.clone());
+        let control = socket.unwrap_or_else(own_socket);
         Self {
+            status: status.unwrap_or_else(|| status_socket(&control)),
             control,
-            status,
             state: service.state.clone().unwrap_or_else(state_folder),
         }
     }
@@ -53,15 +47,16 @@ pub fn default_socket() -> PathBuf {
 
 /// The command sockets where services may listen: this user's and the system's.
 pub fn sockets() -> Vec<PathBuf> {
-    own_and_system(
-        runtime_folder().join("control.sock"),
-        "/run/retroflex/control.sock",
-    )
+    own_and_system(own_socket(), "/run/retroflex/control.sock")
 }
 
 /// The folders where services may keep their flight logs: this user's and the system's.
 pub fn flight_folders() -> Vec<PathBuf> {
     own_and_system(state_folder().join("flights"), "/var/lib/retroflex/flights")
+}
+
+fn own_socket() -> PathBuf {
+    runtime_folder().join("control.sock")
 }
 
 fn own_and_system(own: PathBuf, system: &str) -> Vec<PathBuf> {

@@ -257,10 +257,8 @@ pub fn write_values(log: &mut Vec<u8>, row: &[f64]) {
 /// # Errors
 /// The operating system's, or what is free.
 pub fn make_room(path: &Path, limits: &ServiceSection) -> io::Result<()> {
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
+    let named = |folder: &&Path| !folder.as_os_str().is_empty();
+    let folder = path.parent().filter(named).unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder)?;
     require_free(folder, limits)
 }
@@ -280,10 +278,8 @@ fn write(
         Some(e) if e == "gz" => Box::new(GzEncoder::new(buffered, Compression::fast())),
         _ => Box::new(buffered),
     };
-    let mut flight = flight
-        .map(|zero| FlightFile::create(&flight_path(path), zero))
-        .transpose()
-        .map_err(io_error)?;
+    let flight = flight.map(|zero| FlightFile::create(&flight_path(path), zero));
+    let mut flight = flight.transpose().map_err(io_error)?;
     // the hub is gone only when the service ends
     let _ = report.send(Progress::Started);
     let mut reason = None;
@@ -292,11 +288,10 @@ fn write(
         // a killed service leaves what it has handed over
         log.flush()?;
         if let Some(flight) = &mut flight {
-            cycles
-                .iter()
-                .try_for_each(|logged| flight.write(logged))
+            let written = cycles.iter().try_for_each(|logged| flight.write(logged));
+            written
+                .and_then(|()| flight.flush(false))
                 .map_err(io_error)?;
-            flight.flush(false).map_err(io_error)?;
         }
         let size = file.metadata()?.len() + flight.as_ref().map_or(Ok(0), FlightFile::size)?;
         if size > mib(limits.record_max_mib) {

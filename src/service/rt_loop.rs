@@ -328,8 +328,7 @@ impl Loop {
         if late_ns > period_ns / 2 {
             self.shared.late.fetch_add(1, Relaxed);
         }
-        self.shared
-            .max_lateness_us
-            .fetch_max(late_ns / 1000, Relaxed);
+        let most_us = &self.shared.max_lateness_us;
+        most_us.fetch_max(late_ns / 1000, Relaxed);
     }
 }

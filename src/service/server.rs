@@ -77,9 +77,9 @@ impl Server {
         // one client that floods alone is served quickly, so that a stop at the end of its own flood is found soon
         let talking = self.clients.iter().filter(|c| !c.input.is_empty()).count();
         let share = (LINES_PER_ROUND / talking.max(1)).max(LINES_MIN);
-        self.clients
-            .iter_mut()
-            .for_each(|c| c.take_lines(&mut lines, share));
+        for client in &mut self.clients {
+            client.take_lines(&mut lines, share);
+        }
         let (gone, idle_max) = (&mut self.gone, self.idle_max);
         self.clients.retain(|c| {
             let reason = c.reason_to_drop(idle_max);

@@ -228,17 +228,13 @@ impl Store {
             _ => Found::Damaged,
         };
         if recall.found == Found::Damaged && recall.damaged.is_empty() {
-            recall.damaged.push(format!(
-                "{}: the writes {sequences:?} of the two slots do not belong together",
-                folder.display()
-            ));
+            let why = format!("the writes {sequences:?} of the two slots do not belong together");
+            recall.damaged.push(format!("{}: {why}", folder.display()));
         }
-        let newest = slots
-            .into_iter()
-            .flatten()
-            .max_by_key(|(sequence, _)| *sequence);
-        (recall.sequence, recall.memory) =
-            newest.map_or((0, None), |(sequence, memory)| (sequence, Some(memory)));
+        let slots = slots.into_iter().flatten();
+        if let Some((sequence, memory)) = slots.max_by_key(|(sequence, _)| *sequence) {
+            (recall.sequence, recall.memory) = (sequence, Some(memory));
+        }
         let store = Self {
             folder: folder.to_owned(),
             sequence: recall.sequence,

@@ -167,10 +167,9 @@ fn run(
     problem: &Problem,
 ) -> McapResult<()> {
     std::fs::create_dir_all(folder)?;
-    let run = flights(folder)?
-        .last()
-        .and_then(|path| run_and_part(path))
-        .map_or(1, |(run, _)| run + 1);
+    let last = flights(folder)?.pop();
+    let last = last.and_then(|path| run_and_part(&path));
+    let run = last.map_or(1, |(run, _)| run + 1);
     let (mut part, mut zero_ns) = (0, None);
     let mut open: Option<(FlightFile, f64)> = None;
     let (mut flushed, mut synced) = (Instant::now(), Instant::now());

@@ -154,14 +154,12 @@ impl Hub {
             tracing::info!(event = "mode", from, to = output.mode.name(), config = %config, "{from} → {}", output.mode);
         }
         if let Some(cause) = output.tripped {
-            let suspicion = output
-                .suspicion
-                .map_or_else(String::new, |s| format!("; {s}"));
-            let message = status::trip_message(cause).to_owned() + &suspicion;
-            let (cause, unix_s) = (status::trip_name(cause), unix_s());
+            let suspicion = output.suspicion.map(|s| format!("; {s}"));
+            let message = status::trip_message(cause).to_owned() + &suspicion.unwrap_or_default();
+            let cause = status::trip_name(cause);
             tracing::error!(event = "fault", cause, steps = ?output.steps.0, config = %config, "{message}");
             self.memory.record_fault(RecordedFault {
-                unix_s,
+                unix_s: unix_s(),
                 cause,
                 message,
             });

@@ -1,6 +1,7 @@
 //! What must survive a restart: checkpoints of the position, and orders that wait for the disk.
 
 use super::state::{Hub, Pending};
+use crate::control::RestartState;
 use crate::service::memory::LearnedGains;
 use crate::service::port::Caller;
 use crate::service::protocol::Failure;
@@ -49,13 +50,10 @@ impl Hub {
     /// Passes the latest position to the state writer when a checkpoint is due, and reads its results.
     pub(super) fn persist(&mut self) {
         if let Some(note) = self.note {
-            let state = note.state;
-            let memory = &self.memory;
+            let (memory, state) = (&self.memory, note.state);
+            let moved = |r: RestartState| r.steps != state.steps || r.rest != state.rest;
             let beliefs = memory.lost != note.lost || memory.unverified != note.unverified;
-            let changed = beliefs
-                || memory
-                    .restart
-                    .is_none_or(|r| r.steps != state.steps || r.rest != state.rest);
+            let changed = beliefs || memory.restart.is_none_or(moved);
             let still = !self.mode().moves() && self.mode() != Mode::Relaxing;
             // an `arm` that is under way, or was carried out in a cycle that is not known yet, energises the drivers
             let arms = self.cycle < self.persistence.armed_cycle

@@ -79,8 +79,8 @@ impl Hub {
 
     /// Starts the flight log of this run. Without a thread for it, the service runs without one.
     pub(super) fn start_flight(&mut self) {
-        let header = Start::new(&self.config, &self.memory, self.facts.belief)
-            .header(&self.config, self.machine());
+        let start = Start::new(&self.config, &self.memory, self.facts.belief);
+        let header = start.header(&self.config, self.machine());
         self.changes.push_back((0, Arc::new(Event::Start(header))));
         if self.config.service.flight_max_mib > 0.0 {
             let folder = Paths::of(&self.config.service).state.join("flights");
@@ -99,14 +99,10 @@ impl Hub {
     /// the loop replaces it by a freshly reset one.
     pub(super) fn start_recording(&mut self, path: &Path, at_boot: bool) -> io::Result<()> {
         let idle = self.note.is_some_and(|note| note.idle);
-        let flight = (at_boot || idle)
-            .then(|| zero_unix_ns(self.last.as_ref().map_or(0.0, |last| last.sensed.t.0)));
-        let mut recording = Recording::start(
-            path,
-            self.config.supervisor.gate.step_mm,
-            flight,
-            &self.config.service,
-        )?;
+        let t_s = self.last.as_ref().map_or(0.0, |last| last.sensed.t.0);
+        let zero = (at_boot || idle).then(|| zero_unix_ns(t_s));
+        let step_mm = self.config.supervisor.gate.step_mm;
+        let mut recording = Recording::start(path, step_mm, zero, &self.config.service)?;
         tracing::info!(event = "record", path = %path.display(), replayable = recording.is_replayable(), "recording started");
         if !at_boot && idle {
             self.memory.restart = self.note.map(|note| note.state);
@@ -136,9 +132,9 @@ impl Hub {
                 Some(Progress::Started) => {
                     if let Some(caller) = recording.starting.take() {
                         let straight_deg = self.config.supervisor.restart_check.straight_deg;
+                        let remark = |deg| format!("the tip hangs {deg:.1}° away from straight");
                         let hangs_deg = self.hangs_deg().filter(|deg| *deg > straight_deg);
-                        let remark = hangs_deg
-                            .map(|deg| format!("the tip hangs {deg:.1}° away from straight"));
+                        let remark = hangs_deg.map(remark);
                         let r = &recording;
                         let started = json!({"path": r.path, "replayable": r.is_replayable(), "remark": remark});
                         self.reply(&caller, &Ok(started));
@@ -224,10 +220,8 @@ impl Hub {
         let settled = last.is_some_and(|t| {
             t.mode == Mode::Holding && (t.frame.at_rest || status::blocked(&t.frame))
         });
-        let calibration = memory
-            .accepted
-            .as_ref()
-            .map_or(&self.config.calibration.transmission.source, |g| &g.source);
+        let given = &self.config.calibration.transmission.source;
+        let calibration = memory.accepted.as_ref().map_or(given, |g| &g.source);
         let granted = |(name, grant): &(_, crate::hardware::rt::Grant)| json!({"what": name, "grant": grant.to_string()});
         let more = json!({
             "program": env!("CARGO_PKG_VERSION"),
@@ -275,9 +269,8 @@ impl Hub {
 /// The first free name. It does not use the time of day, which a computer without a clock does not know after a start.
 fn next_name(folder: &Path) -> String {
     let mut names = (1..).map(|n| format!("bend-{n:04}"));
-    names
-        .find(|name| !folder.join(format!("{name}.csv.gz")).exists())
-        .unwrap_or_default()
+    let free = |name: &String| !folder.join(format!("{name}.csv.gz")).exists();
+    names.find(free).unwrap_or_default()
 }
 
 fn recording_json(r: &Recording) -> Value {

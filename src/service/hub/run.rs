@@ -38,21 +38,20 @@ impl Hub {
     pub fn run(mut self, record: Option<PathBuf>) -> Result<[Port; 2], ServiceError> {
         let signalled = Arc::new(AtomicBool::new(false));
         for signal in rt::ending_signals() {
-            signal_hook::flag::register(signal, Arc::clone(&signalled))
-                .map_err(ServiceError::system("a signal handler"))?;
+            let handler = signal_hook::flag::register(signal, Arc::clone(&signalled));
+            handler.map_err(ServiceError::system("a signal handler"))?;
         }
         self.start_flight();
         if let Some(path) = record {
-            self.start_recording(&path, true)
-                .map_err(ServiceError::system(path.display()))?;
+            let started = self.start_recording(&path, true);
+            started.map_err(ServiceError::system(path.display()))?;
         }
         self.mount_tip();
         self.ready_after_boot_s = rt::monotonic_ns() as f64 * 1e-9;
         let after_boot_s = self.ready_after_boot_s;
         tracing::info!(event = "start", after_boot_s, config = %self.config.config_hash, tip = %self.config.tip, "ready, disarmed");
-        self.io
-            .notifier
-            .notify("READY=1\nSTATUS=aligning: the tip must be still for 2 s");
+        let ready = "READY=1\nSTATUS=aligning: the tip must be still for 2 s";
+        self.io.notifier.notify(ready);
         let mut again = true;
         while !self.is_over() {
             self.io.shared.progress(Watched::Hub);
@@ -96,11 +95,8 @@ impl Hub {
         }
         *asked = Some(Instant::now());
         let troubles = supply::troubles(Path::new("/"));
-        for new in troubles
-            .iter()
-            .flatten()
-            .filter(|new| !known.iter().flatten().any(|known| known == *new))
-        {
+        let is_new = |new: &&&str| !known.iter().flatten().any(|known| known == *new);
+        for new in troubles.iter().flatten().filter(is_new) {
             tracing::warn!(event = "supply", "{new}: {}", supply::REMEDY);
         }
         *known = troubles;
@@ -130,12 +126,8 @@ impl Hub {
         if reason != "disconnected"
             && let Some(hidden) = self.log_limit.admit("dropped")
         {
-            tracing::warn!(
-                event = "client_dropped",
-                client,
-                hidden,
-                "a client was disconnected: {reason}"
-            );
+            let why = format!("a client was disconnected: {reason}");
+            tracing::warn!(event = "client_dropped", client, hidden, "{why}");
         }
         if let Some(recording) = &mut self.recording
             && recording.owner == Some(client)
