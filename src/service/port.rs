@@ -1,9 +1,9 @@
 //! The threads that serve the sockets, one each, so that readers cannot delay commands, and nobody a stop.
 //!
-//! The thread of the command or of the status socket parses the lines of its clients. On the command socket `stop` goes straight to the loop from here and is
-//! answered from here, so neither the hub, nor a disk, nor another client can delay it. Everything else goes to the hub,
-//! whose replies this thread writes. Every queue is bounded: the requests and replies by the number of clients and their
-//! unanswered requests, the events by a capacity beyond which they are discarded.
+//! The thread of the command socket, and that of the status socket, parses the lines of its clients. On the command socket `stop`
+//! goes straight to the loop from here and is answered from here, so neither the hub, nor a disk, nor another client can delay it.
+//! Everything else goes to the hub, whose replies this thread writes. Every queue is bounded: the requests and replies by the number
+//! of clients and their unanswered requests, the events by a capacity beyond which they are discarded.
 
 use crate::hardware::rt::{self, RtRequest};
 use crate::service::connection::Line;
@@ -87,10 +87,9 @@ impl Port {
         which: Watched,
         wish: RtRequest,
     ) -> std::io::Result<Self> {
-        let (first, idle_max) = if which == Watched::Control {
-            (1, CONTROL_IDLE_MAX)
-        } else {
-            (2, STATUS_IDLE_MAX)
+        let (first, idle_max) = match which {
+            Watched::Control => (1, CONTROL_IDLE_MAX),
+            _ => (2, STATUS_IDLE_MAX),
         };
         let (server, waker) = Server::new(socket, first, idle_max)?;
         let (messages_in, messages) = channel();
@@ -168,9 +167,8 @@ pub fn start_stop(
                 let Some(first) = socket.accept() else {
                     continue;
                 };
-                let callers: Vec<_> = std::iter::once(first)
-                    .chain(std::iter::from_fn(|| socket.accept()).take(TOGETHER))
-                    .collect();
+                let mut callers = vec![first];
+                callers.extend(std::iter::from_fn(|| socket.accept()).take(TOGETHER));
                 let (number, since) = (shared.stop.request(), Instant::now());
                 let answer = loop {
                     match shared.stop.answer(number, since) {

@@ -34,10 +34,8 @@ pub enum Request {
         #[serde(default)]
         dir_deg: f64,
         /// Length of the centre line, mm; defaults to the rest length.
-        #[serde(default)]
         length_mm: Option<f64>,
         /// Speed of the set-point, °/s; defaults to that of the gains file.
-        #[serde(default)]
         speed_deg_s: Option<f64>,
         /// Frame in which the tip keeps the orientation.
         #[serde(default)]
@@ -51,11 +49,9 @@ pub enum Request {
         #[serde(default)]
         dir_deg: f64,
         /// Length of the centre line, mm; defaults to the rest length.
-        #[serde(default)]
         length_mm: Option<f64>,
         /// Time of the set-point on the clock of the stream, s. The tip follows a smooth curve through set-points with times. The
         /// first one is for now, and each may come up to 1 s ahead of its time.
-        #[serde(default)]
         t_s: Option<f64>,
     },
     /// Follow a path from its first row. A path that is faster than `pace.bend_speed_deg_s`, or too fast for the pistons, is slowed
@@ -90,7 +86,6 @@ pub enum Request {
         /// Start or stop.
         action: RecordAction,
         /// Name of the recording without folder and extension; defaults to the time in seconds since 1970.
-        #[serde(default)]
         name: Option<String>,
         /// The recording ends when the connection closes.
         #[serde(default)]

@@ -81,10 +81,8 @@ pub struct Recording {
 pub fn flight_path(log: &Path) -> PathBuf {
     let name = log.to_string_lossy();
     let name = name.strip_suffix(".gz").unwrap_or(&name);
-    PathBuf::from(format!(
-        "{}.mcap",
-        name.strip_suffix(".csv").unwrap_or(name)
-    ))
+    let name = name.strip_suffix(".csv").unwrap_or(name);
+    PathBuf::from(format!("{name}.mcap"))
 }
 
 impl Recording {
@@ -185,15 +183,14 @@ impl Recording {
 
     /// What the thread has reported since the last call.
     pub fn progress(&mut self) -> Option<Progress> {
-        let progress = match self.progress.try_recv() {
+        Some(match self.progress.try_recv() {
             Err(TryRecvError::Empty) => return None,
             Err(TryRecvError::Disconnected) => {
                 Progress::Ended(Err(io::Error::other("its thread ended unexpectedly")))
             }
             Ok(Progress::Ended(Ok(by_thread))) => Progress::Ended(Ok(by_thread.or(self.reason))),
             Ok(progress) => progress,
-        };
-        Some(progress)
+        })
     }
 }
 

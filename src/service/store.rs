@@ -1,7 +1,8 @@
 //! The state that survives `kill -9`, power loss and a full disk.
 //!
-//! Two slots of fixed size are written in turn, each as `magic version sequence length crc\n`, JSON, and padding. A write overwrites the older slot in place, waits for the disk and reads the slot back. Slots are overwritten in place because a full disk
-//! accepts no new file.
+//! Two slots of fixed size are written in turn, each `magic version sequence length crc\n`, JSON, and padding. A write overwrites the
+//! older slot in place, waits for the disk and reads the slot back. Slots are overwritten in place because a full disk accepts no new
+//! file.
 //!
 //! The memory is written ahead: drivers are armed only once the slot that says so is on the disk. A slot that says
 //! "pistons at rest" is therefore true as long as it is the newest.
@@ -17,6 +18,9 @@ use std::fs::{DirBuilder, File, OpenOptions, Permissions};
 use std::io::{self, Read, Seek, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 
 /// Version of the format.
 const VERSION: u32 = 1;
@@ -181,13 +185,9 @@ impl Store {
     /// # Errors
     /// [`MemoryError`].
     pub fn open(folder: &Path) -> Result<(Self, Recall), MemoryError> {
-        let fail = |path: &Path, source| MemoryError::Io {
-            path: path.display().to_string(),
-            source,
-        };
         let mut builder = DirBuilder::new();
         let created = builder.recursive(true).mode(0o700).create(folder);
-        created.map_err(|e| fail(folder, e))?;
+        created.map_err(MemoryError::io(folder))?;
         let lock_path = folder.join("lock");
         let (mut read, mut create) = (OpenOptions::new(), OpenOptions::new());
         // opened for reading only, so that the file system can still be remounted read-only
@@ -199,7 +199,7 @@ impl Store {
                 }
                 _ => Err(e),
             })
-            .map_err(|e| fail(&lock_path, e))?;
+            .map_err(MemoryError::io(&lock_path))?;
         for file in NAMES.into_iter().chain(["lock"]) {
             // files of an older version let others read them, and hold the lock; those of another user are left alone
             let path = folder.join(file);
@@ -241,7 +241,7 @@ impl Store {
             whole: recall.found == Found::Intact,
             _lock: lock,
         };
-        store.reserve().map_err(|e| fail(folder, e))?;
+        store.reserve().map_err(MemoryError::io(folder))?;
         Ok((store, recall))
     }
 
@@ -290,10 +290,7 @@ impl Store {
                 Err(io::Error::other("what was written reads back differently"))
             }
         };
-        put().map_err(|source| MemoryError::Io {
-            path: path.display().to_string(),
-            source,
-        })?;
+        put().map_err(MemoryError::io(&path))?;
         self.sequence = sequence;
         Ok(sequence)
     }
@@ -312,6 +309,81 @@ fn rename_damaged(path: &Path, reason: &str) -> String {
     match std::fs::rename(path, &renamed) {
         Ok(()) => format!("{shown} {reason}; renamed to {}", renamed.display()),
         Err(e) => format!("{shown} {reason}; it could not be renamed: {e}"),
+    }
+}
+
+/// A memory to write, and the id under which its completion is reported.
+type Job = (Box<Memory>, Option<u64>);
+
+/// Handle of the state writer: the only thread that writes the memory and waits for the disk.
+#[derive(Debug)]
+pub struct StateWriter {
+    jobs: SyncSender<Job>,
+    completed: Receiver<Completed>,
+    under_way: Arc<AtomicUsize>,
+    thread: std::thread::JoinHandle<()>,
+}
+
+/// The id given with a write, and its sequence number or why it failed.
+pub type Completed = (Option<u64>, Result<u64, MemoryError>);
+
+impl StateWriter {
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn start(mut store: Store) -> std::io::Result<Self> {
+        let (jobs, work) = sync_channel::<Job>(4);
+        let (report, completed) = channel();
+        let under_way = Arc::new(AtomicUsize::new(0));
+        let own = Arc::clone(&under_way);
+        let thread = std::thread::Builder::new()
+            .name("state".into())
+            .spawn(move || {
+                for (memory, id) in work {
+                    let result = store.write(&memory);
+                    own.fetch_sub(1, Relaxed);
+                    if report.send((id, result)).is_err() {
+                        return;
+                    }
+                }
+            })?;
+        Ok(Self {
+            jobs,
+            completed,
+            under_way,
+            thread,
+        })
+    }
+
+    /// Queues a write; false if the queue is full because the disk is slow.
+    pub fn write(&self, memory: &Memory, id: Option<u64>) -> bool {
+        self.under_way.fetch_add(1, Relaxed);
+        let queued = self.jobs.try_send((Box::new(memory.clone()), id)).is_ok();
+        if !queued {
+            self.under_way.fetch_sub(1, Relaxed);
+        }
+        queued
+    }
+
+    /// True if no write is under way.
+    pub fn is_idle(&self) -> bool {
+        self.under_way.load(Relaxed) == 0
+    }
+
+    /// The next completed write, if any.
+    pub fn completed(&self) -> Option<Completed> {
+        self.completed.try_recv().ok()
+    }
+
+    /// Writes a last time after everything that is queued, waits for the disk and ends the thread.
+    pub fn finish(self, memory: &Memory) -> Option<Completed> {
+        let sent = self.jobs.send((Box::new(memory.clone()), None)).is_ok();
+        drop(self.jobs);
+        let last = self.completed.iter().last().filter(|_| sent);
+        // it has nothing left to do and nothing to report
+        let _ = self.thread.join();
+        last
     }
 }
 

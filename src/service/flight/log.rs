@@ -147,10 +147,10 @@ fn keep_writing(
     while let Err(e) = run(folder, bounds, work, &mut start, problem) {
         let why = io_error(e).to_string();
         if set(problem, Some(why.clone())).is_none() {
+            let shown = folder.display();
             tracing::error!(
                 event = "flight_log",
-                "{}: the flight log is not written: {why}",
-                folder.display()
+                "{shown}: the flight log is not written: {why}"
             );
         }
         std::thread::sleep(RETRY);

@@ -75,8 +75,8 @@ pub fn description(topic: &str) -> io::Result<Vec<u8>> {
 /// # Errors
 /// What does not fit the schema.
 pub fn encode(topic: &str, mut fields: Value) -> io::Result<Vec<u8>> {
-    let fields_mut = fields.as_object_mut().into_iter().flatten();
-    let lists = fields_mut.filter_map(|(_, field)| field.as_array_mut());
+    let all = fields.as_object_mut().into_iter().flatten();
+    let lists = all.filter_map(|(_, field)| field.as_array_mut());
     for item in lists.flatten().filter(|item| item.is_null()) {
         *item = "NaN".into();
     }

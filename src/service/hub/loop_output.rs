@@ -1,6 +1,6 @@
 //! What comes from the loop: frames and answers.
 
-use super::state::{Hub, Pending, unix_s};
+use super::{Hub, Pending, unix_s};
 use crate::service::calibrate::{Found, Next};
 use crate::service::flight::start::{Event, Logged};
 use crate::service::memory::{LearnedGains, RecordedFault};

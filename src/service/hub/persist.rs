@@ -1,6 +1,6 @@
 //! What must survive a restart: checkpoints of the position, and orders that wait for the disk.
 
-use super::state::{Hub, Pending};
+use super::{Hub, Pending};
 use crate::control::RestartState;
 use crate::service::memory::LearnedGains;
 use crate::service::port::Caller;

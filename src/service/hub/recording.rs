@@ -1,6 +1,6 @@
 //! Recordings, and the status of the service.
 
-use super::state::{Hub, Reply, refuse};
+use super::{Hub, Reply, refuse};
 use crate::service::calibrate::Session;
 use crate::service::flight::file::zero_unix_ns;
 use crate::service::flight::log::FlightLog;

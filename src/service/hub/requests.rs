@@ -1,6 +1,6 @@
 //! The requests of clients.
 
-use super::state::{Hub, Reply, Subscription, done, may_command, refuse};
+use super::{Hub, Reply, Subscription, done, may_command, refuse};
 use crate::config::Gains;
 use crate::config::source;
 use crate::control::{Command, Path};
@@ -64,11 +64,10 @@ impl Hub {
         // the reply precedes the first frame
         self.reply(caller, &Ok(json!({})));
         self.subscriptions.retain(|s| s.client != caller.client);
-        let (client, period_s, next_s) = (caller.client, 1.0 / rate_hz, f64::NEG_INFINITY);
         self.subscriptions.push(Subscription {
-            client,
-            period_s,
-            next_s,
+            client: caller.client,
+            period_s: 1.0 / rate_hz,
+            next_s: f64::NEG_INFINITY,
         });
         Ok(None)
     }
@@ -206,11 +205,9 @@ impl Hub {
     }
 
     fn reload(&mut self) -> Reply {
-        let Some(path) = self.config.gains.clone() else {
-            return refuse(
-                "no gains file was given; start the service with `retroflex run --gains FILE`",
-            );
-        };
+        let why = "no gains file was given; start the service with `retroflex run --gains FILE`";
+        let path = self.config.gains.clone();
+        let path = path.ok_or_else(|| Failure::refused(why))?;
         let stay = |e| Failure::bad(format!("{e}; the present gains stay in use"));
         let gains: Gains = source::read(&path).map_err(stay)?;
         let now = &self.config;
@@ -273,11 +270,9 @@ impl Hub {
     }
 
     fn accept(&mut self, caller: &Caller) -> Reply {
-        let Some(gains) = self.memory.proposed.clone() else {
-            return refuse(
-                "there is no proposed calibration to accept; run `retroflex calibrate transmission` first",
-            );
-        };
+        let why = "there is no proposed calibration to accept; run `retroflex calibrate transmission` first";
+        let gains = self.memory.proposed.clone();
+        let gains = gains.ok_or_else(|| Failure::refused(why))?;
         if gains.tip != self.config.tip {
             return refuse(format!(
                 "the calibration was made on tip `{}`, but tip `{}` is mounted",

@@ -1,6 +1,6 @@
 //! The rounds of the hub, and the end of the service.
 
-use super::state::Hub;
+use super::Hub;
 use crate::hardware::{rt, supply};
 use crate::service::error::ServiceError;
 use crate::service::port::{FromPort, Port};
