@@ -12,7 +12,7 @@ use crate::service::notify::Notifier;
 use crate::service::paths::Paths;
 use crate::service::record::{flight_path, make_room};
 use crate::service::start::RunConfig;
-use crate::service::{Claim, Setup, serve};
+use crate::service::{Claim, serve};
 use crate::simulation::link::Link;
 use crate::simulation::lockstep::Lockstep;
 use crate::supervisor::Machine;
@@ -119,17 +119,7 @@ pub fn run(args: &Args) -> Result<()> {
         tip,
     };
     let pace = args.fast.or(machine.is_simulated().then_some(1.0));
-    let record = args.record.clone();
-    serve(
-        claim,
-        Setup {
-            machine,
-            config,
-            pace,
-            record,
-        },
-    )
-    .map_err(report)
+    serve(claim, machine, config, pace, args.record.clone()).map_err(report)
 }
 
 fn report(error: ServiceError) -> miette::Report {

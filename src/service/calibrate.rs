@@ -8,8 +8,7 @@ use crate::control::DynamicsPrior;
 use crate::control::learning::batch::{Prior, relative_step, solve};
 use crate::experiment::identify::{CONVERGED, IdentifyError, PASSES_MAX, plausible};
 use crate::experiment::pose::{Round, Step};
-use crate::experiment::schedule;
-use crate::model::{Geometry, Line, Shape};
+use crate::model::{Line, Shape};
 use crate::supervisor::{CycleOutput, Mode};
 use nalgebra::Vector3;
 
@@ -59,48 +58,16 @@ enum State {
 }
 
 impl Session {
-    /// Algorithm 1 from zero gains.
-    pub fn full(geometry: Geometry, step_mm: f64, before: Found) -> Self {
+    /// Algorithm 1 from zero gains, or with a prior, one pass.
+    pub fn new(round: Round, step_mm: f64, prior: Option<[Prior; 3]>, before: Found) -> Self {
         let none = Line {
             k_epsilon: 0.0,
             k_lambda_mm: 0.0,
         };
-        Self::new(
-            Round::new(geometry, schedule::paper()),
-            step_mm,
-            None,
-            [none; 3],
-            before,
-        )
-    }
-
-    /// One pass with a prior, of as many poses as are given with it.
-    pub fn short(
-        geometry: Geometry,
-        step_mm: f64,
-        (prior, poses): ([Prior; 3], usize),
-        before: Found,
-    ) -> Self {
-        Self::new(
-            Round::new(geometry, schedule::short(poses)),
-            step_mm,
-            Some(prior),
-            prior.map(|p| p.line),
-            before,
-        )
-    }
-
-    fn new(
-        round: Round,
-        step_mm: f64,
-        prior: Option<[Prior; 3]>,
-        lines: [Line; 3],
-        before: Found,
-    ) -> Self {
         Self {
             step_mm,
             prior,
-            lines,
+            lines: prior.map_or([none; 3], |prior| prior.map(|p| p.line)),
             before,
             pass: 1,
             round,
@@ -118,11 +85,8 @@ impl Session {
     pub fn step(&mut self, output: &CycleOutput) -> Next {
         if output.mode != Mode::Calibrating {
             let started = self.state != State::Mode;
-            return if started {
-                Next::Done(Err(format!("mode {} ended the calibration", output.mode)))
-            } else {
-                Next::Wait
-            };
+            let ended = || Next::Done(Err(format!("mode {} ended the calibration", output.mode)));
+            return if started { ended() } else { Next::Wait };
         }
         let piston_mm = Vector3::from(output.counted.0.map(|n| f64::from(n) * self.step_mm));
         match self.state {

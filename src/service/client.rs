@@ -45,10 +45,6 @@ pub struct Client {
     next_id: u64,
 }
 
-fn unreachable(message: String) -> Failure {
-    Failure { code: 3, message }
-}
-
 impl Client {
     /// Connects to a socket.
     ///
@@ -80,7 +76,7 @@ impl Client {
                     "{e}; is `retroflex run` running, and are you in the group of the socket?"
                 ),
             };
-            unreachable(format!("{}: {why}", path.display()))
+            Failure::unreachable(format!("{}: {why}", path.display()))
         })
     }
 
@@ -111,9 +107,8 @@ impl Client {
     pub fn request(&mut self, request: &Request) -> Result<Value, Failure> {
         let (id, deadline) = (self.next_id, Instant::now() + self.timeout);
         self.next_id += 1;
-        self.stream
-            .write_all(request_line(id, request).as_bytes())
-            .map_err(|e| no_reply(&e))?;
+        let sent = self.stream.write_all(request_line(id, request).as_bytes());
+        sent.map_err(|e| no_reply(&e))?;
         loop {
             let value = self.read_until(deadline)?;
             if value["id"] == id {
@@ -138,12 +133,13 @@ impl Client {
                 let line: Vec<u8> = self.input.drain(..=end).collect();
                 return serde_json::from_slice(&line).map_err(|e| {
                     let start = String::from_utf8_lossy(&line[..end.min(200)]);
-                    unreachable(format!("the service sent `{}`: {e}", start.escape_debug()))
+                    let sent = start.escape_debug();
+                    Failure::unreachable(format!("the service sent `{sent}`: {e}"))
                 });
             }
             searched = self.input.len();
             if searched > LINE_MAX {
-                return Err(unreachable(format!(
+                return Err(Failure::unreachable(format!(
                     "it sends a line of more than {} KiB, so it is no service of retroflex",
                     LINE_MAX / 1024
                 )));
@@ -159,12 +155,9 @@ impl Client {
             return Err(no_reply(&ErrorKind::WouldBlock.into()));
         }
         let mut chunk = [0; CHUNK];
-        let read = self
-            .stream
-            .set_read_timeout(Some(left))
-            .and_then(|()| self.stream.read(&mut chunk));
-        match read {
-            Ok(0) => Err(unreachable("the service closed the connection".to_owned())),
+        let ready = self.stream.set_read_timeout(Some(left));
+        match ready.and_then(|()| self.stream.read(&mut chunk)) {
+            Ok(0) => Err(Failure::unreachable("the service closed the connection")),
             Ok(n) => {
                 self.input.extend_from_slice(&chunk[..n]);
                 Ok(())
@@ -180,24 +173,16 @@ fn result(reply: &Value) -> Result<Value, Failure> {
     if reply["ok"] == true {
         return Ok(reply["result"].clone());
     }
-    let code = reply["code"]
-        .as_u64()
-        .and_then(|c| u8::try_from(c).ok())
-        .unwrap_or(2);
-    Err(Failure {
-        code,
-        message: reply["error"]
-            .as_str()
-            .unwrap_or("no reason given")
-            .to_owned(),
-    })
+    let code = reply["code"].as_u64().and_then(|c| u8::try_from(c).ok());
+    let why = reply["error"].as_str().unwrap_or("no reason given");
+    Err(Failure::new(code.unwrap_or(2), why))
 }
 
 fn no_reply(e: &std::io::Error) -> Failure {
-    match e.kind() {
+    Failure::unreachable(match e.kind() {
         ErrorKind::WouldBlock => {
-            unreachable("it does not answer: it hangs, or its computer is overloaded".to_owned())
+            "it does not answer: it hangs, or its computer is overloaded".to_owned()
         }
-        _ => unreachable(format!("it does not answer: {e}")),
-    }
+        _ => format!("it does not answer: {e}"),
+    })
 }

@@ -19,7 +19,7 @@ const LINE_MAX_S: f64 = 3.0;
 pub struct Line {
     /// Number of the client.
     pub client: u64,
-    /// The line without its end, or why it was not accepted.
+    /// The line without its end, or why it was not accepted; then the client is disconnected once it has read the reply.
     pub text: Result<String, &'static str>,
     /// The client already has as many unanswered requests as it may.
     pub surplus: bool,
@@ -48,6 +48,7 @@ pub(super) struct Client {
     pub(super) spoke: bool,
     pub(super) output: Vec<u8>,
     pub(super) unanswered: usize,
+    /// It keeps its place until it has its next reply.
     pub(super) protected: bool,
     pub(super) closing: bool,
 }
@@ -83,12 +84,8 @@ impl Client {
                 Ok(0) => {
                     self.closing = true;
                     // a line without an end is discarded
-                    let complete = self
-                        .input
-                        .iter()
-                        .rposition(|b| *b == b'\n')
-                        .map_or(0, |n| n + 1);
-                    self.input.truncate(complete);
+                    let end = self.input.iter().rposition(|b| *b == b'\n');
+                    self.input.truncate(end.map_or(0, |n| n + 1));
                 }
                 Ok(n) => {
                     total += n;
@@ -114,7 +111,10 @@ impl Client {
             };
             let text = match std::str::from_utf8(&self.input[taken..taken + end]) {
                 Ok(text) => Ok(text.trim().to_owned()),
-                Err(_) => Err("a line must be UTF-8 text"),
+                Err(_) => {
+                    self.closing = true;
+                    Err("a line must be UTF-8 text")
+                }
             };
             taken += end + 1;
             if text.as_ref().is_ok_and(String::is_empty) {

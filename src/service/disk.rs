@@ -66,12 +66,10 @@ pub fn require_free(folder: &Path, bounds: &ServiceSection) -> io::Result<()> {
     if free >= mib(least_mib) {
         return Ok(());
     }
-    let free = format!(
-        "only {} MiB of the disk are free, and service.record_free_mib keeps {least_mib} MiB",
+    let why = format!(
+        "only {} MiB of the disk are free, and service.record_free_mib keeps {least_mib} MiB: \
+         delete files, or set a smaller limit in the board file",
         free >> 20
     );
-    Err(io::Error::new(
-        io::ErrorKind::StorageFull,
-        format!("{free}: delete files, or set a smaller limit in the board file"),
-    ))
+    Err(io::Error::new(io::ErrorKind::StorageFull, why))
 }

@@ -2,6 +2,7 @@
 
 use crate::service::memory::MemoryError;
 use crate::supervisor::MachineError;
+use std::path::Path;
 use thiserror::Error;
 
 /// Why the service could not start or ended by itself.
@@ -39,6 +40,12 @@ pub enum ServiceError {
 }
 
 impl ServiceError {
+    /// Adds the path of a socket to an I/O error.
+    pub fn socket(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.display().to_string();
+        move |source| Self::Socket { path, source }
+    }
+
     /// Adds what could not be started to an I/O error.
     pub fn system(what: impl std::fmt::Display) -> impl FnOnce(std::io::Error) -> Self {
         let what = what.to_string();

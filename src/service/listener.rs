@@ -4,6 +4,7 @@
 
 use crate::service::client::connect_within;
 use crate::service::error::ServiceError;
+use socket2::{Domain, SockAddr, Socket, Type};
 use std::io::ErrorKind;
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
@@ -31,12 +32,7 @@ impl Listener {
     /// # Errors
     /// [`ServiceError::Socket`] if another service listens there or it cannot be told, and for a file of another kind.
     pub fn is_stale(path: &Path) -> Result<bool, ServiceError> {
-        let refuse = |why: &str| {
-            Err(ServiceError::Socket {
-                path: path.display().to_string(),
-                source: std::io::Error::other(why),
-            })
-        };
+        let refuse = |why: &str| Err(ServiceError::socket(path)(std::io::Error::other(why)));
         let Ok(there) = std::fs::symlink_metadata(path) else {
             return Ok(false);
         };
@@ -61,30 +57,24 @@ impl Listener {
     /// # Errors
     /// As for [`is_stale`](Self::is_stale), and the operating system's.
     pub fn bind(path: &Path, mode: u32) -> Result<Self, ServiceError> {
-        let fail = |source| ServiceError::Socket {
-            path: path.display().to_string(),
-            source,
+        let stale = Self::is_stale(path)?;
+        let listen = || -> std::io::Result<Self> {
+            if stale {
+                std::fs::remove_file(path)?;
+            }
+            let socket = Socket::new(Domain::UNIX, Type::STREAM, None)?;
+            socket.bind(&SockAddr::unix(path)?)?;
+            // nobody can connect before the permissions are set
+            std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode))?;
+            socket.listen(BACKLOG)?;
+            socket.set_nonblocking(true)?;
+            Ok(Self {
+                socket: socket.into(),
+                path: path.to_owned(),
+                inode: inode(path)?,
+            })
         };
-        if Self::is_stale(path)? {
-            std::fs::remove_file(path).map_err(fail)?;
-        }
-        // nobody but the owner may connect before the permissions are set
-        // SAFETY: umask takes and returns an integer; no other thread creates files at this time
-        let umask = unsafe { libc::umask(0o177) };
-        let bound = UnixListener::bind(path).map_err(fail);
-        // SAFETY: as above
-        unsafe { libc::umask(umask) };
-        let socket = bound?;
-        // SAFETY: the descriptor is a bound socket; a second listen(2) changes the length of its queue
-        unsafe { libc::listen(socket.as_raw_fd(), BACKLOG) };
-        std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).map_err(fail)?;
-        let inode = inode(path).map_err(fail)?;
-        socket.set_nonblocking(true).map_err(fail)?;
-        Ok(Self {
-            socket,
-            path: path.to_owned(),
-            inode,
-        })
+        listen().map_err(ServiceError::socket(path))
     }
 
     /// The next connection that waits, as one that does not block.

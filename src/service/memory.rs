@@ -4,6 +4,7 @@ use crate::control::{DynamicsPrior, RestartState};
 use crate::model::Line;
 use serde::{Deserialize, Serialize};
 use std::io;
+use std::path::Path;
 
 /// Number of faults in the history.
 const FAULTS_MAX: usize = 64;
@@ -125,4 +126,12 @@ pub enum MemoryError {
     /// Larger than a slot.
     #[error("a state of {0} bytes does not fit into its slot")]
     TooLarge(usize),
+}
+
+impl MemoryError {
+    /// Adds the path to an I/O error.
+    pub fn io(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        let path = path.display().to_string();
+        move |source| Self::Io { path, source }
+    }
 }

@@ -10,11 +10,10 @@
 //! ```
 //!
 //! The loop thread ([`rt_loop`]) uses no lock, no file and no allocator. Each socket has a thread ([`port`]); those of
-//! `stop` ([`stop_socket`]) and of the commands pass a stop to the loop directly. The hub ([`hub`]) does everything else
+//! `stop` and of the commands pass a stop to the loop directly ([`stop`]). The hub ([`hub`]) does everything else
 //! and writes no file. If it is late, frames are lost and counted, and the loop is not affected. The loop watches the age
 //! of the other threads ([`shared`]).
 
-pub mod belief;
 pub mod calibrate;
 pub mod client;
 pub mod connection;
@@ -32,17 +31,13 @@ pub mod record;
 pub mod rt_loop;
 pub mod server;
 pub mod shared;
-pub mod slot;
 pub mod start;
-pub mod state_writer;
 pub mod status;
 pub mod stop;
-pub mod stop_socket;
 pub mod store;
 
 use crate::config::ServiceSection;
 use crate::hardware::rt::{self, RtRequest, RtStatus};
-use crate::service::belief::Belief;
 use crate::service::error::ServiceError;
 use crate::service::hub::{Facts, Hub, HubIo};
 use crate::service::listener::Listener;
@@ -51,11 +46,10 @@ use crate::service::notify::Notifier;
 use crate::service::paths::Paths;
 use crate::service::port::Port;
 use crate::service::rt_loop::Loop;
-use crate::service::shared::{HeartbeatMonitor, Shared, ThreadWatch, Watched};
+use crate::service::shared::{Shared, ThreadWatch, Watched};
 use crate::service::start::{RunConfig, Start};
-use crate::service::state_writer::StateWriter;
 use crate::service::stop::StopCounter;
-use crate::service::store::{Found, Recall, Store};
+use crate::service::store::{Belief, Found, Recall, StateWriter, Store};
 use crate::supervisor::{Machine, MachineError, Runner};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::PathBuf;
@@ -82,68 +76,48 @@ impl Claim {
     /// # Errors
     /// [`ServiceError`].
     pub fn new(service: &ServiceSection) -> Result<Self, ServiceError> {
-        let Paths {
-            control,
-            status,
-            state,
-        } = Paths::of(service);
-        let (store, recall) = Store::open(&state)?;
-        for folder in [control.parent(), status.parent()].into_iter().flatten() {
+        let paths = Paths::of(service);
+        let (store, recall) = Store::open(&paths.state)?;
+        let stop = paths::stop_socket(&paths.control);
+        let (command, read) = (service.socket_mode, service.status_mode);
+        let sockets = [
+            (&paths.control, command),
+            (&paths.status, read),
+            (&stop, command),
+        ];
+        for folder in sockets.iter().filter_map(|(path, _)| path.parent()) {
             let mut builder = std::fs::DirBuilder::new();
             let created = builder.recursive(true).mode(0o755).create(folder);
-            created.map_err(|source| ServiceError::Socket {
-                path: folder.display().to_string(),
-                source,
-            })?;
+            created.map_err(ServiceError::socket(folder))?;
         }
-        let stop = paths::stop_socket(&control);
         // none is replaced unless all may be; the test whether a service answers on the last stops the tip of that service
-        for path in [&control, &status, &stop] {
+        for (path, _) in sockets {
             Listener::is_stale(path)?;
         }
-        let control = Listener::bind(&control, service.socket_mode)?;
-        let status = Listener::bind(&status, service.status_mode)?;
-        let stop = Listener::bind(&stop, service.socket_mode)?;
+        let [control, status, stop] = sockets.map(|(path, mode)| Listener::bind(path, mode));
         Ok(Self {
             store,
             recall,
-            control,
-            status,
-            stop,
+            control: control?,
+            status: status?,
+            stop: stop?,
         })
     }
 }
 
-/// The machine and the way to run it.
-pub struct Setup {
-    /// The machine, opened.
-    pub machine: Box<dyn Machine>,
-    /// The configuration.
-    pub config: RunConfig,
-    /// Pace of simulated time beside real time; infinity: as fast as possible. `None`: real time.
-    pub pace: Option<f64>,
-    /// Record from the first cycle on into this file.
-    pub record: Option<PathBuf>,
-}
-
-/// Runs until a signal ends it, then returns the tip to rest.
+/// Runs until a signal ends it, then returns the tip to rest. `pace` is that of simulated time beside real time, infinity as fast as
+/// possible, `None` real time; `record` is a file to record into from the first cycle on.
 ///
 /// # Errors
 /// [`ServiceError`].
-pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
-    let Setup {
-        machine,
-        mut config,
-        pace,
-        record,
-    } = setup;
-    let Claim {
-        mut store,
-        recall,
-        control,
-        status,
-        stop,
-    } = claim;
+pub fn serve(
+    claim: Claim,
+    machine: Box<dyn Machine>,
+    mut config: RunConfig,
+    pace: Option<f64>,
+    record: Option<PathBuf>,
+) -> Result<(), ServiceError> {
+    let (mut store, recall) = (claim.store, claim.recall);
     let (belief, memory) = believed(&recall, machine.is_simulated());
     let start = Start::new(&config, &memory, belief);
     config.supervisor = start.config.clone();
@@ -161,7 +135,7 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         rings: loop_rings,
         shared: Arc::clone(&shared),
         pace,
-        heartbeat: HeartbeatMonitor::new(notifier.heartbeat()),
+        heartbeat: notifier.heartbeat(),
         stops: StopCounter::default(),
         watch: ThreadWatch::default(),
     };
@@ -170,7 +144,7 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         priority,
         cpu: None,
     });
-    let stop = stop_socket::start(stop, Arc::clone(&shared), urgent);
+    let stop = port::start_stop(claim.stop, Arc::clone(&shared), urgent);
     let stop = stop.map_err(ServiceError::system("the thread of stop"))?;
     let start_port = |socket, which, wish| {
         let port = Port::start(socket, Arc::clone(&shared), which, wish);
@@ -178,8 +152,8 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
     };
     let state_writer = StateWriter::start(store);
     let io = HubIo {
-        control: start_port(control, Watched::Control, urgent)?,
-        status: start_port(status, Watched::Status, calm)?,
+        control: start_port(claim.control, Watched::Control, urgent)?,
+        status: start_port(claim.status, Watched::Status, calm)?,
         notifier,
         state_writer: state_writer.map_err(ServiceError::system("the state writer"))?,
         rings,
@@ -237,10 +211,7 @@ fn control_priority(service: &ServiceSection) -> i32 {
 
 /// What is believed of a memory. A simulated plant begins at rest with the service, so only a damaged memory is doubted.
 fn believed(recall: &Recall, simulated: bool) -> (Belief, Memory) {
-    let (mut belief, mut memory) = (
-        Belief::in_recall(recall),
-        recall.memory.clone().unwrap_or_default(),
-    );
+    let (mut belief, mut memory) = (recall.belief(), recall.memory.clone().unwrap_or_default());
     let lost = recall.found == Found::Damaged || memory.lost;
     if simulated && belief != Belief::Certain && !lost {
         (belief, memory.restart, memory.unverified) = (Belief::Certain, None, false);

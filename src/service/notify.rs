@@ -14,11 +14,11 @@ pub struct Notifier {
 
 /// Sends the watchdog heartbeat. The loop thread sends it itself, so a stalled loop is detected whatever the other
 /// threads do.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Heartbeat {
-    socket: UnixDatagram,
-    /// Period, s: half of the manager's time-out.
-    pub period_s: f64,
+    /// Where it goes, and its period, s: half of the manager's time-out. `None` without a watchdog.
+    to: Option<(UnixDatagram, f64)>,
+    sent_s: f64,
 }
 
 impl Notifier {
@@ -54,18 +54,25 @@ impl Notifier {
     }
 
     /// The heartbeat, where the manager has a watchdog for this service.
-    pub fn heartbeat(&self) -> Option<Heartbeat> {
-        let (socket, timeout) = (self.socket.as_ref()?, self.watchdog?);
-        Some(Heartbeat {
-            socket: socket.try_clone().ok()?,
-            period_s: timeout.as_secs_f64() / 2.0,
-        })
+    pub fn heartbeat(&self) -> Heartbeat {
+        let socket = self.socket.as_ref().and_then(|s| s.try_clone().ok());
+        let period_s = self.watchdog.map(|timeout| timeout.as_secs_f64() / 2.0);
+        Heartbeat {
+            to: socket.zip(period_s),
+            sent_s: 0.0,
+        }
     }
 }
 
 impl Heartbeat {
-    /// Sends one heartbeat: a single non-blocking system call.
-    pub fn send(&self) {
-        let _ = self.socket.send(b"WATCHDOG=1");
+    /// Sends the heartbeat when it is due, unless a thread is `stalled`: a single non-blocking system call.
+    pub fn update(&mut self, stalled: bool, now_s: f64) {
+        if let Some((socket, period_s)) = &self.to
+            && !stalled
+            && now_s - self.sent_s >= *period_s
+        {
+            self.sent_s = now_s;
+            let _ = socket.send(b"WATCHDOG=1");
+        }
     }
 }

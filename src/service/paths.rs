@@ -18,17 +18,11 @@ pub struct Paths {
 impl Paths {
     /// The paths that this section names, and the default ones for this user.
     pub fn of(service: &ServiceSection) -> Self {
-        let control = service
-            .socket
-            .clone()
-            .unwrap_or_else(|| runtime_folder().join("control.sock"));
-        let status = service
-            .status_socket
-            .clone()
-            .unwrap_or_else(|| status_socket(&control));
+        let (socket, status) = (service.socket.clone(), service.status_socket.clone());
+        let control = socket.unwrap_or_else(own_socket);
         Self {
+            status: status.unwrap_or_else(|| status_socket(&control)),
             control,
-            status,
             state: service.state.clone().unwrap_or_else(state_folder),
         }
     }
@@ -46,31 +40,27 @@ pub fn stop_socket(control: &Path) -> PathBuf {
 
 /// The command socket to connect to, where none is named: that of this user's service if there is one, else the system's.
 pub fn default_socket() -> PathBuf {
-    let own = runtime_folder().join("control.sock");
-    let system = PathBuf::from("/run/retroflex/control.sock");
-    if !own.exists() && system.exists() {
-        system
-    } else {
-        own
-    }
+    let all = sockets();
+    let there = all.iter().find(|path| path.exists());
+    there.unwrap_or(&all[0]).clone()
 }
 
 /// The command sockets where services may listen: this user's and the system's.
 pub fn sockets() -> Vec<PathBuf> {
-    let mut all = vec![
-        runtime_folder().join("control.sock"),
-        PathBuf::from("/run/retroflex/control.sock"),
-    ];
-    all.dedup();
-    all
+    own_and_system(own_socket(), "/run/retroflex/control.sock")
 }
 
 /// The folders where services may keep their flight logs: this user's and the system's.
 pub fn flight_folders() -> Vec<PathBuf> {
-    let mut all = vec![
-        state_folder().join("flights"),
-        PathBuf::from("/var/lib/retroflex/flights"),
-    ];
+    own_and_system(state_folder().join("flights"), "/var/lib/retroflex/flights")
+}
+
+fn own_socket() -> PathBuf {
+    runtime_folder().join("control.sock")
+}
+
+fn own_and_system(own: PathBuf, system: &str) -> Vec<PathBuf> {
+    let mut all = vec![own, PathBuf::from(system)];
     all.dedup();
     all
 }
@@ -86,22 +76,22 @@ fn is_root() -> bool {
     std::fs::metadata("/proc/self").is_ok_and(|m| m.uid() == 0)
 }
 
+/// The folder that systemd has set, else the system's for root, else that in a folder of this user.
+fn folder(variable: &str, system: &str, own: Option<PathBuf>) -> Option<PathBuf> {
+    let system = is_root().then(|| PathBuf::from(system));
+    let own = own.map(|folder| folder.join("retroflex"));
+    path_from(variable).or(system).or(own)
+}
+
 fn runtime_folder() -> PathBuf {
-    let system = || is_root().then(|| PathBuf::from("/run/retroflex"));
-    let own = || path_from("XDG_RUNTIME_DIR").map(|folder| folder.join("retroflex"));
+    let own = path_from("XDG_RUNTIME_DIR");
     // without a runtime folder, beside the state
-    path_from("RUNTIME_DIRECTORY")
-        .or_else(system)
-        .or_else(own)
-        .unwrap_or_else(state_folder)
+    folder("RUNTIME_DIRECTORY", "/run/retroflex", own).unwrap_or_else(state_folder)
 }
 
 fn state_folder() -> PathBuf {
-    let system = || is_root().then(|| PathBuf::from("/var/lib/retroflex"));
-    let own =
-        || path_from("XDG_STATE_HOME").or_else(|| Some(path_from("HOME")?.join(".local/state")));
-    let folder = path_from("STATE_DIRECTORY")
-        .or_else(system)
-        .or_else(|| own().map(|folder| folder.join("retroflex")));
-    folder.unwrap_or_else(|| std::env::temp_dir().join("retroflex"))
+    let of_home = || Some(path_from("HOME")?.join(".local/state"));
+    let own = path_from("XDG_STATE_HOME").or_else(of_home);
+    folder("STATE_DIRECTORY", "/var/lib/retroflex", own)
+        .unwrap_or_else(|| std::env::temp_dir().join("retroflex"))
 }

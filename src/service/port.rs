@@ -1,54 +1,51 @@
-//! The threads that serve the sockets, one each, so that readers cannot delay commands.
+//! The threads that serve the sockets, one each, so that readers cannot delay commands, and nobody a stop.
 //!
-//! A thread parses the lines of its clients. On the command socket `stop` goes straight to the loop from here and is
-//! answered from here, so neither the hub, nor a disk, nor another client can delay it. Everything else goes to the hub,
-//! whose replies this thread writes. Every queue is bounded: the requests and replies by the number of clients and their
-//! unanswered requests, the events by a capacity beyond which they are discarded.
+//! The thread of the command socket, and that of the status socket, parses the lines of its clients. On the command socket `stop`
+//! goes straight to the loop from here and is answered from here, so neither the hub, nor a disk, nor another client can delay it.
+//! Everything else goes to the hub, whose replies this thread writes. Every queue is bounded: the requests and replies by the number
+//! of clients and their unanswered requests, the events by a capacity beyond which they are discarded.
 
 use crate::hardware::rt::{self, RtRequest};
 use crate::service::connection::Line;
-use crate::service::listener::Listener;
+use crate::service::listener::{self, Listener};
 use crate::service::protocol::{Failure, Request, parse, reply_line};
-use crate::service::server::{Server, Waker};
+use crate::service::server::Server;
 use crate::service::shared::{Shared, Watched};
 use serde_json::Value;
+use std::io::Write;
+use std::os::unix::net::UnixStream;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// A parsed line.
-#[derive(Debug)]
-pub struct Incoming {
+/// The reply address of a request, and when it came.
+#[derive(Debug, Clone)]
+pub struct Caller {
     /// Number of the client.
     pub client: u64,
     /// Id for the reply.
     pub id: Value,
-    /// The request, or why there is none.
-    pub request: Result<Request, Failure>,
-    /// The connection must be closed after the reply.
-    pub close: bool,
-    /// Number of stops requested when the line was received.
+    /// Name of the command, for the log of the hub.
+    pub command: String,
+    /// When the request came to the thread that answers it.
+    pub since: Instant,
+    /// Number of stops requested when the line was received; of a stop, its own number.
     pub stops: u64,
 }
 
 /// A message to the hub.
 #[derive(Debug)]
 pub enum FromPort {
-    /// A line of a client, any request but `stop`.
-    Incoming(Incoming),
+    /// A line of a client: any request but `stop`, or why it is none.
+    Incoming(Caller, Result<Request, Failure>),
     /// A client that has sent a request was disconnected, with the reason.
     Gone(u64, &'static str),
 }
 
-/// Something to write to a client.
-#[derive(Debug)]
-enum Outgoing {
-    Reply(u64, String),
-    Event(u64, String),
-    Close(u64),
-}
+/// A line to a client.
+type Outgoing = (u64, String);
 
 /// Longest silence of a client of the command socket that has no subscription.
 const CONTROL_IDLE_MAX: Duration = Duration::from_secs(3600);
@@ -61,6 +58,9 @@ const PACE: Duration = Duration::from_micros(500);
 const PACE_MAX: Duration = Duration::from_millis(5);
 /// Wait of a round while a stop is under way.
 const STOP_ROUND: Duration = Duration::from_micros(500);
+/// Period at which the thread of `stop` looks for the end of a stop, and the connections that it answers together.
+const LOOK: Duration = Duration::from_micros(250);
+const TOGETHER: usize = 64;
 /// Events that wait for the thread; further ones are discarded.
 const EVENTS_MAX: usize = 1024;
 
@@ -71,8 +71,7 @@ pub struct Port {
     pub messages: Receiver<FromPort>,
     replies: Sender<Outgoing>,
     events: SyncSender<Outgoing>,
-    waker: Waker,
-    clients: Arc<AtomicUsize>,
+    waker: UnixStream,
     thread: JoinHandle<()>,
 }
 
@@ -88,16 +87,14 @@ impl Port {
         which: Watched,
         wish: RtRequest,
     ) -> std::io::Result<Self> {
-        let (first, idle_max) = if which == Watched::Control {
-            (1, CONTROL_IDLE_MAX)
-        } else {
-            (2, STATUS_IDLE_MAX)
+        let (first, idle_max) = match which {
+            Watched::Control => (1, CONTROL_IDLE_MAX),
+            _ => (2, STATUS_IDLE_MAX),
         };
         let (server, waker) = Server::new(socket, first, idle_max)?;
         let (messages_in, messages) = channel();
         let (replies, replies_out) = channel();
         let (events, events_out) = sync_channel(EVENTS_MAX);
-        let clients = Arc::new(AtomicUsize::new(0));
         let mut port = PortThread {
             server,
             shared,
@@ -105,7 +102,6 @@ impl Port {
             messages: messages_in,
             replies: replies_out,
             events: events_out,
-            clients: Arc::clone(&clients),
             stops: Vec::new(),
         };
         let thread = std::thread::Builder::new()
@@ -119,81 +115,91 @@ impl Port {
             replies,
             events,
             waker,
-            clients,
             thread,
         })
     }
 
-    /// Number of connected clients.
-    pub fn clients(&self) -> usize {
-        self.clients.load(Relaxed)
-    }
-
     /// Sends the reply to one line.
     pub fn reply(&self, client: u64, line: String) {
-        self.put(Outgoing::Reply(client, line));
+        // the thread is gone only when the service ends
+        let _ = self.replies.send((client, line));
+        self.wake();
     }
 
     /// Queues an event line for the next [`Port::wake`], unless too many are waiting.
     pub fn send(&self, client: u64, line: String) {
         // a reader that is served too slowly misses events
-        let _ = self.events.try_send(Outgoing::Event(client, line));
+        let _ = self.events.try_send((client, line));
     }
 
     /// Ends the present round of the thread.
     pub fn wake(&self) {
-        self.waker.wake();
-    }
-
-    /// Disconnects a client once it has read its replies.
-    pub fn close(&self, client: u64) {
-        self.put(Outgoing::Close(client));
-    }
-
-    fn put(&self, outgoing: Outgoing) {
-        // the thread is gone only when the service ends
-        let _ = self.replies.send(outgoing);
-        self.waker.wake();
+        // a full pipe means that it is about to wake anyway
+        let _ = (&self.waker).write(&[0]);
     }
 
     /// Waits for the end of the thread, which [`Shared::quit`] has requested.
     pub fn join(self) {
-        self.waker.wake();
+        self.wake();
         // a thread that panicked has nothing left to do either
         let _ = self.thread.join();
     }
 }
 
+/// Starts the thread of the socket of `stop`. Whoever connects to it stops the tip, and reads the answer. It has no clients, no
+/// requests and no places: a flood of connections is a flood of stops, so there is nothing that an attacker could take away. It
+/// ends with [`Shared::quit`].
+///
+/// # Errors
+/// The operating system's.
+pub fn start_stop(
+    socket: Listener,
+    shared: Arc<Shared>,
+    wish: RtRequest,
+) -> std::io::Result<JoinHandle<()>> {
+    std::thread::Builder::new()
+        .name(Watched::Stop.name().into())
+        .spawn(move || {
+            let (_, _guard) = rt::enter(&wish);
+            while !shared.is_quitting() {
+                shared.progress(Watched::Stop);
+                listener::wait(&mut [socket.entry()], ROUND);
+                let Some(first) = socket.accept() else {
+                    continue;
+                };
+                let mut callers = vec![first];
+                callers.extend(std::iter::from_fn(|| socket.accept()).take(TOGETHER));
+                let (number, since) = (shared.stop.request(), Instant::now());
+                let answer = loop {
+                    match shared.stop.answer(number, since) {
+                        Some(answer) => break reply_line(&Value::Null, &answer),
+                        None => std::thread::sleep(LOOK),
+                    }
+                };
+                for mut caller in callers {
+                    // whoever has gone needs no answer
+                    let _ = caller.write(answer.as_bytes());
+                }
+            }
+        })
+}
+
 #[cfg(test)]
 impl Port {
     /// A port without a socket, and what the hub has sent to its clients.
-    pub(super) fn detached() -> (Self, impl Fn() -> Option<(u64, String)>) {
-        let ((replies, out), (events, _)) = (channel(), sync_channel(0));
-        let (waker, _) = std::os::unix::net::UnixStream::pair().unwrap();
+    pub(super) fn detached() -> (Self, Receiver<Outgoing>) {
+        let ((replies, sent), (events, _)) = (channel(), sync_channel(0));
+        let (waker, _) = UnixStream::pair().unwrap();
         waker.set_nonblocking(true).unwrap();
         let port = Self {
             messages: channel().1,
             replies,
             events,
-            waker: Waker::of(waker),
-            clients: Arc::default(),
+            waker,
             thread: std::thread::spawn(|| {}),
-        };
-        let sent = move || loop {
-            if let Outgoing::Reply(client, line) = out.try_recv().ok()? {
-                return Some((client, line));
-            }
         };
         (port, sent)
     }
-}
-
-/// A stop that the loop has not carried out yet.
-struct PendingStop {
-    client: u64,
-    id: Value,
-    number: u64,
-    since: Instant,
 }
 
 /// What a thread owns.
@@ -204,8 +210,8 @@ struct PortThread {
     messages: Sender<FromPort>,
     replies: Receiver<Outgoing>,
     events: Receiver<Outgoing>,
-    clients: Arc<AtomicUsize>,
-    stops: Vec<PendingStop>,
+    /// Who waits for a stop that the loop has not carried out yet.
+    stops: Vec<Caller>,
 }
 
 impl PortThread {
@@ -218,7 +224,7 @@ impl PortThread {
             STOP_ROUND
         });
         let began = Instant::now();
-        self.clients.store(self.server.clients(), Relaxed);
+        self.shared.clients[self.which as usize].store(self.server.clients(), Relaxed);
         for line in lines {
             self.take(line);
         }
@@ -227,15 +233,12 @@ impl PortThread {
             let _ = self.messages.send(FromPort::Gone(client, reason));
         }
         self.answer_stops();
-        for outgoing in self
-            .replies
-            .try_iter()
-            .chain(self.events.try_iter().take(EVENTS_MAX))
-        {
-            match outgoing {
-                Outgoing::Reply(client, line) => self.server.reply(client, &line),
-                Outgoing::Event(client, line) => self.server.send(client, &line),
-                Outgoing::Close(client) => self.server.close(client),
+        for (client, line) in self.replies.try_iter() {
+            self.server.reply(client, &line);
+        }
+        for (client, line) in self.events.try_iter().take(EVENTS_MAX) {
+            if let Some(client) = self.server.client(client) {
+                client.send(&line);
             }
         }
         self.server.flush();
@@ -247,46 +250,41 @@ impl PortThread {
     /// Parses one line. A stop is never refused for the number of unanswered requests.
     fn take(&mut self, line: Line) {
         let (client, stops) = (line.client, self.shared.stop.requested());
-        let (id, request, close) = match line.text {
-            Err(reason) => (Value::Null, Err(Failure::bad(reason)), true),
-            Ok(text) => {
-                let (id, request) = parse(&text);
-                (id, request, false)
-            }
+        let (id, request) = match line.text {
+            Err(reason) => (Value::Null, Err(Failure::bad(reason))),
+            Ok(text) => parse(&text),
+        };
+        let mut caller = Caller {
+            client,
+            id,
+            command: String::new(),
+            since: Instant::now(),
+            stops,
         };
         if self.which == Watched::Control && request == Ok(Request::Stop {}) {
-            let number = self.shared.stop.request();
-            self.server.protect(client);
-            self.stops.push(PendingStop {
-                client,
-                id,
-                number,
-                since: Instant::now(),
-            });
+            caller.stops = self.shared.stop.request();
+            if let Some(client) = self.server.client(client) {
+                client.protected = true;
+            }
+            self.stops.push(caller);
         } else if line.surplus {
             let refusal = Failure::refused("too many unanswered requests; wait for their answers");
-            self.server.reply(client, &reply_line(&id, &Err(refusal)));
+            let refusal = reply_line(&caller.id, &Err(refusal));
+            self.server.reply(client, &refusal);
         } else {
             // the hub is gone only when the service ends
-            let _ = self.messages.send(FromPort::Incoming(Incoming {
-                client,
-                id,
-                request,
-                close,
-                stops,
-            }));
+            let _ = self.messages.send(FromPort::Incoming(caller, request));
         }
     }
 
     fn answer_stops(&mut self) {
         let (server, signal) = (&mut self.server, &self.shared.stop);
-        self.stops
-            .retain(|stop| match signal.answer(stop.number, stop.since) {
-                Some(answer) => {
-                    server.reply(stop.client, &reply_line(&stop.id, &answer));
-                    false
-                }
-                None => true,
-            });
+        self.stops.retain(|stop| {
+            let answer = signal.answer(stop.stops, stop.since);
+            if let Some(answer) = &answer {
+                server.reply(stop.client, &reply_line(&stop.id, answer));
+            }
+            answer.is_none()
+        });
     }
 }

@@ -34,10 +34,8 @@ pub enum Request {
         #[serde(default)]
         dir_deg: f64,
         /// Length of the centre line, mm; defaults to the rest length.
-        #[serde(default)]
         length_mm: Option<f64>,
         /// Speed of the set-point, °/s; defaults to that of the gains file.
-        #[serde(default)]
         speed_deg_s: Option<f64>,
         /// Frame in which the tip keeps the orientation.
         #[serde(default)]
@@ -51,11 +49,9 @@ pub enum Request {
         #[serde(default)]
         dir_deg: f64,
         /// Length of the centre line, mm; defaults to the rest length.
-        #[serde(default)]
         length_mm: Option<f64>,
         /// Time of the set-point on the clock of the stream, s. The tip follows a smooth curve through set-points with times. The
         /// first one is for now, and each may come up to 1 s ahead of its time.
-        #[serde(default)]
         t_s: Option<f64>,
     },
     /// Follow a path from its first row. A path that is faster than `pace.bend_speed_deg_s`, or too fast for the pistons, is slowed
@@ -90,7 +86,6 @@ pub enum Request {
         /// Start or stop.
         action: RecordAction,
         /// Name of the recording without folder and extension; defaults to the time in seconds since 1970.
-        #[serde(default)]
         name: Option<String>,
         /// The recording ends when the connection closes.
         #[serde(default)]
@@ -165,14 +160,12 @@ pub enum CalibrateAction {
 impl Request {
     /// A move at the rest length; angles in degrees, speed in °/s.
     pub fn bend(bend_deg: f64, dir_deg: f64, speed_deg_s: Option<f64>) -> Self {
-        let length_mm = None;
-        let frame = Frame::Base;
         Self::Bend {
             bend_deg,
             dir_deg,
-            length_mm,
+            length_mm: None,
             speed_deg_s,
-            frame,
+            frame: Frame::Base,
         }
     }
 
@@ -203,19 +196,21 @@ pub struct Failure {
 }
 
 impl Failure {
+    pub(super) fn new(code: u8, message: impl Into<String>) -> Self {
+        let message = message.into();
+        Self { code, message }
+    }
     /// The request is valid but not possible now.
     pub fn refused(message: impl Into<String>) -> Self {
-        Self {
-            code: 1,
-            message: message.into(),
-        }
+        Self::new(1, message)
     }
     /// The request is invalid.
     pub fn bad(message: impl Into<String>) -> Self {
-        Self {
-            code: 2,
-            message: message.into(),
-        }
+        Self::new(2, message)
+    }
+    /// The service or its loop does not answer.
+    pub fn unreachable(message: impl Into<String>) -> Self {
+        Self::new(3, message)
     }
 }
 
@@ -236,12 +231,8 @@ pub fn parse(line: &str) -> (Value, Result<Request, Failure>) {
     let version = object.remove("v");
     if version.as_ref().and_then(Value::as_u64) != Some(VERSION) {
         let found = version.map_or_else(|| "none".to_owned(), |v| v.to_string());
-        return (
-            id,
-            Err(Failure::bad(format!(
-                "protocol version {found}: this service uses \"v\":{VERSION}"
-            ))),
-        );
+        let why = format!("protocol version {found}: this service uses \"v\":{VERSION}");
+        return (id, Err(Failure::bad(why)));
     }
     let request = serde_json::from_value(Value::Object(object))
         .map_err(|e| Failure::bad(format!("not understood: {e}")));
@@ -253,29 +244,27 @@ struct Object(serde_json::Map<String, Value>);
 
 impl<'de> Deserialize<'de> for Object {
     fn deserialize<D: serde::Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        from.deserialize_map(ObjectVisitor)
+        from.deserialize_map(Self(serde_json::Map::new()))
     }
 }
 
-struct ObjectVisitor;
-
-impl<'de> serde::de::Visitor<'de> for ObjectVisitor {
-    type Value = Object;
+/// The object that is filled.
+impl<'de> serde::de::Visitor<'de> for Object {
+    type Value = Self;
 
     fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("an object")
     }
 
-    fn visit_map<A: serde::de::MapAccess<'de>>(self, mut map: A) -> Result<Object, A::Error> {
-        let mut object = serde_json::Map::new();
+    fn visit_map<A: serde::de::MapAccess<'de>>(mut self, mut map: A) -> Result<Self, A::Error> {
         while let Some((key, value)) = map.next_entry::<String, Value>()? {
-            if object.contains_key(&key) {
+            if self.0.contains_key(&key) {
                 let why = format!("the key {key:?} is given twice");
                 return Err(serde::de::Error::custom(why));
             }
-            object.insert(key, value);
+            self.0.insert(key, value);
         }
-        Ok(Object(object))
+        Ok(self)
     }
 }
 

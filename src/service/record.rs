@@ -14,11 +14,12 @@ use crate::primitives::ImuSample;
 use crate::service::disk::{create_recording, free_bytes, mib, require_free};
 use crate::service::flight::file::{FlightFile, io_error};
 use crate::service::flight::start::{Event, Logged};
+use crate::service::port::Caller;
 use crate::supervisor::Sensed;
 use flate2::{Compression, write::GzEncoder};
-use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::mpsc::{
     Receiver, Sender, SyncSender, TryRecvError, TrySendError, channel, sync_channel,
 };
@@ -52,7 +53,7 @@ type Chunk = (Vec<u8>, Vec<Logged>);
 /// A recording in progress.
 #[derive(Debug)]
 pub struct Recording {
-    path: PathBuf,
+    pub(super) path: PathBuf,
     /// Rows that wait to be handed over.
     log: Vec<u8>,
     /// Cycles for the flight log, if there is one.
@@ -64,21 +65,24 @@ pub struct Recording {
     /// Longest duration, s.
     most_s: f64,
     step_mm: f64,
-    rows: Rows,
+    pub(super) rows: Rows,
     /// The new supervisor has not run its first cycle yet.
     waiting: bool,
     /// Why it ends early.
     reason: Option<&'static str>,
+    /// It ends when this client disconnects.
+    pub(super) owner: Option<u64>,
+    /// Who waits for its start, and for its end.
+    pub(super) starting: Option<Caller>,
+    pub(super) ending: Vec<Caller>,
 }
 
 /// Path of the flight log of a recording.
 pub fn flight_path(log: &Path) -> PathBuf {
     let name = log.to_string_lossy();
     let name = name.strip_suffix(".gz").unwrap_or(&name);
-    PathBuf::from(format!(
-        "{}.mcap",
-        name.strip_suffix(".csv").unwrap_or(name)
-    ))
+    let name = name.strip_suffix(".csv").unwrap_or(name);
+    PathBuf::from(format!("{name}.mcap"))
 }
 
 impl Recording {
@@ -116,27 +120,15 @@ impl Recording {
             step_mm,
             rows: Rows::default(),
             reason: None,
+            owner: None,
+            starting: None,
+            ending: Vec::new(),
         })
-    }
-
-    /// Path of the log.
-    pub fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// The rows so far.
-    pub fn rows(&self) -> &Rows {
-        &self.rows
     }
 
     /// True if the recording can be replayed.
     pub fn is_replayable(&self) -> bool {
         self.cycles.is_some()
-    }
-
-    /// True if no further row is accepted.
-    pub fn is_ending(&self) -> bool {
-        self.chunks.is_none()
     }
 
     /// Records without a flight log, because no fresh supervisor begins.
@@ -146,21 +138,16 @@ impl Recording {
 
     /// Adds one cycle.
     pub fn write(&mut self, logged: &Logged) {
-        self.waiting &= !logged
-            .events
-            .iter()
-            .any(|event| matches!(**event, Event::Start(_)));
-        if self.waiting || self.is_ending() {
+        let begins = |event: &Arc<Event>| matches!(**event, Event::Start(_));
+        self.waiting &= !logged.events.iter().any(begins);
+        if self.waiting || self.chunks.is_none() {
             return;
         }
         if let Some(cycles) = &mut self.cycles {
             cycles.push(logged.clone());
         }
-        let output = &logged.output;
-        if let Some(row) = self
-            .rows
-            .add(&output.sensed, &output.frame.target, self.step_mm)
-        {
+        let (sensed, target) = (&logged.output.sensed, &logged.output.frame.target);
+        if let Some(row) = self.rows.add(sensed, target, self.step_mm) {
             write_values(&mut self.log, &row);
             self.log.push(b'\n');
         }
@@ -175,10 +162,8 @@ impl Recording {
     fn hand_over(&mut self) {
         let Some(chunks) = &self.chunks else { return };
         self.handed_over = Instant::now();
-        let chunk = (
-            std::mem::take(&mut self.log),
-            self.cycles.as_mut().map(std::mem::take).unwrap_or_default(),
-        );
+        let cycles = self.cycles.as_mut().map(std::mem::take);
+        let chunk = (std::mem::take(&mut self.log), cycles.unwrap_or_default());
         match chunks.try_send(chunk) {
             Ok(()) => {}
             Err(TrySendError::Full(_)) => {
@@ -198,19 +183,13 @@ impl Recording {
 
     /// What the thread has reported since the last call.
     pub fn progress(&mut self) -> Option<Progress> {
-        let progress = match self.progress.try_recv() {
+        Some(match self.progress.try_recv() {
             Err(TryRecvError::Empty) => return None,
             Err(TryRecvError::Disconnected) => {
                 Progress::Ended(Err(io::Error::other("its thread ended unexpectedly")))
             }
+            Ok(Progress::Ended(Ok(by_thread))) => Progress::Ended(Ok(by_thread.or(self.reason))),
             Ok(progress) => progress,
-        };
-        if matches!(progress, Progress::Ended(_)) {
-            self.chunks = None;
-        }
-        Some(match progress {
-            Progress::Ended(Ok(by_thread)) => Progress::Ended(Ok(by_thread.or(self.reason))),
-            other => other,
         })
     }
 }
@@ -275,10 +254,8 @@ pub fn write_values(log: &mut Vec<u8>, row: &[f64]) {
 /// # Errors
 /// The operating system's, or what is free.
 pub fn make_room(path: &Path, limits: &ServiceSection) -> io::Result<()> {
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
+    let named = |folder: &&Path| !folder.as_os_str().is_empty();
+    let folder = path.parent().filter(named).unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder)?;
     require_free(folder, limits)
 }
@@ -292,27 +269,29 @@ fn write(
     report: &Sender<Progress>,
 ) -> io::Result<Option<&'static str>> {
     make_room(path, limits)?;
-    let compressed = path.extension().is_some_and(|e| e == "gz");
-    let mut log = Output::create(path, compressed)?;
-    let mut flight = flight
-        .map(|zero| FlightFile::create(&flight_path(path), zero))
-        .transpose()
-        .map_err(io_error)?;
+    let file = create_recording(path)?;
+    let buffered = BufWriter::new(file.try_clone()?);
+    let mut log: Box<dyn Write> = match path.extension() {
+        Some(e) if e == "gz" => Box::new(GzEncoder::new(buffered, Compression::fast())),
+        _ => Box::new(buffered),
+    };
+    let flight = flight.map(|zero| FlightFile::create(&flight_path(path), zero));
+    let mut flight = flight.transpose().map_err(io_error)?;
     // the hub is gone only when the service ends
     let _ = report.send(Progress::Started);
     let mut reason = None;
     for (rows, cycles) in chunks {
-        log.write(&rows)?;
+        log.write_all(&rows)?;
+        // a killed service leaves what it has handed over
+        log.flush()?;
         if let Some(flight) = &mut flight {
-            cycles
-                .iter()
-                .try_for_each(|logged| flight.write(logged))
+            let written = cycles.iter().try_for_each(|logged| flight.write(logged));
+            written
+                .and_then(|()| flight.flush(false))
                 .map_err(io_error)?;
-            flight.flush(false).map_err(io_error)?;
         }
-        if log.size()? + flight.as_ref().map_or(Ok(0), FlightFile::size)?
-            > mib(limits.record_max_mib)
-        {
+        let size = file.metadata()?.len() + flight.as_ref().map_or(Ok(0), FlightFile::size)?;
+        if size > mib(limits.record_max_mib) {
             reason = Some("it reached service.record_max_mib");
         } else if free_bytes(path)? < mib(limits.record_free_mib) {
             reason = Some("less than service.record_free_mib of the disk is free");
@@ -321,46 +300,10 @@ fn write(
             break;
         }
     }
-    log.finish()?;
-    flight
-        .map_or(Ok(()), FlightFile::finish)
-        .map_err(io_error)?;
+    // everything is flushed; this writes the end of a compressed file
+    drop(log);
+    file.sync_all()?;
+    let flight = flight.map_or(Ok(()), FlightFile::finish);
+    flight.map_err(io_error)?;
     Ok(reason)
-}
-
-/// A file that is being written.
-struct Output {
-    path: PathBuf,
-    file: Box<dyn Write>,
-}
-
-impl Output {
-    fn create(path: &Path, compressed: bool) -> io::Result<Self> {
-        let file = BufWriter::new(create_recording(path)?);
-        let file: Box<dyn Write> = if compressed {
-            Box::new(GzEncoder::new(file, Compression::fast()))
-        } else {
-            Box::new(file)
-        };
-        Ok(Self {
-            path: path.to_owned(),
-            file,
-        })
-    }
-
-    /// Writes and flushes, so that a killed service leaves what it has handed over.
-    fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.file.write_all(bytes)?;
-        self.file.flush()
-    }
-
-    fn size(&self) -> io::Result<u64> {
-        Ok(std::fs::metadata(&self.path)?.len())
-    }
-
-    fn finish(self) -> io::Result<()> {
-        // everything is flushed; this writes the end of a compressed file
-        drop(self.file);
-        File::open(self.path)?.sync_all()
-    }
 }

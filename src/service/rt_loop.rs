@@ -5,8 +5,9 @@ use crate::control::{Path, RestartState};
 use crate::hardware::rt::{monotonic_ns, sleep_until_ns};
 use crate::primitives::Seconds;
 use crate::service::connection::UNANSWERED_MAX;
+use crate::service::notify::Heartbeat;
 use crate::service::server::CLIENTS_MAX;
-use crate::service::shared::{HeartbeatMonitor, Shared, ThreadWatch, Watched};
+use crate::service::shared::{Shared, ThreadWatch, Watched};
 use crate::service::stop::StopCounter;
 use crate::supervisor::{
     CycleOutput, Machine, MachineError, Mode, Order, Refusal, Runner, Supervisor, SupervisorConfig,
@@ -28,13 +29,21 @@ pub enum Message {
         /// What must still hold in the cycle that carries it out.
         precondition: Precondition,
     },
-    /// Replaces the configuration. The old one comes back as [`Retired::Config`].
-    Reload(Box<SupervisorConfig>),
-    /// Loads a path. The one before comes back as [`Retired::Path`].
-    Path(Box<Path>),
-    /// Replaces an idle supervisor with a freshly reset one, so that a recording starts from a known state. The first cycle of
-    /// the new one says [`CycleOutput::first`]; one that is not idle any more stays.
-    ReplaceSupervisor(Box<Supervisor>),
+    /// What takes the place of something that the loop uses.
+    Change(Change),
+}
+
+/// What takes the place of something that the loop uses. What it replaces comes back to the hub, which drops it, so that the
+/// loop never frees memory.
+#[derive(Debug)]
+pub enum Change {
+    /// Another configuration.
+    Config(Box<SupervisorConfig>),
+    /// The path for [`Order::Play`].
+    Path(Option<Box<Path>>),
+    /// A freshly reset supervisor for an idle one, so that a recording starts from a known state. Its first cycle says
+    /// [`CycleOutput::first`]; a supervisor that is not idle any more stays.
+    Supervisor(Box<Supervisor>),
 }
 
 /// What an order was decided on. The picture of the hub may be old, so the loop compares it with the present.
@@ -46,17 +55,6 @@ pub struct Precondition {
     pub since: Instant,
     /// The only mode in which it may be carried out; `None` leaves that to the supervisor.
     pub mode: Option<Mode>,
-}
-
-/// Objects retired by the loop. The hub drops them so that the loop never frees memory.
-#[derive(Debug)]
-pub enum Retired {
-    /// A replaced configuration.
-    Config(Box<SupervisorConfig>),
-    /// A replaced supervisor.
-    Supervisor(Box<Supervisor>),
-    /// A replaced path.
-    Path(Option<Box<Path>>),
 }
 
 /// What a restart needs.
@@ -94,7 +92,7 @@ pub struct LoopFrame {
     pub number: u64,
     /// What a restart after it needs.
     pub note: RestartNote,
-    /// Messages other than orders that the loop had carried out before it.
+    /// Changes that the loop had carried out before it.
     pub changes: u64,
     /// The output.
     pub output: CycleOutput,
@@ -110,7 +108,7 @@ pub struct LoopRings {
     answers: Producer<Answer>,
     frames: Producer<LoopFrame>,
     changes: u64,
-    retired: Producer<Retired>,
+    retired: Producer<Change>,
 }
 
 /// The hub's ends of the rings.
@@ -123,8 +121,8 @@ pub struct HubRings {
     pub answers: Consumer<Answer>,
     /// The output of every cycle.
     pub frames: Consumer<LoopFrame>,
-    /// Objects to drop.
-    pub retired: Consumer<Retired>,
+    /// What was replaced, to drop.
+    pub retired: Consumer<Change>,
 }
 
 /// The loop must answer an order within this time, s.
@@ -179,7 +177,7 @@ pub struct Loop {
     /// Pace of simulated time beside real time; infinity: as fast as possible. `None`: real time.
     pub pace: Option<f64>,
     /// The watchdog heartbeat.
-    pub heartbeat: HeartbeatMonitor,
+    pub heartbeat: Heartbeat,
     /// Recognises what was queued before a stop.
     pub stops: StopCounter,
     /// Ages of the other threads.
@@ -222,7 +220,7 @@ impl Loop {
                 real_ns.saturating_sub(std::mem::replace(&mut cycle_ns, real_ns)) as f64 * 1e-9,
             );
             self.cycle(Seconds(now_s))?;
-            self.heartbeat.update(&self.watch, now_s);
+            self.heartbeat.update(self.watch.is_stalled(), now_s);
         }
         Ok(())
     }
@@ -285,25 +283,21 @@ impl Loop {
                 Ok(()) => return (Some(id), Some(order)),
                 Err(refusal) => self.answer(id, Err(refusal)),
             },
-            Ok(Message::Reload(mut config)) => {
-                self.runner.supervisor.reload(&mut config);
-                rings.changes += 1;
-                self.retire(Retired::Config(config));
-            }
-            Ok(Message::Path(path)) => {
-                let mut path = Some(path);
-                self.runner.supervisor.load(&mut path);
-                rings.changes += 1;
-                self.retire(Retired::Path(path));
-            }
-            Ok(Message::ReplaceSupervisor(mut supervisor)) => {
-                // the hub must learn of the first cycle
-                if self.runner.supervisor.is_idle() && rings.frames.slots() > 0 {
-                    supervisor.inherit(&self.runner.supervisor);
-                    std::mem::swap(&mut self.runner.supervisor, &mut supervisor);
+            Ok(Message::Change(mut change)) => {
+                let supervisor = &mut self.runner.supervisor;
+                match &mut change {
+                    Change::Config(config) => supervisor.reload(config),
+                    Change::Path(path) => supervisor.load(path),
+                    // the hub must learn of the first cycle
+                    Change::Supervisor(new) if supervisor.is_idle() && rings.frames.slots() > 0 => {
+                        new.inherit(supervisor);
+                        std::mem::swap(supervisor, new);
+                    }
+                    Change::Supervisor(_) => {}
                 }
                 rings.changes += 1;
-                self.retire(Retired::Supervisor(supervisor));
+                // with sixteen objects waiting, freeing one here is better than leaking it
+                drop(rings.retired.push(change));
             }
             Err(_) => {}
         }
@@ -330,17 +324,11 @@ impl Loop {
         }
     }
 
-    fn retire(&mut self, object: Retired) {
-        // with sixteen objects waiting, freeing one here is better than leaking it
-        drop(self.rings.retired.push(object));
-    }
-
     fn record_lateness(&self, late_ns: u64, period_ns: u64) {
         if late_ns > period_ns / 2 {
             self.shared.late.fetch_add(1, Relaxed);
         }
-        self.shared
-            .max_lateness_us
-            .fetch_max(late_ns / 1000, Relaxed);
+        let most_us = &self.shared.max_lateness_us;
+        most_us.fetch_max(late_ns / 1000, Relaxed);
     }
 }

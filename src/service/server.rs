@@ -11,7 +11,7 @@
 use crate::service::connection::{Client, Line, Peer};
 use crate::service::listener::{self, Listener};
 use std::cmp::Reverse;
-use std::io::{Read, Write};
+use std::io::Read;
 use std::os::fd::AsRawFd;
 use std::os::unix::net::UnixStream;
 use std::time::Duration;
@@ -23,22 +23,6 @@ const LINES_PER_ROUND: usize = 64;
 const LINES_MIN: usize = 2;
 /// Connections accepted per round, so that a flood of them does not keep clients from being read.
 const ACCEPTED_PER_ROUND: usize = CLIENTS_MAX;
-
-/// Ends the wait of a [`Server::round`] from another thread.
-#[derive(Debug)]
-pub struct Waker(UnixStream);
-
-impl Waker {
-    #[cfg(test)]
-    pub(super) fn of(stream: UnixStream) -> Self {
-        Self(stream)
-    }
-
-    /// Wakes the server. A full pipe means that it is about to wake anyway.
-    pub fn wake(&self) {
-        let _ = (&self.0).write(&[0]);
-    }
-}
 
 /// A listening socket and its clients.
 #[derive(Debug)]
@@ -54,7 +38,8 @@ pub struct Server {
 }
 
 impl Server {
-    /// A server of this socket. Clients are numbered `first`, `first` + 2, …, so that two servers never share a number.
+    /// A server of this socket, and the pipe whose bytes end the wait of a [`Server::round`] from another thread. Clients are
+    /// numbered `first`, `first` + 2, …, so that two servers never share a number.
     ///
     /// # Errors
     /// The operating system's.
@@ -62,21 +47,19 @@ impl Server {
         listener: Listener,
         first: u64,
         idle_max: Duration,
-    ) -> std::io::Result<(Self, Waker)> {
+    ) -> std::io::Result<(Self, UnixStream)> {
         let (wake, waker) = UnixStream::pair()?;
         wake.set_nonblocking(true)?;
         waker.set_nonblocking(true)?;
-        Ok((
-            Self {
-                listener,
-                wake,
-                clients: Vec::new(),
-                next: first,
-                idle_max,
-                gone: Vec::new(),
-            },
-            Waker(waker),
-        ))
+        let server = Self {
+            listener,
+            wake,
+            clients: Vec::new(),
+            next: first,
+            idle_max,
+            gone: Vec::new(),
+        };
+        Ok((server, waker))
     }
 
     /// Number of connected clients.
@@ -94,9 +77,9 @@ impl Server {
         // one client that floods alone is served quickly, so that a stop at the end of its own flood is found soon
         let talking = self.clients.iter().filter(|c| !c.input.is_empty()).count();
         let share = (LINES_PER_ROUND / talking.max(1)).max(LINES_MIN);
-        self.clients
-            .iter_mut()
-            .for_each(|c| c.take_lines(&mut lines, share));
+        for client in &mut self.clients {
+            client.take_lines(&mut lines, share);
+        }
         let (gone, idle_max) = (&mut self.gone, self.idle_max);
         self.clients.retain(|c| {
             let reason = c.reason_to_drop(idle_max);
@@ -115,26 +98,13 @@ impl Server {
         }
     }
 
-    /// Queues a line that is not a reply.
-    pub fn send(&mut self, number: u64, line: &str) {
-        if let Some(client) = self.client(number) {
-            client.send(line);
-        }
-    }
-
     /// Writes what is queued, as far as the clients read it.
     pub fn flush(&mut self) {
         self.clients.iter_mut().for_each(Client::write);
     }
 
-    /// Accepts no further line of a client and disconnects it once it has read its replies.
-    pub fn close(&mut self, number: u64) {
-        if let Some(client) = self.client(number) {
-            client.closing = true;
-        }
-    }
-
-    fn client(&mut self, number: u64) -> Option<&mut Client> {
+    /// The client of this number, if it is still connected.
+    pub(super) fn client(&mut self, number: u64) -> Option<&mut Client> {
         self.clients.iter_mut().find(|c| c.number == number)
     }
 
@@ -149,12 +119,9 @@ impl Server {
             entry(self.wake.as_raw_fd(), libc::POLLIN),
         ];
         for c in &self.clients {
-            let reads = if c.wants_input() { libc::POLLIN } else { 0 };
-            let writes = if c.output.is_empty() {
-                0
-            } else {
-                libc::POLLOUT
-            };
+            let when = |is: bool, event| if is { event } else { 0 };
+            let reads = when(c.wants_input(), libc::POLLIN);
+            let writes = when(!c.output.is_empty(), libc::POLLOUT);
             set.push(entry(c.stream.as_raw_fd(), reads | writes));
         }
         listener::wait(&mut set, wait);
@@ -179,13 +146,6 @@ impl Server {
         }
     }
 
-    /// Keeps the place of a client until it has its next reply.
-    pub fn protect(&mut self, number: u64) {
-        if let Some(client) = self.client(number) {
-            client.protected = true;
-        }
-    }
-
     /// Disconnects the client whose last line is oldest, of the process with the most clients, of the user with the most. Clients
     /// that wait for an answer go last, and protected ones stay. False if nobody could be disconnected.
     fn make_room(&mut self) -> bool {
@@ -200,11 +160,8 @@ impl Server {
                 c.last_line,
             )
         };
-        let candidates = self
-            .clients
-            .iter()
-            .enumerate()
-            .filter(|(_, c)| !c.protected);
+        let all = self.clients.iter().enumerate();
+        let candidates = all.filter(|(_, c)| !c.protected);
         let Some((n, _)) = candidates.min_by_key(|(_, c)| key(c)) else {
             return false;
         };
@@ -244,6 +201,7 @@ fn peer(stream: &UnixStream) -> Option<Peer> {
 mod tests {
     use super::*;
     use crate::service::connection::UNANSWERED_MAX;
+    use std::io::Write;
     use std::path::Path;
 
     fn server(folder: &Path, idle_max: Duration) -> Server {

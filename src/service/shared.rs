@@ -1,8 +1,7 @@
 //! What the threads share without locks, and the watch that the loop keeps over them.
 
-use crate::service::notify::Heartbeat;
 use crate::service::stop::StopSignal;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::Relaxed};
 
 /// The heartbeat stops if a thread makes no progress for longer than this, s.
 const STALL_MAX_S: f64 = 10.0;
@@ -38,6 +37,8 @@ pub struct Shared {
     quit: AtomicBool,
     rounds: [AtomicU64; 4],
     ages_ms: [AtomicU64; 4],
+    /// Clients of each thread's socket.
+    pub clients: [AtomicUsize; 4],
     /// Requests and completed stops.
     pub stop: StopSignal,
     /// Cycles of the loop.
@@ -98,33 +99,10 @@ impl ThreadWatch {
     pub fn age_s(&self, thread: Watched) -> f64 {
         self.ages_s[thread as usize]
     }
-}
 
-/// Sends the heartbeat while the loop and every watched thread make progress.
-pub struct HeartbeatMonitor {
-    heartbeat: Option<Heartbeat>,
-    sent_s: f64,
-}
-
-impl HeartbeatMonitor {
-    /// `heartbeat` is `None` without a watchdog.
-    pub fn new(heartbeat: Option<Heartbeat>) -> Self {
-        Self {
-            heartbeat,
-            sent_s: 0.0,
-        }
-    }
-
-    /// One cycle at `now_s`.
-    pub fn update(&mut self, watch: &ThreadWatch, now_s: f64) {
-        let Some(heartbeat) = &self.heartbeat else {
-            return;
-        };
-        let progress = watch.ages_s.iter().all(|age_s| *age_s < STALL_MAX_S);
-        if progress && now_s - self.sent_s >= heartbeat.period_s {
-            self.sent_s = now_s;
-            heartbeat.send();
-        }
+    /// True if a thread has made no progress for too long.
+    pub fn is_stalled(&self) -> bool {
+        self.ages_s.iter().any(|age_s| *age_s >= STALL_MAX_S)
     }
 }
 

@@ -2,9 +2,9 @@
 
 use crate::config::{Board, Calibration, Gains, ServiceSection};
 use crate::control::{Dynamics, DynamicsPrior, LoopConfig, RestartState};
-use crate::service::belief::Belief;
 use crate::service::flight::start::Header;
 use crate::service::memory::Memory;
+use crate::service::store::Belief;
 use crate::supervisor::{MachineInfo, Supervisor, SupervisorConfig};
 use std::path::PathBuf;
 
@@ -47,10 +47,9 @@ impl Start {
         let mut supervisor = config.supervisor.clone();
         // the gains of a described machine were identified together with its effects
         let described = supervisor.tick.feedforward.is_some();
-        if let Some(gains) = memory
-            .accepted
-            .as_ref()
-            .filter(|g| g.tip == config.tip && !described)
+        if let Some(gains) = &memory.accepted
+            && gains.tip == config.tip
+            && !described
         {
             supervisor.tick.lines = gains.lines();
             supervisor.tick.dynamics = DynamicsPrior::calibrated(Dynamics {
@@ -92,7 +91,6 @@ impl Start {
     /// The start as the flight log holds it.
     pub fn header(&self, run: &RunConfig, machine: &str) -> Header {
         let SupervisorConfig { tick, gate, .. } = &self.config;
-        let (name, rest_length_mm) = (machine.to_owned(), tick.geometry.rest_length_mm);
         Header {
             log: 3,
             cycle: 0,
@@ -100,10 +98,10 @@ impl Start {
             config_hash: run.config_hash.clone(),
             texts: run.texts.clone(),
             machine: MachineInfo {
-                name,
+                name: machine.to_owned(),
                 period_s: gate.tick_s,
                 step_mm: gate.step_mm,
-                rest_length_mm,
+                rest_length_mm: tick.geometry.rest_length_mm,
             },
             tip: run.tip.clone(),
             lines: tick.lines,

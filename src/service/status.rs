@@ -350,14 +350,11 @@ pub fn frame_line(output: &CycleOutput, step_mm: f64) -> String {
 
 /// Travel of the pistons either way, and the least and largest gains that the loop may learn.
 pub fn limits(config: &SupervisorConfig) -> Value {
-    let bounds = config
-        .tick
-        .lines
-        .map(|line| config.tick.refine.bounds(&line));
+    let tick = &config.tick;
+    let bounds = tick.lines.map(|line| tick.refine.bounds(&line));
     let [k_epsilon, k_lambda_mm] = [0, 1].map(|n| bounds.map(|of| of[n].map(round)));
-    let travel_mm = config.tick.limits.travel_mm;
     json!(Limits {
-        travel_mm,
+        travel_mm: tick.limits.travel_mm,
         k_epsilon,
         k_lambda_mm
     })

@@ -44,12 +44,8 @@ impl StopSignal {
         if self.completed() >= number || self.latched.load(Ordering::Acquire) {
             Some(Ok(json!({})))
         } else {
-            (since.elapsed() > ANSWER_MAX).then(|| {
-                Err(Failure {
-                    code: 3,
-                    message: "the loop does not respond".to_owned(),
-                })
-            })
+            let late = || Err(Failure::unreachable("the loop does not respond"));
+            (since.elapsed() > ANSWER_MAX).then(late)
         }
     }
 

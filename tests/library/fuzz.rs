@@ -8,7 +8,7 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use retroflex::primitives::units::{Seconds, Steps};
 use retroflex::service::flight::cycle;
-use retroflex::service::{memory, slot};
+use retroflex::service::{memory, store};
 use std::path::PathBuf;
 
 /// Number of mutated inputs per parser.
@@ -215,7 +215,7 @@ fn memory_slots_do_not_panic() {
     let body = serde_json::to_string(&full_memory()).unwrap();
     fuzz(
         "memory",
-        &corpus("memory", &[&slot::seal(3, &body), &body, ""]),
+        &corpus("memory", &[&store::seal(3, &body), &body, ""]),
     );
 }
 
@@ -223,11 +223,11 @@ fn memory_slots_do_not_panic() {
 #[test]
 fn a_damaged_slot_never_passes_its_checksum() {
     let whole = full_memory();
-    let whole_slot = slot::seal(3, &serde_json::to_string(&whole).unwrap()).into_bytes();
+    let whole_slot = store::seal(3, &serde_json::to_string(&whole).unwrap()).into_bytes();
     let mut dice = StdRng::seed_from_u64(4);
     for _ in 0..inputs() {
         if let Ok(Some((_, read))) =
-            slot::parse(&mutate(&mut dice, std::slice::from_ref(&whole_slot)))
+            store::parse(&mutate(&mut dice, std::slice::from_ref(&whole_slot)))
         {
             assert_eq!(read, whole);
         }

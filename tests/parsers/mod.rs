@@ -8,7 +8,7 @@ use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::log::bend_log;
 use retroflex::service::flight::{cycle, read};
-use retroflex::service::{protocol, slot};
+use retroflex::service::{protocol, store};
 
 /// A parser and its name.
 pub type Parser = (&'static str, fn(&[u8]) -> bool);
@@ -78,14 +78,14 @@ pub fn bend_log(bytes: &[u8]) -> bool {
 
 /// A slot of the memory: the input itself, and the input as the body of a slot with a valid checksum.
 pub fn memory(bytes: &[u8]) -> bool {
-    let read = |slot: &[u8]| match slot::parse(slot) {
+    let read = |slot: &[u8]| match store::parse(slot) {
         Ok(_) => true,
         Err(why) => {
             assert!(!why.is_empty(), "a refusal without a reason");
             false
         }
     };
-    let body = std::str::from_utf8(bytes).is_ok_and(|body| read(slot::seal(1, body).as_bytes()));
+    let body = std::str::from_utf8(bytes).is_ok_and(|body| read(store::seal(1, body).as_bytes()));
     read(bytes) || body
 }
 

@@ -4,9 +4,8 @@ use super::plan::Plan;
 use super::restart::distance;
 use crate::drill::bench::{Bench, BenchConfig, FaultyMachine};
 use crate::drill::row::FaultResult;
-use crate::service::belief::Belief;
 use crate::service::start::Start;
-use crate::service::store::{Found, Recall, Store};
+use crate::service::store::{Belief, Found, Recall, Store};
 use crate::supervisor::{Machine, MachineError, Mode, Runner};
 use std::io::{self, BufRead, BufReader};
 use std::path::Path;
@@ -102,7 +101,7 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<FaultResult>> {
                     format!("kill {n}: recalled {recalled} after {acknowledged}")
                 });
             } else {
-                row.require(Belief::in_recall(&recall) == Belief::Lost, |_| {
+                row.require(recall.belief() == Belief::Lost, |_| {
                     format!("kill {n}: a damaged memory is believed")
                 });
             }
@@ -133,7 +132,7 @@ fn start_at_rest(
 ) -> Result<Mode, MachineError> {
     let machine = FaultyMachine::new(config.sim(0, 3)?, &config.board.drive_limits());
     let memory = recall.memory.clone().unwrap_or_default();
-    let belief = Belief::in_recall(recall);
+    let belief = recall.belief();
     let (supervisor, restart) = (config.supervisor(machine.info()), memory.restart);
     let start = Start {
         config: supervisor,

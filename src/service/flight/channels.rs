@@ -59,19 +59,12 @@ impl Channels {
             .filter_map(|(topic, newest)| Some((topic, imu(&newest.take()?, t))))
             .collect();
         for ((topic, _), shown) in TOPICS.iter().zip(&mut self.shown) {
-            let values = fields(topic).into_iter().map(|key| {
-                let value = status[&key].take();
-                (key, value)
-            });
-            let value = Value::Object(values.collect());
+            let mut value = |key: String| (key.clone(), status[&key].take());
+            let value = Value::Object(fields(topic).into_iter().map(&mut value).collect());
             if *shown != value && (slow || *topic != "/gains") {
                 shown.clone_from(&value);
-                all.extend(
-                    self.changes
-                        .of(&value)
-                        .iter()
-                        .map(|note| ("/log", log(note, unix_ns))),
-                );
+                let notes = self.changes.of(&value);
+                all.extend(notes.iter().map(|note| ("/log", log(note, unix_ns))));
                 all.push((*topic, value));
             }
         }
@@ -117,14 +110,11 @@ impl Changes {
                 continue;
             };
             if self.0.insert(key, now.clone()).as_ref() != Some(now) {
-                let all = now
-                    .as_array()
-                    .map_or(std::slice::from_ref(now), Vec::as_slice);
-                let words = all
-                    .iter()
-                    .filter_map(Value::as_str)
-                    .map(|word| format!("{key} {word}"));
-                notes.extend(words.chain((*now == true).then(|| key.to_owned())));
+                let one = std::slice::from_ref(now);
+                let all = now.as_array().map_or(one, Vec::as_slice).iter();
+                let words = all.filter_map(Value::as_str);
+                notes.extend(words.map(|word| format!("{key} {word}")));
+                notes.extend((*now == true).then(|| key.to_owned()));
             }
         }
         notes

@@ -24,17 +24,14 @@ pub struct Cycle {
 impl Cycle {
     /// A cycle with a digest of all decisions, and, if `each`, one of each field.
     pub fn new(output: &CycleOutput, each: bool) -> Self {
-        let (sensed, target) = (
-            Sensed {
-                truth: None,
-                ..output.sensed
-            },
-            output.frame.target,
-        );
+        let sensed = Sensed {
+            truth: None,
+            ..output.sensed
+        };
         Self {
             sensed,
             order: output.order,
-            target,
+            target: output.frame.target,
             digests: digests(output, each),
         }
     }
@@ -44,15 +41,9 @@ impl Cycle {
     pub fn differences(&self, output: &CycleOutput) -> Option<Vec<&'static str>> {
         let now = digests(output, !self.digests.1.is_empty());
         let pairs = now.1.iter().zip(&self.digests.1);
-        let named = || {
-            FIELDS
-                .iter()
-                .zip(pairs)
-                .filter(|(_, (a, b))| a != b)
-                .map(|(name, _)| *name)
-                .collect()
-        };
-        (now != self.digests).then(named)
+        let different = FIELDS.iter().zip(pairs).filter(|(_, (a, b))| a != b);
+        let names = || different.map(|(name, _)| *name).collect();
+        (now != self.digests).then(names)
     }
 }
 
@@ -147,24 +138,20 @@ impl Numbers {
         let mut sorted: Vec<f64> = values.iter().map(|x| x.abs()).collect();
         sorted.sort_by(f64::total_cmp);
         let largest = sorted.last().copied().unwrap_or(0.0);
-        let gaps = sorted
-            .windows(2)
-            .map(|w| w[1] - w[0])
-            .filter(|gap| *gap > 1e-9 * largest);
+        let gaps = sorted.windows(2).map(|w| w[1] - w[0]);
+        let gaps = gaps.filter(|gap| *gap > 1e-9 * largest);
         // the smallest gap tells how many multiples the largest number is, and that the unit, but for its last bits
         let unit = largest / (largest / gaps.fold(largest, f64::min)).round();
         let multiples = |unit: f64| -> Option<Vec<i32>> {
             let multiple = |x: &f64| {
-                Some((x / unit).round() as i32)
-                    .filter(|n| (f64::from(*n) * unit).to_bits() == x.to_bits())
+                let n = (x / unit).round() as i32;
+                ((f64::from(n) * unit).to_bits() == x.to_bits()).then_some(n)
             };
             values.iter().map(multiple).collect()
         };
-        let units = [unit, unit.next_up(), unit.next_down()];
-        units
-            .into_iter()
-            .find_map(|unit| Some(Self::Multiples(unit, multiples(unit)?)))
-            .unwrap_or(Self::Any(values))
+        let mut units = [unit, unit.next_up(), unit.next_down()].into_iter();
+        let found = units.find_map(|unit| Some(Self::Multiples(unit, multiples(unit)?)));
+        found.unwrap_or(Self::Any(values))
     }
 
     fn values(self) -> Vec<f64> {
@@ -198,18 +185,15 @@ fn visit_numbers(cycle: &mut Cycle, visit: &mut dyn FnMut(usize, &mut f64)) {
 /// Those of `postcard`, in whose format all of it is.
 pub fn encode(first: u64, cycles: &[Cycle]) -> postcard::Result<Vec<u8>> {
     let (mut cycles, mut columns) = (cycles.to_vec(), [const { Vec::new() }; 6]);
-    cycles
-        .iter_mut()
-        .for_each(|cycle| visit_numbers(cycle, &mut |n, x| columns[n].push(take(x))));
-    let digests = cycles
-        .iter_mut()
-        .map(|cycle| take(&mut cycle.digests))
-        .collect();
+    let mut digests = Vec::with_capacity(cycles.len());
+    for cycle in &mut cycles {
+        visit_numbers(cycle, &mut |n, x| columns[n].push(take(x)));
+        digests.push(take(&mut cycle.digests));
+    }
     let [t, sample_t, values @ ..] = columns;
     let times = [t, sample_t].map(|all: Vec<f64>| {
-        (0..8)
-            .flat_map(|k| all.iter().map(move |t| t.to_le_bytes()[k]))
-            .collect()
+        let bytes = |k: usize| all.iter().map(move |t| t.to_le_bytes()[k]);
+        (0..8).flat_map(bytes).collect()
     });
     postcard::to_allocvec(&Message {
         first,
@@ -225,35 +209,26 @@ pub fn encode(first: u64, cycles: &[Cycle]) -> postcard::Result<Vec<u8>> {
 /// # Errors
 /// Those of `postcard`, for a damaged message.
 pub fn decode(message: &[u8]) -> postcard::Result<(u64, Vec<Cycle>)> {
-    let Message {
-        first,
-        times,
-        values,
-        digests,
-        mut cycles,
-    } = postcard::from_bytes(message)?;
+    let message: Message = postcard::from_bytes(message)?;
+    let (first, mut cycles) = (message.first, message.cycles);
     let time = |bytes: &Vec<u8>, n: usize| {
         f64::from_le_bytes(std::array::from_fn(|k| bytes[k * (bytes.len() / 8) + n]))
     };
-    let times = times.map(|bytes| (0..bytes.len() / 8).map(|n| time(&bytes, n)).collect());
-    let [t, sample_t] = times;
-    let [gyro, acc, mag, loads] = values.map(Numbers::values);
+    let times = |bytes: Vec<u8>| (0..bytes.len() / 8).map(|n| time(&bytes, n)).collect();
+    let [t, sample_t] = message.times.map(times);
+    let [gyro, acc, mag, loads] = message.values.map(Numbers::values);
     let mut columns = [t, sample_t, gyro, acc, mag, loads].map(Vec::into_iter);
-    let mut digests = digests.into_iter();
     let mut whole = first.checked_add(cycles.len() as u64).is_some();
-    for cycle in &mut cycles {
-        visit_numbers(cycle, &mut |n, x| {
-            columns[n]
-                .next()
-                .map_or_else(|| whole = false, |next| *x = next)
+    whole &= message.digests.len() >= cycles.len();
+    for (cycle, digests) in cycles.iter_mut().zip(message.digests) {
+        visit_numbers(cycle, &mut |n, x| match columns[n].next() {
+            Some(next) => *x = next,
+            None => whole = false,
         });
-        digests
-            .next()
-            .map_or_else(|| whole = false, |next| cycle.digests = next);
+        cycle.digests = digests;
     }
-    whole
-        .then_some((first, cycles))
-        .ok_or(postcard::Error::DeserializeUnexpectedEnd)
+    let cut = postcard::Error::DeserializeUnexpectedEnd;
+    whole.then_some((first, cycles)).ok_or(cut)
 }
 
 #[cfg(test)]

@@ -77,16 +77,15 @@ impl FlightFile {
             let channel = writer.add_channel(schema, topic, ENCODING, &BTreeMap::new())?;
             channels.insert(topic, channel);
         }
-        let (shown, cycles) = (Channels::default(), Vec::new());
         Ok(Self {
             writer,
             file,
             channels,
-            shown,
+            shown: Channels::default(),
             shown_s: f64::NEG_INFINITY,
             zero_unix_ns,
             first: 0,
-            cycles,
+            cycles: Vec::new(),
             step_mm: 0.0,
         })
     }
@@ -104,21 +103,17 @@ impl FlightFile {
     /// # Errors
     /// See [`Self::create`].
     pub fn write(&mut self, logged: &Logged) -> McapResult<()> {
-        let Logged {
-            number,
-            events,
-            output,
-        } = logged;
+        let (number, output) = (logged.number, &logged.output);
         let t_s = output.sensed.t.0;
         let unix_ns = self.unix_ns(t_s);
         let waiting = self.cycles.len();
-        let follows = *number == self.first + waiting as u64;
-        if !follows || !events.is_empty() || waiting >= CYCLES_MAX {
+        let follows = number == self.first + waiting as u64;
+        if !follows || !logged.events.is_empty() || waiting >= CYCLES_MAX {
             self.close_message()?;
-            self.first = *number;
+            self.first = number;
         }
-        for event in events {
-            self.event(&event.at(*number), unix_ns)?;
+        for event in &logged.events {
+            self.event(&event.at(number), unix_ns)?;
         }
         self.shown.take(&output.sensed);
         if t_s - self.shown_s > 0.98 / RATE_HZ {
@@ -173,16 +168,14 @@ impl FlightFile {
     /// See [`Self::create`].
     pub fn copy(&mut self, message: &Message<'_>) -> McapResult<()> {
         let topic = &message.channel.topic;
-        let data = match &*message.channel.message_encoding {
-            ENCODING => message.data.to_vec(),
-            _ => match serde_json::from_slice(&message.data)
-                .map(|fields| schema::encode(topic, fields))
-            {
-                Ok(Ok(data)) => data,
-                _ => return Ok(()),
-            },
-        };
-        self.put(topic, message.log_time, &data)
+        if message.channel.message_encoding == ENCODING {
+            return self.put(topic, message.log_time, &message.data);
+        }
+        let fields = serde_json::from_slice(&message.data);
+        match fields.map(|fields| schema::encode(topic, fields)) {
+            Ok(Ok(data)) => self.put(topic, message.log_time, &data),
+            _ => Ok(()),
+        }
     }
 
     /// States what is missing because the log that this one is made from is damaged.
@@ -190,13 +183,10 @@ impl FlightFile {
     /// # Errors
     /// See [`Self::create`].
     pub fn state_damage(&mut self, damage: &[String]) -> McapResult<()> {
-        let metadata = damage
-            .iter()
-            .map(|place| (format!("made from a damaged log: {place}"), String::new()))
-            .collect();
+        let stated = |place| (format!("made from a damaged log: {place}"), String::new());
         self.writer.write_metadata(&Metadata {
             name: DAMAGE.to_owned(),
-            metadata,
+            metadata: damage.iter().map(stated).collect(),
         })
     }
 
@@ -208,12 +198,11 @@ impl FlightFile {
         let Some(&channel_id) = self.channels.get(topic) else {
             return Ok(());
         };
-        let (sequence, log_time, publish_time) = (0, unix_ns, unix_ns);
         let header = MessageHeader {
             channel_id,
-            sequence,
-            log_time,
-            publish_time,
+            sequence: 0,
+            log_time: unix_ns,
+            publish_time: unix_ns,
         };
         self.writer.write_to_known_channel(&header, data)
     }

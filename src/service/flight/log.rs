@@ -45,11 +45,7 @@ impl FlightLog {
     /// The operating system's, if there is no thread.
     pub fn start(folder: &Path, bounds: &ServiceSection) -> io::Result<Self> {
         let (queue, work) = sync_channel(BATCHES_MAX);
-        let (folder, bounds, problem) = (
-            folder.to_owned(),
-            bounds.clone(),
-            Arc::new(Mutex::new(None)),
-        );
+        let (folder, bounds, problem) = (folder.to_owned(), bounds.clone(), Arc::default());
         let shared = Arc::clone(&problem);
         let thread = std::thread::Builder::new()
             .name("flight log".into())
@@ -80,16 +76,10 @@ impl FlightLog {
 
     /// Why nothing is written at present.
     pub fn problem(&self) -> Option<String> {
-        let told = self
-            .problem
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clone();
-        told.or_else(|| {
-            self.queue
-                .is_none()
-                .then(|| "its thread has ended".to_owned())
-        })
+        let told = self.problem.lock();
+        let told = told.unwrap_or_else(PoisonError::into_inner).clone();
+        let ended = || "its thread has ended".to_owned();
+        told.or_else(|| self.queue.is_none().then(ended))
     }
 
     /// Hands over what is left and waits for the disk, but not for longer than `most`.
@@ -131,13 +121,9 @@ pub fn part_path(folder: &Path, run: u64, part: u32) -> PathBuf {
 /// # Errors
 /// The operating system's.
 pub fn flights(folder: &Path) -> io::Result<Vec<PathBuf>> {
-    let all = std::fs::read_dir(folder)?
-        .map(|entry| Ok(entry?.path()))
-        .collect::<io::Result<Vec<_>>>()?;
-    let mut logs: Vec<PathBuf> = all
-        .into_iter()
-        .filter(|path| run_and_part(path).is_some())
-        .collect();
+    let all = std::fs::read_dir(folder)?.map(|entry| Ok(entry?.path()));
+    let mut logs = all.collect::<io::Result<Vec<PathBuf>>>()?;
+    logs.retain(|path| run_and_part(path).is_some());
     logs.sort_by_key(|path| run_and_part(path));
     Ok(logs)
 }
@@ -146,10 +132,8 @@ pub fn flights(folder: &Path) -> io::Result<Vec<PathBuf>> {
 type Problem = Mutex<Option<String>>;
 
 fn set(problem: &Problem, now: Option<String>) -> Option<String> {
-    std::mem::replace(
-        &mut problem.lock().unwrap_or_else(PoisonError::into_inner),
-        now,
-    )
+    let mut told = problem.lock().unwrap_or_else(PoisonError::into_inner);
+    std::mem::replace(&mut told, now)
 }
 
 /// The thread: writes, and tries again, as another run, after the disk has failed.
@@ -163,10 +147,10 @@ fn keep_writing(
     while let Err(e) = run(folder, bounds, work, &mut start, problem) {
         let why = io_error(e).to_string();
         if set(problem, Some(why.clone())).is_none() {
+            let shown = folder.display();
             tracing::error!(
                 event = "flight_log",
-                "{}: the flight log is not written: {why}",
-                folder.display()
+                "{shown}: the flight log is not written: {why}"
             );
         }
         std::thread::sleep(RETRY);
@@ -183,13 +167,12 @@ fn run(
     problem: &Problem,
 ) -> McapResult<()> {
     std::fs::create_dir_all(folder)?;
-    let run = flights(folder)?
-        .last()
-        .and_then(|path| run_and_part(path))
-        .map_or(1, |(run, _)| run + 1);
+    let last = flights(folder)?.pop();
+    let last = last.and_then(|path| run_and_part(&path));
+    let run = last.map_or(1, |(run, _)| run + 1);
     let (mut part, mut zero_ns) = (0, None);
-    let (mut open, mut flushed, mut synced): (Option<(FlightFile, f64)>, _, _) =
-        (None, Instant::now(), Instant::now());
+    let mut open: Option<(FlightFile, f64)> = None;
+    let (mut flushed, mut synced) = (Instant::now(), Instant::now());
     loop {
         let batch = match work.recv_timeout(CHUNK) {
             Ok(batch) => batch,
@@ -200,10 +183,8 @@ fn run(
         };
         for logged in &batch {
             let t_s = logged.output.sensed.t.0;
-            let began = logged
-                .events
-                .iter()
-                .rfind(|event| matches!(***event, Event::Start(_)));
+            let mut events = logged.events.iter();
+            let began = events.rfind(|event| matches!(***event, Event::Start(_)));
             *start = began.map(|event| event.at(logged.number)).or(start.take());
             let (file, _) = match &mut open {
                 Some(open) => open,
@@ -232,9 +213,8 @@ fn run(
             synced = flushed;
             prune(folder, bounds, &[part_path(folder, run, part)])?;
         }
-        let age_s = batch
-            .last()
-            .map_or(0.0, |logged| logged.output.sensed.t.0 - *since_s);
+        let last = batch.last();
+        let age_s = last.map_or(0.0, |logged| logged.output.sensed.t.0 - *since_s);
         if file.size()? > mib(bounds.flight_file_mib) || age_s > bounds.flight_file_s {
             open.take().map_or(Ok(()), |(file, _)| file.finish())?;
         }
@@ -245,23 +225,17 @@ fn run(
 fn prune(folder: &Path, bounds: &ServiceSection, keep: &[PathBuf]) -> io::Result<()> {
     // somebody else may delete logs too
     let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
-    let mut old: Vec<PathBuf> = flights(folder)?
-        .into_iter()
-        .filter(|path| !keep.contains(path))
-        .rev()
-        .collect();
+    let most = mib(bounds.flight_max_mib - bounds.flight_file_mib);
+    let old = flights(folder)?.into_iter();
+    let mut old: Vec<PathBuf> = old.filter(|path| !keep.contains(path)).rev().collect();
     loop {
         let room = require_free(folder, bounds);
-        let much =
-            old.iter().map(size).sum::<u64>() > mib(bounds.flight_max_mib - bounds.flight_file_mib);
+        let much = old.iter().map(size).sum::<u64>() > most;
         match old.pop() {
-            Some(path) if room.is_err() || much => std::fs::remove_file(path).or_else(|e| {
-                if e.kind() == io::ErrorKind::NotFound {
-                    Ok(())
-                } else {
-                    Err(e)
-                }
-            })?,
+            Some(path) if room.is_err() || much => match std::fs::remove_file(path) {
+                Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
+                _ => {}
+            },
             _ => return room,
         }
     }

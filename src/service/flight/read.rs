@@ -10,6 +10,7 @@ use mcap::read::{ChannelAccumulator, ChunkReader, parse_record};
 use mcap::records::{ChunkHeader, Record, op};
 use mcap::{MAGIC, McapResult, Message};
 use serde_json::Value;
+use std::error::Error;
 use std::fmt;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
@@ -41,12 +42,8 @@ impl Ending {
 impl fmt::Display for Ending {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let open = "the file was not closed; read up to its last whole chunk";
-        let all: Vec<&str> = self
-            .damage
-            .iter()
-            .map(String::as_str)
-            .chain((!self.closed).then_some(open))
-            .collect();
+        let damage = self.damage.iter().map(String::as_str);
+        let all: Vec<&str> = damage.chain((!self.closed).then_some(open)).collect();
         f.write_str(if all.is_empty() { "complete" } else { "" })?;
         f.write_str(&all.join("; "))
     }
@@ -69,47 +66,44 @@ impl Entry {
     /// # Errors
     /// What is wrong with the message.
     pub fn of(message: &Message<'_>) -> Result<Self, String> {
-        let topic = message.channel.topic.as_str();
-        let named = |problem: String| {
+        Self::read(message).map_err(|problem| {
+            let topic = &message.channel.topic;
             format!("channel {topic}: {problem}; was it written by another version of the program?")
-        };
-        // the messages of older logs are JSON, and cycles without a schema
-        let fields = || match &*message.channel.message_encoding {
-            ENCODING => schema::decode(topic, &message.data).map_err(|e| named(e.to_string())),
-            _ => serde_json::from_slice(&message.data).map_err(|e| named(e.to_string())),
-        };
-        Ok(match topic {
-            _ if topic == TOPICS[0] => {
-                let exact = match &*message.channel.message_encoding {
-                    ENCODING => {
-                        schema::unwrap(topic, &message.data).map_err(|e| named(e.to_string()))?
-                    }
-                    _ => message.data.to_vec(),
-                };
-                decode(&exact)
-                    .map(|(n, cycles)| Self::Cycles(n, cycles))
-                    .map_err(|e| named(e.to_string()))?
-            }
-            _ if topic == TOPICS[1] => {
-                let fields: Value = fields()?;
-                let event: Event = match fields["json"].as_str() {
-                    Some(text) => serde_json::from_str(text),
-                    None => serde_json::from_value(fields),
-                }
-                .map_err(|e| named(e.to_string()))?;
-                if !event.is_possible() {
-                    return Err(named("an event has a value that no machine has".to_owned()));
-                }
-                Self::Event(Box::new(event))
-            }
-            _ if schema::TOPICS[..schema::STATUS]
-                .iter()
-                .any(|(name, _)| *name == topic) =>
-            {
-                Self::Shown(fields()?)
-            }
-            _ => Self::Shown(Value::Null),
         })
+    }
+
+    fn read(message: &Message<'_>) -> Result<Self, Box<dyn Error>> {
+        let (topic, data) = (message.channel.topic.as_str(), &*message.data);
+        // the messages of older logs are JSON, and cycles without a schema
+        let older = message.channel.message_encoding != ENCODING;
+        let fields = || match older {
+            true => serde_json::from_slice(data).map_err(io::Error::from),
+            false => schema::decode(topic, data),
+        };
+        if topic == TOPICS[0] {
+            let exact = match older {
+                true => data.to_vec(),
+                false => schema::unwrap(topic, data)?,
+            };
+            let (first, cycles) = decode(&exact)?;
+            return Ok(Self::Cycles(first, cycles));
+        }
+        if topic == TOPICS[1] {
+            let fields: Value = fields()?;
+            let event: Event = match fields["json"].as_str() {
+                Some(text) => serde_json::from_str(text)?,
+                None => serde_json::from_value(fields)?,
+            };
+            if !event.is_possible() {
+                return Err("an event has a value that no machine has".into());
+            }
+            return Ok(Self::Event(Box::new(event)));
+        }
+        let mut shown = schema::TOPICS[..schema::STATUS].iter();
+        Ok(Self::Shown(match shown.any(|(name, _)| *name == topic) {
+            true => fields()?,
+            false => Value::Null,
+        }))
     }
 }
 
@@ -133,11 +127,8 @@ pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<E
     let failed = |e: io::Error| format!("the file cannot be read: {e}");
     let mut has_magic = |at| {
         let mut bytes = [0; MAGIC.len()];
-        source
-            .seek(at)
-            .and_then(|_| source.read_exact(&mut bytes))
-            .is_ok()
-            && bytes == *MAGIC
+        let read = source.seek(at).and_then(|_| source.read_exact(&mut bytes));
+        read.is_ok() && bytes == *MAGIC
     };
     let closed = has_magic(SeekFrom::End(-(MAGIC.len() as i64)));
     if !has_magic(SeekFrom::Start(0)) {
@@ -161,10 +152,9 @@ pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<E
                     (messages.first(), hole.take_if(|_| !messages.is_empty()))
                 {
                     let lost_s = first.log_time.saturating_sub(last_ns) as f64 * 1e-9;
-                    let lost = if last_ns == 0 {
-                        "the beginning is".to_owned()
-                    } else {
-                        format!("{lost_s:.2} s")
+                    let lost = match last_ns {
+                        0 => "the beginning is".to_owned(),
+                        _ => format!("{lost_s:.2} s"),
                     };
                     log.ending.damage.push(format!("{hole}, {lost} lost"));
                 }
@@ -176,10 +166,8 @@ pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<E
             Err(e) => {
                 let next = next_chunk(&mut source, at + 1).map_err(failed)?;
                 if next.is_some() || closed {
-                    hole.get_or_insert(format!(
-                        "damaged at byte {at} ({})",
-                        io_error(e).to_string().to_lowercase()
-                    ));
+                    let why = io_error(e).to_string().to_lowercase();
+                    hole.get_or_insert(format!("damaged at byte {at} ({why})"));
                 }
                 let Some(next) = next else { break };
                 at = source.seek(SeekFrom::Start(next)).map_err(failed)?;
@@ -187,9 +175,8 @@ pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<E
         }
     }
     let mut ending = log.ending;
-    ending
-        .damage
-        .extend(hole.map(|hole| format!("{hole}, and nothing after it can be read")));
+    let rest = hole.map(|hole| format!("{hole}, and nothing after it can be read"));
+    ending.damage.extend(rest);
     match known {
         true => Ok(ending),
         false if ending == Ending::COMPLETE => Err(
@@ -295,13 +282,8 @@ impl Reading {
                     return wrong("a chunk of a wrong length");
                 }
                 Record::Chunk { header, data } => self.chunk(header, &data)?,
-                Record::Metadata(stated) => {
-                    self.ending.damage.extend(
-                        stated
-                            .metadata
-                            .into_keys()
-                            .filter(|_| stated.name == DAMAGE),
-                    );
+                Record::Metadata(stated) if stated.name == DAMAGE => {
+                    self.ending.damage.extend(stated.metadata.into_keys());
                     Vec::new()
                 }
                 _ => Vec::new(),
@@ -325,13 +307,11 @@ impl Reading {
                     let Some(channel) = self.channels.get(header.channel_id) else {
                         continue;
                     };
-                    let (sequence, log_time, publish_time) =
-                        (header.sequence, header.log_time, header.publish_time);
                     messages.push(Message {
                         channel,
-                        sequence,
-                        log_time,
-                        publish_time,
+                        sequence: header.sequence,
+                        log_time: header.log_time,
+                        publish_time: header.publish_time,
                         data: data.into_owned().into(),
                     });
                 }

@@ -42,9 +42,8 @@ static POOL: LazyLock<DescriptorPool> = LazyLock::new(|| {
 /// The topic has none.
 fn of_topic(topic: &str) -> io::Result<MessageDescriptor> {
     let known = TOPICS.iter().find(|(name, _)| *name == topic);
-    known
-        .and_then(|(_, schema)| POOL.get_message_by_name(schema))
-        .ok_or_else(|| io::Error::other(format!("channel {topic} has no schema")))
+    let schema = known.and_then(|(_, schema)| POOL.get_message_by_name(schema));
+    schema.ok_or_else(|| io::Error::other(format!("channel {topic} has no schema")))
 }
 
 /// Names of the fields of a topic.
@@ -66,9 +65,8 @@ pub fn description(topic: &str) -> io::Result<Vec<u8>> {
         next += 1;
     }
     let files = POOL.files().filter(|file| needed.contains(file));
-    let file = files
-        .map(|file| file.file_descriptor_proto().clone())
-        .collect();
+    let file = files.map(|file| file.file_descriptor_proto().clone());
+    let file = file.collect();
     Ok(FileDescriptorSet { file }.encode_to_vec())
 }
 
@@ -77,14 +75,11 @@ pub fn description(topic: &str) -> io::Result<Vec<u8>> {
 /// # Errors
 /// What does not fit the schema.
 pub fn encode(topic: &str, mut fields: Value) -> io::Result<Vec<u8>> {
-    let lists = fields
-        .as_object_mut()
-        .into_iter()
-        .flat_map(|all| all.values_mut());
-    let items = lists.filter_map(Value::as_array_mut).flatten();
-    items
-        .filter(|item| item.is_null())
-        .for_each(|item| *item = "NaN".into());
+    let all = fields.as_object_mut().into_iter().flatten();
+    let lists = all.filter_map(|(_, field)| field.as_array_mut());
+    for item in lists.flatten().filter(|item| item.is_null()) {
+        *item = "NaN".into();
+    }
     let message = DynamicMessage::deserialize(of_topic(topic)?, fields);
     Ok(message.map_err(io::Error::other)?.encode_to_vec())
 }
@@ -100,11 +95,10 @@ pub fn decode(topic: &str, message: &[u8]) -> io::Result<Value> {
         .skip_default_fields(false)
         .use_proto_field_name(true);
     let mut value = message.serialize_with_options(serde_json::value::Serializer, &options)?;
-    for field in schema
-        .fields()
-        .filter(|field| !message.has_field(field) && field.supports_presence())
-    {
-        value[field.name()] = Value::Null;
+    for field in schema.fields() {
+        if field.supports_presence() && !message.has_field(&field) {
+            value[field.name()] = Value::Null;
+        }
     }
     Ok(value)
 }
@@ -129,7 +123,6 @@ pub fn wrap(topic: &str, bytes: Vec<u8>) -> io::Result<Vec<u8>> {
 pub fn unwrap(topic: &str, message: &[u8]) -> io::Result<Vec<u8>> {
     let message = DynamicMessage::decode(of_topic(topic)?, message).map_err(io::Error::other)?;
     let bytes = message.get_field_by_number(BYTES);
-    Ok(bytes
-        .and_then(|field| field.as_bytes().map(|bytes| bytes.to_vec()))
-        .unwrap_or_default())
+    let bytes = bytes.and_then(|field| field.as_bytes().map(|bytes| bytes.to_vec()));
+    Ok(bytes.unwrap_or_default())
 }

@@ -2,8 +2,8 @@
 
 use crate::control::{DynamicsPrior, RestartState};
 use crate::model::Line;
-use crate::service::belief::Belief;
 use crate::service::flight::cycle::fnv;
+use crate::service::store::Belief;
 use crate::supervisor::{CycleOutput, MachineInfo};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -54,10 +54,8 @@ pub struct Header {
 impl Header {
     /// Hash of each configuration text, by its name.
     pub fn hashes(&self) -> BTreeMap<String, String> {
-        let texts = self.named_texts();
-        texts
-            .map(|(name, text)| (format!("{name} hash"), hash([text])))
-            .collect()
+        let hashed = |(name, text)| (format!("{name} hash"), hash([text]));
+        self.named_texts().map(hashed).collect()
     }
 
     /// The configuration texts by name.
@@ -87,24 +85,20 @@ pub enum Event {
 impl Event {
     /// True if a machine can have these values.
     pub fn is_possible(&self) -> bool {
-        let lines = match self {
-            Self::Start(header) => &header.lines,
-            Self::Reload { lines, .. } => lines,
-            Self::Path(..) => return true,
-        };
-        let started = match self {
+        let within = |x: f64, max: f64| x > 0.0 && x <= max;
+        match self {
             Self::Start(header) => {
-                let within = |x: f64, max: f64| x > 0.0 && x <= max;
                 within(header.machine.period_s, PERIOD_MAX_S)
                     && within(header.machine.step_mm, LENGTH_MAX_MM)
                     && within(header.machine.rest_length_mm, LENGTH_MAX_MM)
                     && DynamicsPrior::is_possible_s(header.dynamics.expected.lag_s)
                     && DynamicsPrior::is_possible_s(header.dynamics.expected.delay_s)
                     && header.restart.is_none_or(|restart| restart.is_possible())
+                    && header.lines.iter().all(Line::is_possible)
             }
-            _ => true,
-        };
-        started && lines.iter().all(Line::is_possible)
+            Self::Reload { lines, .. } => lines.iter().all(Line::is_possible),
+            Self::Path(..) => true,
+        }
     }
 
     /// The event before this cycle.

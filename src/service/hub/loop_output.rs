@@ -1,11 +1,11 @@
 //! What comes from the loop: frames and answers.
 
-use super::state::{Hub, MotionOwner, Pending, unix_s};
+use super::{Hub, Pending, unix_s};
 use crate::service::calibrate::{Found, Next};
 use crate::service::flight::start::{Event, Logged};
 use crate::service::memory::{LearnedGains, RecordedFault};
 use crate::service::protocol::Failure;
-use crate::service::rt_loop::{ANSWER_MAX_S, Answer, LoopFrame};
+use crate::service::rt_loop::{ANSWER_MAX_S, Answer};
 use crate::service::status;
 use crate::supervisor::{CycleOutput, Mode, Order};
 use serde_json::json;
@@ -26,21 +26,15 @@ impl Hub {
             let Ok(frame) = self.io.rings.frames.pop() else {
                 break;
             };
-            let LoopFrame {
-                number,
-                note,
-                changes,
-                output,
-            } = frame;
-            let due = self
-                .changes
-                .partition_point(|(change, _)| *change <= changes);
+            let (number, output) = (frame.number, frame.output);
+            let due = |&(change, _): &(u64, _)| change <= frame.changes;
+            let due = self.changes.partition_point(due);
             let mut events: Vec<_> = self.changes.drain(..due).collect();
             // a supervisor that was not idle any more has stayed
             events.retain(|(change, event)| {
                 let stayed = *change > 0 && !output.first && matches!(**event, Event::Start(_));
-                if stayed && let Some(state) = &mut self.recording {
-                    state.recording.give_up_replay();
+                if stayed && let Some(recording) = &mut self.recording {
+                    recording.give_up_replay();
                 }
                 !stayed
             });
@@ -50,7 +44,7 @@ impl Hub {
                 output,
             };
             self.process(&logged, waiting <= FRAMES_SENT_MAX);
-            (self.last, self.note, self.cycle) = (Some(logged.output), Some(note), number);
+            (self.last, self.note, self.cycle) = (Some(output), Some(frame.note), number);
         }
         for (id, cycle, result) in answers {
             let Some(pending) = self.pending.remove(&id) else {
@@ -64,9 +58,7 @@ impl Hub {
                 Err(why) => self.fail(&pending, Failure::refused(why.to_string())),
             }
         }
-        while let Ok(retired) = self.io.rings.retired.pop() {
-            drop(retired);
-        }
+        while self.io.rings.retired.pop().is_ok() {}
         let stops = self.io.shared.stop.completed();
         if stops != self.stops_logged {
             self.stops_logged = stops;
@@ -78,36 +70,29 @@ impl Hub {
     /// Answers an order, and remembers whose command moves the tip.
     fn carried_out(&mut self, pending: &Pending, cycle: u64) {
         let mut result = json!({});
-        match pending.order {
+        let order = pending.order;
+        match order {
             Order::Arm => self.persistence.armed_cycle = cycle,
             Order::Lines(_) => self.persistence.lines_before = None,
             Order::Play => result = self.path.clone(),
-            _ => {}
-        }
-        match pending.order {
-            order if order.leads_setpoint() || order == Order::Calibrate(true) => {
-                self.motion_owner = Some(MotionOwner {
-                    client: pending.caller.client,
-                    since: Instant::now(),
-                });
-            }
             Order::Hold | Order::Disarm | Order::Relax => self.motion_owner = None,
             _ => {}
+        }
+        if order.leads_setpoint() || order == Order::Calibrate(true) {
+            self.motion_owner = Some((pending.caller.client, Instant::now()));
         }
         self.reply(&pending.caller, &Ok(result));
     }
 
     fn give_up_late_answers(&mut self) {
         let late = |p: &Pending| p.caller.since.elapsed().as_secs_f64() > ANSWER_MAX_S;
-        let late: Vec<_> = self.pending.extract_if(|_, p| late(p)).collect();
+        let late: Vec<_> = self.pending.extract_if(.., |_, p| late(p)).collect();
         for (_, pending) in late {
-            if pending.held.is_some() {
-                let why = "the disk does not respond; try again in a moment";
-                self.fail(&pending, Failure::refused(why));
-            } else {
-                let (code, message) = (3, "the loop does not respond".to_owned());
-                self.fail(&pending, Failure { code, message });
-            }
+            let failure = match pending.held {
+                Some(_) => Failure::refused("the disk does not respond; try again in a moment"),
+                None => Failure::unreachable("the loop does not respond"),
+            };
+            self.fail(&pending, failure);
         }
     }
 
@@ -115,8 +100,8 @@ impl Hub {
     fn process(&mut self, logged: &Logged, sends: bool) {
         let output = &logged.output;
         self.log(output);
-        if let Some(state) = &mut self.recording {
-            state.recording.write(logged);
+        if let Some(recording) = &mut self.recording {
+            recording.write(logged);
         }
         if let Some(flight) = &mut self.flight {
             flight.push(logged);
@@ -169,14 +154,12 @@ impl Hub {
             tracing::info!(event = "mode", from, to = output.mode.name(), config = %config, "{from} → {}", output.mode);
         }
         if let Some(cause) = output.tripped {
-            let suspicion = output
-                .suspicion
-                .map_or_else(String::new, |s| format!("; {s}"));
-            let message = status::trip_message(cause).to_owned() + &suspicion;
-            let (cause, unix_s) = (status::trip_name(cause), unix_s());
+            let suspicion = output.suspicion.map(|s| format!("; {s}"));
+            let message = status::trip_message(cause).to_owned() + &suspicion.unwrap_or_default();
+            let cause = status::trip_name(cause);
             tracing::error!(event = "fault", cause, steps = ?output.steps.0, config = %config, "{message}");
             self.memory.record_fault(RecordedFault {
-                unix_s,
+                unix_s: unix_s(),
                 cause,
                 message,
             });

@@ -1,11 +1,11 @@
 //! What must survive a restart: checkpoints of the position, and orders that wait for the disk.
 
-use super::state::{Caller, Hub, Pending};
+use super::{Hub, Pending};
+use crate::control::RestartState;
 use crate::service::memory::LearnedGains;
+use crate::service::port::Caller;
 use crate::service::protocol::Failure;
-use crate::service::state_writer::Completed;
 use crate::supervisor::{Mode, Order};
-use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 /// Longest time between two checkpoints.
@@ -23,12 +23,8 @@ impl Hub {
     /// the id of the write.
     fn write_ahead(&mut self, order: Order, caller: Caller, under_way: Option<u64>) -> Option<u64> {
         let id = self.next_id();
-        let write = under_way.or_else(|| {
-            self.io
-                .state_writer
-                .write(&self.memory, Some(id))
-                .then_some(id)
-        });
+        let writer = &mut self.io.state_writer;
+        let write = under_way.or_else(|| writer.write(&self.memory, Some(id)).then_some(id));
         let pending = Pending {
             caller,
             order,
@@ -37,10 +33,8 @@ impl Hub {
         if write.is_some() {
             self.pending.insert(id, pending);
         } else {
-            self.fail(
-                &pending,
-                Failure::refused("the disk is busy; try again in a moment"),
-            );
+            let why = "the disk is busy; try again in a moment";
+            self.fail(&pending, Failure::refused(why));
         }
         write
     }
@@ -56,13 +50,10 @@ impl Hub {
     /// Passes the latest position to the state writer when a checkpoint is due, and reads its results.
     pub(super) fn persist(&mut self) {
         if let Some(note) = self.note {
-            let state = note.state;
-            let memory = &self.memory;
+            let (memory, state) = (&self.memory, note.state);
+            let moved = |r: RestartState| r.steps != state.steps || r.rest != state.rest;
             let beliefs = memory.lost != note.lost || memory.unverified != note.unverified;
-            let changed = beliefs
-                || memory
-                    .restart
-                    .is_none_or(|r| r.steps != state.steps || r.rest != state.rest);
+            let changed = beliefs || memory.restart.is_none_or(moved);
             let still = !self.mode().moves() && self.mode() != Mode::Relaxing;
             // an `arm` that is under way, or was carried out in a cycle that is not known yet, energises the drivers
             let arms = self.cycle < self.persistence.armed_cycle
@@ -72,40 +63,36 @@ impl Hub {
             self.memory.restart = Some(state);
             (self.memory.armed, self.memory.lost, self.memory.unverified) =
                 (!at_rest, note.lost, note.unverified);
-            let due = self
-                .persistence
-                .is_older_than(Duration::from_secs_f64(self.config.service.checkpoint_s));
+            let checkpoint = Duration::from_secs_f64(self.config.service.checkpoint_s);
+            let due = (changed || disarms) && self.persistence.is_older_than(checkpoint);
             // a checkpoint that waits for a slow disk does not take the place of what an `arm` waits for
             let free = self.io.state_writer.is_idle();
-            if free
-                && ((due && (changed || disarms)) || self.persistence.is_older_than(CHECKPOINT_MAX))
-            {
+            if free && (due || self.persistence.is_older_than(CHECKPOINT_MAX)) {
                 self.persistence.last_checkpoint = Some(Instant::now());
                 if self.io.state_writer.write(&self.memory, None) && disarms {
                     self.persistence.armed_on_disk = false;
                 }
             }
         }
-        while let Some(completed) = self.io.state_writer.completed() {
-            self.process_write(completed);
+        while let Some((id, result)) = self.io.state_writer.completed() {
+            self.process_write(id, result.err().map(|e| e.to_string()));
         }
     }
 
-    fn process_write(&mut self, completed: Completed) {
-        let error = completed.result.err().map(|e| e.to_string());
+    fn process_write(&mut self, id: Option<u64>, error: Option<String>) {
         if let Some(error) = &error
             && self.persistence.error.as_ref() != Some(error)
         {
             tracing::error!(event = "memory", config = %self.config.config_hash, "{error}");
         }
         self.persistence.error.clone_from(&error);
-        let Some(write) = completed.id else { return };
+        let Some(write) = id else { return };
         if self.persistence.arming == Some(write) {
             self.persistence.arming = None;
         }
-        let held = self.pending.extract_if(|_, p| p.held == Some(write));
-        let held: BTreeMap<u64, Pending> = held.collect();
-        for pending in held.into_values() {
+        let held = self.pending.extract_if(.., |_, p| p.held == Some(write));
+        let held: Vec<_> = held.collect();
+        for (_, pending) in held {
             match &error {
                 None => {
                     self.persistence.armed_on_disk |= pending.order == Order::Arm;
@@ -116,9 +103,8 @@ impl Hub {
                     self.order(pending.order, pending.caller);
                 }
                 Some(error) => {
-                    let why =
-                        format!("refused because the state could not be written first: {error}");
-                    self.fail(&pending, Failure::refused(why));
+                    let why = "refused because the state could not be written first";
+                    self.fail(&pending, Failure::refused(format!("{why}: {error}")));
                 }
             }
         }

@@ -1,18 +1,19 @@
 //! Recordings, and the status of the service.
 
-use super::state::{Caller, Hub, RecordingState, Reply};
-use crate::service::belief::Belief;
+use super::{Hub, Reply, refuse};
 use crate::service::calibrate::Session;
 use crate::service::flight::file::zero_unix_ns;
 use crate::service::flight::log::FlightLog;
 use crate::service::flight::start::Event;
 use crate::service::paths::Paths;
+use crate::service::port::Caller;
 use crate::service::protocol::{Failure, RecordAction};
 use crate::service::record::{Progress, Recording};
-use crate::service::rt_loop::Message;
+use crate::service::rt_loop::Change;
 use crate::service::shared::Watched;
 use crate::service::start::Start;
 use crate::service::status;
+use crate::service::store::Belief;
 use crate::supervisor::cycle::order::hint;
 use crate::supervisor::{Mode, Source};
 use serde_json::{Value, json};
@@ -39,17 +40,16 @@ impl Hub {
         owned: bool,
         caller: &Caller,
     ) -> Reply {
-        let refuse = |why: String| Some(Err(Failure::refused(why)));
         match (action, &mut self.recording) {
-            (RecordAction::Stop, None) => refuse("no recording is in progress".to_owned()),
-            (RecordAction::Stop, Some(state)) => {
-                state.recording.finish();
-                state.ending.push(caller.clone());
-                None
+            (RecordAction::Stop, None) => refuse("no recording is in progress"),
+            (RecordAction::Stop, Some(recording)) => {
+                recording.finish();
+                recording.ending.push(caller.clone());
+                Ok(None)
             }
-            (RecordAction::Start, Some(state)) => refuse(format!(
+            (RecordAction::Start, Some(recording)) => refuse(format!(
                 "{} is being recorded; stop that recording first",
-                state.recording.path().display()
+                recording.path.display()
             )),
             (RecordAction::Start, None) => {
                 let folder = Paths::of(&self.config.service).state.join("recordings");
@@ -60,27 +60,27 @@ impl Hub {
                     || name.len() > NAME_MAX
                     || !name.chars().all(allowed)
                 {
-                    return Some(Err(Failure::bad(format!(
+                    return Err(Failure::bad(format!(
                         "`{name}` is not a valid name: use letters, digits, - _ . and no folder"
-                    ))));
+                    )));
                 }
                 let path = folder.join(name + ".csv.gz");
                 if let Err(e) = self.start_recording(&path, false) {
                     return refuse(format!("{}: {e}", path.display()));
                 }
-                if let Some(state) = &mut self.recording {
-                    (state.owner, state.starting) =
-                        (owned.then_some(caller.client), Some(caller.clone()));
+                if let Some(recording) = &mut self.recording {
+                    recording.owner = owned.then_some(caller.client);
+                    recording.starting = Some(caller.clone());
                 }
-                None
+                Ok(None)
             }
         }
     }
 
     /// Starts the flight log of this run. Without a thread for it, the service runs without one.
     pub(super) fn start_flight(&mut self) {
-        let header = Start::new(&self.config, &self.memory, self.facts.belief)
-            .header(&self.config, self.machine());
+        let start = Start::new(&self.config, &self.memory, self.facts.belief);
+        let header = start.header(&self.config, self.machine());
         self.changes.push_back((0, Arc::new(Event::Start(header))));
         if self.config.service.flight_max_mib > 0.0 {
             let folder = Paths::of(&self.config.service).state.join("flights");
@@ -95,46 +95,26 @@ impl Hub {
         self.facts.remarks.first().map_or("", String::as_str)
     }
 
-    /// Remembers what was sent to the loop, until its first cycle has come.
-    pub(super) fn note_change(&mut self, event: Event) {
-        self.changes_sent += 1;
-        self.changes.push_back((self.changes_sent, Arc::new(event)));
-    }
-
     /// Starts a recording. It can be replayed if the supervisor is in its first cycle (`at_boot`), or if it is idle now and when
     /// the loop replaces it by a freshly reset one.
     pub(super) fn start_recording(&mut self, path: &Path, at_boot: bool) -> io::Result<()> {
         let idle = self.note.is_some_and(|note| note.idle);
-        let flight = (at_boot || idle)
-            .then(|| zero_unix_ns(self.last.as_ref().map_or(0.0, |last| last.sensed.t.0)));
-        let mut recording = Recording::start(
-            path,
-            self.config.supervisor.gate.step_mm,
-            flight,
-            &self.config.service,
-        )?;
+        let t_s = self.last.as_ref().map_or(0.0, |last| last.sensed.t.0);
+        let zero = (at_boot || idle).then(|| zero_unix_ns(t_s));
+        let step_mm = self.config.supervisor.gate.step_mm;
+        let mut recording = Recording::start(path, step_mm, zero, &self.config.service)?;
         tracing::info!(event = "record", path = %path.display(), replayable = recording.is_replayable(), "recording started");
         if !at_boot && idle {
             self.memory.restart = self.note.map(|note| note.state);
             let start = Start::new(&self.config, &self.memory, Belief::Certain);
             let header = start.header(&self.config, self.machine());
-            match self
-                .io
-                .rings
-                .orders
-                .push(Message::ReplaceSupervisor(Box::new(start.supervisor())))
-            {
-                Ok(()) => self.note_change(Event::Start(header)),
-                Err(_) => recording.give_up_replay(),
+            let change = Change::Supervisor(Box::new(start.supervisor()));
+            if self.change(change, Event::Start(header)).is_err() {
+                recording.give_up_replay();
             }
         }
         self.recording_ended = None;
-        self.recording = Some(RecordingState {
-            recording,
-            owner: None,
-            starting: None,
-            ending: Vec::new(),
-        });
+        self.recording = Some(recording);
         Ok(())
     }
 
@@ -146,58 +126,48 @@ impl Hub {
         if self.changes.iter().any(undecided) {
             return;
         }
-        while let Some(progress) = self
-            .recording
-            .as_mut()
-            .and_then(|state| state.recording.progress())
-        {
-            let Some(mut state) = self.recording.take() else {
-                return;
-            };
-            let (path, reply) = (
-                state.recording.path().to_owned(),
-                Ok(recording_json(&state.recording)),
-            );
-            match progress {
-                Progress::Started => {
-                    if let Some(caller) = state.starting.take() {
-                        let hangs = self
-                            .hangs_deg()
-                            .filter(|deg| *deg > self.config.supervisor.restart_check.straight_deg);
-                        let remark =
-                            hangs.map(|deg| format!("the tip hangs {deg:.1}° away from straight"));
-                        let replayable = state.recording.is_replayable();
-                        self.reply(
-                            &caller,
-                            &Ok(json!({"path": path, "replayable": replayable, "remark": remark})),
-                        );
+        while let Some(mut recording) = self.recording.take() {
+            match recording.progress() {
+                Some(Progress::Ended(result)) => self.recording_over(&recording, result),
+                Some(Progress::Started) => {
+                    if let Some(caller) = recording.starting.take() {
+                        let straight_deg = self.config.supervisor.restart_check.straight_deg;
+                        let remark = |deg| format!("the tip hangs {deg:.1}° away from straight");
+                        let hangs_deg = self.hangs_deg().filter(|deg| *deg > straight_deg);
+                        let remark = hangs_deg.map(remark);
+                        let r = &recording;
+                        let started = json!({"path": r.path, "replayable": r.is_replayable(), "remark": remark});
+                        self.reply(&caller, &Ok(started));
                     }
-                    self.recording = Some(state);
+                    self.recording = Some(recording);
                 }
-                Progress::Ended(result) => {
-                    let rows = state.recording.rows().count;
-                    let (reply, why) = match result {
-                        Ok(reason) => (reply, reason.map(str::to_owned)),
-                        Err(e) => (
-                            Err(Failure::refused(format!("{}: {e}", path.display()))),
-                            Some(e.to_string()),
-                        ),
-                    };
-                    match &why {
-                        None => {
-                            tracing::info!(event = "record", path = %path.display(), rows, "recording finished")
-                        }
-                        Some(why) => {
-                            tracing::error!(event = "record", path = %path.display(), rows, "the recording has ended: {why}")
-                        }
-                    }
-                    for caller in state.starting.into_iter().chain(state.ending) {
-                        self.reply(&caller, &reply);
-                    }
-                    self.recording_ended = why.or(self.recording_ended.take());
+                None => {
+                    self.recording = Some(recording);
+                    return;
                 }
             }
         }
+    }
+
+    fn recording_over(&mut self, recording: &Recording, result: io::Result<Option<&'static str>>) {
+        let (shown, rows) = (recording.path.display(), recording.rows.count);
+        let (reply, why) = match result {
+            Ok(reason) => (Ok(recording_json(recording)), reason.map(str::to_owned)),
+            Err(e) => (
+                Err(Failure::refused(format!("{shown}: {e}"))),
+                Some(e.to_string()),
+            ),
+        };
+        match &why {
+            None => tracing::info!(event = "record", path = %shown, rows, "recording finished"),
+            Some(why) => {
+                tracing::error!(event = "record", path = %shown, rows, "the recording has ended: {why}")
+            }
+        }
+        for caller in recording.starting.iter().chain(&recording.ending) {
+            self.reply(caller, &reply);
+        }
+        self.recording_ended = why.or(self.recording_ended.take());
     }
 
     /// Ends the logs with the service, and waits for the disk.
@@ -205,8 +175,8 @@ impl Hub {
         if let Some(flight) = &mut self.flight {
             flight.finish(END_MAX);
         }
-        if let Some(state) = &mut self.recording {
-            state.recording.finish();
+        if let Some(recording) = &mut self.recording {
+            recording.finish();
         }
         self.changes.clear();
         let since = Instant::now();
@@ -218,21 +188,14 @@ impl Hub {
 
     /// Estimated bend of a tip whose pistons are at zero, degrees.
     fn hangs_deg(&self) -> Option<f64> {
-        let estimate = self
-            .last
-            .as_ref()
-            .filter(|_| self.is_at_zero())?
-            .frame
-            .estimate?;
-        Some(estimate.bend.beta().to_degrees())
+        let last = self.last.as_ref().filter(|_| self.is_at_zero())?;
+        Some(last.frame.estimate?.bend.beta().to_degrees())
     }
 
     /// The status, built once per round however many ask for it.
     pub(super) fn cached_status(&mut self) -> Value {
-        if self.status_cache.is_none() {
-            self.status_cache = Some(self.status());
-        }
-        self.status_cache.clone().unwrap_or_default()
+        let status = self.status_cache.take().unwrap_or_else(|| self.status());
+        self.status_cache.insert(status).clone()
     }
 
     fn why_lost(&self) -> &str {
@@ -257,10 +220,8 @@ impl Hub {
         let settled = last.is_some_and(|t| {
             t.mode == Mode::Holding && (t.frame.at_rest || status::blocked(&t.frame))
         });
-        let calibration = memory
-            .accepted
-            .as_ref()
-            .map_or(&self.config.calibration.transmission.source, |g| &g.source);
+        let given = &self.config.calibration.transmission.source;
+        let calibration = memory.accepted.as_ref().map_or(given, |g| &g.source);
         let granted = |(name, grant): &(_, crate::hardware::rt::Grant)| json!({"what": name, "grant": grant.to_string()});
         let more = json!({
             "program": env!("CARGO_PKG_VERSION"),
@@ -277,14 +238,14 @@ impl Hub {
             "calibrating": self.calibration.as_ref().map(Session::progress),
             "calibration_failed": self.calibration_failed,
             "proposed": memory.proposed,
-            "recording": self.recording.as_ref().map(|state| recording_json(&state.recording)),
+            "recording": self.recording.as_ref().map(recording_json),
             "recording_ended": self.recording_ended,
             "flight_log": self.flight.as_ref().map(flight_json),
             "lost": (self.mode() == Mode::Lost).then(|| format!("{}: {}", self.why_lost(), hint(Mode::Lost))),
             "unverified": memory.unverified,
             "hangs_deg": self.hangs_deg(),
             "thread_age_s": Watched::ALL.iter().map(|w| (w.name(), shared.age_s(*w))).collect::<HashMap<_, _>>(),
-            "clients": self.io.control.clients() + self.io.status.clients(),
+            "clients": shared.clients.iter().map(|n| n.load(Relaxed)).sum::<usize>(),
             "cycles": shared.cycles.load(Relaxed),
             "late_cycles": shared.late.load(Relaxed),
             "max_lateness_us": shared.max_lateness_us.load(Relaxed),
@@ -308,13 +269,12 @@ impl Hub {
 /// The first free name. It does not use the time of day, which a computer without a clock does not know after a start.
 fn next_name(folder: &Path) -> String {
     let mut names = (1..).map(|n| format!("bend-{n:04}"));
-    names
-        .find(|name| !folder.join(format!("{name}.csv.gz")).exists())
-        .unwrap_or_default()
+    let free = |name: &String| !folder.join(format!("{name}.csv.gz")).exists();
+    names.find(free).unwrap_or_default()
 }
 
 fn recording_json(r: &Recording) -> Value {
-    json!({"path": r.path(), "rows": r.rows().count, "duration_s": r.rows().last_s, "replayable": r.is_replayable()})
+    json!({"path": r.path, "rows": r.rows.count, "duration_s": r.rows.last_s, "replayable": r.is_replayable()})
 }
 
 fn flight_json(flight: &FlightLog) -> Value {

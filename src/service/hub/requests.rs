@@ -1,19 +1,21 @@
 //! The requests of clients.
 
-use super::state::{Caller, Hub, Reply, Subscription, too_many};
+use super::{Hub, Reply, Subscription, done, may_command, refuse};
 use crate::config::Gains;
 use crate::config::source;
 use crate::control::Path;
+use crate::experiment::pose::Round;
+use crate::experiment::schedule;
 use crate::model::{Bend, Shape};
 use crate::primitives::Mm;
 use crate::service::calibrate::{Found, Session};
 use crate::service::flight::start::Event;
-use crate::service::port::Incoming;
+use crate::service::port::Caller;
 use crate::service::protocol::{
     CalibrateAction, Failure, Frame, PATH_MAX_S, PATH_ROWS, POSES, PathRow, Request,
 };
-use crate::service::rt_loop::Message;
-use crate::service::start::{RunConfig, with_gains};
+use crate::service::rt_loop::Change;
+use crate::service::start::with_gains;
 use crate::supervisor::{BEND_MAX_RAD, Mode, Order, SupervisorConfig};
 use serde_json::{Value, json};
 use std::time::Instant;
@@ -21,38 +23,22 @@ use std::time::Instant;
 /// Interval at which the speed of a path is looked at, s.
 const SCAN_S: f64 = 0.005;
 
-fn refuse(message: impl Into<String>) -> Reply {
-    Some(Err(Failure::refused(message)))
-}
-
 impl Hub {
-    /// Handles one line of a client. `may_command` is false on the status socket.
-    pub(super) fn handle(&mut self, incoming: Incoming, may_command: bool) {
-        let Incoming {
-            client,
-            id,
-            request,
-            close,
-            stops,
-        } = incoming;
-        let command = request.as_ref().map(Request::name).unwrap_or_default();
-        let caller = Caller {
-            client,
-            id,
-            command,
-            since: Instant::now(),
-            stops,
-        };
+    /// Handles one line of a client.
+    pub(super) fn handle(&mut self, mut caller: Caller, request: Result<Request, Failure>) {
+        let client = caller.client;
+        caller.since = Instant::now();
+        caller.command = request.as_ref().map(Request::name).unwrap_or_default();
         let reply = match request {
             Err(failure) => {
                 if let Some(hidden) = self.log_limit.admit("invalid") {
                     let why = &failure.message;
                     tracing::warn!(event = "invalid_request", client, hidden, "{why}");
                 }
-                Some(Err(failure))
+                Err(failure)
             }
-            Ok(request) if request.only_reads() => self.read_request(&caller, &request),
-            Ok(_) if !may_command => {
+            Ok(request) if request.only_reads() => self.obey(&caller, &request),
+            Ok(_) if !may_command(client) => {
                 refuse("this socket is read-only; use the control socket for commands")
             }
             Ok(_) if self.ending.is_some() => refuse("the service is ending"),
@@ -62,44 +48,35 @@ impl Hub {
                 {
                     tracing::info!(event = "command", command = caller.command, client, hidden, config = %self.config.config_hash, "{request:?}");
                 }
-                self.command(&caller, &request)
+                self.obey(&caller, &request)
             }
         };
-        if let Some(reply) = reply {
+        if let Some(reply) = reply.transpose() {
             self.reply(&caller, &reply);
-        }
-        if close {
-            self.io.port(client).close(client);
         }
     }
 
-    fn read_request(&mut self, caller: &Caller, request: &Request) -> Reply {
-        let rate_hz = match *request {
-            Request::Subscribe { rate_hz } => rate_hz,
-            Request::Reach {} => return Some(Ok(self.reach())),
-            _ => return Some(Ok(self.cached_status())),
-        };
+    fn subscribe(&mut self, rate_hz: f64, caller: &Caller) -> Reply {
         if !(0.1..=1000.0).contains(&rate_hz) {
             let why = format!("rate_hz {rate_hz} is outside 0.1 to 1000");
-            return Some(Err(Failure::bad(why)));
+            return Err(Failure::bad(why));
         }
         // the reply precedes the first frame
         self.reply(caller, &Ok(json!({})));
         self.subscriptions.retain(|s| s.client != caller.client);
-        let (client, period_s, next_s) = (caller.client, 1.0 / rate_hz, f64::NEG_INFINITY);
         self.subscriptions.push(Subscription {
-            client,
-            period_s,
-            next_s,
+            client: caller.client,
+            period_s: 1.0 / rate_hz,
+            next_s: f64::NEG_INFINITY,
         });
-        None
+        Ok(None)
     }
 
-    fn command(&mut self, caller: &Caller, request: &Request) -> Reply {
+    fn obey(&mut self, caller: &Caller, request: &Request) -> Reply {
         let order = match *request {
-            Request::Status {} | Request::Reach {} | Request::Subscribe { .. } => {
-                return self.read_request(caller, request);
-            }
+            Request::Status {} => return Ok(Some(self.cached_status())),
+            Request::Reach {} => return Ok(Some(self.reach())),
+            Request::Subscribe { rate_hz } => return self.subscribe(rate_hz, caller),
             Request::Record {
                 action,
                 ref name,
@@ -107,11 +84,12 @@ impl Hub {
             } => return self.record(action, name.as_deref(), owned, caller),
             Request::Reload {} => return self.reload(),
             Request::Calibrate { action, poses } => return self.calibrate(action, poses, caller),
-            Request::Path { ref rows, more } => match self.path(rows, more, caller.client) {
-                Ok(true) => Order::Play,
-                Ok(false) => return Some(Ok(json!({}))),
-                Err(failure) => return Some(Err(failure)),
-            },
+            Request::Path { ref rows, more } => {
+                if !self.path(rows, more, caller.client)? {
+                    return done();
+                }
+                Order::Play
+            }
             Request::Bend {
                 bend_deg,
                 dir_deg,
@@ -119,14 +97,11 @@ impl Hub {
                 speed_deg_s,
                 frame,
             } => {
-                let (target, speed_rad_s) = (
-                    self.target(bend_deg, dir_deg, length_mm),
-                    speed_deg_s.map(f64::to_radians),
-                );
-                if frame == Frame::World {
-                    Order::World(target, speed_rad_s)
-                } else {
-                    Order::Bend(target, speed_rad_s)
+                let target = self.target(bend_deg, dir_deg, length_mm);
+                let speed_rad_s = speed_deg_s.map(f64::to_radians);
+                match frame {
+                    Frame::World => Order::World(target, speed_rad_s),
+                    Frame::Base => Order::Bend(target, speed_rad_s),
                 }
             }
             Request::Stream {
@@ -153,7 +128,7 @@ impl Hub {
         } else {
             self.order(order, caller.clone());
         }
-        None
+        Ok(None)
     }
 
     /// The largest bend at the rest length every 5° from direction 0 on, degrees, and the dimensions of the bending section.
@@ -199,19 +174,14 @@ impl Hub {
         });
         let path = Path::new(checked.iter().map(|row| row.0).collect(), shapes.collect())
             .filter(|path| path.duration_s() <= PATH_MAX_S);
-        let expected = || {
-            Failure::bad(format!(
-                "a path has two or more rows with times that increase by at most {PATH_MAX_S} s in all"
-            ))
-        };
+        let rule = "a path has two or more rows with times that increase by at most";
+        let expected = || Failure::bad(format!("{rule} {PATH_MAX_S} s in all"));
         let (path, tick) = (path.ok_or_else(expected)?, &self.config.supervisor.tick);
         let lines = self.in_use().lines;
         if let Some((k, expected)) = path.out_of_reach(&tick.limits, &tick.geometry, &lines) {
-            return Err(Failure::bad(format!(
-                "row {}, bend_deg {}: expected {expected}",
-                from + k + 1,
-                checked[k].1
-            )));
+            let (row, bend_deg) = (from + k + 1, checked[k].1);
+            let why = format!("row {row}, bend_deg {bend_deg}: expected {expected}");
+            return Err(Failure::bad(why));
         }
         if more {
             self.path_rows = (client, all);
@@ -229,69 +199,48 @@ impl Hub {
         let event = Event::Path(t_s.to_vec(), rows.to_vec());
         self.path = json!({"duration_s": path.duration_s(), "time_scale": time_scale});
         let path = Path::new(t_s.to_vec(), rows.to_vec()).ok_or_else(expected)?;
-        self.io
-            .rings
-            .orders
-            .push(Message::Path(Box::new(path)))
-            .map_err(|_| too_many())?;
-        self.note_change(event);
+        self.change(Change::Path(Some(Box::new(path))), event)?;
         Ok(true)
     }
 
     fn reload(&mut self) -> Reply {
-        let Some(path) = self.config.gains.clone() else {
-            return refuse(
-                "no gains file was given; start the service with `retroflex run --gains FILE`",
-            );
-        };
-        Some(match source::read(&path) {
-            Ok(gains) => self.apply(&gains),
-            Err(e) => Err(Failure::bad(format!("{e}; the present gains stay in use"))),
-        })
-    }
-
-    fn apply(&mut self, gains: &Gains) -> Result<Value, Failure> {
-        let RunConfig {
-            supervisor,
-            board,
-            calibration,
-            ..
-        } = &self.config;
-        let next = with_gains(supervisor, board, calibration, gains);
-        let message = Message::Reload(Box::new(next.clone()));
-        self.io.rings.orders.push(message).map_err(|_| too_many())?;
-        let (text, lines) = (crate::config::show::compact(gains), next.tick.lines);
+        let why = "no gains file was given; start the service with `retroflex run --gains FILE`";
+        let path = self.config.gains.clone();
+        let path = path.ok_or_else(|| Failure::refused(why))?;
+        let stay = |e| Failure::bad(format!("{e}; the present gains stay in use"));
+        let gains: Gains = source::read(&path).map_err(stay)?;
+        let now = &self.config;
+        let next = with_gains(&now.supervisor, &now.board, &now.calibration, &gains);
+        let (text, lines) = (crate::config::show::compact(&gains), next.tick.lines);
         let gains = text.clone();
-        self.note_change(Event::Reload { gains, lines });
+        let change = Change::Config(Box::new(next.clone()));
+        self.change(change, Event::Reload { gains, lines })?;
         self.config.supervisor = next;
         self.config.texts[1] = text;
-        Ok(json!({"gains": self.config.gains}))
+        Ok(Some(json!({"gains": path})))
     }
 
     fn calibrate(&mut self, action: CalibrateAction, poses: usize, caller: &Caller) -> Reply {
-        let SupervisorConfig { tick, gate, .. } = &self.config.supervisor;
-        let (geometry, step_mm, prior) =
-            (tick.geometry, gate.step_mm, self.config.calibration.prior());
-        let session = match action {
+        let (poses, prior) = match action {
             CalibrateAction::Discard => {
                 return match self.memory.proposed.take() {
-                    Some(_) => Some(Ok(json!({}))),
+                    Some(_) => done(),
                     None => refuse("there is no proposed calibration to discard"),
                 };
             }
             CalibrateAction::Accept => return self.accept(caller),
             _ if self.calibration.is_some() => return refuse("a calibration is already running"),
-            CalibrateAction::Full => Session::full(geometry, step_mm, self.in_use()),
+            CalibrateAction::Full => (schedule::paper(), None),
             CalibrateAction::Short if !POSES.contains(&poses) => {
+                let (least, most) = (POSES.start(), POSES.end());
                 return refuse(format!(
-                    "`poses` is {poses}; a short calibration has {} to {}",
-                    POSES.start(),
-                    POSES.end()
+                    "`poses` is {poses}; a short calibration has {least} to {most}"
                 ));
             }
-            CalibrateAction::Short => {
-                Session::short(geometry, step_mm, (prior, poses), self.in_use())
-            }
+            CalibrateAction::Short => (
+                schedule::short(poses),
+                Some(self.config.calibration.prior()),
+            ),
         };
         if self.mode() != Mode::Holding {
             let mode = self.mode();
@@ -299,10 +248,12 @@ impl Hub {
                 "not while {mode}: `retroflex arm` first and wait until the tip holds"
             ));
         }
-        self.calibration = Some(session);
+        let SupervisorConfig { tick, gate, .. } = &self.config.supervisor;
+        let round = Round::new(tick.geometry, poses);
+        self.calibration = Some(Session::new(round, gate.step_mm, prior, self.in_use()));
         self.calibration_failed = None;
         self.order(Order::Calibrate(true), caller.clone());
-        None
+        Ok(None)
     }
 
     /// The transmission parameters in use.
@@ -318,11 +269,9 @@ impl Hub {
     }
 
     fn accept(&mut self, caller: &Caller) -> Reply {
-        let Some(gains) = self.memory.proposed.clone() else {
-            return refuse(
-                "there is no proposed calibration to accept; run `retroflex calibrate transmission` first",
-            );
-        };
+        let why = "there is no proposed calibration to accept; run `retroflex calibrate transmission` first";
+        let gains = self.memory.proposed.clone();
+        let gains = gains.ok_or_else(|| Failure::refused(why))?;
         if gains.tip != self.config.tip {
             return refuse(format!(
                 "the calibration was made on tip `{}`, but tip `{}` is mounted",
@@ -333,6 +282,6 @@ impl Hub {
             return refuse(format!("not while {}", self.mode()));
         }
         self.write_accepted(gains, caller.clone());
-        None
+        Ok(None)
     }
 }

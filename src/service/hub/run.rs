@@ -1,6 +1,6 @@
 //! The rounds of the hub, and the end of the service.
 
-use super::state::{Hub, MotionOwner};
+use super::Hub;
 use crate::hardware::{rt, supply};
 use crate::service::error::ServiceError;
 use crate::service::port::{FromPort, Port};
@@ -38,21 +38,20 @@ impl Hub {
     pub fn run(mut self, record: Option<PathBuf>) -> Result<[Port; 2], ServiceError> {
         let signalled = Arc::new(AtomicBool::new(false));
         for signal in rt::ending_signals() {
-            signal_hook::flag::register(signal, Arc::clone(&signalled))
-                .map_err(ServiceError::system("a signal handler"))?;
+            let handler = signal_hook::flag::register(signal, Arc::clone(&signalled));
+            handler.map_err(ServiceError::system("a signal handler"))?;
         }
         self.start_flight();
         if let Some(path) = record {
-            self.start_recording(&path, true)
-                .map_err(ServiceError::system(path.display()))?;
+            let started = self.start_recording(&path, true);
+            started.map_err(ServiceError::system(path.display()))?;
         }
         self.mount_tip();
         self.ready_after_boot_s = rt::monotonic_ns() as f64 * 1e-9;
         let after_boot_s = self.ready_after_boot_s;
         tracing::info!(event = "start", after_boot_s, config = %self.config.config_hash, tip = %self.config.tip, "ready, disarmed");
-        self.io
-            .notifier
-            .notify("READY=1\nSTATUS=aligning: the tip must be still for 2 s");
+        let ready = "READY=1\nSTATUS=aligning: the tip must be still for 2 s";
+        self.io.notifier.notify(ready);
         let mut again = true;
         while !self.is_over() {
             self.io.shared.progress(Watched::Hub);
@@ -61,7 +60,8 @@ impl Hub {
             }
             self.take_requests();
             if again && self.ending.is_some() && self.last.as_ref().is_some_and(is_late) {
-                (again, self.ending) = (false, Some(Instant::now()));
+                again = false;
+                self.ending = self.ending.map(|(_, from_s)| (Instant::now(), from_s));
                 self.own_order(Order::Relax, None);
             }
             self.follow_recording();
@@ -95,11 +95,8 @@ impl Hub {
         }
         *asked = Some(Instant::now());
         let troubles = supply::troubles(Path::new("/"));
-        for new in troubles
-            .iter()
-            .flatten()
-            .filter(|new| !known.iter().flatten().any(|known| known == *new))
-        {
+        let is_new = |new: &&&str| !known.iter().flatten().any(|known| known == *new);
+        for new in troubles.iter().flatten().filter(is_new) {
             tracing::warn!(event = "supply", "{new}: {}", supply::REMEDY);
         }
         *known = troubles;
@@ -111,24 +108,14 @@ impl Hub {
         // a status that follows an answer reports what was answered
         self.take_loop_output();
         self.status_cache = None;
-        let commands = first
-            .into_iter()
-            .chain(self.io.control.messages.try_iter())
-            .take(REQUESTS_PER_ROUND);
-        let commands: Vec<FromPort> = commands.collect();
-        let reads: Vec<FromPort> = self
-            .io
-            .status
-            .messages
-            .try_iter()
-            .take(REQUESTS_PER_ROUND)
-            .collect();
-        for (messages, may_command) in [(commands, true), (reads, false)] {
-            for message in messages {
-                match message {
-                    FromPort::Incoming(incoming) => self.handle(incoming, may_command),
-                    FromPort::Gone(client, reason) => self.forget(client, reason),
-                }
+        let (commands, reads) = (&self.io.control.messages, &self.io.status.messages);
+        let commands = first.into_iter().chain(commands.try_iter());
+        let reads = reads.try_iter().take(REQUESTS_PER_ROUND);
+        let messages: Vec<FromPort> = commands.take(REQUESTS_PER_ROUND).chain(reads).collect();
+        for message in messages {
+            match message {
+                FromPort::Incoming(caller, request) => self.handle(caller, request),
+                FromPort::Gone(client, reason) => self.forget(client, reason),
             }
         }
     }
@@ -139,23 +126,19 @@ impl Hub {
         if reason != "disconnected"
             && let Some(hidden) = self.log_limit.admit("dropped")
         {
-            tracing::warn!(
-                event = "client_dropped",
-                client,
-                hidden,
-                "a client was disconnected: {reason}"
-            );
+            let why = format!("a client was disconnected: {reason}");
+            tracing::warn!(event = "client_dropped", client, hidden, "{why}");
         }
-        if let Some(state) = &mut self.recording
-            && state.owner == Some(client)
+        if let Some(recording) = &mut self.recording
+            && recording.owner == Some(client)
         {
             self.recording_ended = Some("the client that asked for it disconnected".to_owned());
-            state.recording.finish();
+            recording.finish();
         }
-        let attended = |m: &MotionOwner| {
-            m.client == client && m.since.elapsed().as_secs_f64() > self.config.service.attended_s
+        let attended = |(owner, since): (u64, Instant)| {
+            owner == client && since.elapsed().as_secs_f64() > self.config.service.attended_s
         };
-        if self.motion_owner.as_ref().is_some_and(attended) {
+        if self.motion_owner.is_some_and(attended) {
             self.motion_owner = None;
             let order = match self.mode() {
                 Mode::Tracking => Order::Hold,
@@ -169,8 +152,8 @@ impl Hub {
 
     /// A signal that ends a process: returns to rest; after a stop the tip stays where it is.
     fn start_ending(&mut self) {
-        self.ending = Some(Instant::now());
-        self.ending_from_s = self.last.as_ref().map_or(0.0, |last| last.sensed.t.0);
+        let t_s = self.last.as_ref().map_or(0.0, |last| last.sensed.t.0);
+        self.ending = Some((Instant::now(), t_s));
         self.io.notifier.notify("STOPPING=1\nSTATUS=relaxing");
         tracing::info!(event = "end", config = %self.config.config_hash, mode = %self.mode(), "ending on a signal");
         let away = self.last.is_some() && (!self.is_at_zero() || self.mode().moves());
@@ -181,12 +164,12 @@ impl Hub {
     }
 
     fn is_over(&self) -> bool {
-        let (Some(since), Some(last)) = (self.ending, &self.last) else {
+        let (Some((since, from_s)), Some(last)) = (self.ending, &self.last) else {
             return self.ending.is_some();
         };
         let rested = self.is_at_zero() || matches!(last.mode, Mode::Lost | Mode::Boot);
         let settled = since.elapsed() > Duration::from_millis(100) && last.mode != Mode::Relaxing;
-        let passed_s = last.sensed.t.0 - self.ending_from_s;
+        let passed_s = last.sensed.t.0 - from_s;
         let slow = passed_s < SLOW * since.elapsed().as_secs_f64();
         let stays = last.mode == Mode::Faulted || last.stopped || slow;
         (stays && since.elapsed() > BRAKE_MAX)
@@ -202,7 +185,7 @@ impl Hub {
             // the last restart note may be older than the last step
             restart.steps = last.counted;
         }
-        if let Some(Err(e)) = self.io.state_writer.finish(&self.memory).map(|c| c.result) {
+        if let Some((_, Err(e))) = self.io.state_writer.finish(&self.memory) {
             tracing::error!(event = "memory", "the last state could not be written: {e}");
         }
         tracing::info!(event = "ended", config = %self.config.config_hash, at_rest, "ended");

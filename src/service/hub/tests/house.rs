@@ -5,19 +5,17 @@ use crate::config::supervisor::assemble;
 use crate::config::{Board, Calibration, Gains, shipped, source};
 use crate::hardware::rt;
 use crate::primitives::{Seconds, Steps};
-use crate::service::belief::Belief;
 use crate::service::hub::{Facts, Hub, HubIo};
 use crate::service::memory::Memory;
-use crate::service::notify::Notifier;
-use crate::service::port::{Incoming, Port};
+use crate::service::notify::{Heartbeat, Notifier};
+use crate::service::port::{Caller, Port};
 use crate::service::protocol::Request;
 use crate::service::rt_loop::{Loop, rings};
-use crate::service::shared::{HeartbeatMonitor, Shared, ThreadWatch};
-use crate::service::slot;
+use crate::service::shared::{Shared, ThreadWatch};
 use crate::service::start::{RunConfig, Start};
-use crate::service::state_writer::StateWriter;
 use crate::service::stop::StopCounter;
-use crate::service::store::Store;
+use crate::service::store::Belief;
+use crate::service::store::{self, StateWriter, Store};
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::sim::Sim;
 use crate::supervisor::mode::{Event, TABLE};
@@ -27,8 +25,9 @@ use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
+use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 const CLIENTS: u64 = 4;
 /// A tip that is stopped stands after this many cycles.
@@ -82,16 +81,14 @@ impl Machine for Probe {
     }
 }
 
-/// What the hub has sent through one port, line by line with the number of the client.
-type Replies = Box<dyn Fn() -> Option<(u64, String)>>;
-
 /// A service without sockets and threads, but for those of the disk.
 pub(super) struct House {
     pub(super) hub: Hub,
     pub(super) rt: Loop,
     pub(super) shared: Arc<Shared>,
     seen: Arc<Mutex<Seen>>,
-    replies: Vec<Replies>,
+    /// What the hub has sent through each port, line by line with the number of the client.
+    replies: [Receiver<(u64, String)>; 2],
     folder: tempfile::TempDir,
     pub(super) seed: u64,
     pub(super) rng: StdRng,
@@ -137,6 +134,16 @@ fn config(folder: &Path) -> RunConfig {
     }
 }
 
+fn caller(client: u64, id: Value, stops: u64) -> Caller {
+    Caller {
+        client,
+        id,
+        command: String::new(),
+        since: Instant::now(),
+        stops,
+    }
+}
+
 impl House {
     pub(super) fn new(seed: u64) -> Self {
         let folder = tempfile::tempdir().unwrap();
@@ -161,7 +168,7 @@ impl House {
             rings: loop_rings,
             shared: Arc::clone(&shared),
             pace: Some(f64::INFINITY),
-            heartbeat: HeartbeatMonitor::new(None),
+            heartbeat: Heartbeat::default(),
             stops: StopCounter::default(),
             watch: ThreadWatch::default(),
         };
@@ -187,7 +194,7 @@ impl House {
             rt,
             shared,
             seen,
-            replies: vec![Box::new(commands), Box::new(reads)],
+            replies: [commands, reads],
             folder,
             seed,
             rng: StdRng::seed_from_u64(seed),
@@ -260,22 +267,14 @@ impl House {
             let most = self.queues[client as usize].len();
             for _ in 0..self.rng.random_range(0..=most) {
                 let (id, request, stops) = self.queues[client as usize].pop_front().unwrap();
-                self.hub.handle(
-                    Incoming {
-                        client: 2 * client + 1,
-                        id,
-                        request: Ok(request),
-                        close: false,
-                        stops,
-                    },
-                    true,
-                );
+                self.hub
+                    .handle(caller(2 * client + 1, id, stops), Ok(request));
             }
         }
         self.hub.follow_recording();
         self.hub.persist();
         for from in &self.replies {
-            while let Some((client, line)) = from() {
+            for (client, line) in from.try_iter() {
                 let reply: Value = serde_json::from_str(&line).unwrap();
                 let id = reply["id"].as_u64().unwrap();
                 let Some((by, request)) = self.open.remove(&id) else {
@@ -292,16 +291,8 @@ impl House {
 
     /// A request of the first client that the hub receives at once.
     pub(super) fn ask(&mut self, request: Request) {
-        self.hub.handle(
-            Incoming {
-                client: 1,
-                id: json!(self.cycles),
-                request: Ok(request),
-                close: false,
-                stops: self.shared.stop.requested(),
-            },
-            true,
-        );
+        let first = caller(1, json!(self.cycles), self.shared.stop.requested());
+        self.hub.handle(first, Ok(request));
     }
 
     /// What a restart would read now: whenever drivers may move, the disk says so.
@@ -310,7 +301,8 @@ impl House {
             std::thread::sleep(Duration::from_micros(200));
         }
         let state = self.folder.path().join("state");
-        let slots = ["memory.a", "memory.b"].map(|name| slot::read(&state.join(name)).unwrap());
+        let slots =
+            ["memory.a", "memory.b"].map(|name| store::read_slot(&state.join(name)).unwrap());
         let (_, memory) = slots
             .into_iter()
             .flatten()
@@ -333,9 +325,9 @@ impl House {
             self.hub
                 .pending
                 .retain(|_, p| p.caller.client != 2 * client + 1);
-            if let Some(state) = &mut self.hub.recording {
-                state.starting.take_if(|c| c.client == 2 * client + 1);
-                state.ending.retain(|c| c.client != 2 * client + 1);
+            if let Some(recording) = &mut self.hub.recording {
+                recording.starting.take_if(|c| c.client == 2 * client + 1);
+                recording.ending.retain(|c| c.client != 2 * client + 1);
             }
             return;
         }
