@@ -9,7 +9,6 @@ use crate::hardware::machine::HardwareError;
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{self, MockPins, OpenError, Pins, PinsConfig};
 use crate::hardware::stepper::StartError;
-use crate::motion::StepperConfig;
 use clap::Args;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::{Path, PathBuf};
@@ -88,11 +87,9 @@ fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
     let least_us = board.stepper.pulse_high_us + board.stepper.pulse_low_us;
     let most_us = board.stepper.step_interval_min_us.max(least_us);
     let step_interval_min_us = (0.2e6 / base.rate_hz).clamp(least_us, most_us);
-    let stepper = StepperConfig {
-        step_interval_min_us,
-        ..board.stepper
-    };
-    let config = RtBenchConfig { stepper, ..base };
+    let mut config = base;
+    config.stepper = board.stepper;
+    config.stepper.step_interval_min_us = step_interval_min_us;
     let through = format!("{:?} on {}", wiring.backend, board.machine.name).to_lowercase();
     Ok((measure(&config, NoCurrent(pins))?, through))
 }

@@ -1,11 +1,9 @@
 //! The commands that talk to a running service, one request each.
 
 use crate::service::protocol::{RecordAction, Request};
-use args::{Action, BendArgs, PlayArgs, RecordArgs, StatusArgs, SubscribeArgs};
 use connection::{At, ask_and_print, connect};
 use miette::Result;
 
-pub mod args;
 pub mod connection;
 pub mod follow;
 pub mod keys;
@@ -22,7 +20,7 @@ commands! {
 
     /// Bend the tip.
     #[command(allow_negative_numbers = true)]
-    Bend(BendArgs) => follow::bend,
+    Bend(follow::BendArgs) => follow::bend,
     /// Decelerate smoothly and hold.
     Hold(Plain) => |p: &Plain| send(&p.at, &Request::Hold {}),
     /// Brake at once and hold; motion is refused until `arm`.
@@ -38,7 +36,7 @@ commands! {
     /// Define the present pose as zero bend.
     Zero(ZeroArgs) => zero,
     /// Show the state of the service.
-    Status(StatusArgs) => status::status,
+    Status(status::StatusArgs) => status::status,
     /// Watch tip, lines and gains, live or from a flight log.
     Monitor(monitor::MonitorArgs) => monitor::monitor,
     /// Clear a fault whose cause has been removed.
@@ -48,7 +46,7 @@ commands! {
     /// Start or stop a recording.
     Record(RecordArgs) => record,
     /// Run a schedule of `gap excite`: its poses, speeds and holds.
-    Play(PlayArgs) => play::play,
+    Play(play::PlayArgs) => play::play,
     /// Stream set-points from standard input.
     ///
     /// One per line, `BEND DIR` or `BEND DIR T` (degrees, and seconds if the tip shall follow a smooth curve through them). The tip stops when
@@ -61,7 +59,7 @@ commands! {
     /// Serve a page for a tablet: the tip in 3-D, bend by hand, stop.
     Page(page::PageArgs) => page::page,
     /// Print frames as JSON lines.
-    Subscribe(SubscribeArgs) => status::subscribe,
+    Subscribe(status::SubscribeArgs) => status::subscribe,
 }
 
 /// A command without arguments of its own.
@@ -81,22 +79,33 @@ pub struct ZeroArgs {
     straight: bool,
 }
 
+/// Arguments of `record`.
+#[derive(Debug, clap::Args)]
+pub struct RecordArgs {
+    #[command(flatten)]
+    at: At,
+    /// Start or stop.
+    #[arg(value_enum)]
+    action: RecordAction,
+    /// Name of the recording. Default: the next free number.
+    name: Option<String>,
+}
+
 fn zero(args: &ZeroArgs) -> Result<()> {
     let straight = args.straight;
     send_and_align(&args.at, &Request::Zero { straight })
 }
 
 fn record(args: &RecordArgs) -> Result<()> {
-    let (name, owned) = (args.name.clone(), false);
-    let request = |action| Request::Record {
-        action,
-        name,
-        owned,
+    let request = Request::Record {
+        action: args.action,
+        name: args.name.clone(),
+        owned: false,
     };
     match args.action {
         // a recording that starts at rest starts with a new alignment
-        Action::Start => send_and_align(&args.at, &request(RecordAction::Start)),
-        Action::Stop => send(&args.at, &request(RecordAction::Stop)),
+        RecordAction::Start => send_and_align(&args.at, &request),
+        RecordAction::Stop => send(&args.at, &request),
     }
 }
 

@@ -127,11 +127,8 @@ impl Demo<'_> {
         {
             let service = Some(&self.serve(name, leak)?);
             self.step(about, &["arm"], service)?;
-            self.step(
-                "",
-                &["play", &path("schedule.csv"), "--record", name],
-                service,
-            )?;
+            let play = ["play", &path("schedule.csv"), "--record", name];
+            self.step("", &play, service)?;
         }
         let log = path(&format!("{name}/state/recordings/{name}.csv.gz"));
         let (html, json) = (html.display().to_string(), path(&format!("{name}.json")));

@@ -108,11 +108,8 @@ fn plant(args: &Args, board: &Board) -> Result<(Open, bool)> {
         let step_mm = board.drive.law().step_mm;
         let open: Open = Box::new(move |purpose| {
             let noise = seed.wrapping_add(noise_of(purpose));
-            Ok(Box::new(Described::new(
-                machine.as_ref().clone(),
-                step_mm,
-                noise,
-            )))
+            let machine = machine.as_ref().clone();
+            Ok(Box::new(Described::new(machine, step_mm, noise)))
         });
         return Ok((open, false));
     }

@@ -53,7 +53,7 @@ pub fn run(args: &Args) -> Result<()> {
         }
         store.write(&memory).into_diagnostic()?;
     }
-    output::print(&text);
+    output::print(text);
     Ok(())
 }
 
@@ -87,8 +87,8 @@ fn by_switches(args: &Args, board: &Board) -> Result<String> {
         hand.energise(false)?;
         Ok(homed)
     })?;
-    let [moved, repeat] =
-        [homed.moved_mm, homed.repeat_mm].map(|mm| mm.map(|x| format!("{x:.3}")).join(", "));
+    let listed = |mm: [f64; 3]| mm.map(|x| format!("{x:.3}")).join(", ");
+    let [moved, repeat] = [homed.moved_mm, homed.repeat_mm].map(listed);
     Ok(format!(
         "zero found: corrected by {moved} mm, switches repeat within {repeat} mm; pistons at zero, drivers released\n"
     ))

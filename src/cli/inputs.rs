@@ -99,13 +99,17 @@ pub fn feedforward(
     board: &Board,
 ) -> Result<Option<(PathBuf, Arc<DescribedMachine>)>> {
     let named = Some(&calibration.feedforward).filter(|name| !name.is_empty());
-    let folder = calib
-        .as_deref()
-        .and_then(Path::parent)
-        .unwrap_or(Path::new(""));
-    let path = given.clone().or_else(|| Some(folder.join(named?)));
-    path.map(|path| described(&path, board).map(|machine| (path, machine)))
-        .transpose()
+    let beside = |name| {
+        calib
+            .as_deref()
+            .unwrap_or(Path::new(""))
+            .with_file_name(name)
+    };
+    let Some(path) = given.clone().or_else(|| named.map(beside)) else {
+        return Ok(None);
+    };
+    let machine = described(&path, board)?;
+    Ok(Some((path, machine)))
 }
 
 /// [`described`] for a model that has been read from `origin`.
@@ -151,13 +155,11 @@ pub fn program(plant: &str) -> Result<(String, Vec<String>)> {
     let refused = |why: &str| miette!("--plant `{plant}`: {why}");
     let line = plant.strip_prefix("exec:");
     let line = line.ok_or_else(|| refused("expected `exec:PROGRAM ARG…`"))?;
-    let mut words = shlex::split(line)
-        .ok_or_else(|| refused("a quote is not closed"))?
-        .into_iter();
+    let words = shlex::split(line).ok_or_else(|| refused("a quote is not closed"))?;
     let program = words
-        .next()
-        .ok_or_else(|| refused("no program is named after `exec:`"))?;
-    Ok((program, words.collect()))
+        .split_first()
+        .map(|(first, args)| (first.clone(), args.to_vec()));
+    program.ok_or_else(|| refused("no program is named after `exec:`"))
 }
 
 /// The message about an address at which nothing can be served.

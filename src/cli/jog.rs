@@ -66,12 +66,11 @@ pub fn run(args: &Args) -> Result<()> {
     };
     let report = manual_motion::motion_error;
     let (out, back) = manual_motion::with_manual_control(machine.as_mut(), report, stroke)?;
-    let step_mm = machine.info().step_mm;
+    let (channel, step_mm) = (args.channel, machine.info().step_mm);
+    let shown = |mm: f64| format!("{mm:.3} mm ({:.0} steps)", mm / step_mm);
+    let (out, back) = (shown(out), shown(back));
     output::print(format!(
-        "channel {}: reached {out:.3} mm ({:.0} steps), now at {back:.3} mm ({:.0} steps), drivers released\n",
-        args.channel,
-        out / step_mm,
-        back / step_mm
+        "channel {channel}: reached {out}, now at {back}, drivers released\n"
     ));
     Ok(())
 }

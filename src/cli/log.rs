@@ -63,6 +63,11 @@ pub struct CutArgs {
     out: ResultFile,
 }
 
+/// Least time between two points of the chart of the bend, s.
+const BEND_EVERY_S: f64 = 0.1;
+/// Most points of a line of that chart.
+const BENDS_MAX: usize = 2000;
+
 /// What `log info` collects.
 #[derive(Default)]
 struct Info {
@@ -83,8 +88,8 @@ impl Info {
     }
 
     fn note(&mut self, text: &str) {
-        self.events
-            .push(format!("{:.3} s: {text}", self.duration_s));
+        let at_s = self.duration_s;
+        self.events.push(format!("{at_s:.3} s: {text}"));
     }
 
     fn take(&mut self, t_s: f64, message: &Message<'_>) -> Result<(), String> {
@@ -93,9 +98,9 @@ impl Info {
         match Entry::of(message)? {
             Entry::Event(event) => match *event {
                 Event::Start(header) => {
-                    let hashes = header.hashes().into_iter();
-                    self.facts
-                        .extend(hashes.map(|(name, hash)| (name, json!(hash))));
+                    for (name, hash) in header.hashes() {
+                        self.fact(&name, hash);
+                    }
                     self.fact("program", &header.program);
                     self.fact("machine", &header.machine.name);
                     self.fact("tip", &header.tip);
@@ -119,28 +124,21 @@ impl Info {
                     let Some(pose) = value.get(key) else { continue };
                     // a line ends where there is no pose
                     let bend_deg = pose["bend_deg"].as_f64().unwrap_or(f64::NAN);
-                    let new = bends.last().is_none_or(|last| t_s - last.0 >= BEND_EVERY_S);
-                    let ends = bends
-                        .last()
-                        .is_some_and(|last| last.1.is_nan() != bend_deg.is_nan());
-                    bends.extend((new || ends).then_some((t_s, bend_deg)));
+                    let is_due = |last: &(f64, f64)| {
+                        t_s - last.0 >= BEND_EVERY_S || last.1.is_nan() != bend_deg.is_nan()
+                    };
+                    if bends.last().is_none_or(is_due) {
+                        bends.push((t_s, bend_deg));
+                    }
                 }
-                self.changes
-                    .of(&value)
-                    .iter()
-                    .for_each(|change| self.note(change));
+                for change in self.changes.of(&value) {
+                    self.note(&change);
+                }
             }
         }
         Ok(())
     }
-}
 
-/// Least time between two points of the chart of the bend, s.
-const BEND_EVERY_S: f64 = 0.1;
-/// Most points of a line of that chart.
-const BENDS_MAX: usize = 2000;
-
-impl Info {
     fn page(&self, path: &Path, facts: &[[String; 2]]) -> Page {
         let mut page = Page::new(&format!("Flight log {}", path.display()));
         let thinned = |all: &Vec<(f64, f64)>| {
@@ -155,7 +153,7 @@ impl Info {
         let x = Axis::new("time / s", 0.0, self.duration_s, 8);
         let chart = Chart::new("Bend", x, Axis::new("bend / °", 0.0, 90.0, 6), series);
         page.charts(&[(chart.svg(), "Target and estimate of the bend.".to_owned())]);
-        page.table(&["", ""], facts);
+        page.table("|", facts);
         page.heading("Events");
         self.events.iter().for_each(|event| page.text(event));
         page
@@ -172,11 +170,12 @@ fn info(args: &InfoArgs) -> Result<bool> {
     info.fact("cycles", info.cycles);
     info.fact("ending", ending.to_string());
     let mut text = format!("{}\n", path.display());
-    let fact = |(name, value): (&String, &Value)| {
-        let text = value.as_str().map(str::to_owned);
-        [name.clone(), text.unwrap_or_else(|| value.to_string())]
-    };
-    let facts: Vec<[String; 2]> = info.facts.iter().map(fact).collect();
+    let words = |value: &Value| value.as_str().map_or(value.to_string(), str::to_owned);
+    let facts = info
+        .facts
+        .iter()
+        .map(|(name, value)| [name.clone(), words(value)]);
+    let facts: Vec<[String; 2]> = facts.collect();
     for [name, value] in &facts {
         text += &format!("  {name}: {value}\n");
     }

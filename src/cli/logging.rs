@@ -25,10 +25,9 @@ pub fn start() -> Logging {
         .with_target(false)
         .with_level(!journal)
         .with_ansi(std::io::stderr().is_terminal());
-    let lines = if journal {
-        lines.without_time().boxed()
-    } else {
-        lines.boxed()
+    let lines = match journal {
+        true => lines.without_time().boxed(),
+        false => lines.boxed(),
     };
     let registry = tracing_subscriber::registry().with(lines.with_filter(filter));
     if registry.try_init().is_err() {
@@ -40,13 +39,9 @@ pub fn start() -> Logging {
 
 /// True if standard error is the journal: systemd names its device and inode.
 fn is_journal() -> bool {
-    let (Ok(named), Ok(there)) = (
-        std::env::var("JOURNAL_STREAM"),
-        std::fs::metadata("/proc/self/fd/2"),
-    ) else {
-        return false;
-    };
-    named == format!("{}:{}", there.dev(), there.ino())
+    let there = std::fs::metadata("/proc/self/fd/2");
+    let there = there.map(|file| format!("{}:{}", file.dev(), file.ino()));
+    there.is_ok_and(|there| std::env::var("JOURNAL_STREAM").is_ok_and(|named| named == there))
 }
 
 /// Lines that may wait for a reader of standard error. Further ones are lost.
@@ -65,21 +60,17 @@ struct Lines {
 impl Lines {
     /// Starts the thread.
     fn start(journal: bool) -> Self {
-        let (lines, waiting) = sync_channel::<Vec<u8>>(WAITING_MAX);
+        let (waiting, lines) = sync_channel::<Vec<u8>>(WAITING_MAX);
+        let work = move || {
+            for line in lines {
+                // whoever has closed standard error wants no log
+                let _ = io::stderr().write_all(&line);
+                WAITING.fetch_sub(1, Relaxed);
+            }
+        };
         // without a thread the service runs without a log
-        let _ = std::thread::Builder::new()
-            .name("log".into())
-            .spawn(move || {
-                for line in waiting {
-                    // whoever has closed standard error wants no log
-                    let _ = io::stderr().write_all(&line);
-                    WAITING.fetch_sub(1, Relaxed);
-                }
-            });
-        Self {
-            waiting: lines,
-            journal,
-        }
+        let _ = std::thread::Builder::new().name("log".into()).spawn(work);
+        Self { waiting, journal }
     }
 }
 

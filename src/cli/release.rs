@@ -7,7 +7,8 @@ use crate::hardware::machine::HardwareError;
 use crate::hardware::pins::{self, OpenError, PinError};
 use crate::hardware::rt;
 use crate::motion::Levels;
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{IntoDiagnostic, Result, bail};
+use signal_hook::iterator::Signals;
 use std::path::PathBuf;
 
 /// Arguments of `release`.
@@ -29,15 +30,12 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     let board = inputs::board(Some(&args.board))?;
     let Some(config) = &board.pins else {
-        return Err(miette!(
-            "{}: there is no [pins] table, so there are no drivers to release",
-            args.board.display()
-        ));
+        let file = args.board.display();
+        bail!("{file}: there is no [pins] table, so there are no drivers to release");
     };
-    let hardware =
-        |e: OpenError| manual_motion::hardware_error(&args.board, HardwareError::Pins(e));
-    let _lock = HardwareLock::take()
-        .map_err(|path| manual_motion::hardware_error(&args.board, HardwareError::InUse(path)))?;
+    let refused = |e| manual_motion::hardware_error(&args.board, e);
+    let hardware = |e: OpenError| refused(HardwareError::Pins(e));
+    let _lock = HardwareLock::take().map_err(|path| refused(HardwareError::InUse(path)))?;
     let mut pins = pins::open(config, board.drive.microsteps).map_err(hardware)?;
     let off = |e: PinError| hardware(OpenError::Pin(e));
     pins.write(&Levels::default()).map_err(off)?;
@@ -46,8 +44,7 @@ pub fn run(args: &Args) -> Result<()> {
     pins.check_enable().map_err(off)?;
     output::print("drivers released: the tip goes soft, and zero must be found again\n");
     if args.hold {
-        let mut signals =
-            signal_hook::iterator::Signals::new(rt::ending_signals()).into_diagnostic()?;
+        let mut signals = Signals::new(rt::ending_signals()).into_diagnostic()?;
         // outside of systemd there is nobody to notify
         let _ = sd_notify::notify(&[sd_notify::NotifyState::Ready]);
         let _ = signals.forever().next();

@@ -244,7 +244,7 @@ impl RtBench {
             row.extend([us(h.max_ns() as f64), h.count().to_string()]);
             row
         });
-        let table = table(&header, 1..header.len(), rows);
+        let table = table(&header.join("|"), 1..header.len(), rows);
         let report = &self.steps.report;
         let (steps, rate) = (
             report.lateness.count(),

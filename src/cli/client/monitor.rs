@@ -149,12 +149,11 @@ impl Live {
         let (send, news) = channel();
         let to = send.clone();
         spawn(move || while read(&status, &to).is_err() {});
-        let heard = Instant::now();
         Ok(Self {
             socket,
             news,
             send,
-            heard,
+            heard: Instant::now(),
         })
     }
 

@@ -3,8 +3,7 @@
 //! The speed of a row is that of the fastest piston. The speed of the set-point follows from the gains in use: pistons
 //! move by (1 + k_ε) Δq (Eq. 16), and all arrive at the same time.
 
-use super::args::PlayArgs;
-use super::connection::{ask, connect, report, status, words};
+use super::connection::{At, ask, connect, report, status, words};
 use crate::cli::{Refused, output};
 use crate::diagnosis::excite::{ScheduleRow, rows};
 use crate::experiment::path::PathFile;
@@ -14,8 +13,8 @@ use crate::service::client::Client as Connection;
 use crate::service::protocol::{Failure, Frame, PathRow, RecordAction, Request};
 use crate::service::status::Status;
 use crate::supervisor::Mode;
-use miette::{IntoDiagnostic, Result, miette};
-use std::path::Path;
+use miette::{IntoDiagnostic, Report, Result, miette};
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Longest delay of a segment beyond its planned duration, s.
@@ -28,6 +27,19 @@ const AT_FIRST_S: f64 = 1.0;
 const CHUNK_ROWS: usize = 150;
 /// k_ε of a service that does not report one: the mean of the paper's.
 const K_EPSILON: f64 = 2.2;
+
+/// Arguments of `play`.
+#[derive(Debug, clap::Args)]
+pub struct PlayArgs {
+    #[command(flatten)]
+    at: At,
+    /// Rows `bend_deg,dir_deg,len_mm,hold_s,speed_mm_s`, or a path of rows `t_s,bend_deg,dir_deg[,len_mm]`.
+    #[arg(value_name = "SCHEDULE.csv")]
+    schedule: PathBuf,
+    /// Record the schedule under this name.
+    #[arg(long)]
+    record: Option<String>,
+}
 
 /// Runs the schedule on an armed tip and, with `--record`, records it. The recording ends with this command, however that ends.
 ///
@@ -47,9 +59,8 @@ pub fn play(args: &PlayArgs) -> Result<()> {
         return schedule.run(&mut connection);
     }
     if now.counted != Some([0; 3]) {
-        return Err(Refused::report(
-            "the log must begin at rest: `retroflex relax`, then `retroflex arm`",
-        ));
+        let why = "the log must begin at rest: `retroflex relax`, then `retroflex arm`";
+        return Err(Refused::report(why));
     }
     let request = |action| Request::Record {
         action,
@@ -120,27 +131,28 @@ impl Schedule {
     fn check(&self, file: &Path, connection: &mut Connection) -> Result<()> {
         for chunk in self.path().chunks(CHUNK_ROWS) {
             let (rows, more) = (chunk.to_vec(), true);
-            let message = match connection.request(&Request::Path { rows, more }) {
-                Err(Failure { code: 2, message }) => message,
-                other => {
-                    other.map_err(report)?;
-                    continue;
-                }
-            };
-            let row = message
-                .strip_prefix("row ")
-                .and_then(|rest| rest.split(',').next()?.parse::<usize>().ok());
-            let expected = message
-                .split_once("expected ")
-                .map(|(_, expected)| expected);
-            return Err(match (self, row, expected) {
-                (Self::Path(path), Some(row @ 1..), Some(expected)) if row <= path.table.rows() => {
-                    miette!("{}", path.refuse(row - 1, expected))
-                }
-                _ => miette!("{}, {message}", file.display()),
-            });
+            let answer = connection.request(&Request::Path { rows, more });
+            answer.map_err(|failure| match failure {
+                Failure { code: 2, message } => self.refusal(file, &message),
+                failure => report(failure),
+            })?;
         }
         Ok(())
+    }
+
+    /// What the service says of a row, with its place in the file.
+    fn refusal(&self, file: &Path, message: &str) -> Report {
+        let place = || {
+            let (row, _) = message.strip_prefix("row ")?.split_once(',')?;
+            let (_, expected) = message.split_once("expected ")?;
+            Some((row.parse::<usize>().ok()?.checked_sub(1)?, expected))
+        };
+        match (self, place()) {
+            (Self::Path(path), Some((row, expected))) if row < path.table.rows() => {
+                miette!("{}", path.refuse(row, expected))
+            }
+            _ => miette!("{}, {message}", file.display()),
+        }
     }
 
     fn run(&self, connection: &mut Connection) -> Result<()> {
@@ -227,10 +239,8 @@ fn segment(from: &ScheduleRow, to: &ScheduleRow, status: &Status) -> (f64, Optio
     let bend = |r: &ScheduleRow| Bend::from_deg(r.bend_deg, r.dir_deg).0;
     let bend_deg = (bend(to) - bend(from)).norm().to_degrees();
     // the service accepts 0.1 to 720 °/s
-    (
-        seconds,
-        (bend_deg > 0.1).then(|| (bend_deg / seconds).clamp(0.1, 720.0)),
-    )
+    let speed_deg_s = (bend_deg / seconds).clamp(0.1, 720.0);
+    (seconds, Some(speed_deg_s).filter(|_| bend_deg > 0.1))
 }
 
 /// Waits for the end of the segment and of the hold, on the clock of the machine, which a simulation may run faster. It is an error if
@@ -246,19 +256,19 @@ fn arrive_and_hold(
         std::thread::sleep(Duration::from_millis(5));
         let s = status(connection)?;
         if let Some(why) = halted(&s) {
-            let ScheduleRow {
-                bend_deg, dir_deg, ..
-            } = row;
+            let (bend_deg, dir_deg) = (row.bend_deg, row.dir_deg);
             let text = format!("the schedule ended at bend {bend_deg}° toward {dir_deg}°: {why}");
             return Err(Refused(text).into());
         }
-        let now_s = s.t;
-        let on_its_way = now_s - started_s < seconds
-            || (s.mode == Some(Mode::Tracking) && now_s - started_s < seconds + LATE_MAX_S);
-        if arrived_s.is_none() && !on_its_way {
-            arrived_s = Some(now_s);
+        let late_max_s = if s.mode == Some(Mode::Tracking) {
+            LATE_MAX_S
+        } else {
+            0.0
+        };
+        if s.t - started_s >= seconds + late_max_s {
+            arrived_s.get_or_insert(s.t);
         }
-        if arrived_s.is_some_and(|at_s| now_s - at_s >= row.hold_s) {
+        if arrived_s.is_some_and(|at_s| s.t - at_s >= row.hold_s) {
             return Ok(());
         }
     }

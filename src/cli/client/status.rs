@@ -1,8 +1,8 @@
 //! `status` and `subscribe`.
 
-use super::args::{StatusArgs, SubscribeArgs};
-use super::connection::{ask, connect, read_status, report};
-use crate::cli::output;
+use super::connection::{At, ask, connect, read_status, report};
+use crate::cli::inputs::within;
+use crate::cli::output::{self, ResultFile};
 use crate::service::protocol::Request;
 use crate::service::status::{GrantState, PathState, Pose, Status};
 use miette::Result;
@@ -14,6 +14,29 @@ use std::time::Duration;
 const CLEAR: &str = "\x1b[H\x1b[2J";
 /// Widest line of the status, characters.
 const WIDTH: usize = 80;
+
+/// Arguments of `status`.
+#[derive(Debug, clap::Args)]
+pub struct StatusArgs {
+    #[command(flatten)]
+    at: At,
+    /// Write the state as JSON to this file; without a name, or with `-`, to standard output.
+    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-")]
+    json: Option<ResultFile>,
+    /// Repeat twice a second.
+    #[arg(long)]
+    watch: bool,
+}
+
+/// Arguments of `subscribe`.
+#[derive(Debug, clap::Args)]
+pub struct SubscribeArgs {
+    #[command(flatten)]
+    at: At,
+    /// Frames per second.
+    #[arg(long, default_value_t = 20.0, value_parser = within(0.1..=1000.0, "Hz"))]
+    rate: f64,
+}
 
 /// `status`, for people or as JSON.
 ///
@@ -57,16 +80,11 @@ fn readable(s: &Status) -> String {
 
 /// How far a path has come.
 fn path(path: &PathState) -> String {
-    let PathState {
-        at_s,
-        duration_s,
-        time_scale,
-    } = path;
-    let slower = match *time_scale > 1.0 {
-        true => format!(", {time_scale:.2} times slower than given"),
-        false => String::new(),
-    };
-    format!("{at_s:.1} s of {duration_s:.1} s{slower}")
+    let mut text = format!("{:.1} s of {:.1} s", path.at_s, path.duration_s);
+    if path.time_scale > 1.0 {
+        text += &format!(", {:.2} times slower than given", path.time_scale);
+    }
+    text
 }
 
 /// What a status says, as name and text.
@@ -76,11 +94,9 @@ pub(super) fn rows(s: &Status) -> Vec<(&'static str, String)> {
     let stopped = when(s.stopped, ", stopped until `retroflex arm`");
     let pistons = s.piston_mm.iter().flatten().map(|mm| format!("{mm:.2}"));
     let (estimate, target) = (pose(&s.estimate), pose(&s.target));
+    let mode = [s.mode_name().unwrap_or("null"), energised, stopped].concat();
     let mut rows = vec![
-        (
-            "mode",
-            [s.mode_name().unwrap_or("null"), energised, stopped].concat(),
-        ),
+        ("mode", mode),
         ("estimate", format!("{estimate}   target {target}")),
         ("pistons", pistons.collect::<Vec<_>>().join("  ") + " mm"),
     ];
@@ -106,11 +122,8 @@ pub(super) fn rows(s: &Status) -> Vec<(&'static str, String)> {
         ("log", &s.flight_log.problem),
         ("memory", &s.memory.error),
     ];
-    rows.extend(
-        optional
-            .into_iter()
-            .filter_map(|(name, text)| Some((name, text.clone()?))),
-    );
+    let there = |(name, text): (_, &Option<String>)| Some((name, text.clone()?));
+    rows.extend(optional.into_iter().filter_map(there));
     rows.extend(s.path.as_ref().map(|state| ("path", path(state))));
     let stated = "stated by the operator; no measurement has confirmed it";
     rows.extend(s.unverified.then(|| ("zero", stated.to_owned())));

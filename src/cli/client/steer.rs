@@ -11,7 +11,7 @@ use crate::model::Bend;
 use crate::service::client::Client as Connection;
 use crate::service::protocol::Request;
 use input::{Event, Input};
-use law::{Law, Mode};
+use law::Law;
 use miette::Result;
 use nalgebra::Vector2;
 use std::io::IsTerminal;
@@ -44,21 +44,8 @@ pub struct SteerArgs {
     /// Steer by a table `t_s,x,y,held` of stick movements.
     #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["device", "button"])]
     replay: Option<PathBuf>,
-    /// What the stick commands: the speed of the bend, or the bend itself.
-    #[arg(long, value_enum, default_value = "rate")]
-    mode: Mode,
-    /// Largest bend, degrees. A larger value reaches further.
-    #[arg(long, default_value_t = 60.0, value_parser = within(1.0..=135.0, "degrees"))]
-    bend_max: f64,
-    /// Largest speed, °/s. A larger value is quicker and less precise.
-    #[arg(long, default_value_t = 40.0, value_parser = within(1.0..=180.0, "°/s"))]
-    speed: f64,
-    /// Deflection below which the stick counts as released, of 1. A larger value tolerates a worn stick.
-    #[arg(long, default_value_t = 0.12, value_parser = within(0.0..=0.9, ""))]
-    dead_zone: f64,
-    /// Share of a cubic response, 0 to 1. A larger value makes the centre finer.
-    #[arg(long, default_value_t = 0.5, value_parser = within(0.0..=1.0, ""))]
-    expo: f64,
+    #[command(flatten)]
+    law: Law,
 }
 
 /// Steers until the operator ends. The tip moves while the dead-man button is held, and holds when it is released.
@@ -85,26 +72,25 @@ pub fn steer(args: &SteerArgs) -> Result<()> {
                 Event::End => ended.store(true, Relaxed),
                 Event::Gone(why) => {
                     steering.release()?;
-                    let why = format!("{why}: holding");
-                    return Err(Unreachable::report("the joystick", why));
+                    return Err(Unreachable::report("the joystick", why + ": holding"));
                 }
             }
         }
-        if let Some(silence) = input.silence
-            && held
-            && heard.elapsed() > silence
+        let is_over = |silence: &Duration| held && heard.elapsed() > *silence;
+        if let Some(silence_s) = input
+            .silence
+            .filter(is_over)
+            .map(|silence| silence.as_secs_f64())
         {
             held = false;
             eprintln!(
-                "\x07warning: the joystick has said nothing for {} s, so it may be out of range: holding; release the button and press it again",
-                silence.as_secs_f64()
+                "\x07warning: the joystick has said nothing for {silence_s} s, so it may be out of range: holding; release the button and press it again"
             );
         }
         let over = ended.load(Relaxed);
-        if !held || over {
-            steering.release()?;
-        } else {
-            steering.step(&stick, since_s)?;
+        match held && !over {
+            true => steering.step(&stick, since_s)?,
+            false => steering.release()?,
         }
         if over {
             return Ok(());
@@ -118,9 +104,8 @@ fn open(args: &SteerArgs) -> Result<Input> {
         return Input::table(file);
     }
     if let Some(device) = args.device.clone().or_else(input::first_joystick) {
-        let button = args
-            .button
-            .map_or("any button".to_owned(), |b| format!("button {b}"));
+        let button = args.button.map(|b| format!("button {b}"));
+        let button = button.unwrap_or("any button".to_owned());
         eprintln!("{}: hold {button} and move the stick", device.display());
         let silence = Duration::from_secs_f64(args.silence);
         return Input::joystick(&device, args.button, silence);
@@ -148,18 +133,11 @@ struct Steering {
 
 impl Steering {
     fn new(args: &SteerArgs, connection: Connection) -> Self {
-        let law = Law {
-            mode: args.mode,
-            dead_zone: args.dead_zone,
-            expo: args.expo,
-            bend_max_rad: args.bend_max.to_radians(),
-            speed_rad_s: args.speed.to_radians(),
-        };
-        let (at, began) = (Vector2::zeros(), Instant::now());
+        let began = Instant::now();
         Self {
             connection,
-            law,
-            at,
+            law: args.law,
+            at: Vector2::zeros(),
             moving: false,
             released: None,
             began,

@@ -36,10 +36,8 @@ pub struct SettingsArgs {
 impl SettingsArgs {
     /// True if there are any.
     pub fn any(&self) -> bool {
-        self.gains.is_some()
-            || self.calib.is_some()
-            || self.filter.is_some()
-            || self.feedforward.is_some()
+        let files = [&self.gains, &self.calib, &self.feedforward];
+        self.filter.is_some() || files.into_iter().any(Option::is_some)
     }
 }
 
@@ -64,9 +62,9 @@ impl Settings {
     /// What is wrong with them.
     pub fn of(header: &Header) -> std::result::Result<Self, String> {
         if header.log != 3 {
+            let version = header.log;
             return Err(format!(
-                "log version {}; this program reads version 3",
-                header.log
+                "log version {version}; this program reads version 3"
             ));
         }
         let [board, gains, calibration, model @ ..] = header.texts.as_slice() else {
@@ -78,15 +76,12 @@ impl Settings {
             let model = source::parse(name, text).into_diagnostic()?;
             inputs::described_by(name, model, &board)
         });
-        let feedforward = described.transpose().map_err(|e| e.to_string())?;
-        let (gains, calibration) = (text(gains)?, text(calibration)?);
-        let learned = Some((header.lines, header.dynamics));
         Ok(Self {
+            feedforward: described.transpose().map_err(|e| e.to_string())?,
+            gains: text(gains)?,
+            calibration: text(calibration)?,
+            learned: Some((header.lines, header.dynamics)),
             board,
-            gains,
-            calibration,
-            learned,
-            feedforward,
         })
     }
 

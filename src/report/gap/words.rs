@@ -1,6 +1,6 @@
 //! A diagnosis in words.
 
-use crate::diagnosis::tip::{Diagnosis, EffectEntry, ParamValue, Remedy};
+use crate::diagnosis::tip::{DependenceEntry, Diagnosis, EffectEntry, ParamValue, Remedy};
 use crate::diagnosis::verdict::{StatementEntry, Verdict, VerdictKind};
 use crate::model::effects::by_name;
 
@@ -18,6 +18,12 @@ fn listed(names: &[impl AsRef<str>], last: &str) -> String {
     }
 }
 
+/// The entries of the effects that the verdict names.
+pub(super) fn named(d: &Diagnosis) -> impl Iterator<Item = &EffectEntry> {
+    let named = |e: &&EffectEntry| d.verdict.names.contains(&e.name);
+    d.effects.iter().filter(named)
+}
+
 /// The entry of an effect.
 fn entry<'a>(d: &'a Diagnosis, name: &str) -> Option<&'a EffectEntry> {
     d.effects.iter().find(|e| e.name == name)
@@ -28,12 +34,15 @@ fn group<'a>(d: &'a Diagnosis, name: &str) -> Option<&'a Vec<&'static str>> {
     d.verdict.equivalent.iter().find(|g| g.contains(&name))
 }
 
+/// The group of an effect as a choice.
+fn choice(d: &Diagnosis, name: &str) -> Option<String> {
+    group(d, name).map(|group| format!("either {}", listed(group, "or")))
+}
+
 /// The verdict in one sentence for who stands at the machine: cause, place, size, share of the gap, certainty, what to do next.
 pub fn opening(d: &Diagnosis) -> String {
-    let (percent, sure) = (
-        closed_percent(d),
-        format!("probability {:.2}", d.verdict.probability),
-    );
+    let percent = closed_percent(d);
+    let sure = format!("probability {:.2}", d.verdict.probability);
     let (was, many) = (d.gap.recalibrated_deg, d.verdict.names.len() > 1);
     let sized: Vec<String> = d.verdict.names.iter().map(|name| sized(d, name)).collect();
     match d.verdict.kind {
@@ -59,27 +68,26 @@ pub fn opening(d: &Diagnosis) -> String {
 
 /// Part of the gap that the verdict closes, percent.
 fn closed_percent(d: &Diagnosis) -> f64 {
-    let [was, is, noise] = [
-        d.gap.recalibrated_deg,
-        d.gap.explained_deg,
-        d.gap.noise_floor_deg,
-    ]
-    .map(|x| x * x);
+    let gap = &d.gap;
+    let [was, is, noise] =
+        [gap.recalibrated_deg, gap.explained_deg, gap.noise_floor_deg].map(|x| x * x);
     100.0 * ((was - is) / (was - noise).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0)
 }
 
 /// An effect, or its group as a choice, with the lines that have it and its largest parameter.
 fn sized(d: &Diagnosis, name: &'static str) -> String {
-    if let Some(group) = group(d, name) {
-        return format!("either {}", listed(group, "or"));
+    if let Some(choice) = choice(d, name) {
+        return choice;
     }
     let params = entry(d, name).map_or(&[][..], |e| &e.params);
     // the parameter that is known best, in the line that has most of it
     let known = |p: &&ParamValue| (p.value / (p.ci95[1] - p.ci95[0]).max(1e-12)).abs();
-    let Some(best) = params.iter().max_by(|a, b| known(a).total_cmp(&known(b))) else {
-        return plain(name);
+    let best = params.iter().max_by(|a, b| known(a).total_cmp(&known(b)));
+    let same = || {
+        params
+            .iter()
+            .filter(|p| best.is_some_and(|best| p.name == best.name))
     };
-    let same = || params.iter().filter(|p| p.name == best.name);
     let size = |p: &&ParamValue| p.value.abs();
     let Some(p) = same().max_by(|a, b| size(a).total_cmp(&size(b))) else {
         return plain(name);
@@ -94,27 +102,17 @@ fn sized(d: &Diagnosis, name: &'static str) -> String {
         3 => " of all lines".to_owned(),
         _ => format!(" of lines {}", listed(&lines, "and")),
     };
-    let [value, low, high] = [p.value, p.ci95[0], p.ci95[1]].map(short);
-    let unit = format!(" {}", p.unit);
-    format!(
-        "{}{place} ({} {value}{}, 95 %: {low} to {high})",
-        plain(name),
-        plain(p.name),
-        unit.trim_end()
-    )
+    let ([low, high], name) = (p.ci95.map(short), plain(name));
+    format!("{name}{place} ({}, 95 %: {low} to {high})", quantity(p))
 }
 
 /// What to do about the effects of the verdict: first tell those of a group apart.
 fn asked(d: &Diagnosis) -> String {
     if let Some(group) = d.verdict.equivalent.first() {
-        let how = group
-            .first()
-            .and_then(|n| by_name(n))
-            .map_or("", |e| e.info().separated_by);
-        return format!(
-            "record this manoeuvre to tell {} apart: {how}",
-            listed(group, "and")
-        );
+        let first = group.first().and_then(|n| by_name(n));
+        let how = first.map_or("", |e| e.info().separated_by);
+        let group = listed(group, "and");
+        return format!("record this manoeuvre to tell {group} apart: {how}");
     }
     let mut all: Vec<&str> = Vec::new();
     for e in d.verdict.names.iter().filter_map(|n| by_name(n)) {
@@ -128,11 +126,8 @@ fn asked(d: &Diagnosis) -> String {
 
 /// The verdict in one sentence.
 pub fn headline(d: &Diagnosis) -> String {
-    let (was, is, noise) = (
-        d.gap.recalibrated_deg,
-        d.gap.explained_deg,
-        d.gap.noise_floor_deg,
-    );
+    let gap = &d.gap;
+    let (was, is, noise) = (gap.recalibrated_deg, gap.explained_deg, gap.noise_floor_deg);
     let (causes, many) = (capital(&causes(d)), d.verdict.names.len() > 1);
     match d.verdict.kind {
         VerdictKind::None => format!(
@@ -158,9 +153,7 @@ pub fn headline(d: &Diagnosis) -> String {
 
 /// Names of the verdict; a group of equivalent effects reads as a choice.
 fn causes(d: &Diagnosis) -> String {
-    let one = |name: &&'static str| {
-        group(d, name).map_or_else(|| plain(name), |g| format!("either {}", listed(g, "or")))
-    };
+    let one = |name: &&'static str| choice(d, name).unwrap_or_else(|| plain(name));
     let mut words: Vec<String> = d.verdict.names.iter().map(one).collect();
     words.dedup();
     listed(&words, "and")
@@ -211,13 +204,7 @@ pub fn limits(d: &Diagnosis) -> Vec<String> {
     if d.verdict.kind != VerdictKind::None && d.unknown.probability > 0.05 {
         let (percent, rest) = (100.0 * d.unknown.probability, d.unknown.rmse_deg);
         out.push(format!("The probability of a cause outside the catalogue is {percent:.0} % ({rest:.2}° remain above the noise)."));
-        if let Some(first) = d.unknown.goes_with.first() {
-            out.push(format!(
-                "What remains goes with the {}, which predicts {:.0} % of it in one sensor.",
-                first.name,
-                100.0 * first.share
-            ));
-        }
+        out.extend(d.unknown.goes_with.first().map(goes_with));
     }
     if d.verdict.conformal.len() > 1 {
         let one = |s: &StatementEntry| match s.kind {
@@ -226,12 +213,16 @@ pub fn limits(d: &Diagnosis) -> Vec<String> {
             VerdictKind::Effects => format!("{} ({:.2})", listed(&s.names, "with"), s.probability),
         };
         let said: Vec<String> = d.verdict.conformal.iter().map(one).collect();
-        out.push(format!(
-            "With 95 % it is one of these: {}.",
-            said.join("; ")
-        ));
+        let said = said.join("; ");
+        out.push(format!("With 95 % it is one of these: {said}."));
     }
     out
+}
+
+/// What the remainder goes with.
+pub(super) fn goes_with(d: &DependenceEntry) -> String {
+    let (name, percent) = (&d.name, 100.0 * d.share);
+    format!("What remains goes with the {name}, which predicts {percent:.0} % of it in one sensor.")
 }
 
 /// Next steps, most useful first.
@@ -270,18 +261,20 @@ pub fn next(d: &Diagnosis) -> Vec<String> {
     out
 }
 
+/// Name, value and unit.
+fn quantity(p: &ParamValue) -> String {
+    let text = format!("{} {} {}", plain(p.name), short(p.value), p.unit);
+    text.trim_end().to_owned()
+}
+
 /// `rate 0.0031 1/s (0.0029 to 0.0033), channel 2`.
 pub fn value(p: &ParamValue) -> String {
     let channel = match p.channel {
         0 => String::new(),
         n => format!(", channel {n}"),
     };
-    let (name, value, [low, high]) = (plain(p.name), short(p.value), p.ci95.map(short));
-    let unit = format!(" {}", p.unit);
-    format!(
-        "{name} {value}{} ({low} to {high}){channel}",
-        unit.trim_end()
-    )
+    let ([low, high], quantity) = (p.ci95.map(short), quantity(p));
+    format!("{quantity} ({low} to {high}){channel}")
 }
 
 /// Three significant digits.

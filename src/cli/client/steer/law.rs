@@ -1,5 +1,6 @@
 //! From the stick to the bend: dead zone, progressive response, limits of bend and speed.
 
+use crate::cli::inputs::within;
 use nalgebra::Vector2;
 
 /// What the stick commands.
@@ -12,31 +13,35 @@ pub enum Mode {
 }
 
 /// The law. Bend vectors in rad, b = β (cos δ, sin δ); stick vectors with the length 1 at the rim.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, clap::Args)]
 pub struct Law {
-    /// What the stick commands.
-    pub mode: Mode,
-    /// Deflection below which the stick counts as released.
-    pub dead_zone: f64,
-    /// Share of the cubic part of the response, 0 to 1.
-    pub expo: f64,
-    /// Largest bend, rad.
-    pub bend_max_rad: f64,
-    /// Largest speed of the bend, rad/s.
-    pub speed_rad_s: f64,
+    /// What the stick commands: the speed of the bend, or the bend itself.
+    #[arg(long, value_enum, default_value = "rate")]
+    mode: Mode,
+    /// Largest bend, degrees. A larger value reaches further.
+    #[arg(long, default_value_t = 60.0, value_parser = within(1.0..=135.0, "degrees"))]
+    bend_max: f64,
+    /// Largest speed, °/s. A larger value is quicker and less precise.
+    #[arg(long, default_value_t = 40.0, value_parser = within(1.0..=180.0, "°/s"))]
+    speed: f64,
+    /// Deflection below which the stick counts as released, of 1. A larger value tolerates a worn stick.
+    #[arg(long, default_value_t = 0.12, value_parser = within(0.0..=0.9, ""))]
+    dead_zone: f64,
+    /// Share of a cubic response, 0 to 1. A larger value makes the centre finer.
+    #[arg(long, default_value_t = 0.5, value_parser = within(0.0..=1.0, ""))]
+    expo: f64,
 }
 
 impl Law {
     /// The next bend after a time, s.
     pub fn next(&self, at: &Vector2<f64>, stick: &Vector2<f64>, dt_s: f64) -> Vector2<f64> {
+        let [bend_max, speed] = [self.bend_max, self.speed].map(f64::to_radians);
         let shaped = self.shaped(stick);
         let step = match self.mode {
-            Mode::Rate => shaped * self.speed_rad_s * dt_s,
-            Mode::Position => {
-                (shaped * self.bend_max_rad - at).cap_magnitude(self.speed_rad_s * dt_s)
-            }
+            Mode::Rate => shaped * speed * dt_s,
+            Mode::Position => (shaped * bend_max - at).cap_magnitude(speed * dt_s),
         };
-        (at + step).cap_magnitude(self.bend_max_rad)
+        (at + step).cap_magnitude(bend_max)
     }
 
     /// The deflection beyond the dead zone, with the cubic response: the centre is finer than the rim.
@@ -58,8 +63,8 @@ mod tests {
         mode: Mode::Rate,
         dead_zone: 0.1,
         expo: 0.5,
-        bend_max_rad: 1.0,
-        speed_rad_s: 0.5,
+        bend_max: 1.0_f64.to_degrees(),
+        speed: 0.5_f64.to_degrees(),
     };
 
     #[test]
