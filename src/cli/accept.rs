@@ -1,8 +1,7 @@
 //! `retroflex accept`: every step from a board file to a tip that bends, each by the command that a user would type, and one report of
 //! what they printed.
 
-use crate::cli::output::{self, ResultFile};
-use crate::cli::{demo, inputs};
+use crate::cli::{ResultFile, demo, inputs, output};
 use crate::config::{Board, HomingMethod};
 use crate::drill::process::daemon::Daemon;
 use crate::report::page::Page;
@@ -142,13 +141,9 @@ impl Procedure<'_> {
     fn run(&mut self, step: &Step) -> Result<bool> {
         if step.served && self.service.is_none() {
             let options = ["--board", &self.shown, "--fast", "8"];
-            let used = if self.board.hardware().is_none() {
-                4
-            } else {
-                2
-            };
-            let folder = self.folder.join("service");
-            let service = Daemon::start_with(&self.program, &folder, &options[..used]);
+            let is_simulated = self.board.hardware().is_none();
+            let options = &options[..if is_simulated { 4 } else { 2 }];
+            let service = Daemon::start_with(&self.program, &self.folder.join("service"), options);
             let service = self.service.insert(service.into_diagnostic()?);
             let is_aligned = |s: &Value| s["mode"] == "disarmed" || s["mode"] == "lost";
             let aligned = service.until(30.0, "alignment", is_aligned);
@@ -195,10 +190,8 @@ impl Procedure<'_> {
     fn command(&mut self, words: &[String]) -> Result<bool> {
         self.say(&format!("$ retroflex {}", words.join(" ")));
         let (reader, writer) = std::io::pipe().into_diagnostic()?;
-        let socket = self
-            .service
-            .iter()
-            .map(|service| ("RETROFLEX_SOCKET", &service.sockets()[0]));
+        let service = self.service.iter();
+        let socket = service.map(|service| ("RETROFLEX_SOCKET", &service.sockets()[0]));
         // the pipe ends when nobody can write to it any more, so the command ends with this statement
         let mut child = Command::new(&self.program)
             .args(words)
@@ -208,10 +201,8 @@ impl Procedure<'_> {
             .stderr(writer)
             .spawn()
             .into_diagnostic()?;
-        for line in BufReader::new(reader)
-            .lines()
-            .map_while(std::io::Result::ok)
-        {
+        let lines = BufReader::new(reader).lines();
+        for line in lines.map_while(std::io::Result::ok) {
             self.say(&line);
         }
         Ok(child.wait().into_diagnostic()?.success())

@@ -1,7 +1,6 @@
 //! `retroflex board`: a file with everything that it leaves out, and whether a board is safe to run.
 
-use crate::cli::output::ResultFile;
-use crate::cli::{inputs, output};
+use crate::cli::{ResultFile, inputs, output};
 use crate::config::show::whole;
 use crate::config::{Header, PressureBound};
 use crate::report::wiring::{self, Device, Wire};

@@ -4,9 +4,7 @@
 //! not suffice, it names the motion that is missing and writes nothing.
 
 use crate::cli::client::follow::{TransmissionArgs, transmission};
-use crate::cli::inputs::within;
-use crate::cli::output::ResultFile;
-use crate::cli::{Refused, output};
+use crate::cli::{Refused, ResultFile, output, within};
 use crate::estimation::imu_calibration::{
     ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, from_log, gyro, mag, motor,
     mount, still,
@@ -155,11 +153,10 @@ fn identify(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Resul
 fn gyro_bias(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
     let fit = gyro::at_rest(samples)?;
     into.set_gyro(&fit, from);
+    let bias = list(fit.bias_rad_s.map(f64::to_degrees), 3);
+    let (sigma, duration_s) = (fit.sigma_rad_s.amax().to_degrees(), fit.duration_s);
     Ok(format!(
-        "gyroscope bias {} °/s, ± {:.4} °/s, from {:.1} s of standstill",
-        list(fit.bias_rad_s.map(f64::to_degrees), 3),
-        fit.sigma_rad_s.amax().to_degrees(),
-        fit.duration_s
+        "gyroscope bias {bias} °/s, ± {sigma:.4} °/s, from {duration_s:.1} s of standstill"
     ))
 }
 

@@ -22,17 +22,17 @@ commands! {
     #[command(allow_negative_numbers = true)]
     Bend(follow::BendArgs) => follow::bend,
     /// Decelerate smoothly and hold.
-    Hold(Plain) => |p: &Plain| send(&p.at, &Request::Hold {}),
+    Hold(At) => |at: &At| send(at, &Request::Hold {}),
     /// Brake at once and hold; motion is refused until `arm`.
-    Stop(Plain) => |p: &Plain| connection::stop(&p.at),
+    Stop(At) => connection::stop,
     /// Return to rest slowly, then de-energise.
-    Relax(Plain) => |p: &Plain| send(&p.at, &Request::Relax {}),
+    Relax(At) => |at: &At| send(at, &Request::Relax {}),
     /// Energise the drivers and hold the present pose.
     ///
     /// Waits for the end of an alignment that is in progress.
-    Arm(Plain) => |p: &Plain| follow::arm(&p.at),
+    Arm(At) => follow::arm,
     /// Accept no more motion.
-    Disarm(Plain) => |p: &Plain| send(&p.at, &Request::Disarm {}),
+    Disarm(At) => |at: &At| send(at, &Request::Disarm {}),
     /// Define the present pose as zero bend.
     Zero(ZeroArgs) => zero,
     /// Show the state of the service.
@@ -40,9 +40,9 @@ commands! {
     /// Watch tip, lines and gains, live or from a flight log.
     Monitor(monitor::MonitorArgs) => monitor::monitor,
     /// Clear a fault whose cause has been removed.
-    ResetFault(Plain) => |p: &Plain| send(&p.at, &Request::ResetFault {}),
+    ResetFault(At) => |at: &At| send(at, &Request::ResetFault {}),
     /// Read the gains file again and apply it without a jump.
-    Reload(Plain) => |p: &Plain| send(&p.at, &Request::Reload {}),
+    Reload(At) => |at: &At| send(at, &Request::Reload {}),
     /// Start or stop a recording.
     Record(RecordArgs) => record,
     /// Run a schedule of `gap excite`: its poses, speeds and holds.
@@ -51,7 +51,7 @@ commands! {
     ///
     /// One per line, `BEND DIR` or `BEND DIR T` (degrees, and seconds if the tip shall follow a smooth curve through them). The tip stops when
     /// the stream pauses, and comes to rest at the last set-point when it ends.
-    Stream(Plain) => |p: &Plain| stream::stream(&p.at),
+    Stream(At) => stream::stream,
     /// Bend the tip by hand, with a joystick or the arrow keys.
     ///
     /// It moves while a button is held.
@@ -60,13 +60,6 @@ commands! {
     Page(page::PageArgs) => page::page,
     /// Print frames as JSON lines.
     Subscribe(status::SubscribeArgs) => status::subscribe,
-}
-
-/// A command without arguments of its own.
-#[derive(Debug, clap::Args)]
-pub struct Plain {
-    #[command(flatten)]
-    at: At,
 }
 
 /// Arguments of `zero`.

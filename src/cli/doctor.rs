@@ -1,7 +1,6 @@
 //! `retroflex doctor`: compares this computer with the board file. Each line passes, warns or fails, and names the remedy.
 
-use crate::cli::inputs;
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, inputs, output};
 use crate::config::{Board, PressureBound};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::{Sensor, slowness};
@@ -108,11 +107,11 @@ fn read(path: &str) -> Option<String> {
 fn model() -> Finding {
     let another = "not a Raspberry Pi: use the GPIO character device for the pins";
     let none = "no device tree: only simulations and replays run here";
-    match read("/proc/device-tree/model") {
-        Some(model) if model.contains("Raspberry Pi") => Finding::new("computer", Pass, model, ""),
-        Some(model) => Finding::new("computer", Warn, model, another),
-        None => Finding::new("computer", Warn, std::env::consts::ARCH, none),
-    }
+    let Some(model) = read("/proc/device-tree/model") else {
+        return Finding::new("computer", Warn, std::env::consts::ARCH, none);
+    };
+    let verdict = pass_or_warn(model.contains("Raspberry Pi"));
+    Finding::new("computer", verdict, model, another)
 }
 
 fn kernel() -> Finding {
@@ -137,7 +136,14 @@ fn devices(board: &Board) -> Vec<Finding> {
     for (what, section) in [("tip IMU", &board.imu), ("base IMU", &board.base_imu)] {
         let Some(imu) = section else { continue };
         let remedy = "enable I²C (`dtparam=i2c_arm=on`) and join the group i2c";
-        findings.push(device(&format!("{what}, bus"), &imu.bus, remedy));
+        let mut options = std::fs::File::options();
+        let open = options.read(true).write(true).open(&imu.bus);
+        let (verdict, found) = match open {
+            Ok(_) => (Pass, imu.bus.clone()),
+            Err(e) => (Fail, format!("{}: {e}", imu.bus)),
+        };
+        let what = format!("{what}, bus");
+        findings.push(Finding::new(&what, verdict, found, remedy));
         findings.extend(bus_speed(&imu.bus));
     }
     match board.pins.as_ref().map(pins::probe) {
@@ -170,13 +176,6 @@ fn devices(board: &Board) -> Vec<Finding> {
         });
     }
     findings
-}
-
-fn device(what: &str, path: &str, remedy: &str) -> Finding {
-    match std::fs::File::options().read(true).write(true).open(path) {
-        Ok(_) => Finding::new(what, Pass, path, ""),
-        Err(e) => Finding::new(what, Fail, format!("{path}: {e}"), remedy),
-    }
 }
 
 /// Clock frequency of a bus in the device tree, Hz as a big-endian 32-bit number; fast mode (400 kHz) is required for the sample rate.

@@ -1,7 +1,6 @@
 //! `retroflex drill`: injects every fault; `--soak HOURS` injects them at random for a long time.
 
-use crate::cli::inputs::{self, within};
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, inputs, output, within};
 use crate::config::Gains;
 use crate::drill::bench::BenchConfig;
 use crate::drill::process::{self, Harm};
@@ -62,7 +61,12 @@ pub struct Args {
 /// # Errors
 /// A report about the input.
 pub fn run(args: &Args) -> Result<bool> {
-    let config = simulation()?;
+    // the simulated machine of the paper with the paper's calibration
+    let config = BenchConfig {
+        board: inputs::board(None)?,
+        calibration: inputs::calibration(None)?,
+        gains: Gains::default(),
+    };
     if let Some(folder) = &args.exercise {
         process::exercise(&config, folder, args.harm).into_diagnostic()?;
         return Ok(true);
@@ -84,15 +88,6 @@ pub fn run(args: &Args) -> Result<bool> {
     }
     show(&rows, args)?;
     Ok(rows.iter().all(|r| r.ok))
-}
-
-/// The simulated machine of the paper with the paper's calibration.
-fn simulation() -> Result<BenchConfig> {
-    Ok(BenchConfig {
-        board: inputs::board(None)?,
-        calibration: inputs::calibration(None)?,
-        gains: Gains::default(),
-    })
 }
 
 fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<FaultResult>> {
@@ -175,9 +170,8 @@ fn show(rows: &[FaultResult], args: &Args) -> Result<()> {
         Ok(page.html())
     })?;
     let why = rows.iter().zip(&cells).filter(|(r, _)| !r.ok);
-    let why: String = why
-        .map(|(r, cells)| format!("{}: {}\n", r.fault, cells[7]))
-        .collect();
+    let why = why.map(|(r, cells)| format!("{}: {}\n", r.fault, cells[7]));
+    let why: String = why.collect();
     let table = output::table(header, 1..6, cells.iter().map(|cells| cells[..7].to_vec()));
     let text = format!("{table}\n{why}{all}\n");
     output::answer(&args.json, &json!({ "rows": rows }), text)

@@ -1,7 +1,7 @@
 //! `retroflex fleet`: what the rows of many diagnoses tell about the lots of a fleet and about its next unit.
 
 use crate::cli::gap::rows::read;
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, output};
 use crate::config::Calibration;
 use crate::diagnosis::fleet::row::FleetRow;
 use crate::diagnosis::fleet::{GAINS, Survey, row};

@@ -33,11 +33,8 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     let board = inputs::board(Some(&args.board))?;
     // the lock of the state folder also keeps a service from starting meanwhile
-    let memory = board
-        .hardware()
-        .map(|_| Store::open(&Paths::of(&board.service).state))
-        .transpose()
-        .into_diagnostic()?;
+    let open = |_| Store::open(&Paths::of(&board.service).state);
+    let memory = board.hardware().map(open).transpose().into_diagnostic()?;
     let text = match board.homing.method {
         HomingMethod::Switches => by_switches(args, &board)?,
         HomingMethod::Operator => by_operator(args)?,

@@ -1,6 +1,6 @@
 //! `retroflex imu score`: orientation filters against recordings with a reference.
 
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, output};
 use crate::estimation::fusion::FilterName;
 use crate::estimation::score::{self, FileScore, Score};
 use miette::{IntoDiagnostic, Result};

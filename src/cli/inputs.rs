@@ -1,6 +1,6 @@
 //! Inputs that several commands share: configuration files with their built-in defaults, and foreign plants.
 
-use crate::config::{Board, Calibration, Gains, shipped, source};
+use crate::config::{Board, Calibration, Gains, shipped, show, source};
 use crate::diagnosis::tip::SavedModel;
 use crate::hardware::rt;
 use crate::model::DescribedMachine;
@@ -99,12 +99,8 @@ pub fn feedforward(
     board: &Board,
 ) -> Result<Option<(PathBuf, Arc<DescribedMachine>)>> {
     let named = Some(&calibration.feedforward).filter(|name| !name.is_empty());
-    let beside = |name| {
-        calib
-            .as_deref()
-            .unwrap_or(Path::new(""))
-            .with_file_name(name)
-    };
+    let calib = calib.as_deref().unwrap_or(Path::new(""));
+    let beside = |name| calib.with_file_name(name);
     let Some(path) = given.clone().or_else(|| named.map(beside)) else {
         return Ok(None);
     };
@@ -135,6 +131,21 @@ pub fn described_by(
     Ok(Arc::new(machine))
 }
 
+/// Configuration texts as the header of a flight log holds them; `model` is the text of the model for the feedforward.
+pub fn texts(
+    board: &Board,
+    gains: &Gains,
+    calibration: &Calibration,
+    model: Option<String>,
+) -> Vec<String> {
+    let texts = [
+        show::compact(board),
+        show::compact(gains),
+        show::compact(calibration),
+    ];
+    texts.into_iter().chain(model).collect()
+}
+
 /// Becomes true with a signal that ends a process.
 ///
 /// # Errors
@@ -156,10 +167,10 @@ pub fn program(plant: &str) -> Result<(String, Vec<String>)> {
     let line = plant.strip_prefix("exec:");
     let line = line.ok_or_else(|| refused("expected `exec:PROGRAM ARG…`"))?;
     let words = shlex::split(line).ok_or_else(|| refused("a quote is not closed"))?;
-    let program = words
-        .split_first()
-        .map(|(first, args)| (first.clone(), args.to_vec()));
-    program.ok_or_else(|| refused("no program is named after `exec:`"))
+    match words.as_slice() {
+        [program, args @ ..] => Ok((program.clone(), args.to_vec())),
+        [] => Err(refused("no program is named after `exec:`")),
+    }
 }
 
 /// The message about an address at which nothing can be served.

@@ -1,8 +1,7 @@
 //! `retroflex jog`: moves one piston slowly over a short distance and back. It returns because the drivers are released at the
 //! end, and pressure would then push the piston.
 
-use crate::cli::inputs::within;
-use crate::cli::{manual_motion, output};
+use crate::cli::{manual_motion, output, within};
 use crate::supervisor::commission::manual_motion::ManualMotion;
 use miette::{Result, bail};
 use std::path::PathBuf;

@@ -3,11 +3,8 @@
 mod export;
 
 use crate::cli::flight::{self, flight_of};
-use crate::cli::inputs::within;
-use crate::cli::output::{self, ResultFile};
-use crate::report::chart::{Axis, Chart, Series, Stroke};
-use crate::report::page::Page;
-use crate::report::svg::Ink;
+use crate::cli::{ResultFile, output, within};
+use crate::report::{Axis, Chart, Ink, Page, Series, Stroke};
 use crate::service::flight::channels::Changes;
 use crate::service::flight::file::{FlightFile, TOPICS};
 use crate::service::flight::read::{Ending, Entry};
@@ -111,10 +108,8 @@ impl Info {
             },
             Entry::Cycles(first, cycles) => {
                 if let Some(next) = self.next.filter(|next| *next < first) {
-                    let missing = first - next;
-                    self.note(&format!(
-                        "gap: {missing} cycles are missing before cycle {first}"
-                    ));
+                    let gap = format!("{} cycles are missing", first - next);
+                    self.note(&format!("gap: {gap} before cycle {first}"));
                 }
                 self.next = Some(first + cycles.len() as u64);
                 self.cycles += cycles.len() as u64;
@@ -171,11 +166,8 @@ fn info(args: &InfoArgs) -> Result<bool> {
     info.fact("ending", ending.to_string());
     let mut text = format!("{}\n", path.display());
     let words = |value: &Value| value.as_str().map_or(value.to_string(), str::to_owned);
-    let facts = info
-        .facts
-        .iter()
-        .map(|(name, value)| [name.clone(), words(value)]);
-    let facts: Vec<[String; 2]> = facts.collect();
+    let fact = |(name, value): (&String, &Value)| [name.clone(), words(value)];
+    let facts: Vec<[String; 2]> = info.facts.iter().map(fact).collect();
     for [name, value] in &facts {
         text += &format!("  {name}: {value}\n");
     }
@@ -223,8 +215,8 @@ fn copy(
                 if let (true, Entry::Event(event)) = (t_s <= part_s.end, Entry::of(message)?) {
                     // every part says with what it was written
                     let later_ns = ((part_s.start - t_s).max(0.0) * 1e9) as u64;
-                    file.event(&event, message.log_time + later_ns)
-                        .map_err(&failed)?;
+                    let at_ns = message.log_time + later_ns;
+                    file.event(&event, at_ns).map_err(&failed)?;
                 }
             }
             topic if topic == TOPICS[0] => {
@@ -239,8 +231,8 @@ fn copy(
                 let (number, part) = (first + part.start as u64, &all[part]);
                 if let Some(cycle) = part.last() {
                     let early_ns = ((last_s - cycle.sensed.t.0) * 1e9) as u64;
-                    file.write_cycles(number, part, message.log_time - early_ns)
-                        .map_err(&failed)?;
+                    let at_ns = message.log_time - early_ns;
+                    file.write_cycles(number, part, at_ns).map_err(&failed)?;
                 }
                 cycles += part.len();
             }

@@ -1,6 +1,7 @@
 //! Log events go to standard error, for the journal with the priority of each line (`sd-daemon(3)`). A thread writes them, so that
 //! nobody waits for a reader.
 
+use crate::cli::output::escaped;
 use std::io::{self, IsTerminal, Write};
 use std::os::unix::fs::MetadataExt;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
@@ -17,8 +18,8 @@ use tracing_subscriber::util::SubscriberInitExt;
 pub fn start() -> Logging {
     let filter = std::env::var("RETROFLEX_LOG")
         .ok()
-        .and_then(|targets| targets.parse().ok())
-        .unwrap_or_else(|| Targets::new().with_default(LevelFilter::INFO));
+        .and_then(|text| text.parse().ok());
+    let filter = filter.unwrap_or_else(|| Targets::new().with_default(LevelFilter::INFO));
     let journal = is_journal();
     let lines = tracing_subscriber::fmt::layer()
         .with_writer(Lines::start(journal))
@@ -116,11 +117,7 @@ impl Write for Line<'_> {
 fn one_line(event: &[u8]) -> Vec<u8> {
     let text = String::from_utf8_lossy(event);
     let text = text.strip_suffix('\n').unwrap_or(&text);
-    let shown = |c: char| match c.is_control() && c != '\x1b' {
-        true => c.escape_default().to_string(),
-        false => c.to_string(),
-    };
-    (text.chars().map(shown).collect::<String>() + "\n").into_bytes()
+    (escaped(text, |c| !c.is_control() || c == '\x1b') + "\n").into_bytes()
 }
 
 /// Waits at its end until the lines are written, but not for a reader that does not read.

@@ -57,7 +57,9 @@ pub mod release;
 pub mod replay;
 pub mod run;
 
+pub use inputs::within;
 pub use outcome::{CommandOutcome, Refused, Unreachable};
+pub use output::ResultFile;
 
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser};
 use std::process::ExitCode;

@@ -13,6 +13,7 @@ use signal_hook::iterator::Signals;
 use std::borrow::Cow;
 use std::ffi::OsString;
 use std::fmt;
+use std::fs::Metadata;
 use std::io::{Read, Write};
 use std::ops::Deref;
 use std::os::unix::fs::MetadataExt;
@@ -102,11 +103,16 @@ pub fn printable(text: &[u8]) -> Cow<'_, [u8]> {
     if lossy.chars().all(safe) {
         return Cow::Borrowed(text);
     }
-    let shown = |c: char| match safe(c) {
+    Cow::Owned(escaped(&lossy, safe).into_bytes())
+}
+
+/// The text with all but its safe characters escaped.
+pub fn escaped(text: &str, is_safe: impl Fn(char) -> bool) -> String {
+    let shown = |c: char| match is_safe(c) {
         true => c.to_string(),
         false => c.escape_default().to_string(),
     };
-    Cow::Owned(lossy.chars().map(shown).collect::<String>().into_bytes())
+    text.chars().map(shown).collect()
 }
 
 /// Ends the program with code 2, with this message if it can be printed.
@@ -151,9 +157,9 @@ pub fn check_arguments(mut arguments: &ArgMatches) -> Result<()> {
 
 /// Checks, before any work starts, that every result can be written and that none replaces an input.
 ///
-/// `results` are pairs of option, without its dashes, and path. A result is refused if its folder does not exist, if another result has the same path, if it
-/// is one of the `inputs` (links included), or if it would replace a file of another kind. The last case protects recordings from
-/// `--json *.csv`, which the shell expands so that the first recording becomes the result.
+/// `results` are pairs of option, without its dashes, and path. A result is refused if its folder does not exist, if another result has
+/// the same path, if it is one of the `inputs` (links included), or if it would replace a file of another kind. The last case protects
+/// recordings from `--json *.csv`, which the shell expands so that the first recording becomes the result.
 ///
 /// # Errors
 /// A report that names the option, the file and the obstacle.
@@ -168,12 +174,11 @@ pub fn check(results: &[(&str, &Path)], inputs: &[&Path]) -> Result<()> {
         if is_stdout(path) {
             continue;
         }
-        let folder = folder_of(path);
         if path.is_dir() {
             bail!("--{option} {file}: this is a folder; give the name of a file");
         }
-        if !folder.is_dir() {
-            let folder = folder.display();
+        if !folder_of(path).is_dir() {
+            let folder = folder_of(path).display();
             bail!("--{option} {file}: the folder {folder} does not exist; create it first");
         }
         if path.is_file() || !path.exists() {
@@ -252,13 +257,9 @@ fn head(path: &Path) -> std::io::Result<Vec<u8>> {
 }
 
 fn same_file(a: &Path, b: &Path) -> bool {
-    let place = |path: &Path| {
-        path.metadata()
-            .ok()
-            .filter(|m| m.is_file())
-            .map(|m| (m.dev(), m.ino()))
-    };
-    place(a).is_some_and(|there| place(b) == Some(there))
+    let file = |path: &Path| path.metadata().ok().filter(|m| m.is_file());
+    let same = |(a, b): (Metadata, Metadata)| (a.dev(), a.ino()) == (b.dev(), b.ino());
+    file(a).zip(file(b)).is_some_and(same)
 }
 
 /// Writes a result, if its file is named.

@@ -2,9 +2,7 @@
 //! service has failed for good, because the drivers otherwise stay energised with nobody in control.
 
 use crate::cli::{inputs, manual_motion, output};
-use crate::hardware::lock::HardwareLock;
-use crate::hardware::machine::HardwareError;
-use crate::hardware::pins::{self, OpenError, PinError};
+use crate::hardware::pins::OpenError;
 use crate::hardware::rt;
 use crate::motion::Levels;
 use miette::{IntoDiagnostic, Result, bail};
@@ -33,11 +31,8 @@ pub fn run(args: &Args) -> Result<()> {
         let file = args.board.display();
         bail!("{file}: there is no [pins] table, so there are no drivers to release");
     };
-    let refused = |e| manual_motion::hardware_error(&args.board, e);
-    let hardware = |e: OpenError| refused(HardwareError::Pins(e));
-    let _lock = HardwareLock::take().map_err(|path| refused(HardwareError::InUse(path)))?;
-    let mut pins = pins::open(config, board.drive.microsteps).map_err(hardware)?;
-    let off = |e: PinError| hardware(OpenError::Pin(e));
+    let (_lock, mut pins) = manual_motion::open_pins(&args.board, &board, config)?;
+    let off = |e| manual_motion::hardware_error(&args.board, OpenError::Pin(e).into());
     pins.write(&Levels::default()).map_err(off)?;
     // the lines settle before they are read back
     std::thread::sleep(std::time::Duration::from_millis(10));

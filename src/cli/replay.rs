@@ -3,7 +3,7 @@
 pub mod settings;
 
 use crate::cli::flight::{self, flight_of};
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, output};
 use crate::config::Gains;
 use crate::model::Line;
 use crate::service::flight::cycle::Cycle;
@@ -135,11 +135,11 @@ impl Replay<'_> {
     fn read(&mut self, path: &Path) -> Result<Ending> {
         let (mut ending, mut damage) = (Ending::default(), Vec::new());
         for part in parts(path) {
-            ending = flight::read(&part, &mut |_, message| match TOPICS
-                .contains(&message.channel.topic.as_str())
-            {
-                true => self.take(Entry::of(message)?),
-                false => Ok(()),
+            ending = flight::read(&part, &mut |_, message| {
+                if !TOPICS.contains(&message.channel.topic.as_str()) {
+                    return Ok(());
+                }
+                self.take(Entry::of(message)?)
             })?;
             damage.extend(ending.damage.drain(..).map(|place| match part == path {
                 true => place,

@@ -1,9 +1,8 @@
 //! `retroflex run`: the service, in the foreground or under systemd.
 
-use crate::cli::inputs::within;
-use crate::cli::{Unreachable, inputs, logging, manual_motion};
+use crate::cli::{Unreachable, inputs, logging, manual_motion, within};
 use crate::config::supervisor::assemble;
-use crate::config::{Board, Calibration, PressureBound, ServiceSection, show, source};
+use crate::config::{Board, Calibration, PressureBound, ServiceSection, source};
 use crate::hardware::machine::{Hardware, HardwareError, MachineConfig};
 use crate::service::disk;
 use crate::service::error::ServiceError;
@@ -88,15 +87,9 @@ pub fn run(args: &Args) -> Result<()> {
         );
     }
     tracing::info!(event = "board", "board: {shown}");
-    let mut texts = vec![
-        show::compact(&board),
-        show::compact(&gains),
-        show::compact(&calibration),
-    ];
     let feedforward = inputs::feedforward(&args.feedforward, &args.calib, &calibration, &board)?;
-    if let Some((path, _)) = &feedforward {
-        texts.push(source::text_of(path)?);
-    }
+    let model = feedforward.as_ref().map(|(path, _)| source::text_of(path));
+    let texts = inputs::texts(&board, &gains, &calibration, model.transpose()?);
     place(args, &mut board.service)?;
     let bound = PressureBound::of(&board);
     if !foreign && !bound.is_bounded() {
@@ -155,9 +148,8 @@ fn check_record(path: &Path, bounds: &ServiceSection) -> Result<()> {
     };
     make_room(path, bounds).map_err(refused)?;
     let try_out = |file: &Path| File::create_new(file).and_then(|_| std::fs::remove_file(file));
-    try_out(path)
-        .and_then(|()| try_out(&flight_path(path)))
-        .map_err(refused)
+    let tried = try_out(path).and_then(|()| try_out(&flight_path(path)));
+    tried.map_err(refused)
 }
 
 /// The mounted tip. A calibration file of another tip is refused unless it is accepted explicitly.

@@ -15,8 +15,7 @@ use crate::motion::{
     StepperConfig, StepperMode,
 };
 use crate::report::chart::{Axis, Chart, Series, Stroke, sheet};
-use crate::report::svg::Ink;
-use crate::report::table::table;
+use crate::report::{Ink, table};
 use std::fmt::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -9,9 +9,7 @@ use crate::experiment::evaluation::{Arm, ChannelFigures, Evaluation, Predicted};
 use crate::experiment::schedule::{ANGLES_DEG, HOLD_S};
 use crate::experiment::track::TrackResult;
 use crate::report::chart::{Axis, Chart, Series, Stroke, sheet};
-use crate::report::page::Page;
-use crate::report::svg::Ink;
-use crate::report::table::table;
+use crate::report::{Ink, Page, table};
 
 /// Name of an arm for people, its colour, and its bend RMSE on the paper's prototype, degrees.
 fn look(arm: Arm) -> (&'static str, Ink, Option<f64>) {
@@ -204,10 +202,8 @@ pub fn html(e: &Evaluation) -> String {
         let figures = ARM_FIGURES.map(|(_, figure)| figure(arm, a));
         [vec![look(arm).0.to_owned()], figures.into()].concat()
     };
-    page.table(
-        &format!("arm|{names}"),
-        &arms(e).map(row).collect::<Vec<_>>(),
-    );
+    let rows: Vec<_> = arms(e).map(row).collect();
+    page.table(&format!("arm|{names}"), &rows);
     page.heading("The paper's Figure 6, redrawn, and the closed loop");
     let drawn = |(chart, caption): Figure| (chart.svg(), caption.to_owned());
     page.charts(&figures(e).into_iter().map(drawn).collect::<Vec<_>>());
@@ -264,18 +260,14 @@ pub fn summary(e: &Evaluation) -> String {
     };
     // a figure a row, so that the table is narrow
     let names = arms(e).map(|(arm, _)| format!("|{}", arm.name()));
+    let (names, n): (String, _) = (names.collect(), e.arms.len());
     let line = |(name, figure): (&str, ArmFigure)| {
         let cells = arms(e).map(|(arm, a)| figure(arm, a)).collect();
         [vec![name.to_owned()], cells].concat()
     };
     let mut tables = String::new();
-    if !e.arms.is_empty() {
-        let table = table(
-            &names.collect::<String>(),
-            1..e.arms.len() + 1,
-            ARM_FIGURES.map(line),
-        );
-        tables = format!("{table}\n");
+    if n > 0 {
+        tables = format!("{}\n", table(&names, 1..n + 1, ARM_FIGURES.map(line)));
     }
     tables.push('\n');
     if !e.foretold.is_empty() {

@@ -2,9 +2,7 @@
 
 use crate::diagnosis::fleet::{Finding, Lot, Spread, Survey};
 use crate::report::bars::{self, Bar};
-use crate::report::page::Page;
-use crate::report::svg::Ink;
-use crate::report::table::table;
+use crate::report::{Ink, Page, table};
 
 /// A finding in words.
 fn words(f: &Finding) -> String {

@@ -56,9 +56,9 @@ impl Page {
     pub fn charts(&mut self, drawings: &[(String, String)]) {
         self.line("<div class=\"charts\">");
         for (svg, caption) in drawings {
+            let caption = escape(caption);
             self.line(format_args!(
-                "<figure>{svg}<figcaption>{}</figcaption></figure>",
-                escape(caption)
+                "<figure>{svg}<figcaption>{caption}</figcaption></figure>"
             ));
         }
         self.line("</div>");

@@ -2,16 +2,18 @@
 
 use crate::cli::output::print;
 use crate::cli::{Refused, Unreachable};
-use crate::service::client::{Client as Connection, connect_within};
+use crate::service::client::connect_within;
 use crate::service::paths;
 use crate::service::protocol::{Failure, Request};
 use crate::service::status::Status;
-use crate::supervisor::Refusal;
+use crate::supervisor::{Mode, Refusal};
 use miette::{Context, Report, Result, bail, miette};
 use serde_json::Value;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+
+pub(super) use crate::service::client::Client as Connection;
 
 /// Longest time after which a service that works says its status.
 const ANSWER_MAX: Duration = Duration::from_secs(2);
@@ -143,6 +145,32 @@ pub(super) fn status(connection: &mut Connection) -> Result<Status> {
 /// A status that the service has sent.
 pub(super) fn read_status(value: &Value) -> Result<Status> {
     Status::of(value).map_err(|e| Unreachable::report("the service", format!("its status: {e}")))
+}
+
+/// Polls the status until `done` returns a result.
+pub(super) fn poll<T>(
+    connection: &mut Connection,
+    period_ms: u64,
+    mut done: impl FnMut(&Status) -> Option<T>,
+) -> Result<T> {
+    loop {
+        std::thread::sleep(Duration::from_millis(period_ms));
+        if let Some(result) = done(&status(connection)?) {
+            return Ok(result);
+        }
+    }
+}
+
+/// Why the tip does not move as it is told.
+pub(super) fn halted(s: &Status) -> Option<String> {
+    match s.mode {
+        _ if s.stopped => Some("stopped".to_owned()),
+        Some(Mode::Tracking | Mode::Holding) => None,
+        _ => {
+            let mode = s.mode_name().unwrap_or_default();
+            Some(s.fault.clone().unwrap_or(format!("mode {mode}")))
+        }
+    }
 }
 
 /// Sends a request and prints its result, unless that is empty.

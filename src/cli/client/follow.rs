@@ -1,14 +1,10 @@
 //! Commands that wait for their end: a move, an alignment, a calibration.
 
-use super::connection::{At, ask, ask_and_print, connect, status};
-use super::play::halted;
+use super::connection::{At, Connection, ask, ask_and_print, connect, halted, poll};
 use super::status::pose;
-use crate::cli::Refused;
-use crate::cli::inputs::within;
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{Refused, ResultFile, output, within};
 use crate::model::Bend;
 use crate::report::page::Page;
-use crate::service::client::Client as Connection;
 use crate::service::protocol::{CalibrateAction, Frame, POSES, Request};
 use crate::service::status::Status;
 use crate::supervisor::Mode;
@@ -84,20 +80,6 @@ pub struct TransmissionArgs {
     /// Write the proposed calibration as a page.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["accept", "discard"])]
     html: Option<ResultFile>,
-}
-
-/// Polls the status until `done` returns a result.
-fn poll<T>(
-    connection: &mut Connection,
-    period_ms: u64,
-    mut done: impl FnMut(&Status) -> Option<T>,
-) -> Result<T> {
-    loop {
-        sleep(Duration::from_millis(period_ms));
-        if let Some(result) = done(&status(connection)?) {
-            return Ok(result);
-        }
-    }
 }
 
 /// `bend`, with `--wait` until the tip has settled; false if it does not.
@@ -264,9 +246,7 @@ fn show_gains(s: &Status, args: &TransmissionArgs) -> Result<()> {
         page.text(&dynamics);
         Ok(page.html())
     })?;
-    let text = format!(
-        "{}\n{dynamics}\n",
-        output::table(header, 1..5, rows.clone())
-    );
+    let table = output::table(header, 1..5, rows.clone());
+    let text = format!("{table}\n{dynamics}\n");
     output::answer(&args.json, &json!(proposed), text)
 }

@@ -3,19 +3,17 @@
 //! The speed of a row is that of the fastest piston. The speed of the set-point follows from the gains in use: pistons
 //! move by (1 + k_ε) Δq (Eq. 16), and all arrive at the same time.
 
-use super::connection::{At, ask, connect, report, status, words};
+use super::connection::{At, Connection, ask, connect, halted, poll, report, status, words};
 use crate::cli::{Refused, output};
 use crate::diagnosis::excite::{ScheduleRow, rows};
 use crate::experiment::path::PathFile;
 use crate::log::table::{Schema, Table};
 use crate::model::{Bend, Geometry};
-use crate::service::client::Client as Connection;
 use crate::service::protocol::{Failure, Frame, PathRow, RecordAction, Request};
 use crate::service::status::Status;
 use crate::supervisor::Mode;
 use miette::{IntoDiagnostic, Report, Result, miette};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 /// Longest delay of a segment beyond its planned duration, s.
 const LATE_MAX_S: f64 = 10.0;
@@ -50,9 +48,8 @@ pub fn play(args: &PlayArgs) -> Result<()> {
     let mut connection = connect(&args.at)?;
     let now = status(&mut connection)?;
     if now.mode != Some(Mode::Holding) || now.stopped {
-        return Err(Refused::report(
-            "the schedule moves the tip, so it must be armed and at a standstill: `retroflex arm` first",
-        ));
+        let why = "the schedule moves the tip, so it must be armed and at a standstill: `retroflex arm` first";
+        return Err(Refused::report(why));
     }
     schedule.check(&args.schedule, &mut connection)?;
     if args.record.is_none() {
@@ -112,10 +109,12 @@ impl Schedule {
             Self::Poses(rows) => {
                 // two rows make a path
                 let again = rows.first().filter(|_| rows.len() == 1);
-                let timed = rows.iter().chain(again).zip(0_u32..);
-                timed
-                    .map(|(r, k)| (f64::from(k) * 1e-3, r.bend_deg, r.dir_deg, Some(r.len_mm)))
-                    .collect()
+                let timed = (0_u32..)
+                    .map(|k| f64::from(k) * 1e-3)
+                    .zip(rows.iter().chain(again));
+                let row =
+                    |(t_s, r): (f64, &ScheduleRow)| (t_s, r.bend_deg, r.dir_deg, Some(r.len_mm));
+                timed.map(row).collect()
             }
             Self::Path(file) => {
                 let column = |name: &str| file.table.column(name).unwrap_or_default();
@@ -183,28 +182,10 @@ fn run_path(connection: &mut Connection, rows: &[PathRow]) -> Result<()> {
             "note: the path asks {slower:.2} times the speed that the pistons can follow; it is played that much slower"
         );
     }
-    loop {
-        std::thread::sleep(Duration::from_millis(20));
-        let s = status(connection)?;
-        if let Some(why) = halted(&s) {
-            return Err(Refused(format!("the path ended early: {why}")).into());
-        }
-        if s.path.is_none() && s.mode == Some(Mode::Holding) {
-            return Ok(());
-        }
-    }
-}
-
-/// Why the tip does not move as it is told.
-pub(super) fn halted(s: &Status) -> Option<String> {
-    match s.mode {
-        _ if s.stopped => Some("stopped".to_owned()),
-        Some(Mode::Tracking | Mode::Holding) => None,
-        _ => {
-            let mode = s.mode_name().unwrap_or_default();
-            Some(s.fault.clone().unwrap_or(format!("mode {mode}")))
-        }
-    }
+    poll(connection, 20, |s| match halted(s) {
+        Some(why) => Some(Err(Refused(format!("the path ended early: {why}")).into())),
+        None => (s.path.is_none() && s.mode == Some(Mode::Holding)).then_some(Ok(())),
+    })?
 }
 
 fn run_rows(connection: &mut Connection, rows: &[ScheduleRow]) -> Result<()> {
@@ -252,13 +233,11 @@ fn arrive_and_hold(
     row: &ScheduleRow,
 ) -> Result<()> {
     let mut arrived_s: Option<f64> = None;
-    loop {
-        std::thread::sleep(Duration::from_millis(5));
-        let s = status(connection)?;
-        if let Some(why) = halted(&s) {
+    poll(connection, 5, |s| {
+        if let Some(why) = halted(s) {
             let (bend_deg, dir_deg) = (row.bend_deg, row.dir_deg);
             let text = format!("the schedule ended at bend {bend_deg}° toward {dir_deg}°: {why}");
-            return Err(Refused(text).into());
+            return Some(Err(Refused(text).into()));
         }
         let late_max_s = if s.mode == Some(Mode::Tracking) {
             LATE_MAX_S
@@ -268,8 +247,7 @@ fn arrive_and_hold(
         if s.t - started_s >= seconds + late_max_s {
             arrived_s.get_or_insert(s.t);
         }
-        if arrived_s.is_some_and(|at_s| s.t - at_s >= row.hold_s) {
-            return Ok(());
-        }
-    }
+        let is_over = arrived_s.is_some_and(|at_s| s.t - at_s >= row.hold_s);
+        is_over.then_some(Ok(()))
+    })?
 }

@@ -2,8 +2,7 @@
 
 use super::connection::{At, connect, report, status};
 use super::follow::{BEND_DEG, DIR_DEG, settle};
-use crate::cli::Refused;
-use crate::cli::inputs::within;
+use crate::cli::{Refused, within};
 use crate::model::Bend;
 use crate::service::protocol::{Failure, Request};
 use crate::supervisor::Mode;

@@ -113,9 +113,8 @@ fn ablation_row(r: &AblationRow) -> Vec<String> {
 }
 
 fn calibration(args: &Args) -> String {
-    let named = args
-        .calib
-        .as_ref()
-        .map(|path| format!("calibration {}", path.display()));
-    named.unwrap_or("the paper's calibration for every unit".to_owned())
+    match &args.calib {
+        Some(path) => format!("calibration {}", path.display()),
+        None => "the paper's calibration for every unit".to_owned(),
+    }
 }

@@ -2,7 +2,7 @@
 
 use crate::cli::calibrate::today;
 use crate::cli::gap::input;
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, output};
 use crate::config::{Calibration, DynamicsSection, TransmissionSection};
 use crate::diagnosis::tip::{Remedy, SavedModel};
 use crate::estimation::imu_calibration::Entry;
@@ -51,9 +51,9 @@ pub fn run(args: &Args) -> Result<()> {
 /// What becomes of the gains and of each effect, after a sentence that says what the verdict asks for.
 fn said(model: &SavedModel, effects: &[Box<dyn Effect>], args: &Args) -> String {
     let named = effects.iter().filter(|e| is_proven(model, e.as_ref()));
-    let verdict: Vec<String> = named
-        .map(|e| format!("{}: {}", plain(e.name()), Remedy::of(e.as_ref()).advice()))
-        .collect();
+    let asked =
+        |e: &Box<dyn Effect>| format!("{}: {}", plain(e.name()), Remedy::of(e.as_ref()).advice());
+    let verdict: Vec<String> = named.map(asked).collect();
     let mut out = vec![match verdict.is_empty() {
         true => "The verdict names no effect; the recalibrated gains are all there is to apply."
             .to_owned(),
@@ -82,9 +82,8 @@ fn is_proven(model: &SavedModel, e: &dyn Effect) -> bool {
 fn beside(model: &Path, out: &Path) -> Result<String> {
     let model = std::path::absolute(model).into_diagnostic()?;
     let out = std::path::absolute(out).into_diagnostic()?;
-    let near = out
-        .parent()
-        .and_then(|folder| model.strip_prefix(folder).ok());
+    let folder = out.parent();
+    let near = folder.and_then(|folder| model.strip_prefix(folder).ok());
     Ok(near.unwrap_or(&model).display().to_string())
 }
 
@@ -132,10 +131,8 @@ fn calibration(model: &SavedModel, feedforward: String, date: &str) -> Calibrati
     };
     let line_lag = by_name("line_lag").and_then(|e| model.params_of(e.as_ref()));
     let line_lag = line_lag.map_or(0.0, |p| (p[0] + p[1] + p[2]) / 3.0);
-    let late = ["transport_delay", "sensor_latency"]
-        .into_iter()
-        .filter_map(value);
-    let late: f64 = late.map(|(p, _)| p[0]).sum();
+    let late = ["transport_delay", "sensor_latency"].into_iter();
+    let late: f64 = late.filter_map(value).map(|(p, _)| p[0]).sum();
     let usual = DynamicsSection::default();
     let mut calibration = Calibration {
         feedforward,

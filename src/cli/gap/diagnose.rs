@@ -3,7 +3,7 @@
 use crate::cli::calibrate::today;
 use crate::cli::gap::input::{self, DrivenArgs, file_name};
 use crate::cli::gap::rows::{self, RowsArgs, Settings};
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, output};
 use crate::config::source;
 use crate::diagnosis::diagnose;
 use crate::diagnosis::rig::{Document, MapFile, table};

@@ -2,8 +2,7 @@
 
 mod simulator;
 
-use crate::cli::inputs;
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, inputs, output};
 use crate::diagnosis::exam::run::run as answer_all;
 use crate::diagnosis::exam::{Answer, ExamScore, Question, questions, score};
 use crate::diagnosis::tip::Diagnosis;

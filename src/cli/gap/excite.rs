@@ -1,8 +1,7 @@
 //! `retroflex gap excite`: designs a schedule that separates effects.
 
 use crate::cli::gap::input;
-use crate::cli::output::ResultFile;
-use crate::cli::{inputs, output};
+use crate::cli::{ResultFile, inputs, output};
 use crate::diagnosis::excite::rows::csv;
 use crate::diagnosis::excite::{Machine, Request, design};
 use crate::primitives::{Checker, Invalid};

@@ -1,7 +1,7 @@
 //! `log export`: the samples of a flight log with what the loop made of them, as a bend log or a Parquet table.
 
 use crate::cli::flight::{self, flight_of};
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, output};
 use crate::log::columns::{self, Column};
 use crate::service::flight::cycle::Cycle;
 use crate::service::flight::read::Entry;

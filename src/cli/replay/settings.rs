@@ -1,9 +1,9 @@
 //! The settings that a flight log holds, and others to replay it with.
 
 use crate::cli::inputs;
+use crate::config::source;
 use crate::config::supervisor::assemble;
 use crate::config::{Board, Calibration, Gains};
-use crate::config::{show, source};
 use crate::control::DynamicsPrior;
 use crate::estimation::fusion::estimator::EstimatorName;
 use crate::model::{DescribedMachine, Line};
@@ -119,16 +119,17 @@ impl Settings {
     /// # Errors
     /// A report about a file.
     pub fn texts(&self, read: &Header, args: Option<&SettingsArgs>) -> Result<Vec<String>> {
-        let mut texts = vec![
-            show::compact(&self.board),
-            show::compact(&self.gains),
-            show::compact(&self.calibration),
-        ];
-        texts.extend(match args.and_then(|args| args.feedforward.as_deref()) {
+        let model = match args.and_then(|args| args.feedforward.as_deref()) {
             Some(path) => Some(source::text_of(path)?),
-            None => read.texts.get(texts.len()).cloned(),
-        });
-        Ok(texts)
+            None => read.texts.get(3).cloned(),
+        };
+        let Self {
+            board,
+            gains,
+            calibration,
+            ..
+        } = self;
+        Ok(inputs::texts(board, gains, calibration, model))
     }
 }
 

@@ -49,24 +49,24 @@ impl Evidence {
         let (before, after) = (&done.found.nominal.held_out, &done.chosen.held_out);
         let lines = lines(&done.found.nominal.fitted.theta);
         let start_s = log.start_s();
-        let spots = (0..log.bins.len())
-            .filter_map(|k| {
-                let (bend_deg, dir_deg) = polar_deg(&commanded_bend(log, &lines, k));
-                Some(Spot {
-                    t_s: log.bins[k].t_s - start_s,
-                    bend_deg,
-                    dir_deg,
-                    before_deg: angle_deg(log, before, k)?,
-                    after_deg: angle_deg(log, after, k)?,
-                })
+        let spot = |k: usize| {
+            let (bend_deg, dir_deg) = polar_deg(&commanded_bend(log, &lines, k));
+            Some(Spot {
+                t_s: log.bins[k].t_s - start_s,
+                bend_deg,
+                dir_deg,
+                before_deg: angle_deg(log, before, k)?,
+                after_deg: angle_deg(log, after, k)?,
             })
-            .collect();
+        };
         let logged = Quantity::ANGLES.into_iter().filter(|&q| log.has[q]);
-        let mut traces: Vec<(f64, Trace)> =
-            logged.flat_map(|q| traces(log, q, before, after)).collect();
+        let traces = logged.flat_map(|q| traces(log, q, before, after));
+        let mut traces: Vec<(f64, Trace)> = traces.collect();
         traces.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let traces = traces.into_iter().map(|t| t.1).collect();
-        Self { spots, traces }
+        Self {
+            spots: (0..log.bins.len()).filter_map(spot).collect(),
+            traces: traces.into_iter().map(|t| t.1).collect(),
+        }
     }
 
     /// RMS of the values that `pick` returns in each group that `key` makes.
@@ -140,9 +140,8 @@ fn traces(log: &Observed, q: Quantity, before: &HeldOut, after: &HeldOut) -> Vec
     let one = |axis: usize| {
         let point = |(t_s, [m, b, a]): &(f64, [Vector3<f64>; 3])| [*t_s, m[axis], b[axis], a[axis]];
         let points: Vec<[f64; 4]> = rows.iter().map(point).collect();
-        let predicted = points
-            .iter()
-            .filter(|p| p[2].is_finite() && p[3].is_finite());
+        let is_predicted = |p: &&[f64; 4]| p[2].is_finite() && p[3].is_finite();
+        let predicted = points.iter().filter(is_predicted);
         let closed = |p: &[f64; 4]| (p[1] - p[2]).powi(2) - (p[1] - p[3]).powi(2);
         let (closes, label) = (predicted.map(closed).sum(), label(q, axis));
         (closes, Trace { label, points })

@@ -25,20 +25,20 @@ pub fn summary(d: &Document) -> String {
     let sets = d.set.iter().filter(|_| d.verdict.names.len() > 1);
     let shown = sets.chain(d.effects.iter().take(6)).map(row);
     let table = table("effect|probability|before|after|closed|95 %|", 1..6, shown);
-    let mut out = vec![opening(d)];
+    let (mut out, unit) = (vec![opening(d)], &d.unit);
     // whether the log can tell anything comes before what it tells
     out.extend(d.notes.iter().map(|n| format!("note: {n}")));
     out.extend([
         verdict(&d.verdict),
         format!(
-            "RMSE {:.4} {} nominal, {:.4} explained, {:.4} noise, on parts of the log that the fit has not seen",
-            d.gap.recalibrated, d.unit, d.gap.explained, d.gap.noise_floor
+            "RMSE {:.4} {unit} nominal, {:.4} explained, {:.4} noise, on parts of the log that the fit has not seen",
+            d.gap.recalibrated, d.gap.explained, d.gap.noise_floor
         ),
     ]);
     out.extend(closed(d).map(|share| format!("closed {share}")));
+    let (probability, rmse) = (d.unknown.probability, d.unknown.rmse);
     out.push(format!(
-        "unknown {:.2}, {:.4} {} above the noise",
-        d.unknown.probability, d.unknown.rmse, d.unit
+        "unknown {probability:.2}, {rmse:.4} {unit} above the noise"
     ));
     out.extend(d.verdict.equivalent.iter().map(|g| group(g)));
     out.extend(d.fresh.iter().map(|f| {

@@ -11,11 +11,8 @@ pub mod words;
 use crate::diagnosis::tip::{Diagnosis, EffectEntry, QuantityShare};
 use crate::diagnosis::verdict::VerdictKind;
 use crate::report::bars::{self, Bar};
-use crate::report::chart::{Axis, Chart, Series, Stroke};
 use crate::report::gap::evidence::{Evidence, Trace};
-use crate::report::page::Page;
-use crate::report::polar;
-use crate::report::svg::Ink;
+use crate::report::{Axis, Chart, Ink, Page, Series, Stroke, polar};
 
 /// Effects in the ranking.
 const RANKED: usize = 10;
@@ -148,13 +145,8 @@ fn ranking(d: &Diagnosis) -> Vec<(String, String)> {
     };
     let bars = |share: fn(&EffectEntry) -> (f64, Option<[f64; 2]>)| -> Vec<Bar> {
         let one = |e: &EffectEntry| {
-            let (share, interval) = share(e);
-            bar(
-                words::plain(e.name),
-                share,
-                interval,
-                named.contains(&&e.name),
-            )
+            let ((share, interval), strong) = (share(e), named.contains(&&e.name));
+            bar(words::plain(e.name), share, interval, strong)
         };
         d.effects.iter().take(RANKED).map(one).collect()
     };

@@ -45,6 +45,7 @@ pub fn opening(d: &Diagnosis) -> String {
     let sure = format!("probability {:.2}", d.verdict.probability);
     let (was, many) = (d.gap.recalibrated_deg, d.verdict.names.len() > 1);
     let sized: Vec<String> = d.verdict.names.iter().map(|name| sized(d, name)).collect();
+    let (causes, close) = (listed(&sized, "and"), if many { "close" } else { "closes" });
     match d.verdict.kind {
         VerdictKind::None => {
             format!("No effect ({sure}): the recalibrated model leaves {was:.2}°; keep its gains.")
@@ -53,16 +54,13 @@ pub fn opening(d: &Diagnosis) -> String {
             "Unknown cause ({sure}): {was:.2}° remain, and no known effect explains them; record a schedule of `gap excite`."
         ),
         VerdictKind::Unknown => format!(
-            "Unknown cause ({sure}), of which {} {} {percent:.0} % of the gap; record a schedule of `gap excite`.",
-            listed(&sized, "and"),
-            if many { "close" } else { "closes" }
+            "Unknown cause ({sure}), of which {causes} {close} {percent:.0} % of the gap; record a schedule of `gap excite`."
         ),
-        VerdictKind::Effects => format!(
-            "{} {} {percent:.0} % of the gap ({sure}): {}.",
-            capital(&listed(&sized, "and")),
-            if many { "together close" } else { "closes" },
-            asked(d)
-        ),
+        VerdictKind::Effects => {
+            let (causes, together) = (capital(&causes), if many { "together " } else { "" });
+            let asked = asked(d);
+            format!("{causes} {together}{close} {percent:.0} % of the gap ({sure}): {asked}.")
+        }
     }
 }
 
@@ -83,19 +81,14 @@ fn sized(d: &Diagnosis, name: &'static str) -> String {
     // the parameter that is known best, in the line that has most of it
     let known = |p: &&ParamValue| (p.value / (p.ci95[1] - p.ci95[0]).max(1e-12)).abs();
     let best = params.iter().max_by(|a, b| known(a).total_cmp(&known(b)));
-    let same = || {
-        params
-            .iter()
-            .filter(|p| best.is_some_and(|best| p.name == best.name))
-    };
+    let best = best.map(|p| p.name);
+    let same = || params.iter().filter(|p| Some(p.name) == best);
     let size = |p: &&ParamValue| p.value.abs();
     let Some(p) = same().max_by(|a, b| size(a).total_cmp(&size(b))) else {
         return plain(name);
     };
-    let lines: Vec<String> = same()
-        .filter(|q| q.channel > 0 && 2.0 * q.value.abs() >= p.value.abs())
-        .map(|q| q.channel.to_string())
-        .collect();
+    let has = |q: &&ParamValue| q.channel > 0 && 2.0 * q.value.abs() >= p.value.abs();
+    let lines: Vec<String> = same().filter(has).map(|q| q.channel.to_string()).collect();
     let place = match lines.len() {
         0 => String::new(),
         1 => format!(" of line {}", lines[0]),
@@ -129,6 +122,7 @@ pub fn headline(d: &Diagnosis) -> String {
     let gap = &d.gap;
     let (was, is, noise) = (gap.recalibrated_deg, gap.explained_deg, gap.noise_floor_deg);
     let (causes, many) = (capital(&causes(d)), d.verdict.names.len() > 1);
+    let explain = if many { "explain" } else { "explains" };
     match d.verdict.kind {
         VerdictKind::None => format!(
             "The nominal model suffices: its error after recalibration is {was:.2}°, and no effect of the catalogue reduces it by a relevant amount."
@@ -136,16 +130,13 @@ pub fn headline(d: &Diagnosis) -> String {
         VerdictKind::Unknown if d.verdict.names.is_empty() => format!(
             "The cause is not in the catalogue: {was:.2}° remain after recalibration, more than noise ({noise:.2}°), and no known effect explains them."
         ),
-        VerdictKind::Unknown => {
-            let explain = if many { "explain" } else { "explains" };
-            format!(
-                "{causes} {explain} a part of the gap, from {was:.2}° to {is:.2}°; the remainder is more than noise ({noise:.2}°), and no known effect explains it."
-            )
-        }
+        VerdictKind::Unknown => format!(
+            "{causes} {explain} a part of the gap, from {was:.2}° to {is:.2}°; the remainder is more than noise ({noise:.2}°), and no known effect explains it."
+        ),
         VerdictKind::Effects => {
-            let explain = if many { "together explain" } else { "explains" };
+            let together = if many { "together " } else { "" };
             format!(
-                "{causes} {explain} the gap: it shrinks from {was:.2}° to {is:.2}° on parts of the log that the fit has not seen; noise alone is {noise:.2}°."
+                "{causes} {together}{explain} the gap: it shrinks from {was:.2}° to {is:.2}° on parts of the log that the fit has not seen; noise alone is {noise:.2}°."
             )
         }
     }
@@ -183,11 +174,8 @@ pub fn place(d: &Diagnosis) -> String {
     let merged = merged.map_or_else(String::new, |m| {
         format!(" This log cannot separate the stages {}.", listed(m, "and"))
     });
-    format!(
-        "{:.0} % of the gap is attributed to the {} stage.{merged}{largest}",
-        100.0 * first.share,
-        first.name
-    )
+    let (percent, name) = (100.0 * first.share, first.name);
+    format!("{percent:.0} % of the gap is attributed to the {name} stage.{merged}{largest}")
 }
 
 /// Unit of a sensor's residual.
@@ -198,9 +186,8 @@ pub fn unit_of(kind: &str) -> &'static str {
 /// Limits of the verdict: equivalent effects and the probability of another cause.
 pub fn limits(d: &Diagnosis) -> Vec<String> {
     let groups = d.verdict.equivalent.iter().map(|g| listed(g, "and"));
-    let mut out: Vec<String> = groups
-        .map(|g| format!("This log cannot separate {g}."))
-        .collect();
+    let groups = groups.map(|g| format!("This log cannot separate {g}."));
+    let mut out: Vec<String> = groups.collect();
     if d.verdict.kind != VerdictKind::None && d.unknown.probability > 0.05 {
         let (percent, rest) = (100.0 * d.unknown.probability, d.unknown.rmse_deg);
         out.push(format!("The probability of a cause outside the catalogue is {percent:.0} % ({rest:.2}° remain above the noise)."));
@@ -236,18 +223,13 @@ pub fn next(d: &Diagnosis) -> Vec<String> {
         let (names, how) = (listed(g, "and"), how.join("; or "));
         out.push(format!("To separate {names}: {how}; {design}."));
     }
-    match d.verdict.kind {
-        VerdictKind::None => out.push("The model needs no addition. Keep the recalibrated gains.".to_owned()),
-        VerdictKind::Unknown => {
-            out.push(format!(
-                "Examine where the map is darkest and when the residual is largest; {design}, on which the cause is more visible."
-            ));
-        }
-        VerdictKind::Effects => out.push(
-            "Confirm on a fresh log of the same unit: `retroflex gap check model.toml FRESH`. It fits only the base frame again."
-                .to_owned(),
+    out.push(match d.verdict.kind {
+        VerdictKind::None => "The model needs no addition. Keep the recalibrated gains.".to_owned(),
+        VerdictKind::Unknown => format!(
+            "Examine where the map is darkest and when the residual is largest; {design}, on which the cause is more visible."
         ),
-    }
+        VerdictKind::Effects => "Confirm on a fresh log of the same unit: `retroflex gap check model.toml FRESH`. It fits only the base frame again.".to_owned(),
+    });
     for name in &d.verdict.names {
         let doubtful = entry(d, name).is_some_and(|e| e.probability < 0.9);
         if let Some(e) = by_name(name).filter(|_| group(d, name).is_none() && doubtful) {

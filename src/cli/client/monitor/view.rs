@@ -47,8 +47,8 @@ impl View {
         // a service that has started anew has another clock
         let shown_s = t_s - CHART_S..t_s;
         self.errors.retain(|(at_s, _)| shown_s.contains(at_s));
-        self.errors
-            .extend(self.error_deg().map(|error| (t_s, error)));
+        let error = self.error_deg().map(|error| (t_s, error));
+        self.errors.extend(error);
         changes.iter().for_each(|change| self.note(change));
     }
 

@@ -66,9 +66,8 @@ pub fn run(listener: std::net::TcpListener, site: Site) -> std::io::Result<()> {
             };
             places.retain(|(task, _)| !task.is_finished());
             if places.len() >= CONNECTIONS_MAX {
-                let outside = places
-                    .iter()
-                    .position(|(_, entered)| !entered.load(Relaxed));
+                let mut all = places.iter();
+                let outside = all.position(|(_, entered)| !entered.load(Relaxed));
                 places.remove(outside.unwrap_or(0)).0.abort();
             }
             let entered = Arc::new(AtomicBool::new(false));
