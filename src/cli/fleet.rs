@@ -45,8 +45,7 @@ pub fn run(args: &Args) -> Result<()> {
     let mut rows: BTreeMap<String, FleetRow> = BTreeMap::new();
     for table in &args.tables {
         for row in read(table)? {
-            let log = row.log.clone();
-            let file = table.display();
+            let (log, file) = (row.log.clone(), table.display());
             if rows.get(&log).is_some_and(|known| *known != row) {
                 bail!(
                     "{file}: {log} has another row in another table; diagnose it again, with the same settings everywhere"

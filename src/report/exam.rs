@@ -53,9 +53,13 @@ fn own(s: &ExamScore) -> Table {
 fn reliability(s: &ExamScore) -> Table {
     let row = |what: &str, b: &ReliabilityBin| {
         let [low, high] = b.ci95.map(|share| share * 100.0);
-        let (stated, within) = (b.stated, format!("{low:.0} to {high:.0} %"));
-        let stated = format!("{stated:.2}");
-        [what.to_owned(), stated, share(&b.count), within]
+        let within = format!("{low:.0} to {high:.0} %");
+        [
+            what.to_owned(),
+            format!("{:.2}", b.stated),
+            share(&b.count),
+            within,
+        ]
     };
     let effects = s.effects.bins.iter().map(|b| row("an effect", b));
     let rows = effects.chain(s.unknown.bins.iter().map(|b| row("unknown", b)));

@@ -50,7 +50,17 @@ pub struct SteerArgs {
 /// A report about the input, or with the service's message; a device that is gone counts as unreachable.
 pub fn steer(args: &SteerArgs) -> Result<()> {
     let input = open(args)?;
-    let mut steering = Steering::new(args, connect(&args.at)?);
+    let mut steering = Steering {
+        connection: connect(&args.at)?,
+        law: args.law,
+        at: Vector2::zeros(),
+        moving: false,
+        released: None,
+        began: Instant::now(),
+        last: Instant::now(),
+        cycles: 0,
+        warned: None,
+    };
     if let Some(why) = steering.ready()? {
         let why = format!("steering moves the tip, so it must be armed: {why}");
         return Err(Refused::report(why));
@@ -125,21 +135,6 @@ struct Steering {
 }
 
 impl Steering {
-    fn new(args: &SteerArgs, connection: Connection) -> Self {
-        let began = Instant::now();
-        Self {
-            connection,
-            law: args.law,
-            at: Vector2::zeros(),
-            moving: false,
-            released: None,
-            began,
-            last: began,
-            cycles: 0,
-            warned: None,
-        }
-    }
-
     /// Starts from the present target; says why the tip cannot be steered.
     fn ready(&mut self) -> Result<Option<String>> {
         let s = status(&mut self.connection)?;

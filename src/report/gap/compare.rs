@@ -99,14 +99,10 @@ pub fn said(d: &Document) -> (String, bool) {
     );
     for p in &d.params {
         let [low, high] = p.ci95;
-        let told = match p.untold {
-            true => ": it changes nothing here; is its name right?",
-            false => "",
-        };
-        text += &format!(
-            "{} = {:.4}, 95 %: {low:.4} to {high:.4}{told}\n",
-            p.name, p.value
-        );
+        let nothing = ": it changes nothing here; is its name right?";
+        let told = if p.untold { nothing } else { "" };
+        let (name, value) = (&p.name, p.value);
+        text += &format!("{name} = {value:.4}, 95 %: {low:.4} to {high:.4}{told}\n");
     }
     if !fits {
         text.extend(d.goes_with.iter().map(|d| words::goes_with(d) + "\n"));

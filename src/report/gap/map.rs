@@ -36,10 +36,8 @@ pub fn summary(d: &Document) -> String {
         ),
     ]);
     out.extend(closed(d).map(|share| format!("closed {share}")));
-    let (probability, rmse) = (d.unknown.probability, d.unknown.rmse);
-    out.push(format!(
-        "unknown {probability:.2}, {rmse:.4} {unit} above the noise"
-    ));
+    let (p, rmse) = (d.unknown.probability, d.unknown.rmse);
+    out.push(format!("unknown {p:.2}, {rmse:.4} {unit} above the noise"));
     out.extend(d.verdict.equivalent.iter().map(|g| group(g)));
     out.extend(d.fresh.iter().map(|f| {
         let (log, before, after) = (&f.log, f.before, f.after);
@@ -53,10 +51,8 @@ pub fn summary(d: &Document) -> String {
 fn closed(d: &Document) -> Option<String> {
     let set = d.set.first()?;
     let [low, high] = set.closed_ci95.map(|share| 100.0 * share);
-    let share = 100.0 * set.closed;
-    Some(format!(
-        "{share:.0} % of the gap (95 %: {low:.0} to {high:.0} %)"
-    ))
+    let share = format!("{:.0} % of the gap", 100.0 * set.closed);
+    Some(format!("{share} (95 %: {low:.0} to {high:.0} %)"))
 }
 
 /// The verdict in one sentence: cause, share of the gap, certainty, what to do next.
@@ -64,9 +60,8 @@ fn opening(d: &Document) -> String {
     let sure = format!("probability {:.2}", d.verdict.probability);
     let one = |name: &&'static str| {
         let group = d.verdict.equivalent.iter().find(|group| group[0] == *name);
-        group.map_or((*name).to_owned(), |group| {
-            format!("either {}", group.join(" or "))
-        })
+        let choice = group.map(|group| format!("either {}", group.join(" or ")));
+        choice.unwrap_or((*name).to_owned())
     };
     let names: Vec<String> = d.verdict.names.iter().map(one).collect();
     let close = if names.len() > 1 { "close" } else { "closes" };

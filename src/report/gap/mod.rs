@@ -187,10 +187,6 @@ fn parameters(e: &EffectEntry) -> impl Iterator<Item = [String; 6]> {
 
 fn sensor(k: &QuantityShare) -> [String; 4] {
     let [before, after] = [k.rmse_deg, k.explained_deg].map(|x| format!("{x:.2}"));
-    [
-        k.name.to_owned(),
-        before,
-        after,
-        words::unit_of(k.name).to_owned(),
-    ]
+    let unit = words::unit_of(k.name).to_owned();
+    [k.name.to_owned(), before, after, unit]
 }

@@ -234,10 +234,8 @@ pub fn next(d: &Diagnosis) -> Vec<String> {
         let doubtful = entry(d, name).is_some_and(|e| e.probability < 0.9);
         if let Some(e) = by_name(name).filter(|_| group(d, name).is_none() && doubtful) {
             let (name, others) = (capital(&plain(name)), listed(e.info().confused_with, "or"));
-            let how = e.info().separated_by;
-            out.push(format!(
-                "{name} may be confused with {others}. To separate them: {how}."
-            ));
+            let how = format!("To separate them: {}.", e.info().separated_by);
+            out.push(format!("{name} may be confused with {others}. {how}"));
         }
     }
     out

@@ -100,7 +100,7 @@ async fn serve(stream: TcpStream, site: Arc<Site>, entered: Arc<AtomicBool>) {
 type Body = Either<Full<Bytes>, Channel<Bytes>>;
 
 /// Answers a request. `entered` becomes true once the request is complete and may be answered.
-pub async fn answer(
+async fn answer(
     site: Arc<Site>,
     entered: Arc<AtomicBool>,
     request: Request<Incoming>,
@@ -120,17 +120,12 @@ fn refusal(site: &Site, request: &Request<Incoming>) -> Option<u16> {
     let [host, origin, cookies, bearer] =
         ["host", "origin", "cookie", "authorization"].map(|name| field(request, name));
     if let Some(token) = &site.token {
-        let cookies = cookies.into_iter().flat_map(|all| all.split("; "));
-        let mut shown = cookies
-            .filter_map(|text| text.strip_prefix(COOKIE))
-            .take(1)
-            .chain(
-                request
-                    .uri()
-                    .query()
-                    .and_then(|query| query.strip_prefix("token=")),
-            )
-            .chain(bearer.and_then(|text| text.strip_prefix("Bearer ")));
+        let query = request.uri().query();
+        let in_address = query.and_then(|query| query.strip_prefix("token="));
+        let mut cookies = cookies.into_iter().flat_map(|all| all.split("; "));
+        let in_cookie = cookies.find_map(|text| text.strip_prefix(COOKIE));
+        let in_header = bearer.and_then(|text| text.strip_prefix("Bearer "));
+        let mut shown = [in_address, in_cookie, in_header].into_iter().flatten();
         if !shown.any(|one| is_same(one, token)) {
             return Some(401);
         }
@@ -157,10 +152,8 @@ async fn route(
     match (request.method().as_str(), request.uri().path()) {
         ("GET", "/") => {
             let mut response = text("text/html; charset=utf-8", include_str!("page.html"));
-            if let Some(token) = &site.token
-                && let Ok(cookie) =
-                    format!("{COOKIE}{token}; HttpOnly; SameSite=Lax; Path=/").parse()
-            {
+            let cookie = |token| format!("{COOKIE}{token}; HttpOnly; SameSite=Lax; Path=/");
+            if let Some(Ok(cookie)) = site.token.as_ref().map(|token| cookie(token).parse()) {
                 response.headers_mut().insert(header::SET_COOKIE, cookie);
             }
             response
