@@ -131,19 +131,13 @@ pub fn described_by(
     Ok(Arc::new(machine))
 }
 
-/// Configuration texts as the header of a flight log holds them; `model` is the text of the model for the feedforward.
-pub fn texts(
-    board: &Board,
-    gains: &Gains,
-    calibration: &Calibration,
-    model: Option<String>,
-) -> Vec<String> {
-    let texts = [
+/// Configuration texts as the header of a flight log holds them; the text of the model for the feedforward may follow.
+pub fn texts(board: &Board, gains: &Gains, calibration: &Calibration) -> Vec<String> {
+    vec![
         show::compact(board),
         show::compact(gains),
         show::compact(calibration),
-    ];
-    texts.into_iter().chain(model).collect()
+    ]
 }
 
 /// Becomes true with a signal that ends a process.

@@ -88,8 +88,10 @@ pub fn run(args: &Args) -> Result<()> {
     }
     tracing::info!(event = "board", "board: {shown}");
     let feedforward = inputs::feedforward(&args.feedforward, &args.calib, &calibration, &board)?;
-    let model = feedforward.as_ref().map(|(path, _)| source::text_of(path));
-    let texts = inputs::texts(&board, &gains, &calibration, model.transpose()?);
+    let mut texts = inputs::texts(&board, &gains, &calibration);
+    if let Some((path, _)) = &feedforward {
+        texts.push(source::text_of(path)?);
+    }
     place(args, &mut board.service)?;
     let bound = PressureBound::of(&board);
     if !foreign && !bound.is_bounded() {

@@ -50,10 +50,11 @@ pub fn run(args: &Args) -> Result<()> {
 
 /// What becomes of the gains and of each effect, after a sentence that says what the verdict asks for.
 fn said(model: &SavedModel, effects: &[Box<dyn Effect>], args: &Args) -> String {
-    let named = effects.iter().filter(|e| is_proven(model, e.as_ref()));
-    let asked =
-        |e: &Box<dyn Effect>| format!("{}: {}", plain(e.name()), Remedy::of(e.as_ref()).advice());
-    let verdict: Vec<String> = named.map(asked).collect();
+    let mut verdict = Vec::new();
+    for e in effects.iter().filter(|e| is_proven(model, e.as_ref())) {
+        let advice = Remedy::of(e.as_ref()).advice();
+        verdict.push(format!("{}: {advice}", plain(e.name())));
+    }
     let mut out = vec![match verdict.is_empty() {
         true => "The verdict names no effect; the recalibrated gains are all there is to apply."
             .to_owned(),

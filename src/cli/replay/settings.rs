@@ -119,17 +119,12 @@ impl Settings {
     /// # Errors
     /// A report about a file.
     pub fn texts(&self, read: &Header, args: Option<&SettingsArgs>) -> Result<Vec<String>> {
-        let model = match args.and_then(|args| args.feedforward.as_deref()) {
+        let mut texts = inputs::texts(&self.board, &self.gains, &self.calibration);
+        texts.extend(match args.and_then(|args| args.feedforward.as_deref()) {
             Some(path) => Some(source::text_of(path)?),
-            None => read.texts.get(3).cloned(),
-        };
-        let Self {
-            board,
-            gains,
-            calibration,
-            ..
-        } = self;
-        Ok(inputs::texts(board, gains, calibration, model))
+            None => read.texts.get(texts.len()).cloned(),
+        });
+        Ok(texts)
     }
 }
 
