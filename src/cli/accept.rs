@@ -1,13 +1,13 @@
 //! `retroflex accept`: every step from a board file to a tip that bends, each by the command that a user would type, and one report of
 //! what they printed.
 
-use crate::cli::output::{self, ResultFile};
-use crate::cli::{demo, inputs};
+use crate::cli::{ResultFile, demo, inputs, output};
 use crate::config::{Board, HomingMethod};
 use crate::drill::process::daemon::Daemon;
 use crate::report::page::Page;
 use miette::{IntoDiagnostic, Result, bail};
 use serde::Deserialize;
+use serde_json::Value;
 use std::io::{BufRead, BufReader, IsTerminal, stdin};
 use std::mem::take;
 use std::path::{Path, PathBuf};
@@ -69,25 +69,21 @@ pub fn run(args: &Args) -> Result<bool> {
     std::fs::write(scratch.0.join("schedule.csv"), demo::SCHEDULE).into_diagnostic()?;
     let program = std::env::current_exe().into_diagnostic()?;
     let shown = args.board.display().to_string();
+    let mut page = Page::new(&format!("Acceptance of {shown}"));
     let mut procedure = Procedure {
         program,
         folder: &scratch.0,
-        shown: &shown,
+        shown,
         board: &board,
         service: None,
         text: String::new(),
     };
-    let mut page = Page::new(&format!("Acceptance of {shown}"));
     let version = env!("CARGO_PKG_VERSION");
     page.text(&format!("retroflex {version}. Nothing of it stays on the machine: its service had a folder of its own."));
     let (mut rows, mut texts, mut good, mut goes_on) = (Vec::new(), Vec::new(), true, true);
     let applies = |step: &Step| !step.hardware || board.hardware().is_some();
-    for step in toml::from_str::<Steps>(STEPS)
-        .into_diagnostic()?
-        .step
-        .into_iter()
-        .filter(applies)
-    {
+    let steps: Steps = toml::from_str(STEPS).into_diagnostic()?;
+    for step in steps.step.into_iter().filter(applies) {
         let began = Instant::now();
         let agreed = goes_on && (!asks || step.confirm.is_empty() || confirmed(&step.confirm));
         let done = agreed && procedure.step(&step);
@@ -99,25 +95,19 @@ pub fn run(args: &Args) -> Result<bool> {
         };
         good &= done;
         goes_on &= done || step.goes_on;
-        rows.push([
-            step.name.clone(),
-            result.to_owned(),
-            format!("{:.0} s", began.elapsed().as_secs_f64()),
-        ]);
+        let duration = format!("{:.0} s", began.elapsed().as_secs_f64());
+        rows.push([step.name.clone(), result.to_owned(), duration]);
         texts.push((step.name, take(&mut procedure.text)));
     }
     let header = "step|result|duration";
-    page.table(&output::columns(header), &rows);
+    page.table(header, &rows);
     for (name, text) in texts {
         page.heading(&name);
         page.output(&text);
     }
     output::write(&args.html, page.html())?;
-    let table = output::table(header, 2..3, rows);
-    output::print(format!(
-        "\n{table}\nThe report is {}.\n",
-        args.html.display()
-    ));
+    let (table, report) = (output::table(header, 2..3, rows), args.html.display());
+    output::print(format!("\n{table}\nThe report is {report}.\n"));
     Ok(good)
 }
 
@@ -127,7 +117,7 @@ struct Procedure<'a> {
     folder: &'a Path,
     /// The board, and its name as the operator gave it.
     board: &'a Board,
-    shown: &'a str,
+    shown: String,
     service: Option<Daemon>,
     /// What a step has printed.
     text: String,
@@ -150,26 +140,19 @@ impl Procedure<'_> {
 
     fn run(&mut self, step: &Step) -> Result<bool> {
         if step.served && self.service.is_none() {
-            let options = ["--board", self.shown, "--fast", "8"];
-            let options = if self.board.hardware().is_none() {
-                &options[..]
-            } else {
-                &options[..2]
-            };
-            let service = Daemon::start_with(&self.program, &self.folder.join("service"), options)
-                .into_diagnostic()?;
-            service
-                .until(30.0, "alignment", |s| {
-                    s["mode"] == "disarmed" || s["mode"] == "lost"
-                })
-                .into_diagnostic()?;
-            self.service = Some(service);
+            let options = ["--board", &self.shown, "--fast", "8"];
+            let is_simulated = self.board.hardware().is_none();
+            let options = &options[..if is_simulated { 4 } else { 2 }];
+            let service = Daemon::start_with(&self.program, &self.folder.join("service"), options);
+            let service = self.service.insert(service.into_diagnostic()?);
+            let is_aligned = |s: &Value| s["mode"] == "disarmed" || s["mode"] == "lost";
+            let aligned = service.until(30.0, "alignment", is_aligned);
+            aligned.into_diagnostic()?;
         }
         for line in &step.commands {
             if let Some(service) = &self.service {
-                service
-                    .until(60.0, "rest", |s| s["mode"] != "relaxing")
-                    .into_diagnostic()?;
+                let rest = service.until(60.0, "rest", |s| s["mode"] != "relaxing");
+                rest.into_diagnostic()?;
             }
             let words: Vec<String> = line.split(' ').flat_map(|word| self.words(word)).collect();
             if !self.command(&words)? {
@@ -181,19 +164,20 @@ impl Procedure<'_> {
 
     /// What a word of a command line stands for.
     fn words(&self, word: &str) -> Vec<String> {
-        let file = |name: &str| vec![self.folder.join(name).display().to_string()];
+        let file = |name: &str| self.folder.join(name).display().to_string();
         let switches = self.board.homing.method == HomingMethod::Switches;
-        match word {
-            "BOARD" => vec![self.shown.to_owned()],
+        let one = match word {
+            "BOARD" => self.shown.clone(),
             "PINS" if self.board.pins.is_some() => {
-                vec!["--board".to_owned(), self.shown.to_owned()]
+                return vec!["--board".to_owned(), self.shown.clone()];
             }
-            "PINS" => vec![],
-            "CONFIRMED" => vec![if switches { "--vented" } else { "--at-rest" }.to_owned()],
+            "PINS" => return vec![],
+            "CONFIRMED" => if switches { "--vented" } else { "--at-rest" }.to_owned(),
             "SCHEDULE" => file("schedule.csv"),
             "LOG" => file("service/state/recordings/accept.csv.gz"),
-            word => vec![word.to_owned()],
-        }
+            word => word.to_owned(),
+        };
+        vec![one]
     }
 
     /// Prints a line and keeps it for the report.
@@ -206,24 +190,19 @@ impl Procedure<'_> {
     fn command(&mut self, words: &[String]) -> Result<bool> {
         self.say(&format!("$ retroflex {}", words.join(" ")));
         let (reader, writer) = std::io::pipe().into_diagnostic()?;
-        let mut command = Command::new(&self.program);
-        command
+        let service = self.service.iter();
+        let socket = service.map(|service| ("RETROFLEX_SOCKET", &service.sockets()[0]));
+        // the pipe ends when nobody can write to it any more, so the command ends with this statement
+        let mut child = Command::new(&self.program)
             .args(words)
+            .envs(socket)
             .stdin(Stdio::null())
             .stdout(writer.try_clone().into_diagnostic()?)
-            .stderr(writer);
-        command.envs(
-            self.service
-                .as_ref()
-                .map(|service| ("RETROFLEX_SOCKET", &service.sockets()[0])),
-        );
-        let mut child = command.spawn().into_diagnostic()?;
-        // the pipe ends when nobody can write to it any more
-        drop(command);
-        for line in BufReader::new(reader)
-            .lines()
-            .map_while(std::io::Result::ok)
-        {
+            .stderr(writer)
+            .spawn()
+            .into_diagnostic()?;
+        let lines = BufReader::new(reader).lines();
+        for line in lines.map_while(std::io::Result::ok) {
             self.say(&line);
         }
         Ok(child.wait().into_diagnostic()?.success())

@@ -1,15 +1,10 @@
 //! `retroflex bench rt`: timing of the step thread on this machine.
 
-use crate::cli::inputs::within;
-use crate::cli::output::ResultFile;
-use crate::cli::{Unreachable, inputs, manual_motion, output};
+use crate::cli::{ResultFile, inputs, manual_motion, output, within};
 use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
-use crate::hardware::lock::HardwareLock;
-use crate::hardware::machine::HardwareError;
 use crate::hardware::pins::map::LineMap;
-use crate::hardware::pins::{self, MockPins, OpenError, Pins, PinsConfig};
+use crate::hardware::pins::{MockPins, Pins, PinsConfig};
 use crate::hardware::stepper::StartError;
-use crate::motion::StepperConfig;
 use clap::Args;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::{Path, PathBuf};
@@ -78,21 +73,14 @@ fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
             "{file}: the EN input of a channel is hard-wired, so its motor would run; wire EN to a line and name it in pins.channels"
         );
     }
-    let refused = |e| manual_motion::hardware_error(path, e);
-    let _lock = HardwareLock::take().map_err(|device| refused(HardwareError::InUse(device)))?;
-    let pins = pins::open(wiring, board.drive.microsteps).map_err(|e| match e {
-        OpenError::Config(e) => miette!("{file}: {e}"),
-        OpenError::Pin(e) => Unreachable::report("the GPIO", e),
-    })?;
+    let (_lock, pins) = manual_motion::open_pins(path, &board, wiring)?;
     // no motor turns, so only the pulse widths limit the rate; a fifth of the period leaves room to catch up
     let least_us = board.stepper.pulse_high_us + board.stepper.pulse_low_us;
     let most_us = board.stepper.step_interval_min_us.max(least_us);
     let step_interval_min_us = (0.2e6 / base.rate_hz).clamp(least_us, most_us);
-    let stepper = StepperConfig {
-        step_interval_min_us,
-        ..board.stepper
-    };
-    let config = RtBenchConfig { stepper, ..base };
+    let mut config = base;
+    config.stepper = board.stepper;
+    config.stepper.step_interval_min_us = step_interval_min_us;
     let through = format!("{:?} on {}", wiring.backend, board.machine.name).to_lowercase();
     Ok((measure(&config, NoCurrent(pins))?, through))
 }

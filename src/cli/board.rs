@@ -1,7 +1,6 @@
 //! `retroflex board`: a file with everything that it leaves out, and whether a board is safe to run.
 
-use crate::cli::output::ResultFile;
-use crate::cli::{inputs, output};
+use crate::cli::{ResultFile, inputs, output};
 use crate::config::show::whole;
 use crate::config::{Header, PressureBound};
 use crate::report::wiring::{self, Device, Wire};
@@ -68,28 +67,28 @@ fn draw(args: &DrawArgs) -> Result<()> {
         bail!("{path}: this board has no [pins], so there is nothing to wire");
     };
     let raspberry = board.machine.header == Header::RaspberryPi;
-    let supply =
-        |name: &str, position| raspberry.then(|| (name.to_owned(), Wire::Position(position)));
+    let wire = |name: &str, wire| (name.to_owned(), wire);
+    let supply = |name, position| raspberry.then(|| wire(name, Wire::Position(position)));
     let uses = pins.uses();
     let mut devices = Vec::new();
     let mut device = |name, terminals: Vec<_>| devices.push(Device { name, terminals });
     for (i, ground) in [9, 14, 20].into_iter().enumerate() {
         let channel = format!("channels.{i}.");
         let own = uses.iter().filter(|u| u.key.starts_with(&channel));
-        let lines = own.map(|u| (u.name.to_uppercase(), Wire::Line(u.pin)));
+        let lines = own.map(|u| wire(&u.name.to_uppercase(), Wire::Line(u.pin)));
         let terminals = lines.chain(supply("GND", ground)).collect();
         device(format!("driver of bellow {}", i + 1), terminals);
     }
     if let Some(imu) = &board.imu {
         let bus = imu.bus_lines.into_iter().flatten().zip(["SDA", "SCL"]);
-        let bus = bus.map(|(pin, name)| (name.to_owned(), Wire::Line(pin)));
+        let bus = bus.map(|(pin, name)| wire(name, Wire::Line(pin)));
         let power = supply("3.3 V", 1).into_iter();
         let terminals = power.chain(bus).chain(supply("GND", 6)).collect();
         device(format!("IMU at the tip, {}", imu.bus), terminals);
     }
     if let Some(stop) = pins.emergency_stop {
-        let contact = [("NC".to_owned(), Wire::Line(stop.pin))];
-        let terminals = contact.into_iter().chain(supply("GND", 39)).collect();
+        let contact = wire("NC", Wire::Line(stop.pin));
+        let terminals = [contact].into_iter().chain(supply("GND", 39)).collect();
         device("emergency stop".to_owned(), terminals);
     }
     let title = format!("Wiring of {}", board.machine.name);

@@ -3,11 +3,8 @@
 //! Each step prints its result with a figure of its quality and writes it into the `[imu]` table of a calibration file. If the data do
 //! not suffice, it names the motion that is missing and writes nothing.
 
-use crate::cli::client::args::TransmissionArgs;
-use crate::cli::client::follow::transmission;
-use crate::cli::inputs::within;
-use crate::cli::output::ResultFile;
-use crate::cli::{Refused, output};
+use crate::cli::client::follow::{TransmissionArgs, transmission};
+use crate::cli::{Refused, ResultFile, output, within};
 use crate::estimation::imu_calibration::{
     ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, from_log, gyro, mag, motor,
     mount, still,
@@ -17,6 +14,7 @@ use crate::log::table::text;
 use crate::primitives::ImuSample;
 use miette::{IntoDiagnostic, Result, miette};
 use nalgebra::Vector3;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use time::Date;
 use time::format_description::well_known::Iso8601;
@@ -83,12 +81,9 @@ pub fn run(args: &Args) -> Result<()> {
     let source = args.file.as_ref().or(args.live.as_ref());
     let source = source.map_or_else(String::new, |p| p.display().to_string());
     let mut table = existing(&args.out)?;
-    let mut calibration: ImuCalibration = match table.remove("imu") {
-        Some(imu) => imu
-            .try_into()
-            .map_err(|e| miette!("{}: [imu]: {e}", args.out.display()))?,
-        None => ImuCalibration::default(),
-    };
+    let imu = table.remove("imu").unwrap_or(toml::Table::new().into());
+    let calibration: std::result::Result<ImuCalibration, _> = imu.try_into();
+    let mut calibration = calibration.map_err(|e| miette!("{}: [imu]: {e}", args.out.display()))?;
     let (date, source) = (&*date, &*source);
     let identified = identify(args, Pedigree { date, source }, &mut calibration)?;
     output::print(identified.map_err(Refused::report)? + "\n");
@@ -102,17 +97,17 @@ pub fn run(args: &Args) -> Result<()> {
 
 /// A day as `--date` gives it.
 fn day(text: &str) -> std::result::Result<String, String> {
-    let date = Date::parse(text, &Iso8601::DATE).map(|date| date.to_string());
-    date.ok()
-        .filter(|date| date == text)
-        .ok_or_else(|| "a day is written YYYY-MM-DD, such as 2026-03-31".to_owned())
+    match Date::parse(text, &Iso8601::DATE) {
+        Ok(date) if date.to_string() == text => Ok(text.to_owned()),
+        _ => Err("a day is written YYYY-MM-DD, such as 2026-03-31".to_owned()),
+    }
 }
 
 /// The tables of a calibration file; none if the file does not exist.
 fn existing(path: &Path) -> Result<toml::Table> {
     match text(path) {
         Ok(text) => text.parse().map_err(|e| miette!("{}: {e}", path.display())),
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(toml::Table::new()),
+        Err(e) if e.kind() == ErrorKind::NotFound => Ok(toml::Table::new()),
         Err(e) => Err(miette!("{}: {e}", path.display())),
     }
 }
@@ -158,11 +153,10 @@ fn identify(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Resul
 fn gyro_bias(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
     let fit = gyro::at_rest(samples)?;
     into.set_gyro(&fit, from);
+    let bias = list(fit.bias_rad_s.map(f64::to_degrees), 3);
+    let (sigma, duration_s) = (fit.sigma_rad_s.amax().to_degrees(), fit.duration_s);
     Ok(format!(
-        "gyroscope bias {} °/s, ± {:.4} °/s, from {:.1} s of standstill",
-        list(fit.bias_rad_s.map(f64::to_degrees), 3),
-        fit.sigma_rad_s.amax().to_degrees(),
-        fit.duration_s
+        "gyroscope bias {bias} °/s, ± {sigma:.4} °/s, from {duration_s:.1} s of standstill"
     ))
 }
 

@@ -1,11 +1,9 @@
 //! The commands that talk to a running service, one request each.
 
 use crate::service::protocol::{RecordAction, Request};
-use args::{Action, BendArgs, PlayArgs, RecordArgs, StatusArgs, SubscribeArgs};
 use connection::{At, ask_and_print, connect};
 use miette::Result;
 
-pub mod args;
 pub mod connection;
 pub mod follow;
 pub mod keys;
@@ -22,38 +20,38 @@ commands! {
 
     /// Bend the tip.
     #[command(allow_negative_numbers = true)]
-    Bend(BendArgs) => follow::bend,
+    Bend(follow::BendArgs) => follow::bend,
     /// Decelerate smoothly and hold.
-    Hold(Plain) => |p: &Plain| send(&p.at, &Request::Hold {}),
+    Hold(At) => |at: &At| send(at, &Request::Hold {}),
     /// Brake at once and hold; motion is refused until `arm`.
-    Stop(Plain) => |p: &Plain| connection::stop(&p.at),
+    Stop(At) => connection::stop,
     /// Return to rest slowly, then de-energise.
-    Relax(Plain) => |p: &Plain| send(&p.at, &Request::Relax {}),
+    Relax(At) => |at: &At| send(at, &Request::Relax {}),
     /// Energise the drivers and hold the present pose.
     ///
     /// Waits for the end of an alignment that is in progress.
-    Arm(Plain) => |p: &Plain| follow::arm(&p.at),
+    Arm(At) => follow::arm,
     /// Accept no more motion.
-    Disarm(Plain) => |p: &Plain| send(&p.at, &Request::Disarm {}),
+    Disarm(At) => |at: &At| send(at, &Request::Disarm {}),
     /// Define the present pose as zero bend.
     Zero(ZeroArgs) => zero,
     /// Show the state of the service.
-    Status(StatusArgs) => status::status,
+    Status(status::StatusArgs) => status::status,
     /// Watch tip, lines and gains, live or from a flight log.
     Monitor(monitor::MonitorArgs) => monitor::monitor,
     /// Clear a fault whose cause has been removed.
-    ResetFault(Plain) => |p: &Plain| send(&p.at, &Request::ResetFault {}),
+    ResetFault(At) => |at: &At| send(at, &Request::ResetFault {}),
     /// Read the gains file again and apply it without a jump.
-    Reload(Plain) => |p: &Plain| send(&p.at, &Request::Reload {}),
+    Reload(At) => |at: &At| send(at, &Request::Reload {}),
     /// Start or stop a recording.
     Record(RecordArgs) => record,
     /// Run a schedule of `gap excite`: its poses, speeds and holds.
-    Play(PlayArgs) => play::play,
+    Play(play::PlayArgs) => play::play,
     /// Stream set-points from standard input.
     ///
     /// One per line, `BEND DIR` or `BEND DIR T` (degrees, and seconds if the tip shall follow a smooth curve through them). The tip stops when
     /// the stream pauses, and comes to rest at the last set-point when it ends.
-    Stream(Plain) => |p: &Plain| stream::stream(&p.at),
+    Stream(At) => stream::stream,
     /// Bend the tip by hand, with a joystick or the arrow keys.
     ///
     /// It moves while a button is held.
@@ -61,14 +59,7 @@ commands! {
     /// Serve a page for a tablet: the tip in 3-D, bend by hand, stop.
     Page(page::PageArgs) => page::page,
     /// Print frames as JSON lines.
-    Subscribe(SubscribeArgs) => status::subscribe,
-}
-
-/// A command without arguments of its own.
-#[derive(Debug, clap::Args)]
-pub struct Plain {
-    #[command(flatten)]
-    at: At,
+    Subscribe(status::SubscribeArgs) => status::subscribe,
 }
 
 /// Arguments of `zero`.
@@ -81,22 +72,33 @@ pub struct ZeroArgs {
     straight: bool,
 }
 
+/// Arguments of `record`.
+#[derive(Debug, clap::Args)]
+pub struct RecordArgs {
+    #[command(flatten)]
+    at: At,
+    /// Start or stop.
+    #[arg(value_enum)]
+    action: RecordAction,
+    /// Name of the recording. Default: the next free number.
+    name: Option<String>,
+}
+
 fn zero(args: &ZeroArgs) -> Result<()> {
     let straight = args.straight;
     send_and_align(&args.at, &Request::Zero { straight })
 }
 
 fn record(args: &RecordArgs) -> Result<()> {
-    let (name, owned) = (args.name.clone(), false);
-    let request = |action| Request::Record {
-        action,
-        name,
-        owned,
+    let request = Request::Record {
+        action: args.action,
+        name: args.name.clone(),
+        owned: false,
     };
     match args.action {
         // a recording that starts at rest starts with a new alignment
-        Action::Start => send_and_align(&args.at, &request(RecordAction::Start)),
-        Action::Stop => send(&args.at, &request(RecordAction::Stop)),
+        RecordAction::Start => send_and_align(&args.at, &request),
+        RecordAction::Stop => send(&args.at, &request),
     }
 }
 

@@ -1,7 +1,6 @@
 //! `retroflex commission`: verifies that the machine is wired as its board file says, and that its lines are tight.
 
-use crate::cli::inputs::within;
-use crate::cli::{manual_motion, output};
+use crate::cli::{manual_motion, output, within};
 use crate::config::rewired::rewired;
 use crate::config::{Board, source};
 use crate::supervisor::commission::trial::{self, TrialConfig, TrialError};

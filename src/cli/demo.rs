@@ -1,8 +1,7 @@
 //! `retroflex demo`: the service on the simulated tip, a leak, its diagnosis and its remedy, each step by the command that
 //! a user would type.
 
-use crate::cli::Unreachable;
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, Unreachable, output};
 use crate::drill::process::daemon::Daemon;
 use miette::{IntoDiagnostic, Result, miette};
 use serde_json::Value;
@@ -13,6 +12,8 @@ use std::process::Command;
 const PACE: &str = "8";
 /// The line that leaks, from 1, and its rate, 1/s.
 const LEAK: (usize, f64) = (2, 0.03);
+/// Why a command does not reach a service of the demonstration.
+const ENDED: &str = "its service has ended";
 /// Poses that show a leak: bends in three directions, held for some seconds, in rows of `gap excite`.
 pub const SCHEDULE: &str = include_str!("demo.csv");
 
@@ -31,9 +32,8 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<bool> {
     let report = args.html.display();
     let scratch = output::Scratch::new("demo")?;
-    let program = std::env::current_exe().into_diagnostic()?;
     let demo = Demo {
-        program,
+        program: std::env::current_exe().into_diagnostic()?,
         folder: &scratch.0,
     };
     std::fs::write(demo.file("schedule.csv"), SCHEDULE).into_diagnostic()?;
@@ -59,9 +59,8 @@ pub fn run(args: &Args) -> Result<bool> {
     let names = after["verdict"]["names"].as_array();
     let good = names.is_some_and(|names| names.iter().all(|n| n != "leak"));
     let end = if good { "gone" } else { "still there" };
-    output::print(format!(
-        "\nThe leak is {end}. The report of the leaky tip is {report}.\n"
-    ));
+    let text = format!("The leak is {end}. The report of the leaky tip is {report}.");
+    output::print(format!("\n{text}\n"));
     Ok(good)
 }
 
@@ -113,10 +112,7 @@ impl Demo<'_> {
         let done = command.args(words).env("RETROFLEX_SOCKET", socket).status();
         match done.into_diagnostic()?.code() {
             Some(0) => Ok(()),
-            Some(3) => Err(Unreachable::report(
-                "the simulated tip",
-                "its service has ended",
-            )),
+            Some(3) => Err(Unreachable::report("the simulated tip", ENDED)),
             _ => Err(miette!("`retroflex {line}` failed; see above")),
         }
     }
@@ -127,11 +123,8 @@ impl Demo<'_> {
         {
             let service = Some(&self.serve(name, leak)?);
             self.step(about, &["arm"], service)?;
-            self.step(
-                "",
-                &["play", &path("schedule.csv"), "--record", name],
-                service,
-            )?;
+            let play = ["play", &path("schedule.csv"), "--record", name];
+            self.step("", &play, service)?;
         }
         let log = path(&format!("{name}/state/recordings/{name}.csv.gz"));
         let (html, json) = (html.display().to_string(), path(&format!("{name}.json")));

@@ -1,7 +1,6 @@
 //! `retroflex doctor`: compares this computer with the board file. Each line passes, warns or fails, and names the remedy.
 
-use crate::cli::inputs;
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, inputs, output};
 use crate::config::{Board, PressureBound};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::{Sensor, slowness};
@@ -55,13 +54,11 @@ pub struct Finding {
 
 impl Finding {
     fn new(what: &str, verdict: Verdict, found: impl Into<String>, remedy: &str) -> Self {
-        let (what, found) = (what.to_owned(), found.into());
-        let remedy = if verdict == Pass { "" } else { remedy }.to_owned();
         Self {
-            what,
+            what: what.to_owned(),
             verdict,
-            found,
-            remedy,
+            found: found.into(),
+            remedy: if verdict == Pass { "" } else { remedy }.to_owned(),
         }
     }
 
@@ -97,7 +94,7 @@ pub fn examine(board: &Board) -> Vec<Finding> {
     findings.extend(devices(board));
     findings.extend(real_time(board));
     let paths = Paths::of(&board.service);
-    let sockets = folder("socket folder", paths.control.parent());
+    let sockets = socket_folder(paths.control.parent());
     findings.extend([clock(), power(), disk(&paths.state), sockets]);
     findings
 }
@@ -110,11 +107,11 @@ fn read(path: &str) -> Option<String> {
 fn model() -> Finding {
     let another = "not a Raspberry Pi: use the GPIO character device for the pins";
     let none = "no device tree: only simulations and replays run here";
-    match read("/proc/device-tree/model") {
-        Some(model) if model.contains("Raspberry Pi") => Finding::new("computer", Pass, model, ""),
-        Some(model) => Finding::new("computer", Warn, model, another),
-        None => Finding::new("computer", Warn, std::env::consts::ARCH, none),
-    }
+    let Some(model) = read("/proc/device-tree/model") else {
+        return Finding::new("computer", Warn, std::env::consts::ARCH, none);
+    };
+    let verdict = pass_or_warn(model.contains("Raspberry Pi"));
+    Finding::new("computer", verdict, model, another)
 }
 
 fn kernel() -> Finding {
@@ -130,13 +127,23 @@ fn pressure(board: &Board) -> Finding {
     Finding::new("pressure", verdict, found, PressureBound::REMEDY)
 }
 
+/// The remedy for a sensor that does not answer.
+const UNSEEN: &str = "check connector, supply, address and part; see [imu] in the board file";
+
 /// Buses, GPIO chips and sensors that the board names. Sensors are identified; no output is driven.
 fn devices(board: &Board) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (what, section) in [("tip IMU", &board.imu), ("base IMU", &board.base_imu)] {
         let Some(imu) = section else { continue };
         let remedy = "enable I²C (`dtparam=i2c_arm=on`) and join the group i2c";
-        findings.push(device(&format!("{what}, bus"), &imu.bus, remedy));
+        let mut options = std::fs::File::options();
+        let open = options.read(true).write(true).open(&imu.bus);
+        let (verdict, found) = match open {
+            Ok(_) => (Pass, imu.bus.clone()),
+            Err(e) => (Fail, format!("{}: {e}", imu.bus)),
+        };
+        let what = format!("{what}, bus");
+        findings.push(Finding::new(&what, verdict, found, remedy));
         findings.extend(bus_speed(&imu.bus));
     }
     match board.pins.as_ref().map(pins::probe) {
@@ -147,15 +154,13 @@ fn devices(board: &Board) -> Vec<Finding> {
     let Some(machine) = board.hardware() else {
         return findings;
     };
-    let _lock = match HardwareLock::take() {
-        Ok(lock) => lock,
-        Err(path) => {
-            let remedy = "a running service (`retroflex status` shows its sensors) or another command uses the hardware: the sensors are not touched";
-            let found = format!("{} is locked", path.display());
-            findings.push(Finding::new("sensors", Warn, found, remedy));
-            return findings;
-        }
-    };
+    let lock = HardwareLock::take();
+    if let Err(path) = &lock {
+        let remedy = "a running service (`retroflex status` shows its sensors) or another command uses the hardware: the sensors are not touched";
+        let found = format!("{} is locked", path.display());
+        findings.push(Finding::new("sensors", Warn, found, remedy));
+        return findings;
+    }
     for (what, sensor) in [("tip IMU", &machine.imu), ("base IMU", &machine.base_imu)] {
         let Some(config) = sensor else { continue };
         findings.push(match Sensor::start(config) {
@@ -167,21 +172,10 @@ fn devices(board: &Board) -> Vec<Finding> {
                 let verdict = pass_or_warn(slow.is_none());
                 Finding::new(what, verdict, found, &slow.unwrap_or_default())
             }
-            Err(e) => {
-                let remedy =
-                    "check connector, supply, address and part; see [imu] in the board file";
-                Finding::new(what, Fail, e.to_string(), remedy)
-            }
+            Err(e) => Finding::new(what, Fail, e.to_string(), UNSEEN),
         });
     }
     findings
-}
-
-fn device(what: &str, path: &str, remedy: &str) -> Finding {
-    match std::fs::File::options().read(true).write(true).open(path) {
-        Ok(_) => Finding::new(what, Pass, path, ""),
-        Err(e) => Finding::new(what, Fail, format!("{path}: {e}"), remedy),
-    }
 }
 
 /// Clock frequency of a bus in the device tree, Hz as a big-endian 32-bit number; fast mode (400 kHz) is required for the sample rate.
@@ -216,7 +210,7 @@ fn real_time(board: &Board) -> Vec<Finding> {
 
 fn clock() -> Finding {
     let source = read("/sys/devices/system/clocksource/clocksource0/current_clocksource");
-    let source = source.unwrap_or_else(|| "unknown".to_owned());
+    let source = source.unwrap_or("unknown".to_owned());
     let good = ["arch_sys_counter", "tsc", "kvm-clock"].contains(&source.as_str());
     let remedy = "reading the time is slow with this clock source; select another in sysfs";
     Finding::new("clock", pass_or_warn(good), source, remedy)
@@ -262,20 +256,20 @@ fn tempfile_in(folder: &Path) -> std::io::Result<()> {
     std::fs::remove_file(path)
 }
 
-fn folder(what: &str, path: Option<&Path>) -> Finding {
+fn socket_folder(path: Option<&Path>) -> Finding {
+    let what = "socket folder";
     let Some(path) = path else {
         return Finding::new(what, Fail, "none", "give the socket's path with its folder");
     };
     let shown = path.display();
-    match std::fs::metadata(path) {
+    let remedy =
+        "RuntimeDirectory= of the systemd unit creates it; use --socket when starting by hand";
+    let (verdict, found) = match std::fs::metadata(path) {
         Ok(m) => {
             let (mode, user, group) = (m.mode() & 0o777, m.uid(), m.gid());
-            let found = format!("{shown} ({mode:o}, {user}:{group})");
-            Finding::new(what, Pass, found, "")
+            (Pass, format!("{shown} ({mode:o}, {user}:{group})"))
         }
-        Err(e) => {
-            let remedy = "RuntimeDirectory= of the systemd unit creates it; use --socket when starting by hand";
-            Finding::new(what, Warn, format!("{shown}: {e}"), remedy)
-        }
-    }
+        Err(e) => (Warn, format!("{shown}: {e}")),
+    };
+    Finding::new(what, verdict, found, remedy)
 }

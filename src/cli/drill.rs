@@ -1,8 +1,6 @@
 //! `retroflex drill`: injects every fault; `--soak HOURS` injects them at random for a long time.
 
-use crate::cli::inputs;
-use crate::cli::inputs::within;
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, inputs, output, within};
 use crate::config::Gains;
 use crate::drill::bench::BenchConfig;
 use crate::drill::process::{self, Harm};
@@ -63,7 +61,12 @@ pub struct Args {
 /// # Errors
 /// A report about the input.
 pub fn run(args: &Args) -> Result<bool> {
-    let config = simulation()?;
+    // the simulated machine of the paper with the paper's calibration
+    let config = BenchConfig {
+        board: inputs::board(None)?,
+        calibration: inputs::calibration(None)?,
+        gains: Gains::default(),
+    };
     if let Some(folder) = &args.exercise {
         process::exercise(&config, folder, args.harm).into_diagnostic()?;
         return Ok(true);
@@ -77,26 +80,14 @@ pub fn run(args: &Args) -> Result<bool> {
     let rows = rows(args, &config)?;
     if rows.is_empty() {
         let only = args.only.as_deref().unwrap_or("");
-        let names = list::specs()
-            .iter()
-            .map(|s| s.name)
-            .collect::<Vec<_>>()
-            .join(", ");
+        let names: Vec<_> = list::specs().iter().map(|s| s.name).collect();
+        let names = names.join(", ");
         bail!(
             "--only {only}: no fault has a name that contains this text; in flight there are {names}"
         );
     }
     show(&rows, args)?;
     Ok(rows.iter().all(|r| r.ok))
-}
-
-/// The simulated machine of the paper with the paper's calibration.
-fn simulation() -> Result<BenchConfig> {
-    Ok(BenchConfig {
-        board: inputs::board(None)?,
-        calibration: inputs::calibration(None)?,
-        gains: Gains::default(),
-    })
 }
 
 fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<FaultResult>> {
@@ -144,11 +135,8 @@ fn run_soak(args: &Args, config: &BenchConfig, hours: f64) -> Result<bool> {
     let result = soak::run(config, hours, args.seed, &mut progress);
     bar.finish_and_clear();
     let soak = result.into_diagnostic()?;
-    let file = args
-        .json
-        .clone()
-        .unwrap_or_else(|| OsString::from("-").into());
-    output::json(&Some(file), &soak)?;
+    let stdout = || Some(OsString::from("-").into());
+    output::json(&args.json.clone().or_else(stdout), &soak)?;
     Ok(soak.ok)
 }
 
@@ -162,7 +150,7 @@ fn show(rows: &[FaultResult], args: &Args) -> Result<()> {
         let between = if r.ok { "" } else { " · " };
         [
             r.fault.clone(),
-            r.detected_s.map_or_else(|| "–".to_owned(), time),
+            r.detected_s.map_or("–".to_owned(), time),
             format!("{} of {}", r.steps_after, r.steps_allowed),
             r.state.clone(),
             format!("{:.1}°", r.error_deg_during),
@@ -172,24 +160,19 @@ fn show(rows: &[FaultResult], args: &Args) -> Result<()> {
         ]
     };
     let cells: Vec<_> = rows.iter().map(cells).collect();
-    let header = output::columns("fault|detected|steps|state|error during|after|ok|message");
+    let header = "fault|detected|steps|state|error during|after|ok";
     let failed = rows.iter().filter(|r| !r.ok).count();
     let all = format!("{} faults, {failed} failed", rows.len());
     output::write_some(&args.html, || {
         let mut page = Page::new("retroflex drill");
         page.text(&all);
-        page.table(&header, &cells);
+        page.table(&format!("{header}|message"), &cells);
         Ok(page.html())
     })?;
     let why = rows.iter().zip(&cells).filter(|(r, _)| !r.ok);
-    let why: String = why
-        .map(|(r, cells)| format!("{}: {}\n", r.fault, cells[7]))
-        .collect();
-    let narrow = cells.iter().map(|cells| cells[..7].to_vec());
-    let table = output::table(&header[..7].join("|"), 1..6, narrow);
-    output::answer(
-        &args.json,
-        &json!({ "rows": rows }),
-        format!("{table}\n{why}{all}\n"),
-    )
+    let why = why.map(|(r, cells)| format!("{}: {}\n", r.fault, cells[7]));
+    let why: String = why.collect();
+    let table = output::table(header, 1..6, cells.iter().map(|cells| cells[..7].to_vec()));
+    let text = format!("{table}\n{why}{all}\n");
+    output::answer(&args.json, &json!({ "rows": rows }), text)
 }

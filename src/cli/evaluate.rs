@@ -3,8 +3,7 @@
 pub mod args;
 mod studies;
 
-use crate::cli::output;
-use crate::cli::{gap, inputs, logging};
+use crate::cli::{gap, inputs, logging, output};
 use crate::config::{Board, Calibration, PlantSection, assemble, source};
 use crate::control::LoopConfig;
 use crate::experiment::arm::ArmResult;
@@ -31,7 +30,11 @@ const FOLLOWED_DEG: f64 = 3.0;
 /// # Errors
 /// A report that says what was wrong with the input or the plant.
 pub fn run(args: &Args) -> Result<bool> {
-    check(args)?;
+    let arms = args.arms.as_deref().unwrap_or_default();
+    let mut twice = (0..arms.len()).filter(|n| arms[..*n].contains(&arms[*n]));
+    if let Some(arm) = twice.next().map(|n| arms[n]) {
+        bail!("--arms names `{}` twice; name each arm once", arm.name());
+    }
     let board = inputs::board(args.board.as_deref())?;
     let gains = inputs::gains(args.gains.as_deref())?;
     if args.sweep || args.ablate {
@@ -43,20 +46,17 @@ pub fn run(args: &Args) -> Result<bool> {
     let identify = calibration.is_none();
     let calibration = calibration.unwrap_or_default();
     let feedforward = inputs::feedforward(&args.feedforward, &args.calib, &calibration, &board)?;
-    let feedforward = feedforward.map(|(_, machine)| machine);
     let config = assemble(&board, &calibration, &gains);
     let track = track(args, &config)?;
     let usual: &[Arm] = if track.is_some() { &[] } else { &Arm::ALL };
-    let arms = args.arms.clone().unwrap_or(usual.to_vec());
-    let rig = gap::input::rig(args.board.as_deref())?;
     let plan = Plan {
         identify,
         config,
-        arms,
+        arms: args.arms.clone().unwrap_or(usual.to_vec()),
         track,
         seed: args.seed,
-        rig,
-        feedforward,
+        rig: gap::input::rig(args.board.as_deref())?,
+        feedforward: feedforward.map(|(_, machine)| machine),
     };
     let bar = output::bar(0, "{msg:<18} {pos} states held,");
     let result = evaluation::run(&plan, &mut |purpose| open(purpose), &mut |what| {
@@ -74,17 +74,6 @@ pub fn run(args: &Args) -> Result<bool> {
     Ok(verdict(&result))
 }
 
-/// Refuses contradictory arguments before anything runs.
-fn check(args: &Args) -> Result<()> {
-    let arms = args.arms.as_deref().unwrap_or_default();
-    for (n, arm) in arms.iter().enumerate() {
-        if arms[..n].contains(arm) {
-            bail!("--arms names `{}` twice; name each arm once", arm.name());
-        }
-    }
-    Ok(())
-}
-
 /// The path of `--track`, within the reach of the machine as far as it is known before an identification.
 fn track(args: &Args, config: &LoopConfig) -> Result<Option<Track>> {
     let Some(file) = &args.track else {
@@ -92,8 +81,8 @@ fn track(args: &Args, config: &LoopConfig) -> Result<Option<Track>> {
     };
     let path = path::PathFile::open(file, &config.geometry).into_diagnostic()?;
     let within = path.within(&config.limits, &config.geometry, &config.lines);
-    within.into_diagnostic()?;
     let live = args.live;
+    within.into_diagnostic()?;
     Ok(Some(Track { path, live }))
 }
 
@@ -108,11 +97,8 @@ fn plant(args: &Args, board: &Board) -> Result<(Open, bool)> {
         let step_mm = board.drive.law().step_mm;
         let open: Open = Box::new(move |purpose| {
             let noise = seed.wrapping_add(noise_of(purpose));
-            Ok(Box::new(Described::new(
-                machine.as_ref().clone(),
-                step_mm,
-                noise,
-            )))
+            let machine = machine.as_ref().clone();
+            Ok(Box::new(Described::new(machine, step_mm, noise)))
         });
         return Ok((open, false));
     }

@@ -1,7 +1,7 @@
 //! `retroflex fleet`: what the rows of many diagnoses tell about the lots of a fleet and about its next unit.
 
 use crate::cli::gap::rows::read;
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, output};
 use crate::config::Calibration;
 use crate::diagnosis::fleet::row::FleetRow;
 use crate::diagnosis::fleet::{GAINS, Survey, row};
@@ -45,11 +45,10 @@ pub fn run(args: &Args) -> Result<()> {
     let mut rows: BTreeMap<String, FleetRow> = BTreeMap::new();
     for table in &args.tables {
         for row in read(table)? {
-            let log = row.log.clone();
+            let (log, file) = (row.log.clone(), table.display());
             if rows.get(&log).is_some_and(|known| *known != row) {
                 bail!(
-                    "{}: {log} has another row in another table; diagnose it again, with the same settings everywhere",
-                    table.display()
+                    "{file}: {log} has another row in another table; diagnose it again, with the same settings everywhere"
                 );
             }
             rows.insert(log, row);
@@ -89,10 +88,8 @@ fn prior(survey: &Survey) -> Result<Calibration> {
         transmission.k_lambda_mm[i] = value(3 + i);
         transmission.k_lambda_sigma_mm[i] = sigma(3 + i);
     }
-    transmission.source = format!(
-        "median and spread of the {} sound ones of {} logs",
-        gains[0].n, survey.lots[0].logs
-    );
+    let (sound, logs) = (gains[0].n, survey.lots[0].logs);
+    transmission.source = format!("median and spread of the {sound} sound ones of {logs} logs");
     prior.dynamics.lag_s = value(6);
     Ok(prior)
 }

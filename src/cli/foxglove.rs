@@ -12,7 +12,7 @@ use crate::service::flight::read::Tail;
 use crate::service::paths::flight_folders;
 use miette::{IntoDiagnostic, Result, bail};
 use std::net::{SocketAddr, TcpListener};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use viewers::Viewers;
 
@@ -65,7 +65,7 @@ pub fn run(args: &Args) -> Result<()> {
             said = remark;
         }
         match written {
-            Some((messages, pace)) => serve(&viewers, messages, pace),
+            Some(written) => serve(&viewers, written),
             None => std::thread::sleep(AGAIN),
         }
     }
@@ -77,15 +77,12 @@ fn waiting(folders: &[PathBuf]) -> String {
         let why = flights(folder).map_or_else(|e| e.kind().to_string(), |_| "empty".to_owned());
         format!("{} ({why})", folder.display())
     });
-    let found: Vec<String> = found.collect();
-    format!(
-        "there is no flight log yet; waiting for one in {}\n",
-        found.join(" or ")
-    )
+    let found = found.collect::<Vec<_>>().join(" or ");
+    format!("there is no flight log yet; waiting for one in {found}\n")
 }
 
-/// Serves messages in their own time; without a pace they are only kept.
-fn serve(viewers: &Viewers, messages: Vec<mcap::Message<'static>>, pace: Option<f64>) {
+/// Serves messages in their own time.
+fn serve(viewers: &Viewers, (messages, pace): Written) {
     let (began, first_ns) = (Instant::now(), messages.first().map_or(0, |m| m.log_time));
     for message in messages {
         let since_s = message.log_time.saturating_sub(first_ns) as f64 * 1e-9;
@@ -95,6 +92,9 @@ fn serve(viewers: &Viewers, messages: Vec<mcap::Message<'static>>, pace: Option<
         viewers.show(&message, pace.is_some());
     }
 }
+
+/// Messages, and over which share of their time they are to be served; without it they are only kept.
+type Written = (Vec<mcap::Message<'static>>, Option<f64>);
 
 /// The log that is followed.
 #[derive(Default)]
@@ -107,11 +107,8 @@ struct Followed {
 }
 
 impl Followed {
-    /// What is written next, and over which share of its time it is to be served; `None` if there is nothing more at present.
-    fn next(
-        &mut self,
-        folders: &[PathBuf],
-    ) -> std::io::Result<Option<(Vec<mcap::Message<'static>>, Option<f64>)>> {
+    /// What is written next; `None` if there is nothing more at present.
+    fn next(&mut self, folders: &[PathBuf]) -> std::io::Result<Option<Written>> {
         if let Some((_, tail)) = &mut self.log
             && let Some(messages) = tail.next_record()?
         {
@@ -125,20 +122,15 @@ impl Followed {
             self.live = true;
             return Ok(None);
         }
-        self.log = match newest {
-            Some(path) => Some((path.clone(), Tail::open(&path)?)),
-            None => None,
-        };
+        let open = |path: PathBuf| Tail::open(&path).map(|tail| (path, tail));
+        self.log = newest.map(open).transpose()?;
         Ok(None)
     }
 }
 
 /// The log that was written last.
 fn newest(folders: &[PathBuf]) -> Option<PathBuf> {
-    let written = |path: &Path| std::fs::metadata(path).and_then(|m| m.modified()).ok();
+    let written = |path: &PathBuf| path.metadata().and_then(|m| m.modified()).ok();
     let newest = |folder: &PathBuf| flights(folder).ok()?.pop();
-    folders
-        .iter()
-        .filter_map(newest)
-        .max_by_key(|path| written(path))
+    folders.iter().filter_map(newest).max_by_key(written)
 }

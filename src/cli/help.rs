@@ -1,6 +1,6 @@
 //! The command line as `clap` describes it: commands by task, examples, completions and man pages.
 
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, output};
 use crate::config::shipped;
 use crate::drill::list;
 use crate::estimation::fusion::FilterName;
@@ -10,7 +10,6 @@ use clap::{Arg, Command, ValueHint};
 use clap_complete::Shell;
 use miette::{Result, bail, miette};
 use std::any::TypeId;
-use std::fmt::Write;
 use std::path::PathBuf;
 
 /// The commands by task, as `--help` lists them.
@@ -39,10 +38,8 @@ const TEMPLATE: &str =
 /// The commands with examples, in their order, with the two of each.
 fn all_examples() -> Vec<(&'static str, [&'static str; 2])> {
     let lines: Vec<&str> = EXAMPLES.lines().collect();
-    let pairs = lines.chunks_exact(2).map(|pair| [pair[0], pair[1]]);
-    pairs
-        .filter_map(|pair| Some((pair[0].split(' ').next()?, pair)))
-        .collect()
+    let named = |pair: &[&'static str; 2]| Some((pair[0].split(' ').next()?, *pair));
+    lines.as_chunks().0.iter().filter_map(named).collect()
 }
 
 /// Two examples of a command, without the name of the program.
@@ -57,11 +54,11 @@ pub fn examples(name: &str) -> [String; 2] {
 pub fn explained(cli: Command) -> Command {
     let mut text = String::new();
     for (task, names) in GROUPS {
-        let _ = writeln!(text, "\n{task}:");
+        text += &format!("\n{task}:\n");
         for name in names.split(' ') {
             let about = cli.find_subcommand(name).and_then(Command::get_about);
             let about = about.map_or("Print help for a command.".to_owned(), ToString::to_string);
-            let _ = writeln!(text, "  {name:<13} {about}");
+            text += &format!("  {name:<13} {about}\n");
         }
         let mut own = all_examples();
         own.retain(|e| names.split(' ').any(|name| name == e.0) && e.1[0].contains(' '));
@@ -69,17 +66,13 @@ pub fn explained(cli: Command) -> Command {
             continue;
         };
         let second = own.get(1).map_or(second, |other| &other.1[0]);
-        let _ = writeln!(
-            text,
-            "  For example:\n    retroflex {first}\n    retroflex {second}"
-        );
+        text += &format!("  For example:\n    retroflex {first}\n    retroflex {second}\n");
     }
     let numbers = |c: Command| c.allow_negative_numbers(true);
     let with_examples = |c: Command| {
         let [first, second] = examples(c.get_name());
-        numbers(c).mut_subcommands(numbers).after_help(format!(
-            "Examples:\n  retroflex {first}\n  retroflex {second}"
-        ))
+        let text = format!("Examples:\n  retroflex {first}\n  retroflex {second}");
+        numbers(c).mut_subcommands(numbers).after_help(text)
     };
     cli.mut_subcommands(with_examples)
         .help_template(TEMPLATE)
@@ -103,9 +96,8 @@ pub fn plain(text: &str) -> String {
         ("unrecognized subcommand", "there is no command"),
         ("a similar subcommand exists", "did you mean"),
     ];
-    WORDS
-        .iter()
-        .fold(text.to_owned(), |text, (from, to)| text.replace(from, to))
+    let plainer = |text: String, (from, to): &(&str, &str)| text.replace(from, to);
+    WORDS.iter().fold(text.to_owned(), plainer)
 }
 
 /// Arguments of `completions`.
@@ -128,10 +120,8 @@ pub fn completions(args: &CompletionsArgs, command: Command) -> Result<()> {
     let boards = boards().join(" ");
     let mut script = String::from_utf8_lossy(&script).into_owned();
     // a board may be a file, too; bash tries files when no name fits
-    script = script.replace(
-        &format!("({boards})"),
-        &format!("{{compadd {boards}; _files}}"),
-    );
+    let with_files = format!("{{compadd {boards}; _files}}");
+    script = script.replace(&format!("({boards})"), &with_files);
     let in_fish = format!("-f -a \"{}\\t", shipped::BOARDS[0].0);
     output::print(script.replace(&in_fish, &in_fish.replacen("-f", "-F", 1)));
     Ok(())

@@ -33,11 +33,8 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     let board = inputs::board(Some(&args.board))?;
     // the lock of the state folder also keeps a service from starting meanwhile
-    let memory = board
-        .hardware()
-        .map(|_| Store::open(&Paths::of(&board.service).state))
-        .transpose()
-        .into_diagnostic()?;
+    let open = |_| Store::open(&Paths::of(&board.service).state);
+    let memory = board.hardware().map(open).transpose().into_diagnostic()?;
     let text = match board.homing.method {
         HomingMethod::Switches => by_switches(args, &board)?,
         HomingMethod::Operator => by_operator(args)?,
@@ -53,7 +50,7 @@ pub fn run(args: &Args) -> Result<()> {
         }
         store.write(&memory).into_diagnostic()?;
     }
-    output::print(&text);
+    output::print(text);
     Ok(())
 }
 
@@ -87,8 +84,8 @@ fn by_switches(args: &Args, board: &Board) -> Result<String> {
         hand.energise(false)?;
         Ok(homed)
     })?;
-    let [moved, repeat] =
-        [homed.moved_mm, homed.repeat_mm].map(|mm| mm.map(|x| format!("{x:.3}")).join(", "));
+    let listed = |mm: [f64; 3]| mm.map(|x| format!("{x:.3}")).join(", ");
+    let [moved, repeat] = [homed.moved_mm, homed.repeat_mm].map(listed);
     Ok(format!(
         "zero found: corrected by {moved} mm, switches repeat within {repeat} mm; pistons at zero, drivers released\n"
     ))

@@ -1,6 +1,6 @@
 //! `retroflex imu score`: orientation filters against recordings with a reference.
 
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, output};
 use crate::estimation::fusion::FilterName;
 use crate::estimation::score::{self, FileScore, Score};
 use miette::{IntoDiagnostic, Result};
@@ -38,10 +38,8 @@ pub struct ScoreArgs {
 pub fn run(args: &ScoreArgs) -> Result<()> {
     let rows = score::run(&args.files, args.filter, args.all).into_diagnostic()?;
     output::answer(&args.json, &rows, table(&rows) + "\n")?;
-    for row in rows
-        .iter()
-        .filter(|row| row.filter == rows[0].filter && row.saturated > 0.0)
-    {
+    let saturated = |row: &&FileScore| row.filter == rows[0].filter && row.saturated > 0.0;
+    for row in rows.iter().filter(saturated) {
         eprintln!(
             "{}: the gyroscope is at the end of its range in {:.1} % of the samples, so rates are too small there; record with a larger range or move more slowly",
             row.file,
@@ -57,10 +55,8 @@ fn table(rows: &[FileScore]) -> String {
         let figures = [s.total_deg, s.heading_deg, s.inclination_deg].map(|x| format!("{x:.2}"));
         [vec![file.to_owned(), filter.to_string()], figures.into()].concat()
     };
-    let mut lines: Vec<_> = rows
-        .iter()
-        .map(|row| line(&row.file, row.filter, &row.score))
-        .collect();
+    let of = |row: &FileScore| line(&row.file, row.filter, &row.score);
+    let mut lines: Vec<_> = rows.iter().map(of).collect();
     if rows.iter().any(|row| row.file != rows[0].file) {
         let means = |filter| Some(line("mean", filter, &score::mean(rows, filter)?));
         lines.extend(FilterName::ALL.into_iter().filter_map(means));

@@ -1,6 +1,6 @@
 //! Inputs that several commands share: configuration files with their built-in defaults, and foreign plants.
 
-use crate::config::{Board, Calibration, Gains, shipped, source};
+use crate::config::{Board, Calibration, Gains, shipped, show, source};
 use crate::diagnosis::tip::SavedModel;
 use crate::hardware::rt;
 use crate::model::DescribedMachine;
@@ -99,13 +99,13 @@ pub fn feedforward(
     board: &Board,
 ) -> Result<Option<(PathBuf, Arc<DescribedMachine>)>> {
     let named = Some(&calibration.feedforward).filter(|name| !name.is_empty());
-    let folder = calib
-        .as_deref()
-        .and_then(Path::parent)
-        .unwrap_or(Path::new(""));
-    let path = given.clone().or_else(|| Some(folder.join(named?)));
-    path.map(|path| described(&path, board).map(|machine| (path, machine)))
-        .transpose()
+    let calib = calib.as_deref().unwrap_or(Path::new(""));
+    let beside = |name| calib.with_file_name(name);
+    let Some(path) = given.clone().or_else(|| named.map(beside)) else {
+        return Ok(None);
+    };
+    let machine = described(&path, board)?;
+    Ok(Some((path, machine)))
 }
 
 /// [`described`] for a model that has been read from `origin`.
@@ -131,6 +131,15 @@ pub fn described_by(
     Ok(Arc::new(machine))
 }
 
+/// Configuration texts as the header of a flight log holds them; the text of the model for the feedforward may follow.
+pub fn texts(board: &Board, gains: &Gains, calibration: &Calibration) -> Vec<String> {
+    vec![
+        show::compact(board),
+        show::compact(gains),
+        show::compact(calibration),
+    ]
+}
+
 /// Becomes true with a signal that ends a process.
 ///
 /// # Errors
@@ -151,13 +160,11 @@ pub fn program(plant: &str) -> Result<(String, Vec<String>)> {
     let refused = |why: &str| miette!("--plant `{plant}`: {why}");
     let line = plant.strip_prefix("exec:");
     let line = line.ok_or_else(|| refused("expected `exec:PROGRAM ARG…`"))?;
-    let mut words = shlex::split(line)
-        .ok_or_else(|| refused("a quote is not closed"))?
-        .into_iter();
-    let program = words
-        .next()
-        .ok_or_else(|| refused("no program is named after `exec:`"))?;
-    Ok((program, words.collect()))
+    let words = shlex::split(line).ok_or_else(|| refused("a quote is not closed"))?;
+    match words.as_slice() {
+        [program, args @ ..] => Ok((program.clone(), args.to_vec())),
+        [] => Err(refused("no program is named after `exec:`")),
+    }
 }
 
 /// The message about an address at which nothing can be served.

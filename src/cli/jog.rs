@@ -1,8 +1,7 @@
 //! `retroflex jog`: moves one piston slowly over a short distance and back. It returns because the drivers are released at the
 //! end, and pressure would then push the piston.
 
-use crate::cli::inputs::within;
-use crate::cli::{manual_motion, output};
+use crate::cli::{manual_motion, output, within};
 use crate::supervisor::commission::manual_motion::ManualMotion;
 use miette::{Result, bail};
 use std::path::PathBuf;
@@ -66,12 +65,11 @@ pub fn run(args: &Args) -> Result<()> {
     };
     let report = manual_motion::motion_error;
     let (out, back) = manual_motion::with_manual_control(machine.as_mut(), report, stroke)?;
-    let step_mm = machine.info().step_mm;
+    let (channel, step_mm) = (args.channel, machine.info().step_mm);
+    let shown = |mm: f64| format!("{mm:.3} mm ({:.0} steps)", mm / step_mm);
+    let (out, back) = (shown(out), shown(back));
     output::print(format!(
-        "channel {}: reached {out:.3} mm ({:.0} steps), now at {back:.3} mm ({:.0} steps), drivers released\n",
-        args.channel,
-        out / step_mm,
-        back / step_mm
+        "channel {channel}: reached {out}, now at {back}, drivers released\n"
     ));
     Ok(())
 }

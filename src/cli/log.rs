@@ -3,11 +3,8 @@
 mod export;
 
 use crate::cli::flight::{self, flight_of};
-use crate::cli::inputs::within;
-use crate::cli::output::{self, ResultFile};
-use crate::report::chart::{Axis, Chart, Series, Stroke};
-use crate::report::page::Page;
-use crate::report::svg::Ink;
+use crate::cli::{ResultFile, output, within};
+use crate::report::{Axis, Chart, Ink, Page, Series, Stroke};
 use crate::service::flight::channels::Changes;
 use crate::service::flight::file::{FlightFile, TOPICS};
 use crate::service::flight::read::{Ending, Entry};
@@ -63,6 +60,11 @@ pub struct CutArgs {
     out: ResultFile,
 }
 
+/// Least time between two points of the chart of the bend, s.
+const BEND_EVERY_S: f64 = 0.1;
+/// Most points of a line of that chart.
+const BENDS_MAX: usize = 2000;
+
 /// What `log info` collects.
 #[derive(Default)]
 struct Info {
@@ -83,8 +85,8 @@ impl Info {
     }
 
     fn note(&mut self, text: &str) {
-        self.events
-            .push(format!("{:.3} s: {text}", self.duration_s));
+        let at_s = self.duration_s;
+        self.events.push(format!("{at_s:.3} s: {text}"));
     }
 
     fn take(&mut self, t_s: f64, message: &Message<'_>) -> Result<(), String> {
@@ -93,9 +95,9 @@ impl Info {
         match Entry::of(message)? {
             Entry::Event(event) => match *event {
                 Event::Start(header) => {
-                    let hashes = header.hashes().into_iter();
-                    self.facts
-                        .extend(hashes.map(|(name, hash)| (name, json!(hash))));
+                    for (name, hash) in header.hashes() {
+                        self.fact(&name, hash);
+                    }
                     self.fact("program", &header.program);
                     self.fact("machine", &header.machine.name);
                     self.fact("tip", &header.tip);
@@ -106,10 +108,8 @@ impl Info {
             },
             Entry::Cycles(first, cycles) => {
                 if let Some(next) = self.next.filter(|next| *next < first) {
-                    let missing = first - next;
-                    self.note(&format!(
-                        "gap: {missing} cycles are missing before cycle {first}"
-                    ));
+                    let gap = format!("{} cycles are missing", first - next);
+                    self.note(&format!("gap: {gap} before cycle {first}"));
                 }
                 self.next = Some(first + cycles.len() as u64);
                 self.cycles += cycles.len() as u64;
@@ -119,28 +119,21 @@ impl Info {
                     let Some(pose) = value.get(key) else { continue };
                     // a line ends where there is no pose
                     let bend_deg = pose["bend_deg"].as_f64().unwrap_or(f64::NAN);
-                    let new = bends.last().is_none_or(|last| t_s - last.0 >= BEND_EVERY_S);
-                    let ends = bends
-                        .last()
-                        .is_some_and(|last| last.1.is_nan() != bend_deg.is_nan());
-                    bends.extend((new || ends).then_some((t_s, bend_deg)));
+                    let is_due = |last: &(f64, f64)| {
+                        t_s - last.0 >= BEND_EVERY_S || last.1.is_nan() != bend_deg.is_nan()
+                    };
+                    if bends.last().is_none_or(is_due) {
+                        bends.push((t_s, bend_deg));
+                    }
                 }
-                self.changes
-                    .of(&value)
-                    .iter()
-                    .for_each(|change| self.note(change));
+                for change in self.changes.of(&value) {
+                    self.note(&change);
+                }
             }
         }
         Ok(())
     }
-}
 
-/// Least time between two points of the chart of the bend, s.
-const BEND_EVERY_S: f64 = 0.1;
-/// Most points of a line of that chart.
-const BENDS_MAX: usize = 2000;
-
-impl Info {
     fn page(&self, path: &Path, facts: &[[String; 2]]) -> Page {
         let mut page = Page::new(&format!("Flight log {}", path.display()));
         let thinned = |all: &Vec<(f64, f64)>| {
@@ -155,7 +148,7 @@ impl Info {
         let x = Axis::new("time / s", 0.0, self.duration_s, 8);
         let chart = Chart::new("Bend", x, Axis::new("bend / °", 0.0, 90.0, 6), series);
         page.charts(&[(chart.svg(), "Target and estimate of the bend.".to_owned())]);
-        page.table(&["", ""], facts);
+        page.table("|", facts);
         page.heading("Events");
         self.events.iter().for_each(|event| page.text(event));
         page
@@ -172,10 +165,8 @@ fn info(args: &InfoArgs) -> Result<bool> {
     info.fact("cycles", info.cycles);
     info.fact("ending", ending.to_string());
     let mut text = format!("{}\n", path.display());
-    let fact = |(name, value): (&String, &Value)| {
-        let text = value.as_str().map(str::to_owned);
-        [name.clone(), text.unwrap_or_else(|| value.to_string())]
-    };
+    let words = |value: &Value| value.as_str().map_or(value.to_string(), str::to_owned);
+    let fact = |(name, value): (&String, &Value)| [name.clone(), words(value)];
     let facts: Vec<[String; 2]> = info.facts.iter().map(fact).collect();
     for [name, value] in &facts {
         text += &format!("  {name}: {value}\n");
@@ -224,8 +215,8 @@ fn copy(
                 if let (true, Entry::Event(event)) = (t_s <= part_s.end, Entry::of(message)?) {
                     // every part says with what it was written
                     let later_ns = ((part_s.start - t_s).max(0.0) * 1e9) as u64;
-                    file.event(&event, message.log_time + later_ns)
-                        .map_err(&failed)?;
+                    let at_ns = message.log_time + later_ns;
+                    file.event(&event, at_ns).map_err(&failed)?;
                 }
             }
             topic if topic == TOPICS[0] => {
@@ -240,8 +231,8 @@ fn copy(
                 let (number, part) = (first + part.start as u64, &all[part]);
                 if let Some(cycle) = part.last() {
                     let early_ns = ((last_s - cycle.sensed.t.0) * 1e9) as u64;
-                    file.write_cycles(number, part, message.log_time - early_ns)
-                        .map_err(&failed)?;
+                    let at_ns = message.log_time - early_ns;
+                    file.write_cycles(number, part, at_ns).map_err(&failed)?;
                 }
                 cycles += part.len();
             }

@@ -1,6 +1,7 @@
 //! Log events go to standard error, for the journal with the priority of each line (`sd-daemon(3)`). A thread writes them, so that
 //! nobody waits for a reader.
 
+use crate::cli::output::escaped;
 use std::io::{self, IsTerminal, Write};
 use std::os::unix::fs::MetadataExt;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
@@ -17,18 +18,17 @@ use tracing_subscriber::util::SubscriberInitExt;
 pub fn start() -> Logging {
     let filter = std::env::var("RETROFLEX_LOG")
         .ok()
-        .and_then(|targets| targets.parse().ok())
-        .unwrap_or_else(|| Targets::new().with_default(LevelFilter::INFO));
+        .and_then(|text| text.parse().ok());
+    let filter = filter.unwrap_or_else(|| Targets::new().with_default(LevelFilter::INFO));
     let journal = is_journal();
     let lines = tracing_subscriber::fmt::layer()
         .with_writer(Lines::start(journal))
         .with_target(false)
         .with_level(!journal)
         .with_ansi(std::io::stderr().is_terminal());
-    let lines = if journal {
-        lines.without_time().boxed()
-    } else {
-        lines.boxed()
+    let lines = match journal {
+        true => lines.without_time().boxed(),
+        false => lines.boxed(),
     };
     let registry = tracing_subscriber::registry().with(lines.with_filter(filter));
     if registry.try_init().is_err() {
@@ -40,13 +40,9 @@ pub fn start() -> Logging {
 
 /// True if standard error is the journal: systemd names its device and inode.
 fn is_journal() -> bool {
-    let (Ok(named), Ok(there)) = (
-        std::env::var("JOURNAL_STREAM"),
-        std::fs::metadata("/proc/self/fd/2"),
-    ) else {
-        return false;
-    };
-    named == format!("{}:{}", there.dev(), there.ino())
+    let there = std::fs::metadata("/proc/self/fd/2");
+    let there = there.map(|file| format!("{}:{}", file.dev(), file.ino()));
+    there.is_ok_and(|there| std::env::var("JOURNAL_STREAM").is_ok_and(|named| named == there))
 }
 
 /// Lines that may wait for a reader of standard error. Further ones are lost.
@@ -65,21 +61,17 @@ struct Lines {
 impl Lines {
     /// Starts the thread.
     fn start(journal: bool) -> Self {
-        let (lines, waiting) = sync_channel::<Vec<u8>>(WAITING_MAX);
+        let (waiting, lines) = sync_channel::<Vec<u8>>(WAITING_MAX);
+        let work = move || {
+            for line in lines {
+                // whoever has closed standard error wants no log
+                let _ = io::stderr().write_all(&line);
+                WAITING.fetch_sub(1, Relaxed);
+            }
+        };
         // without a thread the service runs without a log
-        let _ = std::thread::Builder::new()
-            .name("log".into())
-            .spawn(move || {
-                for line in waiting {
-                    // whoever has closed standard error wants no log
-                    let _ = io::stderr().write_all(&line);
-                    WAITING.fetch_sub(1, Relaxed);
-                }
-            });
-        Self {
-            waiting: lines,
-            journal,
-        }
+        let _ = std::thread::Builder::new().name("log".into()).spawn(work);
+        Self { waiting, journal }
     }
 }
 
@@ -125,11 +117,7 @@ impl Write for Line<'_> {
 fn one_line(event: &[u8]) -> Vec<u8> {
     let text = String::from_utf8_lossy(event);
     let text = text.strip_suffix('\n').unwrap_or(&text);
-    let shown = |c: char| match c.is_control() && c != '\x1b' {
-        true => c.escape_default().to_string(),
-        false => c.to_string(),
-    };
-    (text.chars().map(shown).collect::<String>() + "\n").into_bytes()
+    (escaped(text, |c| !c.is_control() || c == '\x1b') + "\n").into_bytes()
 }
 
 /// Waits at its end until the lines are written, but not for a reader that does not read.

@@ -2,8 +2,9 @@
 
 use crate::cli::{Unreachable, inputs};
 use crate::config::Board;
+use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::{Hardware, HardwareError, MachineConfig};
-use crate::hardware::pins::OpenError;
+use crate::hardware::pins::{self, OpenError, Pins, PinsConfig};
 use crate::hardware::rt;
 use crate::primitives::Seconds;
 use crate::simulation::lockstep::Lockstep;
@@ -34,6 +35,21 @@ pub fn open(
         bail!("{file}: there is neither a [pins] nor a [plant] table, so there is nothing to move");
     };
     Ok((board, machine))
+}
+
+/// The pins of a board, and the lock that keeps other processes from them.
+///
+/// # Errors
+/// As for [`open`].
+pub fn open_pins(
+    path: &Path,
+    board: &Board,
+    wiring: &PinsConfig,
+) -> Result<(HardwareLock, Box<dyn Pins>)> {
+    let refused = |e| hardware_error(path, e);
+    let lock = HardwareLock::take().map_err(|device| refused(HardwareError::InUse(device)))?;
+    let pins = pins::open(wiring, board.drive.microsteps).map_err(|e| refused(e.into()))?;
+    Ok((lock, pins))
 }
 
 /// The plant of a board, if it describes one.

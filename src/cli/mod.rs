@@ -39,7 +39,6 @@ pub mod demo;
 pub mod doctor;
 pub mod drill;
 pub mod evaluate;
-mod failure;
 pub mod fleet;
 pub mod flight;
 pub mod foxglove;
@@ -58,7 +57,9 @@ pub mod release;
 pub mod replay;
 pub mod run;
 
+pub use inputs::within;
 pub use outcome::{CommandOutcome, Refused, Unreachable};
+pub use output::ResultFile;
 
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser};
 use std::process::ExitCode;
@@ -161,15 +162,14 @@ pub fn run(cli: Cli) -> ExitCode {
     output::exit_on_print_failure();
     let end = output::check_arguments(&cli.arguments).and_then(|()| cli.command.run());
     if let Err(report) = &end {
-        failure::print(report);
+        outcome::print(report);
     }
     ExitCode::from(exit_code(&end))
 }
 
 fn exit_code(end: &miette::Result<CommandOutcome>) -> u8 {
     match end {
-        Ok(CommandOutcome::Good) => 0,
-        Ok(CommandOutcome::NotGoodEnough) => 1,
+        Ok(CommandOutcome(good)) => u8::from(!good),
         Err(report) if report.chain().any(|e| e.is::<Refused>()) => 1,
         Err(report) if report.chain().any(|e| e.is::<Unreachable>()) => 3,
         Err(_) => 2,
@@ -183,8 +183,8 @@ mod tests {
 
     #[test]
     fn every_outcome_has_its_exit_code() {
-        assert_eq!(exit_code(&Ok(CommandOutcome::Good)), 0);
-        assert_eq!(exit_code(&Ok(CommandOutcome::NotGoodEnough)), 1);
+        assert_eq!(exit_code(&Ok(CommandOutcome(true))), 0);
+        assert_eq!(exit_code(&Ok(CommandOutcome(false))), 1);
         assert_eq!(exit_code(&Err(miette!("bad key"))), 2);
         assert_eq!(exit_code(&Err(Refused::report("not while disarmed"))), 1);
         let gone = || Unreachable {

@@ -1,28 +1,25 @@
-//! How a command ends: good, not good enough, or not reachable.
+//! How a command ends: good, not good enough, or with an error, and how that is printed: one line that says what is wrong, the place in
+//! the file where there is one, and what to do. Lines are not wrapped, so that they can be searched and copied.
 
+use crate::cli::output::printable;
+use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
+use miette::{Report, SourceSpan};
 use std::fmt;
+use std::io::{IsTerminal, stderr};
 
-/// How a command ended, other than by an error.
+/// How a command ended, other than by an error: true, unless its answer is "not good enough".
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum CommandOutcome {
-    /// Done.
-    Good,
-    /// The run finished, and its answer is "not good enough".
-    NotGoodEnough,
-}
+pub struct CommandOutcome(pub bool);
 
 impl From<()> for CommandOutcome {
     fn from((): ()) -> Self {
-        Self::Good
+        Self(true)
     }
 }
 
 impl From<bool> for CommandOutcome {
     fn from(good: bool) -> Self {
-        match good {
-            true => Self::Good,
-            false => Self::NotGoodEnough,
-        }
+        Self(good)
     }
 }
 
@@ -40,7 +37,7 @@ pub struct Unreachable {
 
 impl Unreachable {
     /// The report about a device, bus or service that does not answer.
-    pub fn report(what: &str, why: impl ToString) -> miette::Report {
+    pub fn report(what: &str, why: impl ToString) -> Report {
         let (what, why) = (what.to_owned(), why.to_string());
         Self { what, why }.into()
     }
@@ -54,7 +51,51 @@ pub struct Refused(pub String);
 
 impl Refused {
     /// The report of what is refused, and why.
-    pub fn report(why: impl fmt::Display) -> miette::Report {
+    pub fn report(why: impl fmt::Display) -> Report {
         Self(format!("refused: {why}")).into()
     }
+}
+
+/// Prints an error to standard error, in colour on a terminal unless `NO_COLOR` is set.
+pub fn print(report: &Report) {
+    let colour = stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    eprintln!("{}", rendered(report, colour));
+}
+
+fn rendered(report: &Report, colour: bool) -> String {
+    let renderer = match colour {
+        true => Renderer::styled(),
+        false => Renderer::plain(),
+    };
+    let causes = report.chain().skip(1).map(|cause| format!(": {cause}"));
+    let title: String = std::iter::once(report.to_string()).chain(causes).collect();
+    let title = String::from_utf8_lossy(&printable(title.as_bytes())).into_owned();
+    if report.is::<Refused>() {
+        return title;
+    }
+    let title = Level::ERROR.primary_title(title);
+    let place = quoted(report);
+    let mut group = match &place {
+        Some((text, line, span)) => title.element(
+            Snippet::source(text)
+                .line_start(*line)
+                .annotation(AnnotationKind::Primary.span(span.clone())),
+        ),
+        None => Group::with_title(title),
+    };
+    if let Some(help) = report.help() {
+        group = group.element(Level::HELP.message(help.to_string()));
+    }
+    renderer.render(&[group])
+}
+
+/// The lines of the file that an error points into, the number of the first of them, and the place within them.
+fn quoted(report: &Report) -> Option<(String, usize, std::ops::Range<usize>)> {
+    let label = report.labels()?.next()?;
+    let span = *label.inner();
+    let read = report.source_code()?.read_span(&span, 1, 1).ok()?;
+    let text = String::from_utf8_lossy(read.data()).into_owned();
+    let from = span.offset() - SourceSpan::offset(read.span());
+    let to = (from + span.len()).min(text.len());
+    Some((text, read.line() + 1, from.min(to)..to))
 }

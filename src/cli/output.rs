@@ -4,7 +4,7 @@
 
 use crate::config::Calibration;
 use crate::hardware::rt;
-pub use crate::report::table::{columns, titled as table};
+pub use crate::report::table::table;
 use clap::ArgMatches;
 use indicatif::{ProgressBar, ProgressFinish, ProgressStyle};
 use miette::{IntoDiagnostic, Result, bail, miette};
@@ -13,6 +13,7 @@ use signal_hook::iterator::Signals;
 use std::borrow::Cow;
 use std::ffi::OsString;
 use std::fmt;
+use std::fs::Metadata;
 use std::io::{Read, Write};
 use std::ops::Deref;
 use std::os::unix::fs::MetadataExt;
@@ -87,11 +88,10 @@ pub fn bar(length: u64, text: &str) -> ProgressBar {
 pub fn print(text: impl AsRef<[u8]>) {
     let mut out = std::io::stdout();
     let text = printable(text.as_ref());
-    match out.write_all(&text).and_then(|()| out.flush()) {
-        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
-            unprintable(&format!("standard output: {e}"))
-        }
-        _ => {}
+    if let Err(e) = out.write_all(&text).and_then(|()| out.flush())
+        && e.kind() != std::io::ErrorKind::BrokenPipe
+    {
+        unprintable(&format!("standard output: {e}"))
     }
 }
 
@@ -103,11 +103,16 @@ pub fn printable(text: &[u8]) -> Cow<'_, [u8]> {
     if lossy.chars().all(safe) {
         return Cow::Borrowed(text);
     }
-    let shown = |c: char| match safe(c) {
+    Cow::Owned(escaped(&lossy, safe).into_bytes())
+}
+
+/// The text with all but its safe characters escaped.
+pub fn escaped(text: &str, is_safe: impl Fn(char) -> bool) -> String {
+    let shown = |c: char| match is_safe(c) {
         true => c.to_string(),
         false => c.escape_default().to_string(),
     };
-    Cow::Owned(lossy.chars().map(shown).collect::<String>().into_bytes())
+    text.chars().map(shown).collect()
 }
 
 /// Ends the program with code 2, with this message if it can be printed.
@@ -143,25 +148,18 @@ pub fn check_arguments(mut arguments: &ArgMatches) -> Result<()> {
         arguments = inner;
     }
     let names = || arguments.ids().map(clap::Id::as_str);
-    let results = names().filter_map(|name| {
-        let file = arguments.try_get_one::<ResultFile>(name).ok()??;
-        Some((format!("--{name}"), file))
-    });
-    let results: Vec<(String, &ResultFile)> = results.collect();
+    let result = |name| Some((name, &**arguments.try_get_one::<ResultFile>(name).ok()??));
+    let results: Vec<(&str, &Path)> = names().filter_map(result).collect();
     let inputs = names().filter_map(|name| arguments.try_get_many::<PathBuf>(name).ok()?);
     let inputs: Vec<&Path> = inputs.flatten().map(PathBuf::as_path).collect();
-    let results: Vec<(&str, &Path)> = results
-        .iter()
-        .map(|(name, file)| (&**name, &***file))
-        .collect();
     check(&results, &inputs)
 }
 
 /// Checks, before any work starts, that every result can be written and that none replaces an input.
 ///
-/// `results` are pairs of option and path. A result is refused if its folder does not exist, if another result has the same path, if it
-/// is one of the `inputs` (links included), or if it would replace a file of another kind. The last case protects recordings from
-/// `--json *.csv`, which the shell expands so that the first recording becomes the result.
+/// `results` are pairs of option, without its dashes, and path. A result is refused if its folder does not exist, if another result has
+/// the same path, if it is one of the `inputs` (links included), or if it would replace a file of another kind. The last case protects
+/// recordings from `--json *.csv`, which the shell expands so that the first recording becomes the result.
 ///
 /// # Errors
 /// A report that names the option, the file and the obstacle.
@@ -170,31 +168,30 @@ pub fn check(results: &[(&str, &Path)], inputs: &[&Path]) -> Result<()> {
         let file = path.display();
         if let Some((other, _)) = results[..n].iter().find(|r| r.1 == path) {
             bail!(
-                "{file}: both {other} and {option} name this file; give each result its own file"
+                "{file}: both --{other} and --{option} name this file; give each result its own file"
             );
         }
         if is_stdout(path) {
             continue;
         }
-        let folder = folder_of(path);
         if path.is_dir() {
-            bail!("{option} {file}: this is a folder; give the name of a file");
+            bail!("--{option} {file}: this is a folder; give the name of a file");
         }
-        if !folder.is_dir() {
-            let folder = folder.display();
-            bail!("{option} {file}: the folder {folder} does not exist; create it first");
+        if !folder_of(path).is_dir() {
+            let folder = folder_of(path).display();
+            bail!("--{option} {file}: the folder {folder} does not exist; create it first");
         }
         if path.is_file() || !path.exists() {
             let probe = beside(path);
             let made = std::fs::File::create(&probe).and_then(|_| std::fs::remove_file(&probe));
             made.map_err(|e| {
-                miette!("{option} {file}: {e}; name a file in a folder in which you may write")
+                miette!("--{option} {file}: {e}; name a file in a folder in which you may write")
             })?;
         }
         if let Some(input) = inputs.iter().find(|input| same_file(path, input)) {
             let input = input.display();
             bail!(
-                "{option} {file} would overwrite the input file {input}; give the result another name"
+                "--{option} {file} would overwrite the input file {input}; give the result another name"
             );
         }
         check_kind(option, path, inputs)?;
@@ -209,7 +206,7 @@ fn check_kind(option: &str, path: &Path, inputs: &[&Path]) -> Result<()> {
         return Ok(());
     }
     let file = path.display();
-    let old = head(path).map_err(|e| miette!("{option} {file}: {e}"))?;
+    let old = head(path).map_err(|e| miette!("--{option} {file}: {e}"))?;
     if old.trim_ascii().is_empty() || may_replace(option, path, old.trim_ascii_start()) {
         return Ok(());
     }
@@ -217,18 +214,14 @@ fn check_kind(option: &str, path: &Path, inputs: &[&Path]) -> Result<()> {
     let beside = if inputs.is_empty() { "" } else { " beside " };
     let inputs = inputs.join(", ");
     bail!(
-        "{option} {file} would overwrite an existing file of another kind, perhaps an input{beside}{inputs}; give the result another name"
+        "--{option} {file} would overwrite an existing file of another kind, perhaps an input{beside}{inputs}; give the result another name"
     )
 }
 
 /// Whether a file that begins with `old` is of the kind that the option writes.
 fn may_replace(option: &str, path: &Path, old: &[u8]) -> bool {
-    let table = || {
-        std::fs::read_to_string(path)
-            .ok()?
-            .parse::<toml::Table>()
-            .ok()
-    };
+    let text = || std::fs::read_to_string(path).ok();
+    let table = || text()?.parse::<toml::Table>().ok();
     let has = |key: &str| table().is_some_and(|table| table.contains_key(key));
     let is_calibration = || {
         let mut gains = toml::toml! { [transmission]
@@ -240,19 +233,19 @@ fn may_replace(option: &str, path: &Path, old: &[u8]) -> bool {
         gains.try_into::<Calibration>().ok()
     };
     match (option, path.extension().and_then(|e| e.to_str())) {
-        ("--json", _) => matches!(old[0], b'{' | b'['),
-        ("--html" | "--svg", _) => old[0] == b'<',
-        ("--parquet" | "--rows" | "--merged", _) => old.starts_with(b"PAR1"),
-        ("--save", _) => has("with_effects"),
-        ("--calib" | "--prior", _) | ("--out", Some("toml")) => {
+        ("json", _) => matches!(old[0], b'{' | b'['),
+        ("html" | "svg", _) => old[0] == b'<',
+        ("parquet" | "rows" | "merged", _) => old.starts_with(b"PAR1"),
+        ("save", _) => has("with_effects"),
+        ("calib" | "prior", _) | ("out", Some("toml")) => {
             is_calibration().is_some() || has("conformal")
         }
-        ("--csv", _) | ("--out", Some("csv")) => {
+        ("csv", _) | ("out", Some("csv")) => {
             old.starts_with(b"\x1f\x8b")
                 || (old.contains(&b',') && table().is_none() && old[0] != b'<')
         }
-        ("--out", Some("mcap")) => old.starts_with(b"\x89MCAP"),
-        ("--out", _) => table().is_none() && old[0] != b'<',
+        ("out", Some("mcap")) => old.starts_with(b"\x89MCAP"),
+        ("out", _) => table().is_none() && old[0] != b'<',
         _ => true,
     }
 }
@@ -264,10 +257,9 @@ fn head(path: &Path) -> std::io::Result<Vec<u8>> {
 }
 
 fn same_file(a: &Path, b: &Path) -> bool {
-    let (Ok(a), Ok(b)) = (std::fs::metadata(a), std::fs::metadata(b)) else {
-        return false;
-    };
-    a.is_file() && (a.dev(), a.ino()) == (b.dev(), b.ino())
+    let file = |path: &Path| path.metadata().ok().filter(|m| m.is_file());
+    let same = |(a, b): (Metadata, Metadata)| (a.dev(), a.ino()) == (b.dev(), b.ino());
+    file(a).zip(file(b)).is_some_and(same)
 }
 
 /// Writes a result, if its file is named.
@@ -278,8 +270,8 @@ pub fn write_some<T: AsRef<[u8]>>(
     file: &Option<ResultFile>,
     content: impl FnOnce() -> Result<T>,
 ) -> Result<()> {
-    file.as_deref()
-        .map_or(Ok(()), |path| write(path, content()?))
+    let file = file.as_deref();
+    file.map_or(Ok(()), |path| write(path, content()?))
 }
 
 /// Writes a value as indented JSON, if a file is named.
@@ -287,9 +279,8 @@ pub fn write_some<T: AsRef<[u8]>>(
 /// # Errors
 /// As [`write()`].
 pub fn json(file: &Option<ResultFile>, value: &impl Serialize) -> Result<()> {
-    write_some(file, || {
-        Ok(serde_json::to_string_pretty(value).into_diagnostic()? + "\n")
-    })
+    let text = || serde_json::to_string_pretty(value).into_diagnostic();
+    write_some(file, || Ok(text()? + "\n"))
 }
 
 /// The answer of a command: as JSON, if a file is named, and for people.
@@ -346,10 +337,8 @@ fn is_stdout(path: &Path) -> bool {
 }
 
 fn folder_of(path: &Path) -> &Path {
-    match path.parent() {
-        Some(p) if !p.as_os_str().is_empty() => p,
-        _ => Path::new("."),
-    }
+    let parent = path.parent().filter(|p| !p.as_os_str().is_empty());
+    parent.unwrap_or(Path::new("."))
 }
 
 #[cfg(test)]
@@ -373,15 +362,13 @@ mod tests {
     #[test]
     fn check_names_the_obstacle() {
         let folder = tempfile::tempdir().unwrap();
-        assert!(refusal(&[("--json", folder.path())], &[]).contains("is a folder"));
+        assert!(refusal(&[("json", folder.path())], &[]).contains("is a folder"));
         let lost = folder.path().join("no/r.json");
-        assert!(refusal(&[("--json", &lost)], &[]).contains("does not exist"));
+        assert!(refusal(&[("json", &lost)], &[]).contains("does not exist"));
         assert!(write(&lost, "").is_err());
         let one = Path::new("r.out");
-        assert!(
-            refusal(&[("--json", one), ("--html", one)], &[]).contains("both --json and --html")
-        );
-        assert!(check(&[("--json", Path::new("-"))], &[]).is_ok());
+        assert!(refusal(&[("json", one), ("html", one)], &[]).contains("both --json and --html"));
+        assert!(check(&[("json", Path::new("-"))], &[]).is_ok());
     }
 
     #[test]
@@ -391,15 +378,15 @@ mod tests {
         std::fs::write(&input, "time_s,piston1_mm\n").unwrap();
         std::os::unix::fs::symlink(&input, &link).unwrap();
         for result in [&input, &link] {
-            let text = refusal(&[("--out", result)], &[&input]);
+            let text = refusal(&[("out", result)], &[&input]);
             assert!(
                 text.contains("would overwrite the input file") && text.contains("a.csv"),
                 "{text}"
             );
         }
-        assert!(refusal(&[("--json", &input)], &[]).contains("another kind"));
+        assert!(refusal(&[("json", &input)], &[]).contains("another kind"));
         std::fs::write(&old, "[]\n").unwrap();
-        assert!(check(&[("--json", &old)], &[&input]).is_ok());
+        assert!(check(&[("json", &old)], &[&input]).is_ok());
     }
 
     #[test]
@@ -410,16 +397,14 @@ mod tests {
             std::fs::write(&path, old).unwrap();
             may_replace(option, &path, old.as_bytes())
         };
-        assert!(may("--out", "a.toml", "[imu]\n"));
+        assert!(may("out", "a.toml", "[imu]\n"));
         assert!(may(
-            "--calib",
+            "calib",
             "a.toml",
             "[transmission]\nk_epsilon = [2.2, 2.2, 2.2]\nk_lambda_mm = [0.8, 0.8, 0.8]\n"
         ));
-        assert!(!may("--calib", "a.toml", "base = \"demo\"\n[pins]\n"));
-        assert!(may("--csv", "a.csv", "t_s,p1_mm\n") && !may("--csv", "a.csv", "a = \"1,2\"\n"));
-        assert!(
-            !may("--save", "a.toml", "[transmission]\n") && !may("--json", "a.csv", "t_s,p1_mm\n")
-        );
+        assert!(!may("calib", "a.toml", "base = \"demo\"\n[pins]\n"));
+        assert!(may("csv", "a.csv", "t_s,p1_mm\n") && !may("csv", "a.csv", "a = \"1,2\"\n"));
+        assert!(!may("save", "a.toml", "[transmission]\n") && !may("json", "a.csv", "t_s,p1_mm\n"));
     }
 }

@@ -2,12 +2,11 @@
 //! service has failed for good, because the drivers otherwise stay energised with nobody in control.
 
 use crate::cli::{inputs, manual_motion, output};
-use crate::hardware::lock::HardwareLock;
-use crate::hardware::machine::HardwareError;
-use crate::hardware::pins::{self, OpenError, PinError};
+use crate::hardware::pins::OpenError;
 use crate::hardware::rt;
 use crate::motion::Levels;
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{IntoDiagnostic, Result, bail};
+use signal_hook::iterator::Signals;
 use std::path::PathBuf;
 
 /// Arguments of `release`.
@@ -29,25 +28,18 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     let board = inputs::board(Some(&args.board))?;
     let Some(config) = &board.pins else {
-        return Err(miette!(
-            "{}: there is no [pins] table, so there are no drivers to release",
-            args.board.display()
-        ));
+        let file = args.board.display();
+        bail!("{file}: there is no [pins] table, so there are no drivers to release");
     };
-    let hardware =
-        |e: OpenError| manual_motion::hardware_error(&args.board, HardwareError::Pins(e));
-    let _lock = HardwareLock::take()
-        .map_err(|path| manual_motion::hardware_error(&args.board, HardwareError::InUse(path)))?;
-    let mut pins = pins::open(config, board.drive.microsteps).map_err(hardware)?;
-    let off = |e: PinError| hardware(OpenError::Pin(e));
+    let (_lock, mut pins) = manual_motion::open_pins(&args.board, &board, config)?;
+    let off = |e| manual_motion::hardware_error(&args.board, OpenError::Pin(e).into());
     pins.write(&Levels::default()).map_err(off)?;
     // the lines settle before they are read back
     std::thread::sleep(std::time::Duration::from_millis(10));
     pins.check_enable().map_err(off)?;
     output::print("drivers released: the tip goes soft, and zero must be found again\n");
     if args.hold {
-        let mut signals =
-            signal_hook::iterator::Signals::new(rt::ending_signals()).into_diagnostic()?;
+        let mut signals = Signals::new(rt::ending_signals()).into_diagnostic()?;
         // outside of systemd there is nobody to notify
         let _ = sd_notify::notify(&[sd_notify::NotifyState::Ready]);
         let _ = signals.forever().next();

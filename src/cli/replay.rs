@@ -3,7 +3,7 @@
 pub mod settings;
 
 use crate::cli::flight::{self, flight_of};
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, output};
 use crate::config::Gains;
 use crate::model::Line;
 use crate::service::flight::cycle::Cycle;
@@ -61,10 +61,8 @@ pub fn run(args: &Args) -> Result<bool> {
             "{file}: cannot be replayed, because it does not begin with the start of a supervisor: the part before is missing"
         );
     }
-    let shown = match ending == Ending::COMPLETE {
-        true => String::new(),
-        false => format!("; {ending}"),
-    };
+    let shown = Some(&ending).filter(|ending| **ending != Ending::COMPLETE);
+    let shown = shown.map_or(String::new(), |ending| format!("; {ending}"));
     println!("{cycles} cycles replayed, {different} differ{shown}");
     for (before, t_s, lost) in &replay.gaps {
         println!("gap: {lost} cycles are missing before cycle {before} at {t_s:.3} s");
@@ -138,12 +136,10 @@ impl Replay<'_> {
         let (mut ending, mut damage) = (Ending::default(), Vec::new());
         for part in parts(path) {
             ending = flight::read(&part, &mut |_, message| {
-                let exact = TOPICS.contains(&message.channel.topic.as_str());
-                if exact {
-                    self.take(Entry::of(message)?)
-                } else {
-                    Ok(())
+                if !TOPICS.contains(&message.channel.topic.as_str()) {
+                    return Ok(());
                 }
+                self.take(Entry::of(message)?)
             })?;
             damage.extend(ending.damage.drain(..).map(|place| match part == path {
                 true => place,
@@ -175,48 +171,45 @@ impl Replay<'_> {
     }
 
     fn event(&mut self, event: Event) -> Result<(), String> {
-        let written = match event {
-            Event::Start(_) => false,
-            // the other settings stay
-            Event::Reload { .. } => self.altered.is_none(),
-            Event::Path(..) => true,
-        };
-        if written && self.out.is_some() {
-            self.events.push(Arc::new(event.clone()));
-        }
-        match event {
+        match &event {
             // repeated at the beginning of a part
-            Event::Start(header) if self.began == Some(header.cycle) => {}
-            Event::Start(header) => self.start(header)?,
-            Event::Reload { gains, lines } => self.reload(&gains, lines)?,
+            Event::Start(header) if self.began == Some(header.cycle) => return Ok(()),
+            Event::Start(header) => return self.start(header),
+            Event::Reload { gains, lines } => {
+                self.reload(gains, *lines)?;
+                if self.altered.is_some() {
+                    // the other settings stay
+                    return Ok(());
+                }
+            }
             Event::Path(t_s, rows) => {
-                let path = crate::control::path::Path::new(t_s, rows).map(Box::new);
+                let path = crate::control::path::Path::new(t_s.clone(), rows.clone()).map(Box::new);
                 for supervisor in self.supervisor.iter_mut().chain(&mut self.altered) {
                     supervisor.load(&mut path.clone());
                 }
             }
         }
+        if self.out.is_some() {
+            self.events.push(Arc::new(event));
+        }
         Ok(())
     }
 
-    fn start(&mut self, header: Header) -> Result<(), String> {
-        let settings = Settings::of(&header)?;
-        let start = Start::of(&header, settings.config(&header));
-        let (mut used, mut config) = (settings.clone(), start.config.clone());
+    fn start(&mut self, header: &Header) -> Result<(), String> {
+        let settings = Settings::of(header)?;
+        let start = Start::of(header, settings.config(header));
+        let (mut used, mut altered) = (settings.clone(), start.clone());
         if let Some(args) = self.args {
             used = used.changed(args).map_err(|e| e.to_string())?;
-            config = used.config(&header);
-            let altered = Start {
-                config: config.clone(),
-                ..start.clone()
-            };
-            self.altered = Some(altered.supervisor());
+            altered.config = used.config(header);
+            self.altered = Some(altered.clone().supervisor());
         }
         if self.out.is_some() {
-            let header = self.header_of(&header, &used, &config)?;
-            self.events.push(Arc::new(Event::Start(header)));
+            let written = self.header_of(header, &used, &altered.config)?;
+            self.events.push(Arc::new(Event::Start(written)));
         }
-        (self.next, self.began, self.program) = (header.cycle, Some(header.cycle), header.program);
+        (self.next, self.began) = (header.cycle, Some(header.cycle));
+        self.program.clone_from(&header.program);
         self.machine = Some((settings, start.config.clone()));
         self.supervisor = Some(start.supervisor());
         Ok(())
@@ -284,13 +277,12 @@ impl Replay<'_> {
             return Ok(());
         };
         let failed = flight::unwritable("--out");
-        let events = take(&mut self.events);
-        file.write(&Logged {
+        let logged = Logged {
             number,
-            events,
+            events: take(&mut self.events),
             output,
-        })
-        .map_err(&failed)?;
+        };
+        file.write(&logged).map_err(&failed)?;
         match number.is_multiple_of(CHUNK) {
             true => file.flush(false).map_err(&failed),
             false => Ok(()),
@@ -333,11 +325,9 @@ fn show(changes: &[Change], cycles: u64) {
     let row = |(name, (squares, largest, at_s)): (&&str, &Change)| {
         let rms = (squares / cycles as f64).sqrt();
         let [rms, largest] = [rms, *largest].map(|x| format!("{x:.4}"));
-        vec![(*name).to_owned(), rms, largest, format!("{at_s:.3}")]
+        [(*name).to_owned(), rms, largest, format!("{at_s:.3}")]
     };
     let rows = QUANTITIES.iter().zip(changes).map(row);
-    println!(
-        "{}",
-        output::table("difference|RMS|largest|at, s", 1..4, rows)
-    );
+    let header = "difference|RMS|largest|at, s";
+    println!("{}", output::table(header, 1..4, rows));
 }

@@ -1,9 +1,8 @@
 //! `retroflex run`: the service, in the foreground or under systemd.
 
-use crate::cli::inputs::within;
-use crate::cli::{Unreachable, inputs, logging, manual_motion};
+use crate::cli::{Unreachable, inputs, logging, manual_motion, within};
 use crate::config::supervisor::assemble;
-use crate::config::{Board, Calibration, PressureBound, ServiceSection, show, source};
+use crate::config::{Board, Calibration, PressureBound, ServiceSection, source};
 use crate::hardware::machine::{Hardware, HardwareError, MachineConfig};
 use crate::service::disk;
 use crate::service::error::ServiceError;
@@ -88,12 +87,8 @@ pub fn run(args: &Args) -> Result<()> {
         );
     }
     tracing::info!(event = "board", "board: {shown}");
-    let mut texts = vec![
-        show::compact(&board),
-        show::compact(&gains),
-        show::compact(&calibration),
-    ];
     let feedforward = inputs::feedforward(&args.feedforward, &args.calib, &calibration, &board)?;
+    let mut texts = inputs::texts(&board, &gains, &calibration);
     if let Some((path, _)) = &feedforward {
         texts.push(source::text_of(path)?);
     }
@@ -133,16 +128,12 @@ fn report(error: ServiceError) -> miette::Report {
 
 /// The folders and files that the command line names in place of the board's.
 fn place(args: &Args, service: &mut ServiceSection) -> Result<()> {
-    if let Some(socket) = &args.socket {
-        service.socket = Some(socket.clone());
-        service.status_socket = None;
+    if args.socket.is_some() {
+        (service.socket, service.status_socket) = (args.socket.clone(), None);
     }
-    if let Some(state) = &args.state {
-        service.state = Some(state.clone());
-    }
-    args.record
-        .as_deref()
-        .map_or(Ok(()), |path| check_record(path, service))
+    service.state = args.state.clone().or(service.state.take());
+    let record = args.record.as_deref();
+    record.map_or(Ok(()), |path| check_record(path, service))
 }
 
 /// Refuses a recording whose files exist already or cannot be written.
@@ -152,11 +143,9 @@ fn check_record(path: &Path, bounds: &ServiceSection) -> Result<()> {
         miette!("--record {shown}: {e}; give a new name in a folder that this user may write to")
     };
     make_room(path, bounds).map_err(refused)?;
-    for file in [path, &flight_path(path)] {
-        let tried = File::create_new(file).and_then(|_| std::fs::remove_file(file));
-        tried.map_err(refused)?;
-    }
-    Ok(())
+    let try_out = |file: &Path| File::create_new(file).and_then(|_| std::fs::remove_file(file));
+    let tried = try_out(path).and_then(|()| try_out(&flight_path(path)));
+    tried.map_err(refused)
 }
 
 /// The mounted tip. A calibration file of another tip is refused unless it is accepted explicitly.
@@ -215,9 +204,8 @@ fn open(args: &Args, path: Option<&Path>, board: &Board) -> Result<Box<dyn Machi
     if let Some(config) = board.hardware() {
         let path = path.unwrap_or(Path::new("the built-in board"));
         let opened = Paths::of(&board.service).control.with_extension("opened");
-        let hardware = open_patiently(&config, &opened);
         let refused = |e| manual_motion::hardware_error(path, e);
-        return Ok(Box::new(hardware.map_err(refused)?));
+        return Ok(Box::new(open_patiently(&config, &opened).map_err(refused)?));
     }
     manual_motion::simulated(board, args.seed, 1)?.ok_or_else(|| {
         miette!("this board has neither [pins] nor [plant], so there is no machine to run; give --plant, or a board that describes one")

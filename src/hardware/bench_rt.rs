@@ -15,8 +15,7 @@ use crate::motion::{
     StepperConfig, StepperMode,
 };
 use crate::report::chart::{Axis, Chart, Series, Stroke, sheet};
-use crate::report::svg::Ink;
-use crate::report::table::table;
+use crate::report::{Ink, table};
 use std::fmt::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -244,7 +243,7 @@ impl RtBench {
             row.extend([us(h.max_ns() as f64), h.count().to_string()]);
             row
         });
-        let table = table(&header, 1..header.len(), rows);
+        let table = table(&header.join("|"), 1..header.len(), rows);
         let report = &self.steps.report;
         let (steps, rate) = (
             report.lateness.count(),

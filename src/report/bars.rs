@@ -34,12 +34,8 @@ pub fn svg(title: &str, ink: Ink, bars: &[Bar]) -> String {
     for percent in [0, 25, 50, 75, 100] {
         let at = x(f64::from(percent) / 100.0);
         out.line((at, TOP), (at, bottom), Ink::PALE, "");
-        out.text(
-            (at, bottom + 16.0),
-            Middle,
-            Ink::FAINT,
-            &percent.to_string(),
-        );
+        let text = percent.to_string();
+        out.text((at, bottom + 16.0), Middle, Ink::FAINT, &text);
     }
     for (k, b) in bars.iter().enumerate() {
         let y = TOP + ROW * k as f64;

@@ -119,22 +119,16 @@ impl Axis {
         n: usize,
     ) -> Self {
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-        for v in values
-            .into_iter()
-            .chain(always.iter().copied())
-            .filter(|v| v.is_finite())
-        {
+        let all = values.into_iter().chain(always.iter().copied());
+        for v in all.filter(|v| v.is_finite()) {
             (low, high) = (low.min(v), high.max(v));
         }
         if low >= high {
             (low, high) = (low.min(0.0), low.max(0.0) + 1.0);
         }
         let step = round_step((high - low) / n.max(1) as f64);
-        let (low, high) = (
-            (low / step - 1e-6).floor() * step,
-            (high / step + 1e-6).ceil() * step,
-        );
-        Self::new(label, low, high, n)
+        let least = (low / step - 1e-6).floor() * step;
+        Self::new(label, least, (high / step + 1e-6).ceil() * step, n)
     }
 
     fn share(&self, value: f64) -> f64 {
@@ -146,10 +140,8 @@ impl Axis {
 fn round_step(raw: f64) -> f64 {
     let power = 10f64.powf(raw.max(1e-12).log10().floor());
     let mut factors = [1.0, 2.0, 5.0].into_iter();
-    factors
-        .find(|f| f * power >= raw * (1.0 - 1e-9))
-        .unwrap_or(10.0)
-        * power
+    let factor = factors.find(|f| f * power >= raw * (1.0 - 1e-9));
+    factor.unwrap_or(10.0) * power
 }
 
 /// A chart.
@@ -221,11 +213,10 @@ impl Chart {
                 (x, rows) = (LEFT, rows + 1);
             }
             let y = TOP + 3.0 + (rows - 1) as f64 * LEGEND_ROW;
-            let dash = match &s.mark {
-                Mark::Line(_, stroke) => stroke.dash(),
-                _ => "",
-            };
-            let style = format!("stroke-width=\"2.2\"{dash}");
+            let mut style = "stroke-width=\"2.2\"".to_owned();
+            if let Mark::Line(_, stroke) = &s.mark {
+                style += stroke.dash();
+            }
             out.line((x, y), (x + 22.0, y), s.ink, &style);
             out.text((x + 27.0, y + 4.0), Start, Ink::LABEL, name);
             x += width;
@@ -246,11 +237,8 @@ impl Chart {
             out.text((x, bottom + 17.0), Middle, Ink::FAINT, text);
         }
         out.line((left, bottom), (right, bottom), Ink::GREY, "");
-        let (x, y, style) = (
-            left + width / 2.0,
-            top + height / 2.0,
-            "text-anchor=\"middle\"",
-        );
+        let (x, y) = (left + width / 2.0, top + height / 2.0);
+        let style = "text-anchor=\"middle\"";
         out.styled_text(x, bottom + 36.0, Ink::LABEL, style, &self.x.label);
         let upright = format!("transform=\"translate(15 {y:.1}) rotate(-90)\" {style}");
         out.styled_text(0.0, 0.0, Ink::LABEL, &upright, &self.y.label);

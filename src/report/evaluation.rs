@@ -9,53 +9,45 @@ use crate::experiment::evaluation::{Arm, ChannelFigures, Evaluation, Predicted};
 use crate::experiment::schedule::{ANGLES_DEG, HOLD_S};
 use crate::experiment::track::TrackResult;
 use crate::report::chart::{Axis, Chart, Series, Stroke, sheet};
-use crate::report::page::Page;
-use crate::report::svg::Ink;
-use crate::report::table::titled;
-use comfy_table::Table;
+use crate::report::{Ink, Page, table};
 
-/// Bend RMSE of the open-loop arms on the paper's prototype, degrees.
-const PAPER_RMSE_DEG: [(Arm, f64); 3] = [
-    (Arm::None, 36.96),
-    (Arm::Extension, 8.04),
-    (Arm::Backlash, 7.76),
-];
-
-/// Columns of [`arm_rows`].
-const ARM_COLUMNS: [&str; 12] = [
-    "arm",
-    "bend RMSE",
-    "paper",
-    "orientation RMSE",
-    "its floor",
-    "estimation error",
-    "median to 1°",
-    "95 % to 1°",
-    "never to 1°",
-    "peak to peak",
-    "states",
-    "obstructed",
-];
-
-/// Name of an arm for people.
-fn title(arm: Arm) -> &'static str {
+/// Name of an arm for people, its colour, and its bend RMSE on the paper's prototype, degrees.
+fn look(arm: Arm) -> (&'static str, Ink, Option<f64>) {
     match arm {
-        Arm::None => "no compensation",
-        Arm::Extension => "extension",
-        Arm::Backlash => "extension + backlash",
-        Arm::Closed => "closed loop",
-        Arm::Diagnosed => "diagnosed",
+        Arm::None => ("no compensation", Ink::RED, Some(36.96)),
+        Arm::Extension => ("extension", Ink::ORANGE, Some(8.04)),
+        Arm::Backlash => ("extension + backlash", Ink::BLUE, Some(7.76)),
+        Arm::Closed => ("closed loop", Ink::GREEN, None),
+        Arm::Diagnosed => ("diagnosed", Ink::PURPLE, None),
     }
 }
 
-fn ink(arm: Arm) -> Ink {
-    match arm {
-        Arm::None => Ink::RED,
-        Arm::Extension => Ink::ORANGE,
-        Arm::Backlash => Ink::BLUE,
-        Arm::Closed => Ink::GREEN,
-        Arm::Diagnosed => Ink::PURPLE,
-    }
+/// A figure of an arm as the tables show it.
+type ArmFigure = fn(Arm, &ArmResult) -> String;
+
+/// The figures of an arm, each with its name.
+const ARM_FIGURES: [(&str, ArmFigure); 11] = [
+    ("bend RMSE", |_, a| deg(a.bend_rmse_deg)),
+    ("paper", |arm, _| look(arm).2.map_or("–".to_owned(), deg)),
+    ("orientation RMSE", |_, a| deg(a.orientation_rmse_deg)),
+    ("its floor", |_, a| deg(a.orientation_floor_deg)),
+    ("estimation error", |_, a| deg(a.estimate_rmse_deg)),
+    ("median to 1°", |_, a| settle(a.settle_s_median)),
+    ("95 % to 1°", |_, a| settle(a.settle_s_p95)),
+    ("never to 1°", |_, a| a.unsettled.to_string()),
+    ("peak to peak", |_, a| deg(a.peak_to_peak_max_deg)),
+    ("states", |_, a| a.states.to_string()),
+    ("obstructed", |_, a| a.blocked.to_string()),
+];
+
+fn deg(x: f64) -> String {
+    format!("{x:.2}°")
+}
+
+/// The arms that ran.
+fn arms(e: &Evaluation) -> impl Iterator<Item = (Arm, &ArmResult)> {
+    let ran = |arm| Some((arm, e.arm(arm)?));
+    Arm::ALL.into_iter().filter_map(ran)
 }
 
 /// A chart with the caption that a page shows below it.
@@ -92,10 +84,8 @@ fn over_directions(
     outward: bool,
     f: impl Fn(&Held) -> f64,
 ) -> Option<(f64, f64)> {
-    let there = held
-        .iter()
-        .filter(|h| h.bend_deg == angle_deg && h.outward == outward);
-    let values: Vec<f64> = there.map(f).collect();
+    let there = |h: &&Held| h.bend_deg == angle_deg && h.outward == outward;
+    let values: Vec<f64> = held.iter().filter(there).map(f).collect();
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
     let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
@@ -106,18 +96,17 @@ fn over_directions(
 fn out_and_back(arm: &ArmResult, name: &str, ink: Ink, f: impl Fn(&Held) -> f64) -> Vec<Series> {
     let out = format!("{name}, out");
     let mut series = Vec::new();
-    for (outward, stroke, label) in [
+    let ways = [
         (true, Stroke::Solid, &*out),
         (false, Stroke::Dashed, "back"),
-    ] {
+    ];
+    for (outward, stroke, label) in ways {
         let at = |a: f64| over_directions(&arm.held, a, outward, &f).map(|(m, s)| (a, m, s));
         let points: Vec<_> = ANGLES_DEG.iter().filter_map(|&a| at(a)).collect();
         let band = points.iter().map(|&(a, m, s)| (a, m - s, m + s)).collect();
         let line = points.iter().map(|p| (p.0, p.1)).collect();
-        series.extend([
-            Series::band(ink, band),
-            Series::line(label, ink, stroke, line),
-        ]);
+        series.push(Series::band(ink, band));
+        series.push(Series::line(label, ink, stroke, line));
     }
     series
 }
@@ -129,14 +118,12 @@ fn desired() -> Axis {
 
 fn bends(e: &Evaluation, heading: &str, arms: &[Arm]) -> Option<Figure> {
     let ideal = vec![(0.0, 0.0), (90.0, 90.0)];
-    let ideal = Series::line("", Ink::GREY, Stroke::Dotted, ideal);
-    let mut series = vec![Series {
-        name: None,
-        ..ideal
-    }];
-    for (&arm, result) in arms.iter().filter_map(|a| Some((a, e.arm(*a)?))) {
-        let measured = |h: &Held| h.bend_deg - h.bend_error_deg;
-        series.extend(out_and_back(result, title(arm), ink(arm), measured));
+    let mut ideal = Series::line("", Ink::GREY, Stroke::Dotted, ideal);
+    ideal.name = None;
+    let mut series = vec![ideal];
+    for (arm, result) in self::arms(e).filter(|(arm, _)| arms.contains(arm)) {
+        let ((name, ink, _), measured) = (look(arm), |h: &Held| h.bend_deg - h.bend_error_deg);
+        series.extend(out_and_back(result, name, ink, measured));
     }
     let y = Axis::new("measured bend / °", 0.0, 90.0, 6);
     (series.len() > 1).then(|| (Chart::new(heading, desired(), y, series), OVER_DIRECTIONS))
@@ -182,8 +169,7 @@ fn errors(arm: &ArmResult) -> Figure {
 /// Fraction of the states that have settled within 1° after a given time.
 fn settling(e: &Evaluation) -> Option<Figure> {
     let mut series = Vec::new();
-    for arm in Arm::ALL {
-        let Some(result) = e.arm(arm) else { continue };
+    for (arm, result) in arms(e) {
         let mut times: Vec<f64> = result.held.iter().filter_map(|h| h.settle_s).collect();
         times.sort_by(f64::total_cmp);
         let n = result.held.len().max(1) as f64;
@@ -192,7 +178,8 @@ fn settling(e: &Evaluation) -> Option<Figure> {
             steps.extend([(t, 100.0 * k as f64 / n), (t, 100.0 * (k + 1) as f64 / n)]);
         }
         steps.push((HOLD_S, 100.0 * times.len() as f64 / n));
-        series.push(Series::line(title(arm), ink(arm), Stroke::Solid, steps));
+        let (name, ink, _) = look(arm);
+        series.push(Series::line(name, ink, Stroke::Solid, steps));
     }
     let x = Axis::new("time since the command / s", 0.0, HOLD_S, 6);
     let y = Axis::new("fraction of the 120 states / %", 0.0, 100.0, 5);
@@ -210,12 +197,16 @@ pub fn html(e: &Evaluation) -> String {
          tip leaves to any controller, since no bellow actuates it.",
         e.plant, e.seed
     ));
-    page.table(&ARM_COLUMNS, &arm_rows(e));
+    let names = ARM_FIGURES.map(|(name, _)| name).join("|");
+    let row = |(arm, a): (Arm, &ArmResult)| {
+        let figures = ARM_FIGURES.map(|(_, figure)| figure(arm, a));
+        [vec![look(arm).0.to_owned()], figures.into()].concat()
+    };
+    let rows: Vec<_> = arms(e).map(row).collect();
+    page.table(&format!("arm|{names}"), &rows);
     page.heading("The paper's Figure 6, redrawn, and the closed loop");
-    let drawn = figures(e)
-        .into_iter()
-        .map(|(chart, caption)| (chart.svg(), caption.to_owned()));
-    page.charts(&drawn.collect::<Vec<_>>());
+    let drawn = |(chart, caption): Figure| (chart.svg(), caption.to_owned());
+    page.charts(&figures(e).into_iter().map(drawn).collect::<Vec<_>>());
     page.heading("Gains");
     page.text(&if e.iterations == 0 {
         "Taken from a calibration file.".to_owned()
@@ -228,8 +219,8 @@ pub fn html(e: &Evaluation) -> String {
             1e3 * e.delay_s
         )
     });
-    let header = "channel,k_ε,± σ,k_λ / mm,± σ / mm,condition,residual / mm";
-    page.table(&header.split(',').collect::<Vec<_>>(), &gain_rows(e));
+    let header = "channel|k_ε|± σ|k_λ / mm|± σ / mm|condition|residual / mm";
+    page.table(header, &gain_rows(e));
     page.quiet("For research. Not a medical device.");
     page.html()
 }
@@ -242,31 +233,7 @@ pub fn settle(s: f64) -> String {
     }
 }
 
-/// One row for each arm that ran, with the columns [`ARM_COLUMNS`].
-fn arm_rows(e: &Evaluation) -> Vec<Vec<String>> {
-    let deg = |x: f64| format!("{x:.2}°");
-    let row = |arm: Arm| {
-        let a = e.arm(arm)?;
-        let paper = PAPER_RMSE_DEG.iter().find(|p| p.0 == arm);
-        Some(vec![
-            title(arm).to_owned(),
-            deg(a.bend_rmse_deg),
-            paper.map_or("–".to_owned(), |p| deg(p.1)),
-            deg(a.orientation_rmse_deg),
-            deg(a.orientation_floor_deg),
-            deg(a.estimate_rmse_deg),
-            settle(a.settle_s_median),
-            settle(a.settle_s_p95),
-            a.unsettled.to_string(),
-            deg(a.peak_to_peak_max_deg),
-            a.states.to_string(),
-            a.blocked.to_string(),
-        ])
-    };
-    Arm::ALL.into_iter().filter_map(row).collect()
-}
-
-fn gain_rows(e: &Evaluation) -> Vec<Vec<String>> {
+fn gain_rows(e: &Evaluation) -> [Vec<String>; 3] {
     let row = |i: usize| {
         let found = e.identified.get(i);
         let or_dash = |f: fn(&ChannelFigures) -> String| found.map_or("–".to_owned(), f);
@@ -280,7 +247,7 @@ fn gain_rows(e: &Evaluation) -> Vec<Vec<String>> {
             or_dash(|c| format!("{:.2}", c.residual_mm)),
         ]
     };
-    (0..3).map(row).collect()
+    [0, 1, 2].map(row)
 }
 
 /// The table of arms and the gains, for people.
@@ -292,37 +259,25 @@ pub fn summary(e: &Evaluation) -> String {
         (n, false) => format!("Algorithm 1, NOT converged after {n} passes"),
     };
     // a figure a row, so that the table is narrow
-    let mut rows = arm_rows(e);
-    let names = Arm::ALL.into_iter().filter(|arm| e.arm(*arm).is_some());
-    for (row, arm) in rows.iter_mut().zip(names) {
-        arm.name().clone_into(&mut row[0]);
+    let names = arms(e).map(|(arm, _)| format!("|{}", arm.name()));
+    let (names, n): (String, _) = (names.collect(), e.arms.len());
+    let line = |(name, figure): (&str, ArmFigure)| {
+        let cells = arms(e).map(|(arm, a)| figure(arm, a)).collect();
+        [vec![name.to_owned()], cells].concat()
+    };
+    let mut tables = String::new();
+    if n > 0 {
+        tables = format!("{}\n", table(&names, 1..n + 1, ARM_FIGURES.map(line)));
     }
-    let line = |c: usize, title: &str| {
-        let cells = rows.iter().map(|row| row[c].clone());
-        std::iter::once(title.to_owned())
-            .chain(cells)
-            .collect::<Vec<_>>()
-    };
-    let figures = ARM_COLUMNS.iter().enumerate().skip(1);
-    let figures = figures.map(|(c, title)| line(c, title));
-    let arms = titled(&line(0, "").join("|"), 1..e.arms.len() + 1, figures);
-    let row = |f: &Predicted| {
-        let figures = [f.machine_deg, f.twin_deg, f.nominal_deg].map(|x| format!("{x:.1}°"));
-        [vec![f.name.clone()], figures.into()].concat()
-    };
-    let header = "bend RMSE, open loop|machine|its twin foretells|nominal model foretells";
-    let foretold = titled(header, 1..4, e.foretold.iter().map(row));
-    let shown = |some: bool, table: Table| {
-        if some {
-            format!("{table}\n")
-        } else {
-            String::new()
-        }
-    };
-    let (arms, foretold) = (
-        shown(!e.arms.is_empty(), arms),
-        shown(!e.foretold.is_empty(), foretold),
-    );
+    tables.push('\n');
+    if !e.foretold.is_empty() {
+        let row = |f: &Predicted| {
+            let figures = [f.machine_deg, f.twin_deg, f.nominal_deg].map(|x| format!("{x:.1}°"));
+            [vec![f.name.clone()], figures.into()].concat()
+        };
+        let header = "bend RMSE, open loop|machine|its twin foretells|nominal model foretells";
+        tables += &format!("{}\n", table(header, 1..4, e.foretold.iter().map(row)));
+    }
     let path = e.track.as_ref().map_or(String::new(), |t| {
         format!(
             "path of {:.1} s: RMSE {:.2}°, 95 % {:.2}°, at most {:.2}°; delay {:.3} s, RMSE after it {:.2}°\n",
@@ -332,7 +287,7 @@ pub fn summary(e: &Evaluation) -> String {
     let (k_eps, k_lambda) = (gains(&e.k_eps), gains(&e.k_lambda_mm));
     let (plant, seed) = (&e.plant, e.seed);
     format!(
-        "plant {plant}, seed {seed}\n\n{arms}\n{foretold}{path}k_ε = {k_eps}   k_λ = {k_lambda} mm   ({origin})\n"
+        "plant {plant}, seed {seed}\n\n{tables}{path}k_ε = {k_eps}   k_λ = {k_lambda} mm   ({origin})\n"
     )
 }
 

@@ -1,7 +1,7 @@
 //! The score of an exam of the diagnosis, in words and tables.
 
 use crate::diagnosis::exam::{Count, Counts, ExamScore, Method, ReliabilityBin};
-use crate::report::table::titled;
+use crate::report::table::table;
 use comfy_table::Table;
 
 fn share(c: &Count) -> String {
@@ -46,22 +46,24 @@ fn own(s: &ExamScore) -> Table {
         all("logs with a group of equivalent effects", &s.grouped),
         both("gap closed on a fresh log, median", lab, field),
     ];
-    titled("|lab|field", 1..3, rows)
+    table("|lab|field", 1..3, rows)
 }
 
 /// Table of stated probabilities and frequencies.
 fn reliability(s: &ExamScore) -> Table {
     let row = |what: &str, b: &ReliabilityBin| {
         let [low, high] = b.ci95.map(|share| share * 100.0);
-        let (stated, within) = (
+        let within = format!("{low:.0} to {high:.0} %");
+        [
+            what.to_owned(),
             format!("{:.2}", b.stated),
-            format!("{low:.0} to {high:.0} %"),
-        );
-        [what.to_owned(), stated, share(&b.count), within]
+            share(&b.count),
+            within,
+        ]
     };
     let effects = s.effects.bins.iter().map(|b| row("an effect", b));
     let rows = effects.chain(s.unknown.bins.iter().map(|b| row("unknown", b)));
-    titled("statement|stated|true|95 %", 1..4, rows)
+    table("statement|stated|true|95 %", 1..4, rows)
 }
 
 /// Table of the diagnosis beside the other methods.
@@ -72,13 +74,8 @@ fn comparison(s: &ExamScore) -> Table {
             right: lab.right + field.right,
             of: lab.of + field.of,
         };
-        let counts = [
-            &m.single.lab,
-            &m.single.field,
-            &m.pair.lab,
-            &m.pair.field,
-            &alarms,
-        ];
+        let (single, pair) = (&m.single, &m.pair);
+        let counts = [&single.lab, &single.field, &pair.lab, &pair.field, &alarms];
         // the numbers of logs stand in the table of the diagnosis
         let percent = |c: &Count| share(c).split(" of ").next().unwrap_or_default().to_owned();
         let (name, f1) = (name.to_owned(), format!("{:.2}", m.macro_f1));
@@ -91,18 +88,17 @@ fn comparison(s: &ExamScore) -> Table {
         ("nearest signature", &s.nearest),
     ];
     let header = "method|single lab|field|pair lab|field|false alarms|macro F1";
-    titled(header, 1..7, methods.map(row))
+    table(header, 1..7, methods.map(row))
 }
 
 fn mistakes(s: &ExamScore) -> Vec<String> {
     let wrong = |truth: &str, answer: &str| {
         answer != truth && !(answer == "unknown" && truth.starts_with("unknown"))
     };
-    let all = s
-        .confusion
-        .iter()
-        .flat_map(|(truth, answers)| answers.iter().map(move |(answer, n)| (truth, answer, n)));
-    all.filter(|(truth, answer, _)| wrong(truth, answer))
-        .map(|(truth, answer, n)| format!("  {truth} → {answer} ({n})"))
-        .collect()
+    let mut all = Vec::new();
+    for (truth, answers) in &s.confusion {
+        let answers = answers.iter().filter(|(answer, _)| wrong(truth, answer));
+        all.extend(answers.map(|(answer, n)| format!("  {truth} → {answer} ({n})")));
+    }
+    all
 }

@@ -2,9 +2,7 @@
 
 use crate::diagnosis::fleet::{Finding, Lot, Spread, Survey};
 use crate::report::bars::{self, Bar};
-use crate::report::page::Page;
-use crate::report::svg::Ink;
-use crate::report::table::titled;
+use crate::report::{Ink, Page, table};
 
 /// A finding in words.
 fn words(f: &Finding) -> String {
@@ -13,10 +11,8 @@ fn words(f: &Finding) -> String {
         true => format!("{x:.3}"),
         false => format!("{:.0} %", x * 100.0),
     });
-    let lot = f
-        .lot
-        .as_ref()
-        .map_or("each lot".to_owned(), |lot| format!("lot {lot}"));
+    let lot = f.lot.as_ref();
+    let lot = lot.map_or("each lot".to_owned(), |lot| format!("lot {lot}"));
     let [half, others] = match f.drifts {
         true => ["the later half of ", "the earlier"],
         false => ["", "the others"],
@@ -34,7 +30,7 @@ pub fn summary(survey: &Survey) -> String {
         let shares: Vec<String> = lot.shares.iter().take(4).map(share).collect();
         [lot.name.clone(), lot.logs.to_string(), shares.join(", ")]
     };
-    let table = titled("lot|logs|verdicts", 1..2, survey.lots.iter().map(row));
+    let table = table("lot|logs|verdicts", 1..2, survey.lots.iter().map(row));
     let mut text = format!("{table}\n");
     for (name, Spread { n, median, sigma }) in &survey.gains {
         text +=
@@ -66,10 +62,8 @@ pub fn page(survey: &Survey) -> Page {
     };
     let chart = |lot: &Lot| {
         let bars: Vec<Bar> = lot.shares.iter().map(bar).collect();
-        (
-            bars::svg(&lot.name, Ink::GREEN, &bars),
-            format!("{} logs", lot.logs),
-        )
+        let drawing = bars::svg(&lot.name, Ink::GREEN, &bars);
+        (drawing, format!("{} logs", lot.logs))
     };
     page.charts(&survey.lots.iter().map(chart).collect::<Vec<_>>());
     page

@@ -12,3 +12,8 @@ pub mod svg;
 pub mod sweep;
 pub mod table;
 pub mod wiring;
+
+pub use chart::{Axis, Chart, Series, Stroke};
+pub use page::Page;
+pub use svg::Ink;
+pub use table::table;

@@ -26,35 +26,24 @@ impl Page {
     }
     /// Adds a paragraph; text between two backticks is set as code.
     pub fn text(&mut self, text: &str) {
-        let parts = escape(text);
-        let parts: Vec<String> = parts
-            .split('`')
-            .enumerate()
-            .map(|(k, part)| {
-                if k % 2 == 1 {
-                    format!("<code>{part}</code>")
-                } else {
-                    part.to_owned()
-                }
-            })
-            .collect();
-        self.line(format_args!("<p>{}</p>", parts.concat()));
+        let part = |(k, part): (usize, &str)| match k % 2 {
+            1 => format!("<code>{part}</code>"),
+            _ => part.to_owned(),
+        };
+        let marked: String = escape(text).split('`').enumerate().map(part).collect();
+        self.line(format_args!("<p>{marked}</p>"));
     }
     /// Adds a paragraph in muted colour.
     pub fn quiet(&mut self, text: &str) {
         self.line(format_args!("<p class=\"quiet\">{}</p>", escape(text)));
     }
-    /// Adds a table; the first column is text, the others are numbers.
-    pub fn table<R: AsRef<[String]>>(&mut self, header: &[&str], rows: &[R]) {
-        let cells = |tag: &str, texts: &mut dyn Iterator<Item = &str>| {
-            texts
-                .map(|t| format!("<{tag}>{}</{tag}>", escape(t)))
-                .collect::<String>()
-        };
-        let head = cells("th", &mut header.iter().copied());
+    /// Adds a table, whose header has the names of the columns between bars; the first column is text, the others are numbers.
+    pub fn table<R: AsRef<[String]>>(&mut self, header: &str, rows: &[R]) {
+        let cell = |tag: &str, text: &str| format!("<{tag}>{}</{tag}>", escape(text));
+        let head: String = header.split('|').map(|text| cell("th", text)).collect();
         self.line(format_args!("<table><thead><tr>{head}</tr></thead><tbody>"));
         for row in rows {
-            let row = cells("td", &mut row.as_ref().iter().map(String::as_str));
+            let row: String = row.as_ref().iter().map(|text| cell("td", text)).collect();
             self.line(format_args!("<tr>{row}</tr>"));
         }
         self.line("</tbody></table>");
@@ -67,9 +56,9 @@ impl Page {
     pub fn charts(&mut self, drawings: &[(String, String)]) {
         self.line("<div class=\"charts\">");
         for (svg, caption) in drawings {
+            let caption = escape(caption);
             self.line(format_args!(
-                "<figure>{svg}<figcaption>{}</figcaption></figure>",
-                escape(caption)
+                "<figure>{svg}<figcaption>{caption}</figcaption></figure>"
             ));
         }
         self.line("</div>");
@@ -107,7 +96,7 @@ mod tests {
     fn text_is_escaped() {
         let mut page = Page::new("<x>");
         page.text("<script>alert(1)</script>");
-        page.table(&["a"], &[["1 & 2".to_owned()]]);
+        page.table("a", &[["1 & 2".to_owned()]]);
         let html = page.html();
         assert!(
             !html.contains("<script")

@@ -23,19 +23,6 @@ pub struct Cell {
     pub value: f64,
 }
 
-/// A polar map.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Polar {
-    /// Heading inside the drawing.
-    pub title: String,
-    /// Quantity that the colours show, with its unit.
-    pub label: String,
-    /// Value of the darkest colour.
-    pub high: f64,
-    /// Cells with data.
-    pub cells: Vec<Cell>,
-}
-
 /// Centre and radius of the map, px.
 const MIDDLE: (f64, f64) = (178.0, 184.0);
 const RADIUS: f64 = 122.0;
@@ -61,44 +48,41 @@ fn colour(share: f64) -> String {
     format!("#{r:02x}{g:02x}{b:02x}")
 }
 
-impl Polar {
-    /// The drawing as a stand-alone `<svg>` element.
-    pub fn svg(&self) -> String {
-        let rings = self.cells.iter().map(|c| c.ring + 1);
-        let rings = rings.fold(RINGS_MIN, usize::max);
-        let step = RADIUS / rings as f64;
-        let mut out = Svg::new(WIDTH, HEIGHT, &self.title);
-        out.heading(16.0, &self.title);
-        for c in &self.cells {
-            let turn = |k: usize| k as f64 * TAU / SECTORS as f64;
-            let (from, to) = (turn(c.sector), turn(c.sector + 1));
-            let d = sector(c.ring as f64 * step, (c.ring + 1) as f64 * step, from, to);
-            let fill = colour(c.value / self.high.max(1e-9));
-            out.path(&d, &format!("fill=\"{fill}\""));
-        }
-        frame(rings, step, &mut out);
-        self.scale(&mut out);
-        out.finish()
+/// The drawing as a stand-alone `<svg>` element; `label` is the quantity that the colours show, with its unit, and `high` the value of
+/// the darkest one.
+pub fn svg(title: &str, label: &str, high: f64, cells: &[Cell]) -> String {
+    let rings = cells.iter().map(|c| c.ring + 1);
+    let rings = rings.fold(RINGS_MIN, usize::max);
+    let step = RADIUS / rings as f64;
+    let mut out = Svg::new(WIDTH, HEIGHT, title);
+    out.heading(16.0, title);
+    for c in cells {
+        let turn = |k: usize| k as f64 * TAU / SECTORS as f64;
+        let (from, to) = (turn(c.sector), turn(c.sector + 1));
+        let d = sector(c.ring as f64 * step, (c.ring + 1) as f64 * step, from, to);
+        let fill = colour(c.value / high.max(1e-9));
+        out.path(&d, &format!("fill=\"{fill}\""));
     }
+    frame(rings, step, &mut out);
+    scale(label, high, &mut out);
+    out.finish()
+}
 
-    fn scale(&self, out: &mut Svg) {
-        let (x, top, height) = (352.0, 78.0, 180.0);
-        let shade = height / SHADES as f64;
-        for k in 0..SHADES {
-            let share = 1.0 - k as f64 / (SHADES - 1) as f64;
-            // the overlap hides seams between neighbours
-            let frame = [x, top + k as f64 * shade, 16.0, shade + 0.4];
-            out.rect(frame, &colour(share), 1.0);
-        }
-        for share in [0.0, 0.25, 0.5, 0.75, 1.0] {
-            let (y, text) = (
-                top + (1.0 - share) * height + 4.0,
-                format!("{:.1}", share * self.high),
-            );
-            out.text((x + 22.0, y), Start, Ink::FAINT, &text);
-        }
-        out.text((x, top - 14.0), Start, Ink::LABEL, &self.label);
+fn scale(label: &str, high: f64, out: &mut Svg) {
+    let (x, top, height) = (352.0, 78.0, 180.0);
+    let shade = height / SHADES as f64;
+    for k in 0..SHADES {
+        let share = 1.0 - k as f64 / (SHADES - 1) as f64;
+        // the overlap hides seams between neighbours
+        let frame = [x, top + k as f64 * shade, 16.0, shade + 0.4];
+        out.rect(frame, &colour(share), 1.0);
     }
+    for share in [0.0, 0.25, 0.5, 0.75, 1.0] {
+        let y = top + (1.0 - share) * height + 4.0;
+        let text = format!("{:.1}", share * high);
+        out.text((x + 22.0, y), Start, Ink::FAINT, &text);
+    }
+    out.text((x, top - 14.0), Start, Ink::LABEL, label);
 }
 
 /// Rings with their bend angles, and the directions around them.
@@ -157,18 +141,12 @@ mod tests {
 
     #[test]
     fn a_cell_lies_at_its_bend_and_direction() {
-        let cells = vec![Cell {
+        let cell = Cell {
             ring: 4,
             sector: 0,
             value: 1.0,
-        }];
-        let svg = Polar {
-            title: "a < b".to_owned(),
-            label: "°".to_owned(),
-            high: 1.0,
-            cells,
-        }
-        .svg();
+        };
+        let svg = svg("a < b", "°", 1.0, &[cell]);
         // δ = 0 points right, so the first sector begins at the centre plus the radius
         assert!(svg.contains("L300.0 184.0A122.0"), "{svg}");
         assert!(svg.contains("a &lt; b") && !svg.contains("NaN") && svg.ends_with("</svg>\n"));

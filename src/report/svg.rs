@@ -76,56 +76,35 @@ impl Svg {
     }
 
     pub(crate) fn heading(&mut self, x: f64, text: &str) {
-        self.styled_text(
-            x,
-            20.0,
-            Ink::TEXT,
-            "font-size=\"14\" font-weight=\"600\"",
-            text,
-        );
+        let style = "font-size=\"14\" font-weight=\"600\"";
+        self.styled_text(x, 20.0, Ink::TEXT, style, text);
     }
 
     pub(crate) fn text(&mut self, at: (f64, f64), anchor: Anchor, ink: Ink, text: &str) {
-        let anchor = match anchor {
-            Anchor::Start => "start",
-            Anchor::Middle => "middle",
-            Anchor::End => "end",
-        };
-        self.styled_text(
-            at.0,
-            at.1,
-            ink,
-            &format!("font-size=\"11\" text-anchor=\"{anchor}\""),
-            text,
-        );
+        let anchor = ["start", "middle", "end"][anchor as usize];
+        let style = format!("font-size=\"11\" text-anchor=\"{anchor}\"");
+        self.styled_text(at.0, at.1, ink, &style, text);
     }
 
     /// Text with any further attributes.
     pub(crate) fn styled_text(&mut self, x: f64, y: f64, ink: Ink, style: &str, text: &str) {
         self.open("text", &["x", "y"], &[x, y]);
-        self.push(format_args!(
-            " fill=\"{}\" {style}>{}</text>",
-            ink.0,
-            escape(text)
-        ));
+        let (fill, text) = (ink.0, escape(text));
+        self.push(format_args!(" fill=\"{fill}\" {style}>{text}</text>"));
     }
 
     /// A straight line; `style` holds further attributes.
     pub(crate) fn line(&mut self, from: (f64, f64), to: (f64, f64), ink: Ink, style: &str) {
-        self.open(
-            "line",
-            &["x1", "y1", "x2", "y2"],
-            &[from.0, from.1, to.0, to.1],
-        );
+        let ends = [from.0, from.1, to.0, to.1];
+        self.open("line", &["x1", "y1", "x2", "y2"], &ends);
         self.push(format_args!(" stroke=\"{}\" {style}/>", ink.0));
     }
 
     /// A filled rectangle `[x, y, width, height]`.
     pub(crate) fn rect(&mut self, frame: [f64; 4], fill: &str, opacity: f64) {
         self.open("rect", &["x", "y", "width", "height"], &frame);
-        self.push(format_args!(
-            " fill=\"{fill}\" fill-opacity=\"{opacity}\"/>"
-        ));
+        let style = format!("fill=\"{fill}\" fill-opacity=\"{opacity}\"");
+        self.push(format_args!(" {style}/>"));
     }
 
     pub(crate) fn circle(&mut self, centre: (f64, f64), radius: f64, style: &str) {
@@ -155,12 +134,11 @@ impl Svg {
 pub(crate) fn polyline(points: impl Iterator<Item = (f64, f64)>) -> String {
     let (mut d, mut pen_down) = (String::new(), false);
     for (x, y) in points {
-        if x.is_finite() && y.is_finite() {
+        let is_there = x.is_finite() && y.is_finite();
+        if is_there {
             let _ = write!(d, "{}{x:.1} {y:.1}", if pen_down { 'L' } else { 'M' });
-            pen_down = true;
-        } else {
-            pen_down = false;
         }
+        pen_down = is_there;
     }
     d
 }

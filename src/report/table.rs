@@ -10,9 +10,9 @@ const TABLE_COLUMNS: u16 = 80;
 const TABLE_STYLE: TableStyle =
     TableStyle::new().header_separator(LineStyle::none().fill('─').junction('─'));
 
-/// A table for the terminal; the columns `numbers` are aligned to the right.
+/// A table for the terminal, whose header has the names of the columns between bars; the columns `numbers` are aligned to the right.
 pub fn table<R: Into<Row>>(
-    header: &[&str],
+    header: &str,
     numbers: Range<usize>,
     rows: impl IntoIterator<Item = R>,
 ) -> Table {
@@ -20,11 +20,9 @@ pub fn table<R: Into<Row>>(
     table.load_style(TABLE_STYLE);
     table
         .set_content_arrangement(ContentArrangement::Dynamic)
-        .set_width(TABLE_COLUMNS);
-    table.set_header(header.to_vec());
-    for row in rows {
-        table.add_row(row);
-    }
+        .set_width(TABLE_COLUMNS)
+        .set_header(header.split('|'))
+        .add_rows(rows);
     for (n, column) in table.column_iter_mut().enumerate() {
         column.set_padding((0, 2));
         if numbers.contains(&n) {
@@ -32,18 +30,4 @@ pub fn table<R: Into<Row>>(
         }
     }
     table
-}
-
-/// The names of columns between bars.
-pub fn columns(header: &str) -> Vec<&str> {
-    header.split('|').collect()
-}
-
-/// A [`table`] whose header has the names of the columns between bars.
-pub fn titled<R: Into<Row>>(
-    header: &str,
-    numbers: Range<usize>,
-    rows: impl IntoIterator<Item = R>,
-) -> Table {
-    table(&columns(header), numbers, rows)
 }

@@ -28,6 +28,7 @@ const HEADER: [&str; 40] = [
     "ground", "22", "23", "3.3 V", "24", "10", "ground", "9", "25", "11", "8", "ground", "7", "0",
     "1", "5", "ground", "6", "12", "13", "ground", "19", "16", "26", "20", "ground", "21",
 ];
+/// Colours of the devices.
 const INKS: [Ink; 6] = [
     Ink::BLUE,
     Ink::RED,
@@ -56,30 +57,26 @@ pub fn draw(title: &str, raspberry: bool, devices: &[Device]) -> String {
     let mut svg = Svg::new(640.0, height, title);
     svg.rect([0.0, 0.0, 640.0, height], "#ffffff", 1.0);
     svg.heading(16.0, title);
+    let at = |i: usize| (LEFT + ROW * (i % 2) as f64, TOP + ROW * (i / 2) as f64);
     let place = |wire: Wire| {
         let index = match wire {
             Wire::Position(position) => Some(position - 1),
             Wire::Line(n) if raspberry => HEADER.iter().position(|name| *name == n.to_string()),
             Wire::Line(n) => lines.iter().position(|line| *line == n).map(|i| 2 * i + 1),
         };
-        index.map(|i| (LEFT + ROW * (i % 2) as f64, TOP + ROW * (i / 2) as f64))
+        index.map(at)
     };
-    if raspberry {
-        let text = "header, pin 1 at the top left";
-        svg.text((LEFT + ROW / 2.0, TOP - 22.0), Middle, Ink::LABEL, text);
-        for (i, name) in HEADER.iter().enumerate() {
-            let at = (LEFT + ROW * (i % 2) as f64, TOP + ROW * (i / 2) as f64);
-            let used = wires().any(|w| place(w) == Some(at));
-            pin(&mut svg, at, i % 2 == 0, &label(name, i + 1), used);
-        }
-    } else {
-        let text = "lines of the GPIO chip";
-        svg.text((LEFT, TOP - 22.0), Middle, Ink::LABEL, text);
-        for line in &lines {
-            if let Some(at) = place(Wire::Line(*line)) {
-                pin(&mut svg, at, true, &format!("line {line}"), true);
-            }
-        }
+    let (x, text) = match raspberry {
+        true => (LEFT + ROW / 2.0, "header, pin 1 at the top left"),
+        false => (LEFT, "lines of the GPIO chip"),
+    };
+    svg.text((x, TOP - 22.0), Middle, Ink::LABEL, text);
+    for (i, name) in HEADER.iter().enumerate().filter(|_| raspberry) {
+        let used = wires().any(|w| place(w) == Some(at(i)));
+        pin(&mut svg, at(i), i % 2 == 0, &label(name, i + 1), used);
+    }
+    for (i, line) in lines.iter().enumerate().filter(|_| !raspberry) {
+        pin(&mut svg, at(2 * i + 1), true, &format!("line {line}"), true);
     }
     let mut y = TOP;
     for (device, ink) in devices.iter().zip(INKS.iter().cycle()) {
@@ -111,11 +108,8 @@ fn wire_to(svg: &mut Svg, (px, py): (f64, f64), y: f64, ink: Ink) {
 }
 
 fn label(name: &str, position: usize) -> String {
-    let kind = if name.parse::<u32>().is_ok() {
-        "GPIO "
-    } else {
-        ""
-    };
+    let is_line = name.parse::<u32>().is_ok();
+    let kind = if is_line { "GPIO " } else { "" };
     format!("{kind}{name} ({position})")
 }
 

@@ -134,7 +134,7 @@ fn short_poses() -> usize {
 }
 
 /// Argument of `record`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordAction {
     /// Start a recording.

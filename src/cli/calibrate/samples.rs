@@ -19,12 +19,10 @@ pub fn from_file(file: &Path) -> Result<Vec<ImuSample>> {
     let all = match bend_log::read(file) {
         Ok(log) => from_log::samples(&log),
         // without bend-log columns the file may be an IMU recording
-        Err(ReadError::Missing { .. }) => recording::read(file)
-            .into_diagnostic()?
-            .rows
-            .iter()
-            .map(|r| r.sample)
-            .collect(),
+        Err(ReadError::Missing { .. }) => {
+            let recording = recording::read(file).into_diagnostic()?;
+            recording.rows.iter().map(|r| r.sample).collect()
+        }
         Err(e) => return Err(e).into_diagnostic(),
     };
     Ok(finite(all))
@@ -71,14 +69,11 @@ pub fn record(
 pub fn from_bus(bus: &Path, seconds: f64) -> Result<Vec<ImuSample>> {
     use crate::hardware::imu::{self, ChipConfig};
     use linux_embedded_hal::{Delay, I2cdev};
-    let open = I2cdev::new(bus).map_err(|e| {
-        miette!(
-            "{}: {e}; give an I²C bus that exists and that you may open",
-            bus.display()
-        )
-    })?;
-    let mut sensor =
-        imu::open(&ChipConfig::default(), imu::linux::Classified(open)).into_diagnostic()?;
+    let name = bus.display();
+    let open = I2cdev::new(bus)
+        .map_err(|e| miette!("{name}: {e}; give an I²C bus that exists and that you may open"))?;
+    let sensor = imu::open(&ChipConfig::default(), imu::linux::Classified(open));
+    let mut sensor = sensor.into_diagnostic()?;
     let bar = output::bar(1000, "{percent} %");
     let samples = record(sensor.as_mut(), &mut Delay, seconds, &mut |share| {
         bar.set_position((share * 1000.0) as u64)

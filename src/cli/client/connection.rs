@@ -2,16 +2,18 @@
 
 use crate::cli::output::print;
 use crate::cli::{Refused, Unreachable};
-use crate::service::client::{Client as Connection, connect_within};
+use crate::service::client::connect_within;
 use crate::service::paths;
 use crate::service::protocol::{Failure, Request};
 use crate::service::status::Status;
-use crate::supervisor::Refusal;
+use crate::supervisor::{Mode, Refusal};
 use miette::{Context, Report, Result, bail, miette};
 use serde_json::Value;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+
+pub(super) use crate::service::client::Client as Connection;
 
 /// Longest time after which a service that works says its status.
 const ANSWER_MAX: Duration = Duration::from_secs(2);
@@ -48,10 +50,7 @@ impl At {
 
 /// True if a service listens on this socket, whether it answers or hangs.
 fn listens(path: &Path) -> bool {
-    match connect_within(path, PROBE_MAX) {
-        Ok(_) => true,
-        Err(e) => e.kind() == ErrorKind::WouldBlock,
-    }
+    connect_within(path, PROBE_MAX).map_or_else(|e| e.kind() == ErrorKind::WouldBlock, |_| true)
 }
 
 /// A failure of the service as a report.
@@ -78,21 +77,19 @@ pub(super) fn socket(at: &At) -> Result<PathBuf> {
 /// Connects to the service, once that has answered: what is asked next may take longer.
 pub(super) fn connect(at: &At) -> Result<Connection> {
     let socket = socket(at)?;
-    let answer = Connection::connect_for(&socket, ANSWER_MAX)
-        .and_then(|mut to| to.request(&Request::Status {}));
-    answer
-        .and_then(|_| Connection::connect(&socket))
-        .map_err(report)
+    let probe = Connection::connect_for(&socket, ANSWER_MAX);
+    let answer = probe.and_then(|mut to| to.request(&Request::Status {}));
+    let connection = answer.and_then(|_| Connection::connect(&socket));
+    connection.map_err(report)
 }
 
 /// Stops the tip, that of every service if none is named, all at the same time.
 pub(super) fn stop(at: &At) -> Result<bool> {
     let sockets = at.sockets();
     let answers: Vec<Result<Value, Failure>> = std::thread::scope(|scope| {
-        let each = sockets.iter();
-        let all: Vec<_> = each
-            .map(|socket| scope.spawn(|| Connection::stop(socket)))
-            .collect();
+        let all = sockets.iter();
+        let all = all.map(|socket| scope.spawn(|| Connection::stop(socket)));
+        let all: Vec<_> = all.collect();
         let failed = |_| {
             let message = "the command failed".to_owned();
             Err(Failure { code: 3, message })
@@ -102,10 +99,11 @@ pub(super) fn stop(at: &At) -> Result<bool> {
     });
     let (mut good, mut unconfirmed) = (true, Vec::new());
     for (socket, answer) in sockets.iter().zip(answers) {
+        let name = socket.display().to_string();
         match answer {
             Ok(value) => {
                 if sockets.len() > 1 {
-                    print(format!("{}: stopped\n", socket.display()));
+                    print(format!("{name}: stopped\n"));
                 }
                 print_result(&value);
             }
@@ -114,10 +112,8 @@ pub(super) fn stop(at: &At) -> Result<bool> {
                 good = false;
             }
             // a message about the connection begins with its socket
-            Err(f) if f.message.starts_with(&*socket.to_string_lossy()) => {
-                unconfirmed.push(f.message);
-            }
-            Err(f) => unconfirmed.push(format!("{}: {}", socket.display(), f.message)),
+            Err(f) if f.message.starts_with(&name) => unconfirmed.push(f.message),
+            Err(f) => unconfirmed.push(format!("{name}: {}", f.message)),
         }
     }
     if unconfirmed.is_empty() {
@@ -151,6 +147,32 @@ pub(super) fn read_status(value: &Value) -> Result<Status> {
     Status::of(value).map_err(|e| Unreachable::report("the service", format!("its status: {e}")))
 }
 
+/// Polls the status until `done` returns a result.
+pub(super) fn poll<T>(
+    connection: &mut Connection,
+    period_ms: u64,
+    mut done: impl FnMut(&Status) -> Option<T>,
+) -> Result<T> {
+    loop {
+        std::thread::sleep(Duration::from_millis(period_ms));
+        if let Some(result) = done(&status(connection)?) {
+            return Ok(result);
+        }
+    }
+}
+
+/// Why the tip does not move as it is told.
+pub(super) fn halted(s: &Status) -> Option<String> {
+    match s.mode {
+        _ if s.stopped => Some("stopped".to_owned()),
+        Some(Mode::Tracking | Mode::Holding) => None,
+        _ => {
+            let mode = s.mode_name().unwrap_or_default();
+            Some(s.fault.clone().unwrap_or(format!("mode {mode}")))
+        }
+    }
+}
+
 /// Sends a request and prints its result, unless that is empty.
 pub(super) fn ask_and_print(connection: &mut Connection, request: &Request) -> Result<()> {
     print_result(&ask(connection, request)?);
@@ -168,14 +190,15 @@ fn print_result(value: &Value) {
 
 /// A result in words: the recording or the gains file that it names.
 pub(super) fn words(value: &Value) -> String {
+    let replay = if value["replayable"] == true {
+        ", can be replayed"
+    } else {
+        ""
+    };
     let file = value["path"].as_str();
     match (file, value["rows"].as_u64(), value["gains"].as_str()) {
         (Some(path), None, _) => format!("recording {path}\n"),
-        (Some(path), Some(rows), _) => {
-            let replayable = value["replayable"] == true;
-            let replay = if replayable { ", can be replayed" } else { "" };
-            format!("{path}: {rows} rows{replay}\n")
-        }
+        (Some(path), Some(rows), _) => format!("{path}: {rows} rows{replay}\n"),
         (None, _, Some(gains)) => format!("{gains} is in use\n"),
         _ => format!("{value}\n"),
     }

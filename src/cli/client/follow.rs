@@ -1,18 +1,17 @@
 //! Commands that wait for their end: a move, an alignment, a calibration.
 
-use super::args::{BendArgs, TransmissionArgs};
-use super::connection::{At, ask, ask_and_print, connect, status};
-use super::play::halted;
+use super::connection::{At, Connection, ask, ask_and_print, connect, halted, poll};
 use super::status::pose;
-use crate::cli::{Refused, output};
+use crate::cli::{Refused, ResultFile, output, within};
 use crate::model::Bend;
 use crate::report::page::Page;
-use crate::service::client::Client as Connection;
-use crate::service::protocol::{CalibrateAction, Frame, Request};
+use crate::service::protocol::{CalibrateAction, Frame, POSES, Request};
 use crate::service::status::Status;
 use crate::supervisor::Mode;
+use clap::builder::TypedValueParser;
 use miette::Result;
 use serde_json::json;
+use std::ops::RangeInclusive;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -28,18 +27,59 @@ const SAME_DEG: f64 = 0.1;
 /// Period of the lines that report progress where there is no terminal.
 const SAID_EVERY: Duration = Duration::from_secs(5);
 
-/// Polls the status until `done` returns a result.
-fn poll<T>(
-    connection: &mut Connection,
-    period_ms: u64,
-    mut done: impl FnMut(&Status) -> Option<T>,
-) -> Result<T> {
-    loop {
-        sleep(Duration::from_millis(period_ms));
-        if let Some(result) = done(&status(connection)?) {
-            return Ok(result);
-        }
-    }
+/// Bends that may be asked for, degrees. How far the tip reaches in a direction depends on the machine, and the service says it.
+pub(super) const BEND_DEG: RangeInclusive<f64> = -135.0..=135.0;
+/// Directions that may be asked for, degrees.
+pub(super) const DIR_DEG: RangeInclusive<f64> = -360.0..=360.0;
+
+/// Arguments of `bend`.
+#[derive(Debug, clap::Args)]
+pub struct BendArgs {
+    #[command(flatten)]
+    at: At,
+    /// Bend angle, degrees.
+    #[arg(value_parser = within(BEND_DEG, "degrees"))]
+    bend: f64,
+    /// Bend direction, degrees.
+    #[arg(long, default_value_t = 0.0, value_parser = within(DIR_DEG, "degrees"))]
+    toward: f64,
+    /// Length of the centre line, mm. Default: the rest length.
+    #[arg(long, value_parser = within(5.0..=200.0, "mm"))]
+    length: Option<f64>,
+    /// Speed of the set-point, °/s. Default: that of the gains file.
+    #[arg(long, value_parser = within(0.1..=720.0, "°/s"))]
+    speed: Option<f64>,
+    /// Wait until the tip has settled.
+    #[arg(long)]
+    wait: bool,
+    /// Keep the orientation in the world that the bend has now, while the base turns. Needs an IMU on the base.
+    #[arg(long, conflicts_with = "wait")]
+    world: bool,
+}
+
+/// Arguments of `calibrate transmission`.
+#[derive(Debug, clap::Args)]
+pub struct TransmissionArgs {
+    #[command(flatten)]
+    at: At,
+    /// Use a few poses and the present calibration as prior, instead of Algorithm 1 from zero gains.
+    #[arg(long, conflicts_with_all = ["accept", "discard"])]
+    short: bool,
+    /// Poses of a short calibration, 6 to 24. With the prior of a fleet (`retroflex fleet --prior`), 12 do.
+    #[arg(long, requires = "short", default_value_t = *POSES.end(), value_parser = clap::value_parser!(u8).range(6..=24).map(usize::from))]
+    poses: usize,
+    /// Apply the proposed calibration.
+    #[arg(long, conflicts_with = "discard")]
+    accept: bool,
+    /// Discard the proposed calibration.
+    #[arg(long)]
+    discard: bool,
+    /// Write the proposed calibration as JSON to this file (`-`: standard output).
+    #[arg(long, value_name = "FILE")]
+    json: Option<ResultFile>,
+    /// Write the proposed calibration as a page.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["accept", "discard"])]
+    html: Option<ResultFile>,
 }
 
 /// `bend`, with `--wait` until the tip has settled; false if it does not.
@@ -75,11 +115,8 @@ pub fn settle(connection: &mut Connection, request: &Request, sent_to: Bend) -> 
     let (started, bar) = (Instant::now(), output::bar(0, "{msg}"));
     let (good, line) = poll(connection, 50, |s| {
         let mode = s.mode_name().unwrap_or_default();
-        let line = format!(
-            "{mode}  estimate {} of {}",
-            pose(&s.estimate),
-            pose(&s.target)
-        );
+        let (estimate, target) = (pose(&s.estimate), pose(&s.target));
+        let line = format!("{mode}  estimate {estimate} of {target}");
         let off = s.target.unwrap_or_default().bend().0 - sent_to.0;
         let why = match halted(s) {
             Some(why) => why,
@@ -96,10 +133,8 @@ pub fn settle(connection: &mut Connection, request: &Request, sent_to: Bend) -> 
             }
             None => format!("mode {mode}"),
         };
-        let suspicion = s
-            .suspicion
-            .as_ref()
-            .map_or(String::new(), |text| format!("; {text}"));
+        let suspicion = s.suspicion.iter().map(|text| format!("; {text}"));
+        let suspicion: String = suspicion.collect();
         Some((false, format!("not settled: {why}{suspicion}\n")))
     })?;
     drop(bar);
@@ -193,12 +228,11 @@ fn show_gains(s: &Status, args: &TransmissionArgs) -> Result<()> {
     let shown = |x: Option<f64>| x.map_or("–".to_owned(), |x| format!("{x:.3}"));
     let proposed = s.proposed.as_ref();
     let row = |i: usize| {
-        let (k_epsilon, k_lambda) = (s.k_epsilon.map(|k| k[i]), s.k_lambda_mm.map(|k| k[i]));
         [
             (i + 1).to_string(),
-            shown(k_epsilon),
+            shown(s.k_epsilon.map(|k| k[i])),
             shown(proposed.map(|gains| gains.k_epsilon[i])),
-            shown(k_lambda),
+            shown(s.k_lambda_mm.map(|k| k[i])),
             shown(proposed.map(|gains| gains.k_lambda_mm[i])),
         ]
     };
@@ -208,13 +242,11 @@ fn show_gains(s: &Status, args: &TransmissionArgs) -> Result<()> {
     let dynamics = format!("lag {lag_s:.3} s, dead time {delay_s:.3} s");
     output::write_some(&args.html, || {
         let mut page = Page::new("Proposed gains of the transmission");
-        page.table(&output::columns(header), &rows);
+        page.table(header, &rows);
         page.text(&dynamics);
         Ok(page.html())
     })?;
-    let text = format!(
-        "{}\n{dynamics}\n",
-        output::table(header, 1..5, rows.clone())
-    );
+    let table = output::table(header, 1..5, rows.clone());
+    let text = format!("{table}\n{dynamics}\n");
     output::answer(&args.json, &json!(proposed), text)
 }

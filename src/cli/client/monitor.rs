@@ -4,11 +4,10 @@ pub mod draw;
 pub mod player;
 pub mod view;
 
-use super::connection::{At, report, socket};
+use super::connection::{At, Connection, report, socket};
 use super::keys::{Key, keys};
 use crate::cli::flight::flight_of;
-use crate::cli::inputs::{self, within};
-use crate::service::client::Client as Connection;
+use crate::cli::{inputs, within};
 use crate::service::paths;
 use crate::service::protocol::{Failure, Request};
 use miette::{IntoDiagnostic, Result, bail};
@@ -149,12 +148,11 @@ impl Live {
         let (send, news) = channel();
         let to = send.clone();
         spawn(move || while read(&status, &to).is_err() {});
-        let heard = Instant::now();
         Ok(Self {
             socket,
             news,
             send,
-            heard,
+            heard: Instant::now(),
         })
     }
 

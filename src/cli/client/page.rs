@@ -1,13 +1,11 @@
 //! `page`: a page for the browser of a tablet beside the unit.
 //!
 //! The command is a client of the service like any other, and a process of its own, so that the service itself keeps no network. All
-//! pages share one subscription (`source`); `server` bounds the connections, `answer` decides who may enter and what is answered,
-//! and `site` knows the open pages and ends the motion of one that is lost.
+//! pages share one subscription; `server` bounds the connections, decides who may enter and what is answered, and `site` knows the
+//! open pages and ends the motion of one that is lost.
 
-mod answer;
 mod server;
 mod site;
-mod source;
 
 use super::connection::{At, socket};
 use crate::cli::inputs::unlistenable;
@@ -56,49 +54,36 @@ pub fn page(args: &PageArgs) -> Result<()> {
     let fail = |e: std::io::Error| unlistenable(listen, e.kind());
     let listener = TcpListener::bind(listen).map_err(fail)?;
     let address = listener.local_addr().map_err(fail)?;
-    let file = args
-        .token_file
-        .as_ref()
-        .map(|file| format!("?token=TOKEN, with the token in {}", file.display()));
+    let file = args.token_file.as_ref();
+    let file = file.map(|file| format!("?token=TOKEN, with the token in {}", file.display()));
     print(format!("http://{address}/{}\n", file.unwrap_or_default()));
     let (sender, latest) = watch::channel(Bytes::new());
-    let (pages, control) = (Mutex::default(), socket.clone());
-    let diagnosis = source::read_again(args.diagnosis.clone());
-    std::thread::spawn(move || source::follow(&control, &sender));
-    server::run(
-        listener,
-        Site {
-            socket,
-            token,
-            diagnosis,
-            latest,
-            pages,
-        },
-    )
-    .into_diagnostic()?;
-    Ok(())
+    let control = socket.clone();
+    std::thread::spawn(move || site::follow(&control, &sender));
+    let site = Site {
+        socket,
+        token,
+        diagnosis: site::read_again(args.diagnosis.clone()),
+        latest,
+        pages: Mutex::default(),
+    };
+    server::run(listener, site).into_diagnostic()
 }
 
 /// The token of a file, which is created if there is none.
 fn token(path: &Path) -> Result<String> {
     let fail = |why: String| miette!("--token-file {}: {why}", path.display());
-    if let Ok(mut file) = std::fs::File::options()
-        .write(true)
-        .create_new(true)
-        .mode(0o600)
-        .open(path)
-    {
-        writeln!(file, "{:032x}", rand::random::<u128>())
-            .map_err(|e| fail(e.kind().to_string()))?;
+    let mut options = std::fs::File::options();
+    options.write(true).create_new(true).mode(0o600);
+    if let Ok(mut file) = options.open(path) {
+        let written = writeln!(file, "{:032x}", rand::random::<u128>());
+        written.map_err(|e| fail(e.kind().to_string()))?;
     }
     let text = crate::log::table::text(path).map_err(|e| fail(why_unreadable(path, &e)))?;
-    if path
-        .metadata()
-        .is_ok_and(|file| file.permissions().mode() & 0o007 != 0)
-    {
-        return Err(fail(
-            "everybody may read it; withdraw that with `chmod o=`".to_owned(),
-        ));
+    let is_open = |file: std::fs::Metadata| file.permissions().mode() & 0o007 != 0;
+    if path.metadata().is_ok_and(is_open) {
+        let why = "everybody may read it; withdraw that with `chmod o=`";
+        return Err(fail(why.to_owned()));
     }
     let token = text.trim();
     if token.len() < TOKEN_MIN || !token.bytes().all(|b| b.is_ascii_alphanumeric()) {

@@ -3,20 +3,17 @@
 //! The speed of a row is that of the fastest piston. The speed of the set-point follows from the gains in use: pistons
 //! move by (1 + k_ε) Δq (Eq. 16), and all arrive at the same time.
 
-use super::args::PlayArgs;
-use super::connection::{ask, connect, report, status, words};
+use super::connection::{At, Connection, ask, connect, halted, poll, report, status, words};
 use crate::cli::{Refused, output};
 use crate::diagnosis::excite::{ScheduleRow, rows};
 use crate::experiment::path::PathFile;
 use crate::log::table::{Schema, Table};
 use crate::model::{Bend, Geometry};
-use crate::service::client::Client as Connection;
 use crate::service::protocol::{Failure, Frame, PathRow, RecordAction, Request};
 use crate::service::status::Status;
 use crate::supervisor::Mode;
-use miette::{IntoDiagnostic, Result, miette};
-use std::path::Path;
-use std::time::Duration;
+use miette::{IntoDiagnostic, Report, Result, miette};
+use std::path::{Path, PathBuf};
 
 /// Longest delay of a segment beyond its planned duration, s.
 const LATE_MAX_S: f64 = 10.0;
@@ -29,6 +26,19 @@ const CHUNK_ROWS: usize = 150;
 /// k_ε of a service that does not report one: the mean of the paper's.
 const K_EPSILON: f64 = 2.2;
 
+/// Arguments of `play`.
+#[derive(Debug, clap::Args)]
+pub struct PlayArgs {
+    #[command(flatten)]
+    at: At,
+    /// Rows `bend_deg,dir_deg,len_mm,hold_s,speed_mm_s`, or a path of rows `t_s,bend_deg,dir_deg[,len_mm]`.
+    #[arg(value_name = "SCHEDULE.csv")]
+    schedule: PathBuf,
+    /// Record the schedule under this name.
+    #[arg(long)]
+    record: Option<String>,
+}
+
 /// Runs the schedule on an armed tip and, with `--record`, records it. The recording ends with this command, however that ends.
 ///
 /// # Errors
@@ -38,18 +48,16 @@ pub fn play(args: &PlayArgs) -> Result<()> {
     let mut connection = connect(&args.at)?;
     let now = status(&mut connection)?;
     if now.mode != Some(Mode::Holding) || now.stopped {
-        return Err(Refused::report(
-            "the schedule moves the tip, so it must be armed and at a standstill: `retroflex arm` first",
-        ));
+        let why = "the schedule moves the tip, so it must be armed and at a standstill: `retroflex arm` first";
+        return Err(Refused::report(why));
     }
     schedule.check(&args.schedule, &mut connection)?;
     if args.record.is_none() {
         return schedule.run(&mut connection);
     }
     if now.counted != Some([0; 3]) {
-        return Err(Refused::report(
-            "the log must begin at rest: `retroflex relax`, then `retroflex arm`",
-        ));
+        let why = "the log must begin at rest: `retroflex relax`, then `retroflex arm`";
+        return Err(Refused::report(why));
     }
     let request = |action| Request::Record {
         action,
@@ -101,10 +109,12 @@ impl Schedule {
             Self::Poses(rows) => {
                 // two rows make a path
                 let again = rows.first().filter(|_| rows.len() == 1);
-                let timed = rows.iter().chain(again).zip(0_u32..);
-                timed
-                    .map(|(r, k)| (f64::from(k) * 1e-3, r.bend_deg, r.dir_deg, Some(r.len_mm)))
-                    .collect()
+                let timed = (0_u32..)
+                    .map(|k| f64::from(k) * 1e-3)
+                    .zip(rows.iter().chain(again));
+                let row =
+                    |(t_s, r): (f64, &ScheduleRow)| (t_s, r.bend_deg, r.dir_deg, Some(r.len_mm));
+                timed.map(row).collect()
             }
             Self::Path(file) => {
                 let column = |name: &str| file.table.column(name).unwrap_or_default();
@@ -120,27 +130,28 @@ impl Schedule {
     fn check(&self, file: &Path, connection: &mut Connection) -> Result<()> {
         for chunk in self.path().chunks(CHUNK_ROWS) {
             let (rows, more) = (chunk.to_vec(), true);
-            let message = match connection.request(&Request::Path { rows, more }) {
-                Err(Failure { code: 2, message }) => message,
-                other => {
-                    other.map_err(report)?;
-                    continue;
-                }
-            };
-            let row = message
-                .strip_prefix("row ")
-                .and_then(|rest| rest.split(',').next()?.parse::<usize>().ok());
-            let expected = message
-                .split_once("expected ")
-                .map(|(_, expected)| expected);
-            return Err(match (self, row, expected) {
-                (Self::Path(path), Some(row @ 1..), Some(expected)) if row <= path.table.rows() => {
-                    miette!("{}", path.refuse(row - 1, expected))
-                }
-                _ => miette!("{}, {message}", file.display()),
-            });
+            let answer = connection.request(&Request::Path { rows, more });
+            answer.map_err(|failure| match failure {
+                Failure { code: 2, message } => self.refusal(file, &message),
+                failure => report(failure),
+            })?;
         }
         Ok(())
+    }
+
+    /// What the service says of a row, with its place in the file.
+    fn refusal(&self, file: &Path, message: &str) -> Report {
+        let place = || {
+            let (row, _) = message.strip_prefix("row ")?.split_once(',')?;
+            let (_, expected) = message.split_once("expected ")?;
+            Some((row.parse::<usize>().ok()?.checked_sub(1)?, expected))
+        };
+        match (self, place()) {
+            (Self::Path(path), Some((row, expected))) if row < path.table.rows() => {
+                miette!("{}", path.refuse(row, expected))
+            }
+            _ => miette!("{}, {message}", file.display()),
+        }
     }
 
     fn run(&self, connection: &mut Connection) -> Result<()> {
@@ -171,28 +182,10 @@ fn run_path(connection: &mut Connection, rows: &[PathRow]) -> Result<()> {
             "note: the path asks {slower:.2} times the speed that the pistons can follow; it is played that much slower"
         );
     }
-    loop {
-        std::thread::sleep(Duration::from_millis(20));
-        let s = status(connection)?;
-        if let Some(why) = halted(&s) {
-            return Err(Refused(format!("the path ended early: {why}")).into());
-        }
-        if s.path.is_none() && s.mode == Some(Mode::Holding) {
-            return Ok(());
-        }
-    }
-}
-
-/// Why the tip does not move as it is told.
-pub(super) fn halted(s: &Status) -> Option<String> {
-    match s.mode {
-        _ if s.stopped => Some("stopped".to_owned()),
-        Some(Mode::Tracking | Mode::Holding) => None,
-        _ => {
-            let mode = s.mode_name().unwrap_or_default();
-            Some(s.fault.clone().unwrap_or(format!("mode {mode}")))
-        }
-    }
+    poll(connection, 20, |s| match halted(s) {
+        Some(why) => Some(Err(Refused(format!("the path ended early: {why}")).into())),
+        None => (s.path.is_none() && s.mode == Some(Mode::Holding)).then_some(Ok(())),
+    })?
 }
 
 fn run_rows(connection: &mut Connection, rows: &[ScheduleRow]) -> Result<()> {
@@ -227,10 +220,8 @@ fn segment(from: &ScheduleRow, to: &ScheduleRow, status: &Status) -> (f64, Optio
     let bend = |r: &ScheduleRow| Bend::from_deg(r.bend_deg, r.dir_deg).0;
     let bend_deg = (bend(to) - bend(from)).norm().to_degrees();
     // the service accepts 0.1 to 720 °/s
-    (
-        seconds,
-        (bend_deg > 0.1).then(|| (bend_deg / seconds).clamp(0.1, 720.0)),
-    )
+    let speed_deg_s = (bend_deg / seconds).clamp(0.1, 720.0);
+    (seconds, Some(speed_deg_s).filter(|_| bend_deg > 0.1))
 }
 
 /// Waits for the end of the segment and of the hold, on the clock of the machine, which a simulation may run faster. It is an error if
@@ -242,24 +233,21 @@ fn arrive_and_hold(
     row: &ScheduleRow,
 ) -> Result<()> {
     let mut arrived_s: Option<f64> = None;
-    loop {
-        std::thread::sleep(Duration::from_millis(5));
-        let s = status(connection)?;
-        if let Some(why) = halted(&s) {
-            let ScheduleRow {
-                bend_deg, dir_deg, ..
-            } = row;
+    poll(connection, 5, |s| {
+        if let Some(why) = halted(s) {
+            let (bend_deg, dir_deg) = (row.bend_deg, row.dir_deg);
             let text = format!("the schedule ended at bend {bend_deg}° toward {dir_deg}°: {why}");
-            return Err(Refused(text).into());
+            return Some(Err(Refused(text).into()));
         }
-        let now_s = s.t;
-        let on_its_way = now_s - started_s < seconds
-            || (s.mode == Some(Mode::Tracking) && now_s - started_s < seconds + LATE_MAX_S);
-        if arrived_s.is_none() && !on_its_way {
-            arrived_s = Some(now_s);
+        let late_max_s = if s.mode == Some(Mode::Tracking) {
+            LATE_MAX_S
+        } else {
+            0.0
+        };
+        if s.t - started_s >= seconds + late_max_s {
+            arrived_s.get_or_insert(s.t);
         }
-        if arrived_s.is_some_and(|at_s| now_s - at_s >= row.hold_s) {
-            return Ok(());
-        }
-    }
+        let is_over = arrived_s.is_some_and(|at_s| s.t - at_s >= row.hold_s);
+        is_over.then_some(Ok(()))
+    })?
 }

@@ -1,8 +1,7 @@
 //! `status` and `subscribe`.
 
-use super::args::{StatusArgs, SubscribeArgs};
-use super::connection::{ask, connect, read_status, report};
-use crate::cli::output;
+use super::connection::{At, ask, connect, read_status, report};
+use crate::cli::{ResultFile, output, within};
 use crate::service::protocol::Request;
 use crate::service::status::{GrantState, PathState, Pose, Status};
 use miette::Result;
@@ -14,6 +13,29 @@ use std::time::Duration;
 const CLEAR: &str = "\x1b[H\x1b[2J";
 /// Widest line of the status, characters.
 const WIDTH: usize = 80;
+
+/// Arguments of `status`.
+#[derive(Debug, clap::Args)]
+pub struct StatusArgs {
+    #[command(flatten)]
+    at: At,
+    /// Write the state as JSON to this file; without a name, or with `-`, to standard output.
+    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-")]
+    json: Option<ResultFile>,
+    /// Repeat twice a second.
+    #[arg(long)]
+    watch: bool,
+}
+
+/// Arguments of `subscribe`.
+#[derive(Debug, clap::Args)]
+pub struct SubscribeArgs {
+    #[command(flatten)]
+    at: At,
+    /// Frames per second.
+    #[arg(long, default_value_t = 20.0, value_parser = within(0.1..=1000.0, "Hz"))]
+    rate: f64,
+}
 
 /// `status`, for people or as JSON.
 ///
@@ -57,16 +79,11 @@ fn readable(s: &Status) -> String {
 
 /// How far a path has come.
 fn path(path: &PathState) -> String {
-    let PathState {
-        at_s,
-        duration_s,
-        time_scale,
-    } = path;
-    let slower = match *time_scale > 1.0 {
-        true => format!(", {time_scale:.2} times slower than given"),
-        false => String::new(),
-    };
-    format!("{at_s:.1} s of {duration_s:.1} s{slower}")
+    let mut text = format!("{:.1} s of {:.1} s", path.at_s, path.duration_s);
+    if path.time_scale > 1.0 {
+        text += &format!(", {:.2} times slower than given", path.time_scale);
+    }
+    text
 }
 
 /// What a status says, as name and text.
@@ -76,50 +93,45 @@ pub(super) fn rows(s: &Status) -> Vec<(&'static str, String)> {
     let stopped = when(s.stopped, ", stopped until `retroflex arm`");
     let pistons = s.piston_mm.iter().flatten().map(|mm| format!("{mm:.2}"));
     let (estimate, target) = (pose(&s.estimate), pose(&s.target));
-    let mut rows = vec![
-        (
-            "mode",
-            [s.mode_name().unwrap_or("null"), energised, stopped].concat(),
-        ),
-        ("estimate", format!("{estimate}   target {target}")),
-        ("pistons", pistons.collect::<Vec<_>>().join("  ") + " mm"),
-    ];
-    if let (Some(tip), Some(calibration)) = (&s.tip, &s.calibration) {
-        rows.push(("tip", format!("{tip}   calibration {calibration}")));
-    }
-    if let Some(cycles) = s.cycles {
-        let (late, most, lost) = (s.late_cycles, s.max_lateness_us, s.lost_frames);
-        let text = format!("{cycles} cycles, {late} late, at most {most} µs, {lost} frames lost");
-        rows.push(("loop", text));
-    }
-    let optional = [
-        ("fault", &s.fault),
-        ("lost", &s.lost),
-        ("limit", &s.shortfall),
-        ("base", &s.base),
-        ("world", &s.world),
-        ("suspected", &s.suspicion),
-        ("alarm", &s.alarm),
-        ("running", &s.calibrating),
-        ("recording", &s.recording.path),
-        ("recorded", &s.recording_ended),
-        ("log", &s.flight_log.problem),
-        ("memory", &s.memory.error),
-    ];
-    rows.extend(
-        optional
-            .into_iter()
-            .filter_map(|(name, text)| Some((name, text.clone()?))),
-    );
-    rows.extend(s.path.as_ref().map(|state| ("path", path(state))));
+    let mode = [s.mode_name().unwrap_or("null"), energised, stopped].concat();
+    let of_tip = |(tip, calibration)| format!("{tip}   calibration {calibration}");
+    let (late, most, lost) = (s.late_cycles, s.max_lateness_us, s.lost_frames);
+    let of_loop =
+        |cycles| format!("{cycles} cycles, {late} late, at most {most} µs, {lost} frames lost");
     let stated = "stated by the operator; no measurement has confirmed it";
-    rows.extend(s.unverified.then(|| ("zero", stated.to_owned())));
+    let once = [
+        ("mode", Some(mode)),
+        ("estimate", Some(format!("{estimate}   target {target}"))),
+        (
+            "pistons",
+            Some(pistons.collect::<Vec<_>>().join("  ") + " mm"),
+        ),
+        (
+            "tip",
+            s.tip.as_ref().zip(s.calibration.as_ref()).map(of_tip),
+        ),
+        ("loop", s.cycles.map(of_loop)),
+        ("fault", s.fault.clone()),
+        ("lost", s.lost.clone()),
+        ("limit", s.shortfall.clone()),
+        ("base", s.base.clone()),
+        ("world", s.world.clone()),
+        ("suspected", s.suspicion.clone()),
+        ("alarm", s.alarm.clone()),
+        ("running", s.calibrating.clone()),
+        ("recording", s.recording.path.clone()),
+        ("recorded", s.recording_ended.clone()),
+        ("log", s.flight_log.problem.clone()),
+        ("memory", s.memory.error.clone()),
+        ("path", s.path.as_ref().map(path)),
+        ("zero", s.unverified.then(|| stated.to_owned())),
+    ];
+    let there = |(name, text)| Some((name, text?));
+    let mut rows: Vec<(&str, String)> = once.into_iter().filter_map(there).collect();
     rows.extend(s.power.iter().map(|trouble| ("power", trouble.clone())));
     rows.extend(s.advice().map(|advice| ("sensor", advice.to_owned())));
-    let slow = s
-        .remarks
-        .iter()
-        .filter(|remark| remark.contains("slow bus"));
+    let is_slow = |remark: &&String| remark.contains("slow bus");
+    let slow = s.remarks.iter().filter(is_slow);
     rows.extend(slow.map(|remark| ("note", remark.clone())));
     let denied = |g: &&GrantState| g.grant != "not requested" && g.grant != "granted";
     let denied = s.real_time.iter().filter(denied);

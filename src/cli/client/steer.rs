@@ -1,17 +1,13 @@
-//! `steer`: bends the tip by hand with a joystick, the arrow keys, or a recorded list of stick movements.
+//! `steer`: bends the tip by hand with a joystick, the arrow keys, or a recorded list of stick movements: from the stick to the bend, with
+//! a dead zone, a progressive response, and limits of bend and speed.
 
 mod input;
-mod law;
 
-use super::connection::{At, ask, connect, report, status};
-use super::play::halted;
-use crate::cli::inputs::{self, within};
-use crate::cli::{Refused, Unreachable};
+use super::connection::{At, Connection, ask, connect, halted, report, status};
+use crate::cli::{Refused, Unreachable, inputs, within};
 use crate::model::Bend;
-use crate::service::client::Client as Connection;
 use crate::service::protocol::Request;
 use input::{Event, Input};
-use law::{Law, Mode};
 use miette::Result;
 use nalgebra::Vector2;
 use std::io::IsTerminal;
@@ -44,21 +40,8 @@ pub struct SteerArgs {
     /// Steer by a table `t_s,x,y,held` of stick movements.
     #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["device", "button"])]
     replay: Option<PathBuf>,
-    /// What the stick commands: the speed of the bend, or the bend itself.
-    #[arg(long, value_enum, default_value = "rate")]
-    mode: Mode,
-    /// Largest bend, degrees. A larger value reaches further.
-    #[arg(long, default_value_t = 60.0, value_parser = within(1.0..=135.0, "degrees"))]
-    bend_max: f64,
-    /// Largest speed, °/s. A larger value is quicker and less precise.
-    #[arg(long, default_value_t = 40.0, value_parser = within(1.0..=180.0, "°/s"))]
-    speed: f64,
-    /// Deflection below which the stick counts as released, of 1. A larger value tolerates a worn stick.
-    #[arg(long, default_value_t = 0.12, value_parser = within(0.0..=0.9, ""))]
-    dead_zone: f64,
-    /// Share of a cubic response, 0 to 1. A larger value makes the centre finer.
-    #[arg(long, default_value_t = 0.5, value_parser = within(0.0..=1.0, ""))]
-    expo: f64,
+    #[command(flatten)]
+    law: Law,
 }
 
 /// Steers until the operator ends. The tip moves while the dead-man button is held, and holds when it is released.
@@ -67,7 +50,17 @@ pub struct SteerArgs {
 /// A report about the input, or with the service's message; a device that is gone counts as unreachable.
 pub fn steer(args: &SteerArgs) -> Result<()> {
     let input = open(args)?;
-    let mut steering = Steering::new(args, connect(&args.at)?);
+    let mut steering = Steering {
+        connection: connect(&args.at)?,
+        law: args.law,
+        at: Vector2::zeros(),
+        moving: false,
+        released: None,
+        began: Instant::now(),
+        last: Instant::now(),
+        cycles: 0,
+        warned: None,
+    };
     if let Some(why) = steering.ready()? {
         let why = format!("steering moves the tip, so it must be armed: {why}");
         return Err(Refused::report(why));
@@ -85,26 +78,22 @@ pub fn steer(args: &SteerArgs) -> Result<()> {
                 Event::End => ended.store(true, Relaxed),
                 Event::Gone(why) => {
                     steering.release()?;
-                    let why = format!("{why}: holding");
-                    return Err(Unreachable::report("the joystick", why));
+                    return Err(Unreachable::report("the joystick", why + ": holding"));
                 }
             }
         }
-        if let Some(silence) = input.silence
-            && held
-            && heard.elapsed() > silence
-        {
+        let is_over = |silence: &Duration| held && heard.elapsed() > *silence;
+        if let Some(silence) = input.silence.filter(is_over) {
+            let silence_s = silence.as_secs_f64();
             held = false;
             eprintln!(
-                "\x07warning: the joystick has said nothing for {} s, so it may be out of range: holding; release the button and press it again",
-                silence.as_secs_f64()
+                "\x07warning: the joystick has said nothing for {silence_s} s, so it may be out of range: holding; release the button and press it again"
             );
         }
         let over = ended.load(Relaxed);
-        if !held || over {
-            steering.release()?;
-        } else {
-            steering.step(&stick, since_s)?;
+        match held && !over {
+            true => steering.step(&stick, since_s)?,
+            false => steering.release()?,
         }
         if over {
             return Ok(());
@@ -118,9 +107,8 @@ fn open(args: &SteerArgs) -> Result<Input> {
         return Input::table(file);
     }
     if let Some(device) = args.device.clone().or_else(input::first_joystick) {
-        let button = args
-            .button
-            .map_or("any button".to_owned(), |b| format!("button {b}"));
+        let button = args.button.map(|b| format!("button {b}"));
+        let button = button.unwrap_or("any button".to_owned());
         eprintln!("{}: hold {button} and move the stick", device.display());
         let silence = Duration::from_secs_f64(args.silence);
         return Input::joystick(&device, args.button, silence);
@@ -147,28 +135,6 @@ struct Steering {
 }
 
 impl Steering {
-    fn new(args: &SteerArgs, connection: Connection) -> Self {
-        let law = Law {
-            mode: args.mode,
-            dead_zone: args.dead_zone,
-            expo: args.expo,
-            bend_max_rad: args.bend_max.to_radians(),
-            speed_rad_s: args.speed.to_radians(),
-        };
-        let (at, began) = (Vector2::zeros(), Instant::now());
-        Self {
-            connection,
-            law,
-            at,
-            moving: false,
-            released: None,
-            began,
-            last: began,
-            cycles: 0,
-            warned: None,
-        }
-    }
-
     /// Starts from the present target; says why the tip cannot be steered.
     fn ready(&mut self) -> Result<Option<String>> {
         let s = status(&mut self.connection)?;
@@ -231,5 +197,111 @@ impl Steering {
         std::thread::sleep(period.saturating_sub(self.last.elapsed()));
         let since = std::mem::replace(&mut self.last, Instant::now()).elapsed();
         since.as_secs_f64().min(2.0 * PERIOD_S)
+    }
+}
+
+/// What the stick commands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Mode {
+    /// The speed of the bend: the tip stays where it is when the stick returns.
+    Rate,
+    /// The bend itself: the tip is straight when the stick returns.
+    Position,
+}
+
+/// The law. Bend vectors in rad, b = β (cos δ, sin δ); stick vectors with the length 1 at the rim.
+#[derive(Debug, Clone, Copy, clap::Args)]
+pub struct Law {
+    /// What the stick commands: the speed of the bend, or the bend itself.
+    #[arg(long, value_enum, default_value = "rate")]
+    mode: Mode,
+    /// Largest bend, degrees. A larger value reaches further.
+    #[arg(long, default_value_t = 60.0, value_parser = within(1.0..=135.0, "degrees"))]
+    bend_max: f64,
+    /// Largest speed, °/s. A larger value is quicker and less precise.
+    #[arg(long, default_value_t = 40.0, value_parser = within(1.0..=180.0, "°/s"))]
+    speed: f64,
+    /// Deflection below which the stick counts as released, of 1. A larger value tolerates a worn stick.
+    #[arg(long, default_value_t = 0.12, value_parser = within(0.0..=0.9, ""))]
+    dead_zone: f64,
+    /// Share of a cubic response, 0 to 1. A larger value makes the centre finer.
+    #[arg(long, default_value_t = 0.5, value_parser = within(0.0..=1.0, ""))]
+    expo: f64,
+}
+
+impl Law {
+    /// The next bend after a time, s.
+    pub fn next(&self, at: &Vector2<f64>, stick: &Vector2<f64>, dt_s: f64) -> Vector2<f64> {
+        let [bend_max, speed] = [self.bend_max, self.speed].map(f64::to_radians);
+        let shaped = self.shaped(stick);
+        let step = match self.mode {
+            Mode::Rate => shaped * speed * dt_s,
+            Mode::Position => (shaped * bend_max - at).cap_magnitude(speed * dt_s),
+        };
+        (at + step).cap_magnitude(bend_max)
+    }
+
+    /// The deflection beyond the dead zone, with the cubic response: the centre is finer than the rim.
+    fn shaped(&self, stick: &Vector2<f64>) -> Vector2<f64> {
+        let size = stick.norm();
+        if size <= self.dead_zone {
+            return Vector2::zeros();
+        }
+        let x = ((size - self.dead_zone) / (1.0 - self.dead_zone)).min(1.0);
+        stick * (((1.0 - self.expo) * x + self.expo * x.powi(3)) / size)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LAW: Law = Law {
+        mode: Mode::Rate,
+        dead_zone: 0.1,
+        expo: 0.5,
+        bend_max: 1.0_f64.to_degrees(),
+        speed: 0.5_f64.to_degrees(),
+    };
+
+    #[test]
+    fn the_response_is_zero_in_the_dead_zone_fine_beside_it_and_full_at_the_rim() {
+        let shaped = |x: f64| LAW.shaped(&Vector2::new(x, 0.0)).x;
+        assert_eq!((shaped(0.0), shaped(0.1)), (0.0, 0.0));
+        assert!(
+            (shaped(1.0) - 1.0).abs() < 1e-12
+                && (shaped(-1.0) + 1.0).abs() < 1e-12
+                && (shaped(3.0) - 1.0).abs() < 1e-12
+        );
+        let slope = |x: f64| (shaped(x + 1e-6) - shaped(x)) / 1e-6;
+        assert!(
+            slope(0.15) < 0.6 && slope(0.95) > 1.5,
+            "{} {}",
+            slope(0.15),
+            slope(0.95)
+        );
+    }
+
+    #[test]
+    fn a_rate_integrates_up_to_the_largest_bend_and_a_position_returns() {
+        let full = Vector2::new(0.0, 1.0);
+        let run = |law: Law, from: Vector2<f64>, stick: Vector2<f64>| {
+            (0..100).fold(from, |at, _| law.next(&at, &stick, 0.02))
+        };
+        assert!(
+            (run(LAW, Vector2::zeros(), full) - full).norm() < 1e-9,
+            "0.5 rad/s for 2 s"
+        );
+        assert!((run(LAW, full * 0.8, full).norm() - 1.0).abs() < 1e-9);
+        assert_eq!(run(LAW, full, Vector2::zeros()), full);
+        let position = Law {
+            mode: Mode::Position,
+            ..LAW
+        };
+        assert!(run(position, full, Vector2::zeros()).norm() < 1e-9);
+        assert!(
+            (position.next(&full, &Vector2::zeros(), 0.02) - full).norm() < 0.5 * 0.02 + 1e-12,
+            "limited in speed"
+        );
     }
 }

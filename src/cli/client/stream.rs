@@ -1,10 +1,8 @@
 //! `stream`: set-points from standard input, `BEND DIR` or `BEND DIR T` per line.
 
-use super::args::{BEND_DEG, DIR_DEG};
 use super::connection::{At, connect, report, status};
-use super::follow::settle;
-use crate::cli::Refused;
-use crate::cli::inputs::within;
+use super::follow::{BEND_DEG, DIR_DEG, settle};
+use crate::cli::{Refused, within};
 use crate::model::Bend;
 use crate::service::protocol::{Failure, Request};
 use crate::supervisor::Mode;
@@ -32,7 +30,8 @@ type SetPoint = (f64, f64, Option<f64>);
 pub fn stream(at: &At) -> Result<bool> {
     let mut connection = connect(at)?;
     let (mut began, mut last) = (None, None);
-    let mut sleep_until = |t_s: f64, ahead_s: f64| {
+    let mut sleep_until = |t_s: Option<f64>, ahead_s: f64| {
+        let Some(t_s) = t_s else { return };
         let (start, from_s) = *began.get_or_insert_with(|| (Instant::now(), t_s));
         let left_s = t_s - from_s - ahead_s - start.elapsed().as_secs_f64();
         std::thread::sleep(Duration::try_from_secs_f64(left_s).unwrap_or_default());
@@ -45,27 +44,23 @@ pub fn stream(at: &At) -> Result<bool> {
         };
         let (bend_deg, dir_deg, t_s) =
             set_point(&line, last).map_err(|why| miette!("{place}: {why}"))?;
-        t_s.into_iter()
-            .for_each(|t_s| sleep_until(t_s, SENT_AHEAD_S));
-        let length_mm = None;
+        sleep_until(t_s, SENT_AHEAD_S);
         let request = Request::Stream {
             bend_deg,
             dir_deg,
-            length_mm,
+            length_mm: None,
             t_s,
         };
-        let answer = connection.request(&request).map_err(|f| {
+        connection.request(&request).map_err(|f| {
             let message = format!("{place}: {}", f.message);
-            Failure { message, ..f }
-        });
-        answer.map_err(report)?;
+            report(Failure { message, ..f })
+        })?;
         last = Some((bend_deg, dir_deg, t_s));
     }
     let Some((bend_deg, dir_deg, t_s)) = last else {
         return Ok(true);
     };
-    t_s.into_iter()
-        .for_each(|t_s| sleep_until(t_s, END_AHEAD_S));
+    sleep_until(t_s, END_AHEAD_S);
     if status(&mut connection)?.mode != Some(Mode::Tracking) {
         let why = "the tip stopped before the end of the stream: by another command, or because of a pause longer than `service.dead_man_s`";
         return Err(Refused(why.to_owned()).into());
@@ -102,16 +97,12 @@ fn set_point(line: &str, before: Option<SetPoint>) -> std::result::Result<SetPoi
         let text = words[k];
         within(allowed, unit)(text).map_err(|expected| format!("{name} `{text}`: {expected}"))
     };
-    let (bend_deg, dir_deg) = (
-        number(0, "BEND", BEND_DEG, "degrees")?,
-        number(1, "DIR", DIR_DEG, "degrees")?,
-    );
+    let bend_deg = number(0, "BEND", BEND_DEG, "degrees")?;
+    let dir_deg = number(1, "DIR", DIR_DEG, "degrees")?;
     // the service refuses a time that is the same again
     let least_s = before.and_then(|(.., t_s)| t_s).unwrap_or(0.0);
-    let t_s = timed
-        .then(|| number(2, "T", least_s..=TIME_MAX_S, "s"))
-        .transpose()?;
-    Ok((bend_deg, dir_deg, t_s))
+    let t_s = timed.then(|| number(2, "T", least_s..=TIME_MAX_S, "s"));
+    Ok((bend_deg, dir_deg, t_s.transpose()?))
 }
 
 #[cfg(test)]

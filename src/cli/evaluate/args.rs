@@ -1,6 +1,6 @@
 //! Arguments of `evaluate`.
 
-use crate::cli::output::ResultFile;
+use crate::cli::ResultFile;
 use crate::experiment::evaluation::Arm;
 use clap::builder::PossibleValue;
 use std::path::PathBuf;

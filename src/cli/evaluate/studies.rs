@@ -25,30 +25,25 @@ pub(super) fn run(
     board: &Board,
     gains: &Gains,
 ) -> Result<bool> {
-    let units = if args.sweep {
-        SWEEP_UNITS
-    } else {
-        ABLATION_UNITS
-    };
     let study = Study {
         config: assemble(board, &inputs::calibration(args.calib.as_deref())?, gains),
         make: section.make(),
         period_s: section.period_s,
         seed: args.seed,
-        units,
+        units: [ABLATION_UNITS, SWEEP_UNITS][usize::from(args.sweep)],
     };
+    let conditions = conditions(args)?;
     match args.sweep {
-        true => run_sweep(args, &study),
-        false => run_ablation(args, &study).map(|()| true),
+        true => run_sweep(args, &study, &conditions),
+        false => run_ablation(args, &study, &conditions).map(|()| true),
     }
 }
 
-fn run_sweep(args: &Args, study: &Study) -> Result<bool> {
+fn run_sweep(args: &Args, study: &Study, conditions: &[Condition]) -> Result<bool> {
     let start = Instant::now();
-    let conditions = conditions(args)?;
-    let rows = sweep::rows(&conditions).len() as u64;
+    let rows = sweep::rows(conditions).len() as u64;
     let bar = output::bar(rows * study.units, "units,");
-    let rows = sweep::run(study, &conditions, &|| bar.inc(1)).into_diagnostic()?;
+    let rows = sweep::run(study, conditions, &|| bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
     let result = json!({ "seed": study.seed, "units": study.units, "sweep": rows });
     output::write_some(&args.svg, || Ok(picture::svg(&rows)))?;
@@ -77,26 +72,24 @@ fn conditions(args: &Args) -> Result<Vec<Condition>> {
 }
 
 fn sweep_row(r: &SweepRow) -> Vec<String> {
-    let verdict = if r.ok { "" } else { "FAILS" };
-    let numbers = [
-        r.open_deg,
-        r.closed_deg,
-        r.p95_deg,
-        r.hunting_deg,
-        r.cold_deg,
-    ];
-    let mut row = vec![r.condition.to_owned(), r.value.to_string()];
-    row.extend(numbers.map(|x| format!("{x:.2}°")));
-    row.push(verdict.to_owned());
-    row
+    let deg = |x: f64| format!("{x:.2}°");
+    vec![
+        r.condition.to_owned(),
+        r.value.to_string(),
+        deg(r.open_deg),
+        deg(r.closed_deg),
+        deg(r.p95_deg),
+        deg(r.hunting_deg),
+        deg(r.cold_deg),
+        if r.ok { "" } else { "FAILS" }.to_owned(),
+    ]
 }
 
-fn run_ablation(args: &Args, study: &Study) -> Result<()> {
-    let conditions = conditions(args)?;
-    let each = sweep::rows(&conditions).len();
+fn run_ablation(args: &Args, study: &Study, conditions: &[Condition]) -> Result<()> {
+    let each = sweep::rows(conditions).len();
     let all = (MECHANISMS.len() * each) as u64 * study.units;
     let bar = output::bar(all, "units,");
-    let rows = ablation::run(study, &MECHANISMS, &conditions, &|| bar.inc(1)).into_diagnostic()?;
+    let rows = ablation::run(study, &MECHANISMS, conditions, &|| bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
     let result = json!({ "seed": study.seed, "units": study.units, "ablate": rows });
     let header = "without|RMSE|ratio|to 1°|never|needed most by|ratio";

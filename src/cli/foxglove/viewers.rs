@@ -12,7 +12,7 @@ use std::collections::HashMap;
 use std::io::{self, ErrorKind};
 use std::net::{TcpListener, TcpStream};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 use tungstenite::handshake::server::{ErrorResponse, Request, Response};
 use tungstenite::http::{HeaderValue, StatusCode, header::SEC_WEBSOCKET_PROTOCOL};
@@ -43,6 +43,10 @@ struct Shared {
     last: HashMap<usize, Shown>,
 }
 
+fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// All viewers.
 pub struct Viewers(Arc<Mutex<Shared>>);
 
@@ -57,13 +61,12 @@ impl Viewers {
         std::thread::Builder::new().spawn(move || {
             for stream in listener.incoming().flatten() {
                 let (sender, queue) = sync_channel(QUEUE);
-                let mut all = own.lock().unwrap_or_else(PoisonError::into_inner);
-                all.queues
-                    .retain(|(_, attended)| attended.strong_count() > 0);
+                let mut all = lock(&own);
+                let is_attended = |attended: &Weak<()>| attended.strong_count() > 0;
+                all.queues.retain(|(_, attended)| is_attended(attended));
                 if all.queues.len() < VIEWERS_MAX {
-                    let attended = Arc::new(());
+                    let (attended, shared) = (Arc::new(()), Arc::clone(&own));
                     all.queues.push((sender, Arc::downgrade(&attended)));
-                    let shared = Arc::clone(&own);
                     // without a thread there is no viewer
                     let _ = std::thread::Builder::new().spawn(move || {
                         attend(stream, &queue, &shared);
@@ -86,7 +89,7 @@ impl Viewers {
             return;
         }
         let shown = Arc::new((number, message.log_time, message.data.to_vec()));
-        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut all = lock(&self.0);
         for (queue, _) in all.queues.iter().filter(|_| live) {
             // one that does not keep up misses it
             let _ = queue.try_send(Arc::clone(&shown));
@@ -104,8 +107,8 @@ fn agree(request: &Request, mut response: Response) -> Result<Response, ErrorRes
         .flat_map(|value| value.split(',').map(str::trim))
         .collect();
     let Some(protocol) = PROTOCOLS.into_iter().find(|name| offered.contains(name)) else {
-        let mut refusal =
-            ErrorResponse::new(Some(format!("offer the protocol {}\n", PROTOCOLS[0])));
+        let why = format!("offer the protocol {}\n", PROTOCOLS[0]);
+        let mut refusal = ErrorResponse::new(Some(why));
         *refusal.status_mut() = StatusCode::BAD_REQUEST;
         return Err(refusal);
     };
@@ -138,17 +141,17 @@ struct Subscription {
 /// Serves one viewer until it leaves. Its end is nobody's business.
 fn attend(stream: TcpStream, queue: &Receiver<Shown>, shared: &Mutex<Shared>) {
     let _ = stream.set_nodelay(true);
-    if stream.set_read_timeout(Some(GONE)).is_err() || stream.set_write_timeout(Some(GONE)).is_err()
-    {
-        return;
-    }
+    let bounded = stream
+        .set_read_timeout(Some(GONE))
+        .and_then(|()| stream.set_write_timeout(Some(GONE)));
     let limits = WebSocketConfig::default()
         .max_message_size(Some(REQUEST_MAX))
         .max_frame_size(Some(REQUEST_MAX));
-    let Ok(socket) = accept_hdr_with_config(stream, agree, Some(limits)) else {
-        return;
-    };
-    let _ = converse(socket, queue, shared);
+    if bounded.is_ok()
+        && let Ok(socket) = accept_hdr_with_config(stream, agree, Some(limits))
+    {
+        let _ = converse(socket, queue, shared);
+    }
 }
 
 fn converse(
@@ -177,9 +180,7 @@ fn converse(
                 for Subscription { id, channel_id } in subscriptions {
                     subscribed.retain(|_, channel| *channel != channel_id);
                     subscribed.insert(id, channel_id);
-                    let all = shared.lock().unwrap_or_else(PoisonError::into_inner);
-                    let last = all.last.get(&channel_id).cloned();
-                    drop(all);
+                    let last = lock(shared).last.get(&channel_id).cloned();
                     last.map_or(Ok(()), |shown| socket.send(data(id, &shown)))?;
                 }
                 // nobody needs more subscriptions than there are topics
@@ -193,10 +194,10 @@ fn converse(
             Asked::Other => {}
         }
         for shown in queue.try_iter() {
-            let mut ids = subscribed
-                .iter()
-                .filter(|(_, channel)| **channel == shown.0);
-            ids.try_for_each(|(id, _)| socket.write(data(*id, &shown)))?;
+            let is_of = |(_, channel): &(&u32, &usize)| **channel == shown.0;
+            for (id, _) in subscribed.iter().filter(is_of) {
+                socket.write(data(*id, &shown))?;
+            }
         }
         socket.flush()?;
     }
@@ -204,17 +205,14 @@ fn converse(
 
 /// The channels, whose numbers are those of their topics.
 fn channels() -> io::Result<String> {
-    let topics = schema::TOPICS
-        .iter()
-        .enumerate()
-        .filter(|(_, (topic, _))| *topic != EXACT[0]);
-    let all: io::Result<Vec<_>> = topics
-        .map(|(id, (topic, name))| {
+    let mut all = Vec::new();
+    for (id, (topic, name)) in schema::TOPICS.iter().enumerate() {
+        if *topic != EXACT[0] {
             let description = BASE64.encode(&schema::description(topic)?);
-            Ok(json!({"id": id, "topic": topic, "encoding": ENCODING, "schemaName": name, "schemaEncoding": ENCODING, "schema": description}))
-        })
-        .collect();
-    Ok(json!({"op": "advertise", "channels": all?}).to_string())
+            all.push(json!({"id": id, "topic": topic, "encoding": ENCODING, "schemaName": name, "schemaEncoding": ENCODING, "schema": description}));
+        }
+    }
+    Ok(json!({"op": "advertise", "channels": all}).to_string())
 }
 
 /// A message for a subscription.

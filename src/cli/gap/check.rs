@@ -1,7 +1,7 @@
 //! `retroflex gap check`: a saved model on a fresh log.
 
 use crate::cli::gap::input;
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, output};
 use crate::diagnosis::tip::{Checked, Judgement, check};
 use crate::model::effects::catalogue;
 use miette::Result;
@@ -44,15 +44,12 @@ fn said(c: &Checked) -> String {
             "The model does worse than nothing here: its effects are no longer there. Diagnose the machine again."
         }
     };
-    let mut out = format!(
-        "{sentence}\nbefore {:.2}°, after {:.2}°, closed {:.0} %; with gains identified anew {:.2}°\n",
-        c.before_deg,
-        c.after_deg,
-        c.closed * 100.0,
-        c.refitted_deg
-    );
-    for name in &c.left_out {
-        out += &format!("{name} happens once and is left out\n");
-    }
-    out
+    let (before, after, closed, refitted) =
+        (c.before_deg, c.after_deg, c.closed * 100.0, c.refitted_deg);
+    let left_out = c.left_out.iter();
+    let left_out = left_out.map(|name| format!("{name} happens once and is left out\n"));
+    format!(
+        "{sentence}\nbefore {before:.2}°, after {after:.2}°, closed {closed:.0} %; with gains identified anew {refitted:.2}°\n{}",
+        left_out.collect::<String>()
+    )
 }

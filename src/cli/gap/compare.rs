@@ -1,8 +1,7 @@
 //! `retroflex gap compare`: the user's own simulator beside a log.
 
 use crate::cli::gap::input;
-use crate::cli::output::ResultFile;
-use crate::cli::{inputs, logging, output};
+use crate::cli::{ResultFile, inputs, logging, output};
 use crate::diagnosis::diagnose;
 use crate::diagnosis::tip::TipProblem;
 use crate::diagnosis::tip::model::Motion;
@@ -46,13 +45,10 @@ fn knob(text: &str) -> std::result::Result<Knob, String> {
     let parsed = || {
         let (name, range) = text.split_once('=')?;
         let (low, high) = range.split_once(':')?;
-        let knob = Knob {
-            name: name.to_owned(),
-            low: low.parse().ok()?,
-            high: high.parse().ok()?,
-        };
-        let finite = knob.low.is_finite() && knob.high.is_finite();
-        (!name.is_empty() && finite && knob.low < knob.high).then_some(knob)
+        let (low, high): (f64, f64) = (low.parse().ok()?, high.parse().ok()?);
+        let name = Some(name.to_owned()).filter(|name| !name.is_empty())?;
+        let is_range = low.is_finite() && high.is_finite() && low < high;
+        is_range.then_some(Knob { name, low, high })
     };
     parsed().ok_or("expected NAME=LOW:HIGH with LOW below HIGH, for example stiffness=0.5:2".into())
 }
@@ -77,10 +73,8 @@ pub fn run(args: &Args) -> Result<bool> {
 fn simulated(args: &Args, log: &Observed) -> Result<(String, Compared)> {
     let (program, arguments) = inputs::program(&args.plant)?;
     let _logging = logging::start();
-    let (bar, mut name) = (
-        output::bar(0, "{pos} runs of the simulator,"),
-        String::new(),
-    );
+    let bar = output::bar(0, "{pos} runs of the simulator,");
+    let mut name = String::new();
     bar.enable_steady_tick(std::time::Duration::from_millis(200));
     let run = |values: &[f64]| -> std::result::Result<Motion, RigError> {
         let mut arguments = arguments.clone();
@@ -99,21 +93,24 @@ fn simulated(args: &Args, log: &Observed) -> Result<(String, Compared)> {
 
 /// A row for each bin: time, counted pistons and, of each sensor, what the simulator leaves, degrees (°/s for the gyroscope).
 fn residuals(log: &Observed, compared: &Compared) -> Result<Vec<u8>> {
-    let of =
-        |value: &dyn Fn(usize) -> f64| Column::Numbers((0..log.bins.len()).map(value).collect());
-    let mut table = vec![("time_s".to_owned(), of(&|k| log.bins[k].t_s))];
+    let mut table = Vec::new();
+    let mut add = |name: String, value: &dyn Fn(usize) -> f64| {
+        let values = (0..log.bins.len()).map(value).collect();
+        table.push((name, Column::Numbers(values)));
+    };
+    add("time_s".to_owned(), &|k| log.bins[k].t_s);
     for i in 0..3 {
-        let piston = |k: usize| log.piston_mm[log.bins[k].at][i];
-        table.push((format!("piston{}_mm", i + 1), of(&piston)));
+        let name = format!("piston{}_mm", i + 1);
+        add(name, &|k| log.piston_mm[log.bins[k].at][i]);
     }
     for q in log.quantities() {
         let unit = ["deg", "deg_s"][usize::from(q.name() == "gyroscope")];
         for (i, axis) in ["x", "y", "z"].into_iter().enumerate() {
-            let value = |k: usize| match log.bins[k].weight[q] > 0.0 {
+            let name = format!("{}_{axis}_{unit}", q.name());
+            add(name, &|k| match log.bins[k].weight[q] > 0.0 {
                 true => compared.held_out.residual[q][k][i].to_degrees(),
                 false => f64::NAN,
-            };
-            table.push((format!("{}_{axis}_{unit}", q.name()), of(&value)));
+            });
         }
     }
     columns::write(&table, &[]).into_diagnostic()

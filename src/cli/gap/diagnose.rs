@@ -1,10 +1,12 @@
 //! `retroflex gap diagnose`: diagnoses a log, prints the answer and writes it to files.
 
+use crate::cli::calibrate::today;
 use crate::cli::gap::input::{self, DrivenArgs, file_name};
-use crate::cli::gap::map;
 use crate::cli::gap::rows::{self, RowsArgs, Settings};
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, output};
+use crate::config::source;
 use crate::diagnosis::diagnose;
+use crate::diagnosis::rig::{Document, MapFile, table};
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::tip::{Diagnosed, Diagnosis, SavedModel, TipProblem};
 use crate::model::effects::catalogue;
@@ -15,7 +17,6 @@ use crate::service::flight::cycle::fnv;
 use miette::{IntoDiagnostic, Result, bail};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
-use time::OffsetDateTime;
 
 /// Arguments of `gap diagnose`.
 #[derive(Debug, clap::Args)]
@@ -74,7 +75,7 @@ pub fn run(args: &Args) -> Result<()> {
                 args.logs.len()
             );
         };
-        return map::run(log, map, &args.fresh, &args.json, args.seed);
+        return run_mapped(log, map, args);
     }
     let lines = args.driven.lines()?;
     let observed = input::observe_together(&args.logs, &args.driven.machine.rig()?)?;
@@ -89,11 +90,20 @@ pub fn run(args: &Args) -> Result<()> {
             eprintln!("written: {}", path.display());
         }
     }
-    output::show(
-        summary(&done.document, args.save.as_deref()) + "\n",
-        &args.json,
-    );
+    let text = summary(&done.document, args.save.as_deref()) + "\n";
+    output::show(text, &args.json);
     Ok(())
+}
+
+/// Diagnoses a log of another rig.
+fn run_mapped(log: &Path, map: &Path, args: &Args) -> Result<()> {
+    let map: MapFile = source::read(map)?;
+    let signals = table::read(log, &map).into_diagnostic()?;
+    let other = |path: &PathBuf| Ok((file_name(path), table::read(path, &map).into_diagnostic()?));
+    let others = args.fresh.iter().map(other).collect::<Result<Vec<_>>>()?;
+    let document = Document::new(&map, &signals, &others, args.seed);
+    let text = crate::report::gap::map::summary(&document) + "\n";
+    output::answer(&args.json, &document, text)
 }
 
 /// Requested files with their contents.
@@ -112,10 +122,8 @@ fn files<'a>(
         out.push((path, page(&logs, &done.document, &evidence, &made)));
     }
     if let Some(path) = &args.save {
-        let (logs, catalogue) = (
-            listed(&args.logs, |log| log.display().to_string()),
-            catalogue(),
-        );
+        let logs = listed(&args.logs, |log| log.display().to_string());
+        let catalogue = catalogue();
         let model = SavedModel::new(&logs, &catalogue, done);
         let model = model.with_forecast(observed, &catalogue, done);
         out.push((path, toml::to_string(&model).into_diagnostic()?));
@@ -126,19 +134,20 @@ fn files<'a>(
 /// What a diagnosis was made from and with, so that its page can be told from that of another day.
 fn made_from(args: &Args, observed: &Observed) -> Result<Vec<[String; 2]>> {
     let row = |name: &str, value: String| [name.to_owned(), value];
-    let mut made = vec![
-        row("retroflex", env!("CARGO_PKG_VERSION").to_owned()),
-        row("date", OffsetDateTime::now_utc().date().to_string()),
-    ];
+    let version = env!("CARGO_PKG_VERSION").to_owned();
+    let mut made = vec![row("retroflex", version), row("date", today())];
     for (log, part) in args.logs.iter().zip(&observed.segments) {
         let hash = fnv(std::fs::read(log).into_diagnostic()?);
         let duration_s = observed.t_s[part.instants.end - 1] - observed.t_s[part.instants.start];
         let shown = format!("{duration_s:.0} s, hash {hash:016x}");
         made.push(row(&file_name(log), shown));
     }
-    let [board, calib] = args.driven.named();
-    made.extend([row("board", board), row("calibration", calib)]);
-    made.push(row("seed", args.seed.to_string()));
+    let ([board, calib], seed) = (args.driven.named(), args.seed.to_string());
+    made.extend([
+        row("board", board),
+        row("calibration", calib),
+        row("seed", seed),
+    ]);
     Ok(made)
 }
 
@@ -163,12 +172,14 @@ fn not_finite(value: &Value, key: &str) -> Option<String> {
     let dot = if key.is_empty() { "" } else { "." };
     match value {
         Value::Null => Some(key.to_owned()),
-        Value::Array(all) => (0..)
-            .zip(all)
-            .find_map(|(i, v)| not_finite(v, &format!("{key}[{i}]"))),
-        Value::Object(all) => all
-            .iter()
-            .find_map(|(k, v)| not_finite(v, &format!("{key}{dot}{k}"))),
+        Value::Array(all) => {
+            let mut all = (0..).zip(all);
+            all.find_map(|(i, v)| not_finite(v, &format!("{key}[{i}]")))
+        }
+        Value::Object(all) => {
+            let mut all = all.iter();
+            all.find_map(|(k, v)| not_finite(v, &format!("{key}{dot}{k}")))
+        }
         _ => None,
     }
 }

@@ -2,8 +2,7 @@
 
 mod simulator;
 
-use crate::cli::inputs;
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, inputs, output};
 use crate::diagnosis::exam::run::run as answer_all;
 use crate::diagnosis::exam::{Answer, ExamScore, Question, questions, score};
 use crate::diagnosis::tip::Diagnosis;
@@ -65,30 +64,23 @@ struct Document<'a> {
 pub fn run(args: &Args) -> Result<()> {
     let simulator = args.plant.as_deref().map(inputs::program).transpose()?;
     let simulator = simulator.map(Simulator::new);
-    let known = simulator.as_ref().map_or_else(
-        || Ok(by_catalogue(effect_names().map(|e| e.name))),
-        Simulator::effects,
-    );
-    let asked: Vec<Question> = questions(args.seed, args.rounds.max(1), &known.into_diagnostic()?)
-        .into_iter()
-        .step_by(args.every.max(1))
-        .collect();
+    let known = match &simulator {
+        Some(simulator) => simulator.effects().into_diagnostic()?,
+        None => by_catalogue(effect_names().map(|e| e.name)),
+    };
+    let asked = questions(args.seed, args.rounds.max(1), &known).into_iter();
+    let asked: Vec<Question> = asked.step_by(args.every.max(1)).collect();
     let draw = |q: &Question| simulator.as_ref().map_or_else(|| q.draw(), |s| s.draw(q));
     eprintln!("seed {}, {} logs", args.seed, asked.len());
     let bar = output::bar(asked.len() as u64, "{pos} of {len} logs, {eta} left,");
     let answers = answer_all(&asked, draw, &catalogue(), || bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
     let score = score(args.seed, &asked, &answers);
-    let text = summary(&score) + "\n";
-    let logs = asked.iter().zip(&answers).map(line).collect();
-    output::answer(
-        &args.json,
-        &Document {
-            score: &score,
-            logs,
-        },
-        text,
-    )
+    let document = Document {
+        score: &score,
+        logs: asked.iter().zip(&answers).map(line).collect(),
+    };
+    output::answer(&args.json, &document, summary(&score) + "\n")
 }
 
 fn line<'a>((q, a): (&'a Question, &'a Answer)) -> Line<'a> {

@@ -1,11 +1,10 @@
 //! `retroflex gap excite`: designs a schedule that separates effects.
 
 use crate::cli::gap::input;
-use crate::cli::output::ResultFile;
-use crate::cli::{inputs, output};
+use crate::cli::{ResultFile, inputs, output};
 use crate::diagnosis::excite::rows::csv;
 use crate::diagnosis::excite::{Machine, Request, design};
-use crate::primitives::{Check, Checker};
+use crate::primitives::{Checker, Invalid};
 use crate::report::gap::schedule::summary;
 use miette::{Result, miette};
 use std::path::PathBuf;
@@ -36,33 +35,25 @@ pub struct Args {
     rounds: usize,
 }
 
-impl Check for Args {
-    fn check(&self, to: &mut Checker) {
-        to.at("--rounds")
-            .range(self.rounds as f64, 1.0..=100_000.0, "")
-            .hint("leave it out for the default");
-    }
-}
-
 /// Designs and writes.
 ///
 /// # Errors
 /// A report that names the faulty input.
 pub fn run(args: &Args) -> Result<()> {
     let mut checker = Checker::default();
-    args.check(&mut checker);
-    checker
-        .done()
-        .map_err(|e| miette!("{}: {}: {}", e.key, e.problem, e.hint))?;
+    let rounds = checker.at("--rounds");
+    let rounds = rounds.range(args.rounds as f64, 1.0..=100_000.0, "");
+    rounds.hint("leave it out for the default");
+    let refused = |e: Invalid| miette!("{}: {}: {}", e.key, e.problem, e.hint);
+    checker.done().map_err(refused)?;
     let like = args.like.as_deref().map(input::saved).transpose()?;
     let lines = match &like {
         Some(model) => model.with_effects.lines(),
         None => inputs::calibration(None)?.lines(),
     };
-    let machine = Machine::new(args.machine.rig()?, lines);
     let bar = output::bar(args.rounds as u64, "{pos} of {len} schedules");
     let request = Request {
-        machine,
+        machine: Machine::new(args.machine.rig()?, lines),
         like,
         tracker: args.tracker,
         seed: args.seed,
@@ -71,9 +62,7 @@ pub fn run(args: &Args) -> Result<()> {
     let designed = design(&request, &mut |tried| bar.set_position(tried as u64));
     bar.finish_and_clear();
     output::write(&args.out, csv(&designed.rows))?;
-    output::show(
-        summary(&args.out, &request, &designed) + "\n",
-        &Some(args.out.clone()),
-    );
+    let text = summary(&args.out, &request, &designed) + "\n";
+    output::show(text, &Some(args.out.clone()));
     Ok(())
 }

@@ -6,9 +6,7 @@ pub mod compare;
 pub mod diagnose;
 pub mod exam;
 pub mod excite;
-pub mod from_model;
 pub mod input;
-pub mod map;
 pub mod rows;
 
 commands! {

@@ -4,10 +4,9 @@
 //! logs without a row are diagnosed.
 
 use crate::cli::gap::input;
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, output};
 use crate::diagnosis::diagnose;
-use crate::diagnosis::fleet::row;
-use crate::diagnosis::fleet::row::FleetRow;
+use crate::diagnosis::fleet::row::{self, FleetRow};
 use crate::diagnosis::tip::{Rig, TipProblem};
 use crate::log::columns;
 use crate::log::error::why_unreadable;
@@ -32,12 +31,10 @@ impl std::str::FromStr for Shard {
     type Err = String;
 
     fn from_str(text: &str) -> std::result::Result<Self, String> {
-        let parts = text
-            .split_once('/')
-            .and_then(|(k, n)| Some(Self(k.parse().ok()?, n.parse().ok()?)));
-        parts
-            .filter(|s| (1..=s.1).contains(&s.0))
-            .ok_or_else(|| "expected K/N with K from 1 to N, for example 2/8".to_owned())
+        let parts = text.split_once('/');
+        let parts = parts.and_then(|(k, n)| Some(Self(k.parse().ok()?, n.parse().ok()?)));
+        let parts = parts.filter(|Self(k, n)| (1..=*n).contains(k));
+        parts.ok_or("expected K/N with K from 1 to N, for example 2/8".to_owned())
     }
 }
 
@@ -88,13 +85,9 @@ struct Unit {
 /// # Errors
 /// A report that names the faulty file. A log that cannot be diagnosed has a row that says why.
 pub fn run(logs: &[PathBuf], settings: &Settings, args: &RowsArgs, table: &Path) -> Result<()> {
-    let text = format!(
-        "{} {:?} {:?} {}",
-        env!("CARGO_PKG_VERSION"),
-        settings.rig,
-        settings.lines,
-        settings.seed
-    );
+    let Settings { rig, lines, seed } = settings;
+    let version = env!("CARGO_PKG_VERSION");
+    let text = format!("{version} {rig:?} {lines:?} {seed}");
     let hash = format!("{:016x}", fnv(text.into_bytes()));
     let mut tasks = tasks(logs, args)?;
     let journal = table.with_added_extension("journal");
@@ -118,11 +111,8 @@ pub fn run(logs: &[PathBuf], settings: &Settings, args: &RowsArgs, table: &Path)
     // the table holds all that it holds
     let _ = fs::remove_file(&journal);
     let refused = rows.iter().filter(|row| !row.refused.is_empty()).count();
-    eprintln!(
-        "{}: {} logs, {new} of them diagnosed now; {refused} cannot be diagnosed",
-        table.display(),
-        rows.len()
-    );
+    let (file, all) = (table.display(), rows.len());
+    eprintln!("{file}: {all} logs, {new} of them diagnosed now; {refused} cannot be diagnosed");
     Ok(())
 }
 
@@ -179,12 +169,8 @@ fn collect(path: &Path, folder: &Path, into: &mut Vec<Task>) -> Result<()> {
     if let Some(unit) = plain.strip_suffix(".csv") {
         let (lot, unit) = unit.rsplit_once('/').unwrap_or(("", unit));
         let [unit, lot, log] = [unit, lot, &log].map(str::to_owned);
-        let row = FleetRow {
-            unit,
-            lot,
-            log,
-            ..FleetRow::default()
-        };
+        let mut row = FleetRow::default();
+        (row.unit, row.lot, row.log) = (unit, lot, log);
         let path = path.to_owned();
         into.push(Task { path, row });
     }
@@ -193,10 +179,11 @@ fn collect(path: &Path, folder: &Path, into: &mut Vec<Task>) -> Result<()> {
 
 /// Rows of an earlier run, by log: those of its table, and those of its journal if it did not end.
 fn known(table: &Path, journal: &Path) -> Result<HashMap<String, FleetRow>> {
-    let mut rows = Vec::new();
-    if table.is_file() {
-        rows = read(table)?;
-    }
+    let mut rows = if table.is_file() {
+        read(table)?
+    } else {
+        Vec::new()
+    };
     let text = fs::read(journal).unwrap_or_default();
     let lines = text.split(|b| *b == b'\n');
     // a row that was being written as the run ended is no row
@@ -224,11 +211,8 @@ pub fn read(table: &Path) -> Result<Vec<FleetRow>> {
 fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Result<()> {
     let failed = |e: io::Error| miette!("{}: {e}", journal.display());
     let mut options = OpenOptions::new();
-    let mut file = options
-        .create(true)
-        .append(true)
-        .open(journal)
-        .map_err(failed)?;
+    let file = options.create(true).append(true).open(journal);
+    let mut file = file.map_err(failed)?;
     // ends a row that was being written as an earlier run ended
     file.write_all(b"\n").map_err(failed)?;
     let bar = output::bar(open.len() as u64, "{pos} of {len} logs, {eta} left,");
@@ -254,22 +238,20 @@ fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Re
         let defect = |_| Err(io::Error::other("a diagnosis failed"));
         let ends = workers.into_iter().map(|w| w.join().unwrap_or_else(defect));
         // all end before the first error counts
-        ends.collect::<Vec<_>>()
-            .into_iter()
-            .collect::<io::Result<()>>()
+        let ends: Vec<_> = ends.collect();
+        ends.into_iter().collect::<io::Result<()>>()
     });
     done.map_err(failed)
 }
 
 fn diagnose_one(settings: &Settings, task: &mut Task) {
     let Settings { rig, lines, seed } = settings;
+    let catalogue = catalogue();
     match input::observe(&task.path, rig) {
-        Ok(log) => task.row.tell(&diagnose(&TipProblem::new(
-            &log,
-            &catalogue(),
-            lines,
-            *seed,
-        ))),
+        Ok(log) => {
+            let done = diagnose(&TipProblem::new(&log, &catalogue, lines, *seed));
+            task.row.tell(&done);
+        }
         // where the folder lies does not matter
         Err(e) => {
             let path = task.path.display().to_string();

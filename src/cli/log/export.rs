@@ -1,7 +1,7 @@
 //! `log export`: the samples of a flight log with what the loop made of them, as a bend log or a Parquet table.
 
 use crate::cli::flight::{self, flight_of};
-use crate::cli::output::{self, ResultFile};
+use crate::cli::{ResultFile, output};
 use crate::log::columns::{self, Column};
 use crate::service::flight::cycle::Cycle;
 use crate::service::flight::read::Entry;
@@ -109,20 +109,15 @@ impl Rows {
         if self.numbers.is_empty() {
             self.start_ns = unix_ns.saturating_sub((row[0] * 1e9) as u64);
         }
-        let value = |place| {
-            self.status
-                .pointer(place)
-                .and_then(Value::as_f64)
-                .map(round)
-        };
-        row.extend(OF_LOOP.map(|(_, place)| value(place).unwrap_or(f64::NAN)));
+        let value = |place| self.status.pointer(place).and_then(Value::as_f64);
+        row.extend(OF_LOOP.map(|(_, place)| value(place).map_or(f64::NAN, round)));
         self.numbers.push(row);
         let mode = self.status["mode"].as_str().unwrap_or_default();
         self.modes.push(mode.to_owned());
     }
 
     fn csv(&self) -> Vec<u8> {
-        let mut log = names().join(",").into_bytes();
+        let mut log = [&names().join(","), ",mode"].concat().into_bytes();
         for (row, mode) in self.numbers.iter().zip(&self.modes) {
             log.push(b'\n');
             record::write_values(&mut log, row);
@@ -134,27 +129,21 @@ impl Rows {
 
     /// The table, with the units of its columns and the time of its zero.
     fn parquet(&self) -> Result<Vec<u8>> {
-        let all = names();
         let unit = |name: &&str| {
             let (_, unit) = UNITS.iter().find(|(end, _)| name.ends_with(end))?;
             Some(((*name).to_owned(), json!(unit)))
         };
-        let units: Map<String, Value> = all.iter().filter_map(unit).collect();
+        let units: Map<String, Value> = names().iter().filter_map(unit).collect();
         let start = timestamp(self.start_ns);
         let metadata = [
             ("start_time", start.as_str().unwrap_or_default().to_owned()),
             ("units", json!(units).to_string()),
             ("program", format!("retroflex {}", self.program)),
         ];
-        let mode = all.len() - 1;
-        let column = |(k, name)| match k == mode {
-            true => (name, Column::Texts(self.modes.clone())),
-            false => (
-                name,
-                Column::Numbers(self.numbers.iter().map(|row| row[k]).collect()),
-            ),
-        };
-        let table: Vec<(&str, Column)> = all.into_iter().enumerate().map(column).collect();
+        let numbers = |k: usize| Column::Numbers(self.numbers.iter().map(|row| row[k]).collect());
+        let mut table: Vec<(&str, Column)> = Vec::new();
+        table.extend((0..).zip(names()).map(|(k, name)| (name, numbers(k))));
+        table.push(("mode", Column::Texts(self.modes.clone())));
         columns::write(&table, &metadata).into_diagnostic()
     }
 }
@@ -164,13 +153,10 @@ fn round(x: f64) -> f64 {
     (x * 1e4).round() / 1e4
 }
 
-/// Names of the columns.
+/// Names of the columns of numbers.
 fn names() -> Vec<&'static str> {
     let samples = record::HEADER.trim_end().split(',');
-    samples
-        .chain(OF_LOOP.map(|column| column.0))
-        .chain(["mode"])
-        .collect()
+    samples.chain(OF_LOOP.map(|column| column.0)).collect()
 }
 
 /// Runs the command.

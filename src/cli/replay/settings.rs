@@ -1,9 +1,9 @@
 //! The settings that a flight log holds, and others to replay it with.
 
 use crate::cli::inputs;
+use crate::config::source;
 use crate::config::supervisor::assemble;
 use crate::config::{Board, Calibration, Gains};
-use crate::config::{show, source};
 use crate::control::DynamicsPrior;
 use crate::estimation::fusion::estimator::EstimatorName;
 use crate::model::{DescribedMachine, Line};
@@ -36,10 +36,8 @@ pub struct SettingsArgs {
 impl SettingsArgs {
     /// True if there are any.
     pub fn any(&self) -> bool {
-        self.gains.is_some()
-            || self.calib.is_some()
-            || self.filter.is_some()
-            || self.feedforward.is_some()
+        let files = [&self.gains, &self.calib, &self.feedforward];
+        self.filter.is_some() || files.into_iter().any(Option::is_some)
     }
 }
 
@@ -64,9 +62,9 @@ impl Settings {
     /// What is wrong with them.
     pub fn of(header: &Header) -> std::result::Result<Self, String> {
         if header.log != 3 {
+            let version = header.log;
             return Err(format!(
-                "log version {}; this program reads version 3",
-                header.log
+                "log version {version}; this program reads version 3"
             ));
         }
         let [board, gains, calibration, model @ ..] = header.texts.as_slice() else {
@@ -78,15 +76,12 @@ impl Settings {
             let model = source::parse(name, text).into_diagnostic()?;
             inputs::described_by(name, model, &board)
         });
-        let feedforward = described.transpose().map_err(|e| e.to_string())?;
-        let (gains, calibration) = (text(gains)?, text(calibration)?);
-        let learned = Some((header.lines, header.dynamics));
         Ok(Self {
+            feedforward: described.transpose().map_err(|e| e.to_string())?,
+            gains: text(gains)?,
+            calibration: text(calibration)?,
+            learned: Some((header.lines, header.dynamics)),
             board,
-            gains,
-            calibration,
-            learned,
-            feedforward,
         })
     }
 
@@ -124,11 +119,7 @@ impl Settings {
     /// # Errors
     /// A report about a file.
     pub fn texts(&self, read: &Header, args: Option<&SettingsArgs>) -> Result<Vec<String>> {
-        let mut texts = vec![
-            show::compact(&self.board),
-            show::compact(&self.gains),
-            show::compact(&self.calibration),
-        ];
+        let mut texts = inputs::texts(&self.board, &self.gains, &self.calibration);
         texts.extend(match args.and_then(|args| args.feedforward.as_deref()) {
             Some(path) => Some(source::text_of(path)?),
             None => read.texts.get(texts.len()).cloned(),

@@ -2,45 +2,41 @@
 
 use crate::diagnosis::tip::{Diagnosis, EffectEntry, LogEntry};
 use crate::report::gap::words::{self, verdict};
-use crate::report::table::titled;
+use crate::report::table::table;
 use std::path::Path;
 
 /// Number of effects in the table: the probable ones, and at least three.
 fn shown(d: &Diagnosis) -> usize {
-    d.effects
-        .iter()
-        .take_while(|e| e.probability >= 0.01)
-        .count()
-        .clamp(3, 6)
+    let probable = d.effects.iter().take_while(|e| e.probability >= 0.01);
+    probable.count().clamp(3, 6)
+}
+
+/// An effect as the tables show it.
+pub(super) fn row(name: String, e: &EffectEntry) -> [String; 7] {
+    let [low, high] = e.closed_ci95.map(|share| share * 100.0);
+    [
+        name,
+        e.stage.to_owned(),
+        format!("{:.2}", e.probability),
+        format!("{:.2}°", e.gap_before_deg),
+        format!("{:.2}°", e.gap_after_deg),
+        format!("{:.0} %", e.closed * 100.0),
+        format!("{low:.0} to {high:.0} %"),
+    ]
 }
 
 /// The answer; `saved` is the file of the model.
 pub fn summary(d: &Diagnosis, saved: Option<&Path>) -> String {
-    let row = |e: &EffectEntry| {
-        let [low, high] = e.closed_ci95.map(|share| share * 100.0);
-        [
-            e.name.to_owned(),
-            e.stage.to_owned(),
-            format!("{:.2}", e.probability),
-            format!("{:.2}°", e.gap_before_deg),
-            format!("{:.2}°", e.gap_after_deg),
-            format!("{:.0} %", e.closed * 100.0),
-            format!("{low:.0} to {high:.0} %"),
-        ]
-    };
+    let row = |e: &EffectEntry| row(e.name.to_owned(), e);
     let header = "effect|stage|prob.|before|after|closed|95 %";
-    let table = titled(header, 2..7, d.effects.iter().take(shown(d)).map(row));
+    let ranking = table(header, 2..7, d.effects.iter().take(shown(d)).map(row));
     let mut out = vec![
         words::opening(d),
         verdict(&d.verdict),
         words::headline(d),
         words::place(d),
     ];
-    let named = d
-        .effects
-        .iter()
-        .filter(|e| d.verdict.names.contains(&e.name));
-    for e in named {
+    for e in words::named(d) {
         let values: Vec<String> = e.params.iter().map(words::value).collect();
         out.push(format!("{}: {}", words::plain(e.name), values.join("; ")));
     }
@@ -51,9 +47,9 @@ pub fn summary(d: &Diagnosis, saved: Option<&Path>) -> String {
             [l.file.clone(), before, after]
         };
         let rows = several.iter().map(row);
-        out.push(titled("log|recalibrated|explained", 1..3, rows).to_string());
+        out.push(table("log|recalibrated|explained", 1..3, rows).to_string());
     }
-    out.push(table.to_string());
+    out.push(ranking.to_string());
     let next = |advice: &String| match saved {
         Some(path) => {
             let model = path.display().to_string();

@@ -4,7 +4,8 @@ use crate::diagnosis::tip::fit::CLAIM_DEG;
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::tip::{DependenceEntry, Diagnosis, goes_with};
 use crate::experiment::compare::{Compared, Knob};
-use crate::report::table::titled;
+use crate::report::gap::words;
+use crate::report::table::table;
 use serde::Serialize;
 
 /// The JSON file.
@@ -98,30 +99,21 @@ pub fn said(d: &Document) -> (String, bool) {
     );
     for p in &d.params {
         let [low, high] = p.ci95;
-        let told = match p.untold {
-            true => ": it changes nothing here; is its name right?",
-            false => "",
-        };
-        text += &format!(
-            "{} = {:.4}, 95 %: {low:.4} to {high:.4}{told}\n",
-            p.name, p.value
-        );
+        let nothing = ": it changes nothing here; is its name right?";
+        let told = if p.untold { nothing } else { "" };
+        let (name, value) = (&p.name, p.value);
+        text += &format!("{name} = {value:.4}, 95 %: {low:.4} to {high:.4}{told}\n");
     }
     if !fits {
-        for DependenceEntry { name, share, .. } in &d.goes_with {
-            let part = share * 100.0;
-            text += &format!(
-                "What remains goes with the {name}, which predicts {part:.0} % of it in one sensor.\n"
-            );
-        }
+        text.extend(d.goes_with.iter().map(|d| words::goes_with(d) + "\n"));
     }
     let row = |k: &KindEntry| {
-        let unit = if k.name == "gyroscope" { "°/s" } else { "°" };
+        let unit = words::unit_of(k.name);
         let [a, b, c] =
             [k.rmse_deg, k.nominal_deg, k.diagnosed_deg].map(|x| format!("{x:.2}{unit}"));
         [k.name.to_owned(), a, b, c]
     };
     let header = "left-out RMSE|simulator|nominal|diagnosed";
-    let table = titled(header, 1..4, d.plant.kinds.iter().map(row));
+    let table = table(header, 1..4, d.plant.kinds.iter().map(row));
     (format!("{text}{table}\n"), fits || left < d.nominal_deg)
 }

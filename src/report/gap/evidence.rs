@@ -49,59 +49,60 @@ impl Evidence {
         let (before, after) = (&done.found.nominal.held_out, &done.chosen.held_out);
         let lines = lines(&done.found.nominal.fitted.theta);
         let start_s = log.start_s();
-        let spots = (0..log.bins.len())
-            .filter_map(|k| {
-                let (bend_deg, dir_deg) = polar_deg(&commanded_bend(log, &lines, k));
-                Some(Spot {
-                    t_s: log.bins[k].t_s - start_s,
-                    bend_deg,
-                    dir_deg,
-                    before_deg: angle_deg(log, before, k)?,
-                    after_deg: angle_deg(log, after, k)?,
-                })
+        let spot = |k: usize| {
+            let (bend_deg, dir_deg) = polar_deg(&commanded_bend(log, &lines, k));
+            Some(Spot {
+                t_s: log.bins[k].t_s - start_s,
+                bend_deg,
+                dir_deg,
+                before_deg: angle_deg(log, before, k)?,
+                after_deg: angle_deg(log, after, k)?,
             })
-            .collect();
+        };
         let logged = Quantity::ANGLES.into_iter().filter(|&q| log.has[q]);
-        let mut traces: Vec<(f64, Trace)> =
-            logged.flat_map(|q| traces(log, q, before, after)).collect();
+        let traces = logged.flat_map(|q| traces(log, q, before, after));
+        let mut traces: Vec<(f64, Trace)> = traces.collect();
         traces.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let traces = traces.into_iter().map(|t| t.1).collect();
-        Self { spots, traces }
+        Self {
+            spots: (0..log.bins.len()).filter_map(spot).collect(),
+            traces: traces.into_iter().map(|t| t.1).collect(),
+        }
+    }
+
+    /// RMS of the values that `pick` returns in each group that `key` makes.
+    fn rms<K: Ord>(
+        &self,
+        key: impl Fn(&Spot) -> K,
+        pick: impl Fn(&Spot) -> f64,
+    ) -> impl Iterator<Item = (K, f64)> {
+        let mut sums: BTreeMap<K, (f64, f64)> = BTreeMap::new();
+        for s in &self.spots {
+            let sum = sums.entry(key(s)).or_default();
+            *sum = (sum.0 + pick(s).powi(2), sum.1 + 1.0);
+        }
+        sums.into_iter().map(|(k, (sum, n))| (k, (sum / n).sqrt()))
     }
 
     /// Cells of the polar map: RMS of the values that `pick` returns.
     pub fn cells(&self, pick: impl Fn(&Spot) -> f64) -> Vec<Cell> {
-        let mut sums: BTreeMap<(usize, usize), (f64, f64)> = BTreeMap::new();
-        for s in &self.spots {
-            let sector = (s.dir_deg / 360.0 * SECTORS as f64) as usize % SECTORS;
-            let ring = (s.bend_deg / RING_DEG) as usize;
-            let sum = sums.entry((ring, sector)).or_default();
-            *sum = (sum.0 + pick(s).powi(2), sum.1 + 1.0);
-        }
-        sums.into_iter()
-            .filter(|((ring, _), _)| *ring < 8)
-            .map(|((ring, sector), (s, n))| Cell {
-                ring,
-                sector,
-                value: (s / n).sqrt(),
-            })
-            .collect()
+        let sector = |s: &Spot| (s.dir_deg / 360.0 * SECTORS as f64) as usize % SECTORS;
+        let place = |s: &Spot| ((s.bend_deg / RING_DEG) as usize, sector(s));
+        let cell = |((ring, sector), value)| Cell {
+            ring,
+            sector,
+            value,
+        };
+        let cells = self.rms(place, pick).map(cell);
+        cells.filter(|cell| cell.ring < 8).collect()
     }
 
     /// RMS of the values that `pick` returns in `n` equal stretches of time: (middle of the stretch, RMS).
     pub fn over_time(&self, n: usize, pick: impl Fn(&Spot) -> f64) -> Vec<(f64, f64)> {
         let end = self.spots.last().map_or(0.0, |s| s.t_s) + 1e-9;
-        let mut sums = vec![(0.0, 0.0); n];
-        for s in &self.spots {
-            let sum = &mut sums[((s.t_s / end * n as f64) as usize).min(n - 1)];
-            *sum = (sum.0 + pick(s).powi(2), sum.1 + 1.0);
-        }
+        let stretch = |s: &Spot| ((s.t_s / end * n as f64) as usize).min(n - 1);
         let middle = |k: usize| (k as f64 + 0.5) * end / n as f64;
-        sums.iter()
-            .enumerate()
-            .filter(|(_, s)| s.1 > 0.0)
-            .map(|(k, s)| (middle(k), (s.0 / s.1).sqrt()))
-            .collect()
+        let all = self.rms(stretch, pick);
+        all.map(|(k, rms)| (middle(k), rms)).collect()
     }
 }
 
@@ -139,18 +140,14 @@ fn traces(log: &Observed, q: Quantity, before: &HeldOut, after: &HeldOut) -> Vec
     let one = |axis: usize| {
         let point = |(t_s, [m, b, a]): &(f64, [Vector3<f64>; 3])| [*t_s, m[axis], b[axis], a[axis]];
         let points: Vec<[f64; 4]> = rows.iter().map(point).collect();
-        let predicted = points
-            .iter()
-            .filter(|p| p[2].is_finite() && p[3].is_finite());
-        let closes = predicted
-            .map(|p| (p[1] - p[2]).powi(2) - (p[1] - p[3]).powi(2))
-            .sum();
-        let label = label(q, axis);
+        let is_predicted = |p: &&[f64; 4]| p[2].is_finite() && p[3].is_finite();
+        let predicted = points.iter().filter(is_predicted);
+        let closed = |p: &[f64; 4]| (p[1] - p[2]).powi(2) - (p[1] - p[3]).powi(2);
+        let (closes, label) = (predicted.map(closed).sum(), label(q, axis));
         (closes, Trace { label, points })
     };
-    (0..if q == Quantity::Reference { 2 } else { 3 })
-        .map(one)
-        .collect()
+    let axes = if q == Quantity::Reference { 2 } else { 3 };
+    (0..axes).map(one).collect()
 }
 
 fn label(q: Quantity, axis: usize) -> String {

@@ -5,7 +5,7 @@ use crate::diagnosis::rig::operators::kind;
 use crate::diagnosis::rig::{Document, Entry};
 use crate::diagnosis::verdict::VerdictKind;
 use crate::report::gap::words::verdict;
-use crate::report::table::titled;
+use crate::report::table::table;
 
 /// The answer.
 pub fn summary(d: &Document) -> String {
@@ -24,28 +24,24 @@ pub fn summary(d: &Document) -> String {
     };
     let sets = d.set.iter().filter(|_| d.verdict.names.len() > 1);
     let shown = sets.chain(d.effects.iter().take(6)).map(row);
-    let table = titled("effect|probability|before|after|closed|95 %|", 1..6, shown);
-    let mut out = vec![opening(d)];
+    let table = table("effect|probability|before|after|closed|95 %|", 1..6, shown);
+    let (mut out, unit) = (vec![opening(d)], &d.unit);
     // whether the log can tell anything comes before what it tells
     out.extend(d.notes.iter().map(|n| format!("note: {n}")));
     out.extend([
         verdict(&d.verdict),
         format!(
-            "RMSE {:.4} {} nominal, {:.4} explained, {:.4} noise, on parts of the log that the fit has not seen",
-            d.gap.recalibrated, d.unit, d.gap.explained, d.gap.noise_floor
+            "RMSE {:.4} {unit} nominal, {:.4} explained, {:.4} noise, on parts of the log that the fit has not seen",
+            d.gap.recalibrated, d.gap.explained, d.gap.noise_floor
         ),
     ]);
     out.extend(closed(d).map(|share| format!("closed {share}")));
-    out.push(format!(
-        "unknown {:.2}, {:.4} {} above the noise",
-        d.unknown.probability, d.unknown.rmse, d.unit
-    ));
+    let (p, rmse) = (d.unknown.probability, d.unknown.rmse);
+    out.push(format!("unknown {p:.2}, {rmse:.4} {unit} above the noise"));
     out.extend(d.verdict.equivalent.iter().map(|g| group(g)));
     out.extend(d.fresh.iter().map(|f| {
-        format!(
-            "on {}, without a new fit: {:.4} before, {:.4} after",
-            f.log, f.before, f.after
-        )
+        let (log, before, after) = (&f.log, f.before, f.after);
+        format!("on {log}, without a new fit: {before:.4} before, {after:.4} after")
     }));
     out.push(table.to_string());
     out.join("\n")
@@ -55,20 +51,18 @@ pub fn summary(d: &Document) -> String {
 fn closed(d: &Document) -> Option<String> {
     let set = d.set.first()?;
     let [low, high] = set.closed_ci95.map(|share| 100.0 * share);
-    let share = 100.0 * set.closed;
-    Some(format!(
-        "{share:.0} % of the gap (95 %: {low:.0} to {high:.0} %)"
-    ))
+    let share = format!("{:.0} % of the gap", 100.0 * set.closed);
+    Some(format!("{share} (95 %: {low:.0} to {high:.0} %)"))
 }
 
 /// The verdict in one sentence: cause, share of the gap, certainty, what to do next.
 fn opening(d: &Document) -> String {
     let sure = format!("probability {:.2}", d.verdict.probability);
-    let one =
-        |name: &&'static str| match d.verdict.equivalent.iter().find(|group| group[0] == *name) {
-            Some(group) => format!("either {}", group.join(" or ")),
-            None => (*name).to_owned(),
-        };
+    let one = |name: &&'static str| {
+        let group = d.verdict.equivalent.iter().find(|group| group[0] == *name);
+        let choice = group.map(|group| format!("either {}", group.join(" or ")));
+        choice.unwrap_or((*name).to_owned())
+    };
     let names: Vec<String> = d.verdict.names.iter().map(one).collect();
     let close = if names.len() > 1 { "close" } else { "closes" };
     let (names, closed) = (names.join(" and "), closed(d).unwrap_or_default());
@@ -81,10 +75,10 @@ fn opening(d: &Document) -> String {
         (VerdictKind::Unknown, _) => format!(
             "Unknown cause ({sure}), of which {names} {close} {closed}; look for what the rest goes with."
         ),
-        (VerdictKind::Effects, Some(group)) => {
-            let motion = separated(group);
-            format!("Cause: {closing}; record a log that tells them apart: {motion}.")
-        }
+        (VerdictKind::Effects, Some(group)) => format!(
+            "Cause: {closing}; record a log that tells them apart: {}.",
+            separated(group)
+        ),
         (VerdictKind::Effects, None) => {
             format!("Cause: {closing}; confirm it with `--fresh` on another log.")
         }

@@ -8,14 +8,11 @@ pub mod map;
 pub mod schedule;
 pub mod words;
 
-use crate::diagnosis::tip::{Diagnosis, EffectEntry, ParamValue};
+use crate::diagnosis::tip::{Diagnosis, EffectEntry, QuantityShare};
 use crate::diagnosis::verdict::VerdictKind;
 use crate::report::bars::{self, Bar};
-use crate::report::chart::{Axis, Chart, Series, Stroke};
 use crate::report::gap::evidence::{Evidence, Trace};
-use crate::report::page::Page;
-use crate::report::polar::Polar;
-use crate::report::svg::Ink;
+use crate::report::{Axis, Chart, Ink, Page, Series, Stroke, polar};
 
 /// Effects in the ranking.
 const RANKED: usize = 10;
@@ -32,7 +29,7 @@ pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence, made: &[[String; 2
     for limit in words::limits(d) {
         page.text(&limit);
     }
-    page.table(&["gap, RMS over all sensors", "degrees"], &figures(d));
+    page.table("gap, RMS over all sensors|degrees", &figures(d));
     page.quiet("All numbers except the first are scored on parts of the log that the fit has not seen. Recalibration identifies the gains of the nominal model again on this log; what it closes is not credited to an effect.");
     page.heading("Next");
     for step in words::next(d) {
@@ -44,27 +41,28 @@ pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence, made: &[[String; 2
     page.charts(&traces(evidence));
     page.heading("Which");
     page.charts(&ranking(d));
-    let header = "effect,stage,probability,gap before,after,closed,95 %";
-    page.table(&header.split(',').collect::<Vec<_>>(), &rows(d));
-    let values = parameters(d);
+    let row = |e: &EffectEntry| answer::row(words::plain(e.name), e);
+    let rows: Vec<_> = d.effects.iter().take(RANKED).map(row).collect();
+    let header = "effect|stage|probability|gap before|after|closed|95 %";
+    page.table(header, &rows);
+    let values: Vec<_> = words::named(d).flat_map(parameters).collect();
     if !values.is_empty() {
         page.heading("How much");
-        let header = ["parameter", "of", "channel", "value", "95 %", "unit"];
-        page.table(&header, &values);
+        page.table("parameter|of|channel|value|95 %|unit", &values);
     }
     page.heading("By sensor");
-    let header = ["sensor", "recalibrated", "with effects", "unit"];
-    page.table(&header, &sensors(d));
+    let sensors: Vec<_> = d.location.kinds.iter().map(sensor).collect();
+    page.table("sensor|recalibrated|with effects|unit", &sensors);
     page.heading("Made from");
-    page.table(&["", ""], made);
+    page.table("|", made);
     page.quiet("docs/gap.md of the program explains how to read this page.");
     page.html()
 }
 
-fn figures(d: &Diagnosis) -> Vec<[String; 2]> {
+fn figures(d: &Diagnosis) -> [[String; 2]; 4] {
     let g = &d.gap;
     let row = |name: &str, deg: f64| [name.to_owned(), format!("{deg:.2}")];
-    vec![
+    [
         row("as configured", g.as_configured_deg),
         row("recalibrated", g.recalibrated_deg),
         row("with the verdict's effects", g.explained_deg),
@@ -77,16 +75,7 @@ fn places(e: &Evidence) -> Vec<(String, String)> {
     let (before, after) = (e.cells(|s| s.before_deg), e.cells(|s| s.after_deg));
     let all = before.iter().chain(&after).map(|c| c.value);
     let high = all.fold(0.1, f64::max);
-    let map = |title: &str, cells| {
-        let (title, label) = (title.to_owned(), "residual / °".to_owned());
-        Polar {
-            title,
-            label,
-            high,
-            cells,
-        }
-        .svg()
-    };
+    let map = |title, cells: &[_]| polar::svg(title, "residual / °", high, cells);
     let over = |pick: fn(&evidence::Spot) -> f64| e.over_time(STRETCHES, pick);
     let (was, is) = (over(|s| s.before_deg), over(|s| s.after_deg));
     let end = was.last().map_or(1.0, |p| p.0);
@@ -100,8 +89,8 @@ fn places(e: &Evidence) -> Vec<(String, String)> {
     let unvisited = format!("{angle} Cells without a colour were not visited.");
     let stretches = format!("RMS in {STRETCHES} stretches of the log.");
     vec![
-        (map("Recalibrated model", before), unvisited),
-        (map("With the verdict's effects", after), angle.to_owned()),
+        (map("Recalibrated model", &before), unvisited),
+        (map("With the verdict's effects", &after), angle.to_owned()),
         (time.svg(), stretches),
     ]
 }
@@ -135,12 +124,8 @@ fn trace(t: &Trace) -> Option<Chart> {
     let from = starts.max_by(|a, b| sum(*a).total_cmp(&sum(*b)))?;
     let column = |i: usize| within(from).map(|p| (p[0], p[i])).collect();
     let x = Axis::new("time / s", from, from + TRACE_S, 5);
-    let y = Axis::around(
-        "angle / °",
-        within(from).flat_map(|p| p[1..].to_vec()),
-        &[],
-        5,
-    );
+    let angles = within(from).flat_map(|p| p[1..].to_vec());
+    let y = Axis::around("angle / °", angles, &[], 5);
     let series = vec![
         Series::line("measured", Ink::GREY, Stroke::Solid, column(1)),
         Series::line("recalibrated", Ink::RED, Stroke::Dotted, column(2)),
@@ -150,37 +135,25 @@ fn trace(t: &Trace) -> Option<Chart> {
 }
 
 fn ranking(d: &Diagnosis) -> Vec<(String, String)> {
-    let named: Vec<_> = d
-        .verdict
-        .equivalent
-        .iter()
-        .chain([&d.verdict.names])
-        .flatten()
-        .collect();
+    let groups = d.verdict.equivalent.iter().chain([&d.verdict.names]);
+    let named: Vec<_> = groups.flatten().collect();
+    let bar = |name, share, interval, strong| Bar {
+        name,
+        share,
+        interval,
+        strong,
+    };
     let bars = |share: fn(&EffectEntry) -> (f64, Option<[f64; 2]>)| -> Vec<Bar> {
         let one = |e: &EffectEntry| {
             let ((share, interval), strong) = (share(e), named.contains(&&e.name));
-            let name = words::plain(e.name);
-            Bar {
-                name,
-                share,
-                interval,
-                strong,
-            }
+            bar(words::plain(e.name), share, interval, strong)
         };
         d.effects.iter().take(RANKED).map(one).collect()
     };
-    let mut stages = Vec::new();
-    for (k, s) in d.location.stages.iter().enumerate() {
-        let strong = k == 0 && d.verdict.kind != VerdictKind::None;
-        let (name, interval) = (s.name.to_owned(), None);
-        stages.push(Bar {
-            name,
-            share: s.share,
-            interval,
-            strong,
-        });
-    }
+    let is_gap = d.verdict.kind != VerdictKind::None;
+    let stages = d.location.stages.iter().enumerate();
+    let stages = stages.map(|(k, s)| bar(s.name.to_owned(), s.share, None, k == 0 && is_gap));
+    let stages: Vec<Bar> = stages.collect();
     let chance = bars(|e| (e.probability, None));
     let closed = bars(|e| (e.closed, Some(e.closed_ci95)));
     let stages = bars::svg("Share of the gap by stage / %", Ink::PURPLE, &stages);
@@ -195,62 +168,25 @@ fn ranking(d: &Diagnosis) -> Vec<(String, String)> {
     ]
 }
 
-fn rows(d: &Diagnosis) -> Vec<[String; 7]> {
-    let row = |e: &EffectEntry| {
-        let [low, high] = e.closed_ci95.map(|share| 100.0 * share);
-        [
-            words::plain(e.name),
-            e.stage.to_owned(),
-            format!("{:.2}", e.probability),
-            format!("{:.2}°", e.gap_before_deg),
-            format!("{:.2}°", e.gap_after_deg),
-            format!("{:.0} %", 100.0 * e.closed),
-            format!("{low:.0} to {high:.0} %"),
-        ]
-    };
-    d.effects.iter().take(RANKED).map(row).collect()
-}
-
-fn parameters(d: &Diagnosis) -> Vec<[String; 6]> {
-    let chosen = d
-        .effects
-        .iter()
-        .filter(|e| d.verdict.names.contains(&e.name));
-    let one = |(e, p): (&EffectEntry, &ParamValue)| {
-        let or_dash = |text: String| {
-            if text.is_empty() {
-                "–".to_owned()
-            } else {
-                text
-            }
-        };
+/// The parameters of an effect.
+fn parameters(e: &EffectEntry) -> impl Iterator<Item = [String; 6]> {
+    let or_dash = |text: &str| if text.is_empty() { "–" } else { text }.to_owned();
+    e.params.iter().map(move |p| {
         let channel = Some(p.channel).filter(|n| *n != 0);
         let [low, high] = p.ci95.map(words::short);
         [
             words::plain(p.name),
             words::plain(e.name),
-            or_dash(channel.map_or(String::new(), |n| n.to_string())),
+            channel.map_or("–".to_owned(), |n| n.to_string()),
             words::short(p.value),
             format!("{low} to {high}"),
-            or_dash(p.unit.to_owned()),
+            or_dash(p.unit),
         ]
-    };
-    chosen
-        .flat_map(|e| e.params.iter().map(move |p| (e, p)))
-        .map(one)
-        .collect()
+    })
 }
 
-fn sensors(d: &Diagnosis) -> Vec<[String; 4]> {
-    let mut rows = Vec::new();
-    for k in &d.location.kinds {
-        let [before, after] = [k.rmse_deg, k.explained_deg].map(|x| format!("{x:.2}"));
-        rows.push([
-            k.name.to_owned(),
-            before,
-            after,
-            words::unit_of(k.name).to_owned(),
-        ]);
-    }
-    rows
+fn sensor(k: &QuantityShare) -> [String; 4] {
+    let [before, after] = [k.rmse_deg, k.explained_deg].map(|x| format!("{x:.2}"));
+    let unit = words::unit_of(k.name).to_owned();
+    [k.name.to_owned(), before, after, unit]
 }

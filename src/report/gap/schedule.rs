@@ -2,7 +2,7 @@
 
 use crate::diagnosis::excite::{APART, Design, LONGEST_S, Pair, Request};
 use crate::diagnosis::tip::separable;
-use crate::report::table::titled;
+use crate::report::table::table;
 use std::path::Path;
 
 /// Pairs in the table.
@@ -17,13 +17,10 @@ pub fn summary(out: &Path, request: &Request, d: &Design) -> String {
         [(*a).to_owned(), (*b).to_owned(), here, standard]
     };
     let shown = pairs.iter().filter(within_reach).take(SHOWN);
-    let table = titled("nearest pairs||here|standard", 2..4, shown.map(row));
+    let table = table("nearest pairs||here|standard", 2..4, shown.map(row));
     let near = |p: &&Pair| p.2 < APART || !separable(p.0, p.1, request.tracker);
-    let lost: Vec<String> = pairs
-        .iter()
-        .filter(near)
-        .map(|p| format!("{} and {}", p.0, p.1))
-        .collect();
+    let lost = pairs.iter().filter(near);
+    let lost: Vec<String> = lost.map(|p| format!("{} and {}", p.0, p.1)).collect();
     let lost = match (lost.is_empty(), request.tracker) {
         (true, _) => "the schedule separates every pair in question".to_owned(),
         (false, true) => format!("the schedule does not separate {}", lost.join("; ")),

@@ -1,6 +1,6 @@
 //! A diagnosis in words.
 
-use crate::diagnosis::tip::{Diagnosis, EffectEntry, ParamValue, Remedy};
+use crate::diagnosis::tip::{DependenceEntry, Diagnosis, EffectEntry, ParamValue, Remedy};
 use crate::diagnosis::verdict::{StatementEntry, Verdict, VerdictKind};
 use crate::model::effects::by_name;
 
@@ -18,6 +18,12 @@ fn listed(names: &[impl AsRef<str>], last: &str) -> String {
     }
 }
 
+/// The entries of the effects that the verdict names.
+pub(super) fn named(d: &Diagnosis) -> impl Iterator<Item = &EffectEntry> {
+    let named = |e: &&EffectEntry| d.verdict.names.contains(&e.name);
+    d.effects.iter().filter(named)
+}
+
 /// The entry of an effect.
 fn entry<'a>(d: &'a Diagnosis, name: &str) -> Option<&'a EffectEntry> {
     d.effects.iter().find(|e| e.name == name)
@@ -28,14 +34,18 @@ fn group<'a>(d: &'a Diagnosis, name: &str) -> Option<&'a Vec<&'static str>> {
     d.verdict.equivalent.iter().find(|g| g.contains(&name))
 }
 
+/// The group of an effect as a choice.
+fn choice(d: &Diagnosis, name: &str) -> Option<String> {
+    group(d, name).map(|group| format!("either {}", listed(group, "or")))
+}
+
 /// The verdict in one sentence for who stands at the machine: cause, place, size, share of the gap, certainty, what to do next.
 pub fn opening(d: &Diagnosis) -> String {
-    let (percent, sure) = (
-        closed_percent(d),
-        format!("probability {:.2}", d.verdict.probability),
-    );
+    let percent = closed_percent(d);
+    let sure = format!("probability {:.2}", d.verdict.probability);
     let (was, many) = (d.gap.recalibrated_deg, d.verdict.names.len() > 1);
     let sized: Vec<String> = d.verdict.names.iter().map(|name| sized(d, name)).collect();
+    let (causes, close) = (listed(&sized, "and"), if many { "close" } else { "closes" });
     match d.verdict.kind {
         VerdictKind::None => {
             format!("No effect ({sure}): the recalibrated model leaves {was:.2}°; keep its gains.")
@@ -44,77 +54,58 @@ pub fn opening(d: &Diagnosis) -> String {
             "Unknown cause ({sure}): {was:.2}° remain, and no known effect explains them; record a schedule of `gap excite`."
         ),
         VerdictKind::Unknown => format!(
-            "Unknown cause ({sure}), of which {} {} {percent:.0} % of the gap; record a schedule of `gap excite`.",
-            listed(&sized, "and"),
-            if many { "close" } else { "closes" }
+            "Unknown cause ({sure}), of which {causes} {close} {percent:.0} % of the gap; record a schedule of `gap excite`."
         ),
-        VerdictKind::Effects => format!(
-            "{} {} {percent:.0} % of the gap ({sure}): {}.",
-            capital(&listed(&sized, "and")),
-            if many { "together close" } else { "closes" },
-            asked(d)
-        ),
+        VerdictKind::Effects => {
+            let (causes, together) = (capital(&causes), if many { "together " } else { "" });
+            let asked = asked(d);
+            format!("{causes} {together}{close} {percent:.0} % of the gap ({sure}): {asked}.")
+        }
     }
 }
 
 /// Part of the gap that the verdict closes, percent.
 fn closed_percent(d: &Diagnosis) -> f64 {
-    let [was, is, noise] = [
-        d.gap.recalibrated_deg,
-        d.gap.explained_deg,
-        d.gap.noise_floor_deg,
-    ]
-    .map(|x| x * x);
+    let gap = &d.gap;
+    let [was, is, noise] =
+        [gap.recalibrated_deg, gap.explained_deg, gap.noise_floor_deg].map(|x| x * x);
     100.0 * ((was - is) / (was - noise).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0)
 }
 
 /// An effect, or its group as a choice, with the lines that have it and its largest parameter.
 fn sized(d: &Diagnosis, name: &'static str) -> String {
-    if let Some(group) = group(d, name) {
-        return format!("either {}", listed(group, "or"));
+    if let Some(choice) = choice(d, name) {
+        return choice;
     }
     let params = entry(d, name).map_or(&[][..], |e| &e.params);
     // the parameter that is known best, in the line that has most of it
     let known = |p: &&ParamValue| (p.value / (p.ci95[1] - p.ci95[0]).max(1e-12)).abs();
-    let Some(best) = params.iter().max_by(|a, b| known(a).total_cmp(&known(b))) else {
-        return plain(name);
-    };
-    let same = || params.iter().filter(|p| p.name == best.name);
+    let best = params.iter().max_by(|a, b| known(a).total_cmp(&known(b)));
+    let best = best.map(|p| p.name);
+    let same = || params.iter().filter(|p| Some(p.name) == best);
     let size = |p: &&ParamValue| p.value.abs();
     let Some(p) = same().max_by(|a, b| size(a).total_cmp(&size(b))) else {
         return plain(name);
     };
-    let lines: Vec<String> = same()
-        .filter(|q| q.channel > 0 && 2.0 * q.value.abs() >= p.value.abs())
-        .map(|q| q.channel.to_string())
-        .collect();
+    let has = |q: &&ParamValue| q.channel > 0 && 2.0 * q.value.abs() >= p.value.abs();
+    let lines: Vec<String> = same().filter(has).map(|q| q.channel.to_string()).collect();
     let place = match lines.len() {
         0 => String::new(),
         1 => format!(" of line {}", lines[0]),
         3 => " of all lines".to_owned(),
         _ => format!(" of lines {}", listed(&lines, "and")),
     };
-    let [value, low, high] = [p.value, p.ci95[0], p.ci95[1]].map(short);
-    let unit = format!(" {}", p.unit);
-    format!(
-        "{}{place} ({} {value}{}, 95 %: {low} to {high})",
-        plain(name),
-        plain(p.name),
-        unit.trim_end()
-    )
+    let ([low, high], name) = (p.ci95.map(short), plain(name));
+    format!("{name}{place} ({}, 95 %: {low} to {high})", quantity(p))
 }
 
 /// What to do about the effects of the verdict: first tell those of a group apart.
 fn asked(d: &Diagnosis) -> String {
     if let Some(group) = d.verdict.equivalent.first() {
-        let how = group
-            .first()
-            .and_then(|n| by_name(n))
-            .map_or("", |e| e.info().separated_by);
-        return format!(
-            "record this manoeuvre to tell {} apart: {how}",
-            listed(group, "and")
-        );
+        let first = group.first().and_then(|n| by_name(n));
+        let how = first.map_or("", |e| e.info().separated_by);
+        let group = listed(group, "and");
+        return format!("record this manoeuvre to tell {group} apart: {how}");
     }
     let mut all: Vec<&str> = Vec::new();
     for e in d.verdict.names.iter().filter_map(|n| by_name(n)) {
@@ -128,12 +119,10 @@ fn asked(d: &Diagnosis) -> String {
 
 /// The verdict in one sentence.
 pub fn headline(d: &Diagnosis) -> String {
-    let (was, is, noise) = (
-        d.gap.recalibrated_deg,
-        d.gap.explained_deg,
-        d.gap.noise_floor_deg,
-    );
+    let gap = &d.gap;
+    let (was, is, noise) = (gap.recalibrated_deg, gap.explained_deg, gap.noise_floor_deg);
     let (causes, many) = (capital(&causes(d)), d.verdict.names.len() > 1);
+    let explain = if many { "explain" } else { "explains" };
     match d.verdict.kind {
         VerdictKind::None => format!(
             "The nominal model suffices: its error after recalibration is {was:.2}°, and no effect of the catalogue reduces it by a relevant amount."
@@ -141,16 +130,13 @@ pub fn headline(d: &Diagnosis) -> String {
         VerdictKind::Unknown if d.verdict.names.is_empty() => format!(
             "The cause is not in the catalogue: {was:.2}° remain after recalibration, more than noise ({noise:.2}°), and no known effect explains them."
         ),
-        VerdictKind::Unknown => {
-            let explain = if many { "explain" } else { "explains" };
-            format!(
-                "{causes} {explain} a part of the gap, from {was:.2}° to {is:.2}°; the remainder is more than noise ({noise:.2}°), and no known effect explains it."
-            )
-        }
+        VerdictKind::Unknown => format!(
+            "{causes} {explain} a part of the gap, from {was:.2}° to {is:.2}°; the remainder is more than noise ({noise:.2}°), and no known effect explains it."
+        ),
         VerdictKind::Effects => {
-            let explain = if many { "together explain" } else { "explains" };
+            let together = if many { "together " } else { "" };
             format!(
-                "{causes} {explain} the gap: it shrinks from {was:.2}° to {is:.2}° on parts of the log that the fit has not seen; noise alone is {noise:.2}°."
+                "{causes} {together}{explain} the gap: it shrinks from {was:.2}° to {is:.2}° on parts of the log that the fit has not seen; noise alone is {noise:.2}°."
             )
         }
     }
@@ -158,9 +144,7 @@ pub fn headline(d: &Diagnosis) -> String {
 
 /// Names of the verdict; a group of equivalent effects reads as a choice.
 fn causes(d: &Diagnosis) -> String {
-    let one = |name: &&'static str| {
-        group(d, name).map_or_else(|| plain(name), |g| format!("either {}", listed(g, "or")))
-    };
+    let one = |name: &&'static str| choice(d, name).unwrap_or_else(|| plain(name));
     let mut words: Vec<String> = d.verdict.names.iter().map(one).collect();
     words.dedup();
     listed(&words, "and")
@@ -190,11 +174,8 @@ pub fn place(d: &Diagnosis) -> String {
     let merged = merged.map_or_else(String::new, |m| {
         format!(" This log cannot separate the stages {}.", listed(m, "and"))
     });
-    format!(
-        "{:.0} % of the gap is attributed to the {} stage.{merged}{largest}",
-        100.0 * first.share,
-        first.name
-    )
+    let (percent, name) = (100.0 * first.share, first.name);
+    format!("{percent:.0} % of the gap is attributed to the {name} stage.{merged}{largest}")
 }
 
 /// Unit of a sensor's residual.
@@ -205,19 +186,12 @@ pub fn unit_of(kind: &str) -> &'static str {
 /// Limits of the verdict: equivalent effects and the probability of another cause.
 pub fn limits(d: &Diagnosis) -> Vec<String> {
     let groups = d.verdict.equivalent.iter().map(|g| listed(g, "and"));
-    let mut out: Vec<String> = groups
-        .map(|g| format!("This log cannot separate {g}."))
-        .collect();
+    let groups = groups.map(|g| format!("This log cannot separate {g}."));
+    let mut out: Vec<String> = groups.collect();
     if d.verdict.kind != VerdictKind::None && d.unknown.probability > 0.05 {
         let (percent, rest) = (100.0 * d.unknown.probability, d.unknown.rmse_deg);
         out.push(format!("The probability of a cause outside the catalogue is {percent:.0} % ({rest:.2}° remain above the noise)."));
-        if let Some(first) = d.unknown.goes_with.first() {
-            out.push(format!(
-                "What remains goes with the {}, which predicts {:.0} % of it in one sensor.",
-                first.name,
-                100.0 * first.share
-            ));
-        }
+        out.extend(d.unknown.goes_with.first().map(goes_with));
     }
     if d.verdict.conformal.len() > 1 {
         let one = |s: &StatementEntry| match s.kind {
@@ -226,12 +200,16 @@ pub fn limits(d: &Diagnosis) -> Vec<String> {
             VerdictKind::Effects => format!("{} ({:.2})", listed(&s.names, "with"), s.probability),
         };
         let said: Vec<String> = d.verdict.conformal.iter().map(one).collect();
-        out.push(format!(
-            "With 95 % it is one of these: {}.",
-            said.join("; ")
-        ));
+        let said = said.join("; ");
+        out.push(format!("With 95 % it is one of these: {said}."));
     }
     out
+}
+
+/// What the remainder goes with.
+pub(super) fn goes_with(d: &DependenceEntry) -> String {
+    let (name, percent) = (&d.name, 100.0 * d.share);
+    format!("What remains goes with the {name}, which predicts {percent:.0} % of it in one sensor.")
 }
 
 /// Next steps, most useful first.
@@ -245,29 +223,28 @@ pub fn next(d: &Diagnosis) -> Vec<String> {
         let (names, how) = (listed(g, "and"), how.join("; or "));
         out.push(format!("To separate {names}: {how}; {design}."));
     }
-    match d.verdict.kind {
-        VerdictKind::None => out.push("The model needs no addition. Keep the recalibrated gains.".to_owned()),
-        VerdictKind::Unknown => {
-            out.push(format!(
-                "Examine where the map is darkest and when the residual is largest; {design}, on which the cause is more visible."
-            ));
-        }
-        VerdictKind::Effects => out.push(
-            "Confirm on a fresh log of the same unit: `retroflex gap check model.toml FRESH`. It fits only the base frame again."
-                .to_owned(),
+    out.push(match d.verdict.kind {
+        VerdictKind::None => "The model needs no addition. Keep the recalibrated gains.".to_owned(),
+        VerdictKind::Unknown => format!(
+            "Examine where the map is darkest and when the residual is largest; {design}, on which the cause is more visible."
         ),
-    }
+        VerdictKind::Effects => "Confirm on a fresh log of the same unit: `retroflex gap check model.toml FRESH`. It fits only the base frame again.".to_owned(),
+    });
     for name in &d.verdict.names {
         let doubtful = entry(d, name).is_some_and(|e| e.probability < 0.9);
         if let Some(e) = by_name(name).filter(|_| group(d, name).is_none() && doubtful) {
             let (name, others) = (capital(&plain(name)), listed(e.info().confused_with, "or"));
-            let how = e.info().separated_by;
-            out.push(format!(
-                "{name} may be confused with {others}. To separate them: {how}."
-            ));
+            let how = format!("To separate them: {}.", e.info().separated_by);
+            out.push(format!("{name} may be confused with {others}. {how}"));
         }
     }
     out
+}
+
+/// Name, value and unit.
+fn quantity(p: &ParamValue) -> String {
+    let text = format!("{} {} {}", plain(p.name), short(p.value), p.unit);
+    text.trim_end().to_owned()
 }
 
 /// `rate 0.0031 1/s (0.0029 to 0.0033), channel 2`.
@@ -276,12 +253,8 @@ pub fn value(p: &ParamValue) -> String {
         0 => String::new(),
         n => format!(", channel {n}"),
     };
-    let (name, value, [low, high]) = (plain(p.name), short(p.value), p.ci95.map(short));
-    let unit = format!(" {}", p.unit);
-    format!(
-        "{name} {value}{} ({low} to {high}){channel}",
-        unit.trim_end()
-    )
+    let ([low, high], quantity) = (p.ci95.map(short), quantity(p));
+    format!("{quantity} ({low} to {high}){channel}")
 }
 
 /// Three significant digits.

@@ -33,14 +33,8 @@ pub fn draw(frame: &mut Frame, view: &View) {
         return frame.render_widget(text, area);
     }
     let tall = u16::from(area.height > 19);
-    let heights = [
-        Length(1),
-        Fill(4),
-        Fill(2 * tall),
-        Length(5),
-        Fill(tall),
-        Length(1),
-    ];
+    let (one, five) = (Length(1), Length(5));
+    let heights = [one, Fill(4), Fill(2 * tall), five, Fill(tall), one];
     let rows = Layout::vertical(heights).split(area);
     let columns = Layout::horizontal([Fill(1), Fill(1), Fill(2)]).split(rows[1]);
     draw_picture(frame, columns[0], "Tip", side(view, columns[0]));
@@ -111,10 +105,9 @@ fn side(view: &View, area: Rect) -> Picture {
     let (desired, estimate) = (view.status.setpoint, view.status.estimate);
     let desired = desired.map(|pose| (DESIRED, arc(pose.bend(), 10)));
     let estimate = estimate.map(|pose| (ESTIMATE, arc(pose.bend(), 1)));
-    let dots = desired.into_iter().chain(estimate).collect();
     Picture {
         bounds: square(area, 20.0),
-        dots,
+        dots: desired.into_iter().chain(estimate).collect(),
         words: vec![(15.0, -10.0, "0°"), (6.5, -6.0, "90°")],
     }
 }
@@ -125,7 +118,6 @@ fn polar(view: &View, area: Rect) -> Picture {
         let (sin, cos) = (f64::from(k) / 20.0).sin_cos();
         [30.0, 60.0, 90.0].map(|bend| (bend * cos, bend * sin))
     };
-    let dots = vec![(RING, (0..126).flat_map(ring).collect())];
     let mut words = vec![(90.0, 0.0, "0°"), (0.0, 90.0, "90°")];
     for (pose, sign) in [(view.status.setpoint, "○"), (view.status.estimate, "●")] {
         let at = pose.map(|pose| pose.bend().0.map(f64::to_degrees));
@@ -133,25 +125,20 @@ fn polar(view: &View, area: Rect) -> Picture {
     }
     Picture {
         bounds: square(area, 105.0),
-        dots,
+        dots: vec![(RING, (0..126).flat_map(ring).collect())],
         words,
     }
 }
 
 /// The error of the last minute, and its title.
 fn errors(view: &View) -> (String, Picture) {
-    let largest = view
-        .errors
-        .iter()
-        .map(|(_, error)| *error)
-        .fold(0.0, f64::max);
+    let errors = view.errors.iter().map(|(_, error)| *error);
+    let largest = errors.fold(0.0, f64::max);
     // at least half a degree, so that noise stays small
     let end = largest.max(0.5);
     let now = view.errors.back().map_or(f64::NAN, |(_, error)| *error);
-    let title = format!(
-        "Error {}°, up to {largest:.2}° in {CHART_S} s; scale 0 to {end:.1}°",
-        shown(now, 2)
-    );
+    let now = shown(now, 2);
+    let title = format!("Error {now}°, up to {largest:.2}° in {CHART_S} s; scale 0 to {end:.1}°");
     let now_s = view.status.t;
     let dots = view.errors.iter().map(|(t_s, error)| (t_s - now_s, *error));
     let picture = Picture {
@@ -200,11 +187,9 @@ fn lines(view: &View) -> (String, String) {
         let mut bar = ["·"; PLACES];
         (bar[PLACES / 2], bar[place.min(PLACES - 1)]) = ("|", "█");
         let piston = within(at, -travel, travel);
-        let [k_epsilon, k_lambda] = [
-            (status.k_epsilon, k_epsilon[i]),
-            (status.k_lambda_mm, k_lambda_mm[i]),
-        ]
-        .map(|(now, [least, most])| within(of(now, i), least, most));
+        let gain = |now, [least, most]: [f64; 2]| within(of(now, i), least, most);
+        let k_epsilon = gain(status.k_epsilon, k_epsilon[i]);
+        let k_lambda = gain(status.k_lambda_mm, k_lambda_mm[i]);
         text += &format!("{} {piston:25} {k_epsilon:21} {k_lambda:21}", i + 1);
         text += &format!("{}\n", bar.concat());
     }

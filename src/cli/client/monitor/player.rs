@@ -35,11 +35,11 @@ impl Player {
     /// # Errors
     /// A report that names the file.
     pub fn open(path: &Path, speed: f64) -> Result<Self> {
-        let frames = recorded(path)?;
+        let (frames, name) = (recorded(path)?, path.display());
         if frames.is_empty() {
-            bail!("{}: the log holds nothing to show", path.display());
+            bail!("{name}: the log holds nothing to show");
         }
-        Ok(Self::of(format!("log {}", path.display()), frames, speed))
+        Ok(Self::of(format!("log {name}"), frames, speed))
     }
 
     /// Plays frames.
@@ -78,10 +78,8 @@ impl Player {
         }
         self.shown = next;
         let paused = if self.paused { ", paused" } else { "" };
-        view.source = format!(
-            "{}, {:.1} s, {} × real time{paused}",
-            self.name, self.at_s, self.speed
-        );
+        let (name, at_s, speed) = (&self.name, self.at_s, self.speed);
+        view.source = format!("{name}, {at_s:.1} s, {speed} × real time{paused}");
         view.keys = "space pause   ←/→ 5 s   q quit";
     }
 }

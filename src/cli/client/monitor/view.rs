@@ -45,17 +45,17 @@ impl View {
         }
         let t_s = self.status.t;
         // a service that has started anew has another clock
-        self.errors
-            .retain(|(at_s, _)| (t_s - CHART_S..t_s).contains(at_s));
-        self.errors
-            .extend(self.error_deg().map(|error| (t_s, error)));
+        let shown_s = t_s - CHART_S..t_s;
+        self.errors.retain(|(at_s, _)| shown_s.contains(at_s));
+        let error = self.error_deg().map(|error| (t_s, error));
+        self.errors.extend(error);
         changes.iter().for_each(|change| self.note(change));
     }
 
     /// Adds an event.
     pub fn note(&mut self, event: &str) {
-        self.events
-            .push_back(format!("{:9.1} s  {event}", self.status.t));
+        let t_s = self.status.t;
+        self.events.push_back(format!("{t_s:9.1} s  {event}"));
         if self.events.len() > EVENTS_MAX {
             self.events.pop_front();
         }

@@ -1,14 +1,17 @@
-//! What all connections of the page share: the token, what the service sends, and the pages that are open.
+//! What all connections of the page share: the token, what the service sends to its one subscription, and the pages that are open.
 //!
 //! A page that bends the tip attends the motion: its last bend keeps a connection to the service, which holds the tip when that
 //! closes. It closes with the page's stream of frames, or with this process.
 
+use crate::log::table::text;
 use crate::service::client::Client;
+use crate::service::paths;
 use crate::service::protocol::{Failure, Request};
 use hyper::body::Bytes;
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::collections::HashMap;
-use std::path::PathBuf;
+use std::convert::Infallible;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::sync::{Mutex, watch};
 
@@ -18,6 +21,17 @@ const PAGES_MAX: usize = 16;
 const ANSWER_MAX: Duration = Duration::from_secs(3);
 /// Age of a bend before its connection may close, so that the service regards it as attended (`service.attended_s`).
 const ATTENDED: Duration = Duration::from_millis(500);
+
+/// Frames per second.
+const RATE_HZ: f64 = 20.0;
+/// Frames between two readings of status and reach.
+const STATUS_EVERY: u32 = 10;
+/// A service that sends nothing for this long counts as gone.
+const SILENCE_MAX: Duration = Duration::from_secs(1);
+/// Time until a file is read again.
+const READ_AGAIN: Duration = Duration::from_secs(2);
+/// Time until the next attempt to reach a service that is gone.
+const RETRY: Duration = Duration::from_millis(500);
 
 /// What all connections share.
 pub struct Site {
@@ -47,9 +61,8 @@ impl Site {
         }
         let mut client = Client::connect_for(&self.socket, ANSWER_MAX)?;
         if !self.pages.blocking_lock().contains_key(&page) {
-            return Err(Failure::refused(
-                "the connection of this page was lost in the meantime; nothing was sent",
-            ));
+            let why = "the connection of this page was lost in the meantime; nothing was sent";
+            return Err(Failure::refused(why));
         }
         let result = client.request(request)?;
         if matches!(request, Request::Bend { .. }) {
@@ -68,4 +81,49 @@ impl Site {
         tokio::time::sleep(ATTENDED).await;
         drop(attending);
     }
+}
+
+/// Follows the service with this command socket for ever. What it sends becomes server-sent events: `frame`, `status`, `reach`, and
+/// `gone` with the reason as long as there is no service.
+pub fn follow(control: &Path, latest: &watch::Sender<Bytes>) {
+    loop {
+        let Err(failure) = follow_once(control, latest);
+        latest.send_replace(event("gone", &json!(failure.message)).into());
+        std::thread::sleep(RETRY);
+    }
+}
+
+fn follow_once(control: &Path, latest: &watch::Sender<Bytes>) -> Result<Infallible, Failure> {
+    // a reader takes no place from those who command, unless the board names another status socket
+    let status_socket = Client::connect_for(&paths::status_socket(control), SILENCE_MAX);
+    let mut client = status_socket.or_else(|_| Client::connect_for(control, SILENCE_MAX))?;
+    client.request(&Request::Subscribe { rate_hz: RATE_HZ })?;
+    loop {
+        let mut text = event("status", &client.request(&Request::Status {})?);
+        text += &event("reach", &client.request(&Request::Reach {})?);
+        for _ in 0..STATUS_EVERY {
+            text += &event("frame", &client.read()?);
+            latest.send_replace(std::mem::take(&mut text).into());
+        }
+    }
+}
+
+/// Reads a file of JSON now and then in a thread of its own, so that nobody waits for a file that does not answer.
+pub fn read_again(file: Option<PathBuf>) -> watch::Receiver<Bytes> {
+    const NOTHING: Bytes = Bytes::from_static(b"null");
+    let (sender, latest) = watch::channel(NOTHING);
+    if let Some(file) = file {
+        std::thread::spawn(move || {
+            while !sender.is_closed() {
+                sender.send_replace(text(&file).map_or(NOTHING, Bytes::from));
+                std::thread::sleep(READ_AGAIN);
+            }
+        });
+    }
+    latest
+}
+
+/// A server-sent event.
+pub fn event(name: &str, data: &Value) -> String {
+    format!("event: {name}\ndata: {data}\n\n")
 }

@@ -98,9 +98,9 @@ impl Input {
     /// # Errors
     /// A report if standard input is no terminal.
     pub fn keyboard() -> Result<Self> {
-        let settings = stty(&["-g"]).map_err(|e| {
-            miette!("standard input is no terminal ({e}): name a joystick with --device")
-        })?;
+        let no_terminal =
+            |e| miette!("standard input is no terminal ({e}): name a joystick with --device");
+        let settings = stty(&["-g"]).map_err(no_terminal)?;
         stty(&["-icanon", "-echo", "min", "0", "time", "1"])?;
         let mut input = Self::of(|send| {
             let (mut bytes, mut acts_until, mut known) = ([0; 64], None::<Instant>, Vec::new());
@@ -129,9 +129,10 @@ impl Input {
     /// # Errors
     /// A report that names file, line and column.
     pub fn table(file: &Path) -> Result<Self> {
+        let columns = ["t_s", "x", "y", "held"];
         let schema = Schema {
-            required: &["t_s", "x", "y", "held"],
-            known: &|name| ["t_s", "x", "y", "held"].contains(&name),
+            required: &columns,
+            known: &|name| columns.contains(&name),
             rows_min: 1,
         };
         let table = Table::open(file, &schema).into_diagnostic()?;
@@ -172,9 +173,8 @@ impl Input {
 
 /// The first joystick of this computer.
 pub fn first_joystick() -> Option<PathBuf> {
-    (0..32)
-        .map(|n| PathBuf::from(format!("/dev/input/js{n}")))
-        .find(|path| path.exists())
+    let mut all = (0..32).map(|n| PathBuf::from(format!("/dev/input/js{n}")));
+    all.find(|path| path.exists())
 }
 
 /// The events of a key.

@@ -43,12 +43,10 @@ impl Simulator {
             program: self.program.clone(),
             source,
         };
-        let out = Command::new(&self.program)
-            .args(self.args.iter().chain(more))
-            .stdin(Stdio::null())
-            .stderr(Stdio::inherit())
-            .output()
-            .map_err(fail)?;
+        let mut command = Command::new(&self.program);
+        command.args(self.args.iter().chain(more));
+        command.stdin(Stdio::null()).stderr(Stdio::inherit());
+        let out = command.output().map_err(fail)?;
         if !out.status.success() {
             let why = format!("with {} it ended with {}", more.join(" "), out.status);
             return Err(fail(std::io::Error::other(why)));
@@ -66,13 +64,11 @@ impl Simulator {
         // as long-lived as the names of the built-in plant
         let names = names.map(|name| &*name.to_owned().leak());
         let known = by_catalogue(names.filter(|name| *name != "none"));
-        if known[0].is_empty() {
-            return Err(MachineError::Malformed {
-                line: text.lines().next().unwrap_or_default().to_owned(),
-                problem: "the program lists no effect of the catalogue; with --list it prints one effect a line, its name first".to_owned(),
-            });
+        let why = "the program lists no effect of the catalogue; with --list it prints one effect a line, its name first";
+        match known[0].is_empty() {
+            true => Err(malformed(&text, why)),
+            false => Ok(known),
         }
-        Ok(known)
     }
 
     /// Records the logs of a question. The gains of the calibration are off by a few percent; an effect that is too small to be claimed
@@ -82,16 +78,11 @@ impl Simulator {
     /// [`MachineError`] of the program.
     pub fn draw(&self, q: &Question) -> Result<Logs, MachineError> {
         let mut rng = StdRng::seed_from_u64(q.seed);
-        let seed = [
-            "--seed".to_owned(),
-            rng.random_range(1..1_000_000u32).to_string(),
-        ];
+        let seed = rng.random_range(1..1_000_000u32).to_string();
+        let seed = ["--seed".to_owned(), seed];
         let printed = self.print(&[seed.as_slice(), &["--calib".to_owned()]].concat())?;
-        let calib: Calibration =
-            source::parse("PROGRAM --calib", &printed).map_err(|e| MachineError::Malformed {
-                line: printed.lines().next().unwrap_or_default().to_owned(),
-                problem: e.to_string(),
-            })?;
+        let calib: Calibration = source::parse("PROGRAM --calib", &printed)
+            .map_err(|e| malformed(&printed, &e.to_string()))?;
         let lines = calib.lines().map(|l| Line {
             k_epsilon: l.k_epsilon * rng.random_range(0.94..1.06),
             k_lambda_mm: l.k_lambda_mm * rng.random_range(0.9..1.1),
@@ -130,5 +121,13 @@ impl Simulator {
             lines,
             hidden,
         })
+    }
+}
+
+/// The error about what a program has printed.
+fn malformed(printed: &str, problem: &str) -> MachineError {
+    MachineError::Malformed {
+        line: printed.lines().next().unwrap_or_default().to_owned(),
+        problem: problem.to_owned(),
     }
 }
