@@ -9,7 +9,7 @@ use crate::motion::DriveLimits;
 use crate::motion::Inputs;
 use crate::primitives::{Base, Mm, Rotation, Seconds, Steps, Tip};
 use crate::simulation::lockstep::Lockstep;
-use crate::simulation::plant::{Channel, InjectedFault, PlantError};
+use crate::simulation::plant::{Plant, PlantError};
 use crate::simulation::sim::Sim;
 use crate::supervisor::{
     Alarm, CycleOutput, Machine, MachineError, MachineInfo, Order, Runner, Sensed, Supervisor,
@@ -42,35 +42,29 @@ impl FaultyMachine {
         }
     }
 
-    /// Injects a fault into the plant.
-    pub fn inject(&mut self, fault: InjectedFault) {
-        self.inner.world.plant_mut().inject(fault);
+    /// The plant, for faults of its own.
+    pub fn plant(&mut self) -> &mut Plant {
+        self.inner.world.plant_mut()
     }
 
     /// Puts the racks back to their marks by hand and vents the lines while the pistons are at zero. This restores lost
     /// steps and lost air.
     pub fn restore_racks(&mut self) {
-        self.inner.world.plant_mut().vent();
+        self.plant().vent();
         let step_mm = self.info().step_mm;
         let Some(out) = self.inner.world.last() else {
             return;
         };
-        let lost = out
-            .truth
-            .play_output_mm
-            .map(|mm| (mm / step_mm).round() as i32);
-        for channel in Channel::ALL {
-            let microsteps = lost[channel.index()];
-            self.inject(InjectedFault::StepLoss {
-                channel,
-                microsteps,
-            });
+        let lost_mm = out.truth.play_output_mm;
+        for channel in 0..3 {
+            let microsteps = (lost_mm[channel] / step_mm).round() as i32;
+            self.plant().slip(channel, microsteps);
         }
     }
 
     /// Removes every fault. Consequences such as lost steps remain.
     pub fn clear_faults(&mut self) {
-        self.inner.world.plant_mut().clear();
+        self.plant().clear();
         (self.bus, self.stamp_offset_s, self.emergency_stop) = (None, 0.0, false);
         self.alarm = self.alarm.filter(Alarm::is_of_steps);
     }

@@ -4,7 +4,8 @@ use crate::drill::bench::Bench;
 use crate::estimation::fusion::health::{HealthCause, ReadFault};
 use crate::named;
 use crate::service::status::trip_message;
-use crate::simulation::plant::InjectedFault;
+use crate::simulation::plant::Plant;
+use crate::simulation::plant::imu::ImuFaults;
 use crate::supervisor::{Alarm, CycleOutput, Mode, Order, Refusal, SuspicionKind, TripCause};
 
 /// Longest time until a detection unless a row states its own, s: the whole observation.
@@ -16,7 +17,7 @@ pub enum Injection {
     /// Every transfer fails for this long, s.
     Bus(ReadFault, f64),
     /// A fault of the plant, for this long, s.
-    Plant(InjectedFault, f64),
+    Plant(fn(&mut Plant), f64),
     /// The loop is delayed by this time, s.
     Stall(f64),
     /// Sensor time stamps jump by the first number, for as long as the second, s.
@@ -204,20 +205,21 @@ impl Spec {
     }
 }
 
+/// Turns the base about an axis that is neither the tip's nor perpendicular to it.
+pub(super) fn turn_base(plant: &mut Plant, angle_deg: f64) {
+    plant.turn_base([0.3, 0.2, 1.0], angle_deg, 0.6);
+}
+
 impl Injection {
     /// Injects the fault. Returns the orders for this cycle and the next.
     pub fn apply(&self, bench: &mut Bench) -> [Option<Order>; 2] {
         let machine = &mut bench.runner.machine;
         match *self {
             Self::Bus(fault, _) => machine.bus = Some(fault),
-            Self::Plant(fault, _) => machine.inject(fault),
+            Self::Plant(inject, _) => inject(machine.plant()),
             Self::CableOutInTurn => {
-                machine.inject(InjectedFault::BaseTurn {
-                    axis: [0.3, 0.2, 1.0],
-                    angle_deg: 25.0,
-                    over_s: 0.6,
-                });
-                machine.inject(InjectedFault::OfBaseImu(&InjectedFault::SILENT));
+                turn_base(machine.plant(), 25.0);
+                machine.plant().faults.base_imu.slow = ImuFaults::SILENT;
             }
             Self::Stall(seconds) => bench.stall(seconds),
             Self::ClockJump(seconds, _) => machine.stamp_offset_s = seconds,

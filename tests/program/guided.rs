@@ -19,7 +19,7 @@ use retroflex::primitives::units::{Mm, Seconds};
 use retroflex::service::protocol::Request;
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::plant::config::PlantConfig;
-use retroflex::simulation::plant::{InjectedFault, Output};
+use retroflex::simulation::plant::{Output, imu::ImuFaults};
 use retroflex::simulation::sim::Sim;
 use retroflex::supervisor::cycle::order::{Order, Refusal};
 use retroflex::supervisor::cycle::runner::Runner;
@@ -297,12 +297,7 @@ fn an_orientation_in_the_world_needs_a_healthy_imu_on_the_base() {
     let mut flight = Flight::new(0, swaying(true));
     flight.order(Order::World(at(40.0, 60.0), None));
     assert_eq!(flight.run(5.0).guidance, Guidance::World);
-    flight
-        .runner
-        .machine
-        .world
-        .plant_mut()
-        .inject(InjectedFault::OfBaseImu(&InjectedFault::SILENT));
+    flight.runner.machine.world.plant_mut().faults.base_imu.slow = ImuFaults::SILENT;
     let lost = flight.run(0.3);
     assert_eq!(lost.guidance, Guidance::WorldLost);
     let kept = lost.frame.target.bend.0;
@@ -329,11 +324,7 @@ fn an_orientation_out_of_reach_is_approached_as_far_as_the_tip_bends() {
         .machine
         .world
         .plant_mut()
-        .inject(InjectedFault::BaseTurn {
-            axis: (-axis).into(),
-            angle_deg: 30.0,
-            over_s: 2.0,
-        });
+        .turn_base((-axis).into(), 30.0, 2.0);
     let last = flight.run(5.0);
     let bend_deg = last.frame.target.bend.beta().to_degrees();
     println!("out of reach: {bend_deg:.1}° of 105° asked for");
@@ -347,11 +338,7 @@ fn an_orientation_out_of_reach_is_approached_as_far_as_the_tip_bends() {
         .machine
         .world
         .plant_mut()
-        .inject(InjectedFault::BaseTurn {
-            axis: axis.into(),
-            angle_deg: 30.0,
-            over_s: 2.0,
-        });
+        .turn_base(axis.into(), 30.0, 2.0);
     let last = flight.run(5.0);
     assert!(
         last.guidance == Guidance::World

@@ -3,8 +3,8 @@
 use super::daemon::{Daemon, WATCHDOG_S, mode_of};
 use crate::drill::bench::{Bench, BenchConfig, bend};
 use crate::drill::row::FaultResult;
+use crate::model::Bend;
 use crate::service::protocol::Request;
-use crate::simulation::plant::InjectedFault;
 use crate::supervisor::{MachineError, Mode, Order};
 use serde_json::{Value, json};
 use std::io;
@@ -100,8 +100,7 @@ fn restart_bent(
     let (restart, now_s) = (before.runner.supervisor.keep(), before.now_s);
     let mut machine = before.runner.machine;
     if moved {
-        let (bend_deg, dir_deg) = (15.0, 200.0);
-        machine.inject(InjectedFault::Push { bend_deg, dir_deg });
+        machine.plant().faults.push = Bend::from_deg(15.0, 200.0);
     }
     let mut bench = config.bench_on(machine, Some(restart), now_s);
     let first = bench.turn(None)?;

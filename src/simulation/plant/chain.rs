@@ -5,6 +5,7 @@ use crate::simulation::plant::bellows::Bellows;
 use crate::simulation::plant::check::PlantError;
 use crate::simulation::plant::config::PlantConfig;
 use crate::simulation::plant::drive::Drive;
+use crate::simulation::plant::fault::Faults;
 use crate::simulation::plant::imu::{Imu, Surroundings};
 use crate::simulation::plant::law::{Laws, Moment};
 use crate::simulation::plant::line::Line;
@@ -27,10 +28,10 @@ pub struct Plant {
     r_base_plate: Rotation<Base, Plate>,
     field_ut: Vector3<f64>,
     sensed_t: f64,
-    /// Injected fault: a field added in the world, µT.
-    pub(crate) magnet_ut: Vector3<f64>,
-    pub(crate) imu: Imu,
-    pub(super) base_imu: Option<Imu>,
+    imu: Imu,
+    base_imu: Option<Imu>,
+    /// The faults that are injected.
+    pub faults: Faults,
 }
 
 /// Result of one step.
@@ -80,6 +81,7 @@ impl Plant {
             r_world_plate,
             &Moment { t: 0.0, dt_s: 0.0 },
             &mut laws,
+            &Faults::default(),
         );
         let r_plate_base = Rotation::<Plate, Base>::assert_frames(rest.r_plate_tip.quat());
         let field_ut = config.field.vector_ut();
@@ -100,13 +102,13 @@ impl Plant {
             r_base_plate: r_plate_base.inverse(),
             field_ut,
             sensed_t: 0.0,
-            magnet_ut: Vector3::zeros(),
             imu: Imu::tip(&config.imu, seed, here, &mut laws),
             base_imu: config
                 .base
                 .imu
                 .then(|| Imu::base(&config.base_imu(), seed, at_base)),
             laws,
+            faults: Faults::default(),
             config: config.clone(),
         })
     }
@@ -120,15 +122,20 @@ impl Plant {
     pub fn step(&mut self, steps: &Steps, dt_s: f64) -> Output {
         self.t += dt_s;
         let (at, laws) = (Moment { t: self.t, dt_s }, &mut self.laws);
+        let faults = &self.faults;
         let mut counts = Vector3::from(steps.0.map(f64::from));
         laws.iter_mut()
             .for_each(|law| law.command(&mut counts, &at));
-        let plunger_mm = self.drive.step(&counts, &at, laws);
-        let air_mm = self.line.step(&plunger_mm, &self.bellows.state, &at, laws);
-        let bellow_mm = self.bellows.step(&air_mm, &at, laws);
+        let plunger_mm = self.drive.step(&counts, &at, laws, faults);
+        let air_mm = self
+            .line
+            .step(&plunger_mm, &self.bellows.state, &at, laws, faults);
+        let bellow_mm = self.bellows.step(&air_mm, &at, laws, faults);
         let r_world_plate = self.stand.attitude(at.t, laws);
-        let pose = self.shape.step(&bellow_mm, r_world_plate, &at, laws);
-        let here = surroundings(r_world_plate, &pose, at.t, self.field_ut + self.magnet_ut);
+        let pose = self
+            .shape
+            .step(&bellow_mm, r_world_plate, &at, laws, faults);
+        let here = surroundings(r_world_plate, &pose, at.t, self.field_ut + faults.magnet_ut);
         let (imu, base_imu) = self.sense(here, &counts);
         let truth = Truth {
             r_base_tip: self.r_base_plate * pose.r_plate_tip,
@@ -172,10 +179,12 @@ impl Plant {
                     ..here
                 },
                 &mut Vec::new(),
+                &mut self.faults.base_imu,
             );
-            imu.faults.passes().then_some(sample)
+            self.faults.base_imu.passes().then_some(sample)
         });
-        (Some(self.imu.sample(&here, &mut self.laws)), base_imu)
+        let imu = self.imu.sample(&here, &mut self.laws, &mut self.faults.imu);
+        (Some(imu), base_imu)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Errors of a plant's configuration.
 
 use crate::primitives::{Checker, Invalid};
-use std::ops::RangeInclusive;
+use nalgebra::Vector3;
 use thiserror::Error;
 
 /// Why a plant cannot be built.
@@ -20,14 +20,11 @@ pub enum PlantError {
     },
 }
 
-/// Refuses a value outside `allowed`; a NaN always is.
-pub(crate) fn range(
-    key: &str,
-    value: f64,
-    allowed: RangeInclusive<f64>,
-    advice: &str,
-) -> Result<(), PlantError> {
+/// Refuses a direction without a length.
+pub(crate) fn directed(key: &str, direction: [f64; 3]) -> Result<(), PlantError> {
     let mut checker = Checker::default();
-    checker.at(key).range(value, allowed, "").hint(advice);
+    let length = Vector3::from(direction).norm();
+    let checked = checker.at(key).range(length, 1e-3..=1e4, "");
+    checked.hint("a direction has a length");
     Ok(checker.done()?)
 }

@@ -11,10 +11,12 @@ use crate::simulation::plant::rng::PlantRng;
 use crate::simulation::plant::shape::arc::Plate;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
-/// An effect beyond the nominal machine, as its parameters describe it.
+/// An effect beyond the nominal machine, as its parameters describe it. `effect!` implements it.
 pub(crate) trait PlantEffect: Table + Default + Sized {
     /// Size of the imperfection that every real unit may have; 0 for an effect that only faulty units have.
     const BACKGROUND: f64 = 0.0;
+    /// The running law of this effect, at its start.
+    fn law(&self, unit: &UnitData) -> Box<dyn Law>;
     /// A random effect of plausible size: the small end of the typical range at severity 0, the large end at 1.
     fn draw(severity: f64, rng: &mut PlantRng) -> Self;
     /// That imperfection, with every size of the effect drawn. `up_to` draws 0.3 to 1 times its argument.

@@ -31,4 +31,4 @@ pub use chain::{Output, Plant, Truth};
 pub use check::PlantError;
 pub use config::PlantConfig;
 pub use effects::{EffectName, effect_names};
-pub use fault::{Channel, InjectedFault};
+pub use fault::{BURST_PER_S, Faults};

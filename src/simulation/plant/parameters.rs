@@ -77,3 +77,99 @@ macro_rules! parameters {
     };
 }
 pub(crate) use parameters;
+
+/// Defines an effect: its table as in `parameters!`, the imperfection that real units have of it, how each parameter is
+/// drawn, and what its law remembers. Locals and parameters are drawn from top to bottom; a parameter without `draw` keeps its
+/// default. An effect without a law below the parameters is its own law; the law of others starts with
+/// its fields as given, of which each may refer to those above it.
+///
+/// ```text
+/// NAME at "path" sized by PARAMETER, …; [background SIZE;] [directed by PARAMETER;] drawn by RNG, SEVERITY {
+///     [let LOCAL = EXPRESSION;] …
+///     name: type = default, range, "advice" [, draw EXPRESSION];
+///     …
+/// }
+/// [LAW runs CONFIG [, UNIT] {
+///     field: type = EXPRESSION;
+///     …
+/// }]
+/// ```
+macro_rules! effect {
+    (
+        $(#[doc = $about:literal])+
+        $effect:ident at $path:literal sized by $($size:ident),+;
+        $(background $background:literal;)?
+        $(background by $up_to:ident { $($imperfect:ident: $imperfection:expr),+ };)?
+        $(directed by $direction:ident;)?
+        drawn by $rng:ident, $severity:ident {
+            $(let $local:ident = $first:expr;)*
+            $(
+                $(#[doc = $paragraph:literal])+
+                $name:ident: $kind:ty = $default:expr, $low:literal ..= $high:literal, $advice:literal $(, draw $draw:expr)?;
+            )+
+        }
+        $($law:tt)*
+    ) => {
+        parameters! {
+            $(#[doc = $about])+
+            $effect at $path sized by $($size),+ { $(
+                $(#[doc = $paragraph])+
+                $name: $kind = $default, "", $low ..= $high, $advice;
+            )+ }
+        }
+
+        impl PlantEffect for $effect {
+            $(const BACKGROUND: f64 = $background;)?
+            $(fn background($up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+                Some(Self { $($imperfect: $imperfection,)+ ..Self::default() })
+            })?
+            $(fn consistent(&self) -> Result<(), PlantError> {
+                directed(concat!($path, ".", stringify!($direction), " length"), self.$direction)
+            })?
+            #[allow(clippy::needless_update)] // most effects keep the default of a parameter
+            fn draw($severity: f64, $rng: &mut PlantRng) -> Self {
+                $(let $local = $first;)*
+                Self { $($($name: $draw,)?)+ ..Self::default() }
+            }
+            effect!(@start $($law)*);
+        }
+        effect!(@law $effect $($law)*);
+    };
+    (@start) => {
+        fn law(&self, _: &UnitData) -> Box<dyn Law> {
+            Box::new(self.clone())
+        }
+    };
+    (@start $(#[doc = $about:literal])+ $law:ident runs $config:ident { $($memory:tt)* }) => {
+        fn law(&self, _: &UnitData) -> Box<dyn Law> {
+            Box::new($law::new(self.clone()))
+        }
+    };
+    (@start $(#[doc = $about:literal])+ $law:ident runs $config:ident, $unit:ident { $($memory:tt)* }) => {
+        fn law(&self, unit: &UnitData) -> Box<dyn Law> {
+            Box::new($law::new(self.clone(), unit))
+        }
+    };
+    (@law $effect:ident) => {};
+    (
+        @law $effect:ident $(#[doc = $about:literal])+ $law:ident runs $config:ident $(, $unit:ident)? {
+            $($(#[doc = $note:literal])* $field:ident: $kind:ty = $start:expr;)+
+        }
+    ) => {
+        $(#[doc = $about])+
+        #[derive(Debug, Clone)]
+        pub(crate) struct $law {
+            #[allow(dead_code)] // some laws need their parameters at the start only
+            pub(crate) $config: $effect,
+            $($(#[doc = $note])* $field: $kind,)+
+        }
+
+        impl $law {
+            pub(crate) fn new($config: $effect $(, $unit: &UnitData)?) -> Self {
+                $(#[allow(unused_mut)] let mut $field: $kind = $start;)+
+                Self { $config, $($field,)+ }
+            }
+        }
+    };
+}
+pub(crate) use effect;

@@ -6,6 +6,7 @@
 pub(crate) mod balance;
 
 use crate::simulation::plant::config::LineConfig;
+use crate::simulation::plant::fault::Faults;
 use crate::simulation::plant::law::{BellowState, Laws, Moment};
 use crate::simulation::plant::memory::Decay;
 use balance::Balance;
@@ -19,26 +20,6 @@ pub(crate) struct Bellows {
     lagged_mm: Vector3<f64>,
     /// State that reaches back into the lines.
     pub(crate) state: BellowState,
-    /// Injected faults.
-    pub(crate) faults: BellowFaults,
-}
-
-/// Faults of the bellows.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct BellowFaults {
-    /// Factor on the compliance of the air in each line.
-    pub(crate) compliance: Vector3<f64>,
-    /// Factor on the length change of each bellow.
-    pub(crate) gain: Vector3<f64>,
-}
-
-impl Default for BellowFaults {
-    fn default() -> Self {
-        Self {
-            compliance: Vector3::repeat(1.0),
-            gain: Vector3::repeat(1.0),
-        }
-    }
 }
 
 impl Bellows {
@@ -48,7 +29,6 @@ impl Bellows {
             lag: Decay::new(config.lag_s),
             lagged_mm: Vector3::zeros(),
             state: BellowState::default(),
-            faults: BellowFaults::default(),
         }
     }
 
@@ -58,8 +38,9 @@ impl Bellows {
         air_mm: &Vector3<f64>,
         at: &Moment,
         laws: &mut Laws,
+        faults: &Faults,
     ) -> Vector3<f64> {
-        let (mut compliance, mut stiffness) = (self.faults.compliance, Vector3::repeat(1.0));
+        let (mut compliance, mut stiffness) = (faults.compliance, Vector3::repeat(1.0));
         for law in laws.iter_mut() {
             law.compliance(&mut compliance, at.t);
             law.softening(&mut stiffness, &self.state.bellow_mm);
@@ -67,7 +48,7 @@ impl Bellows {
         self.state = self.balance.solve(air_mm, &compliance, &stiffness, laws);
         let mut q_mm = self.state.bellow_mm;
         laws.iter_mut().for_each(|law| law.bellows(&mut q_mm, at));
-        q_mm.component_mul_assign(&self.faults.gain);
+        q_mm.component_mul_assign(&faults.bellow_gain);
         self.lagged_mm += (q_mm - self.lagged_mm) * self.lag.share(at.dt_s);
         let mut out_mm = self.lagged_mm;
         laws.iter_mut().for_each(|law| law.lagged(&mut out_mm, at));

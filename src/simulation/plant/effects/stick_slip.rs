@@ -6,45 +6,22 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.outside.stick_slip]`
-    StickSlip at "effects.outside.stick_slip" sized by breakaway_mm {
+    StickSlip at "effects.outside.stick_slip" sized by breakaway_mm; drawn by rng, severity {
         /// Rod strain at which a plunger breaks away, mm. Default 0 (none); plausible 0.1 to 0.8. A larger value
         /// moves in bigger jumps.
-        breakaway_mm: f64 = 0.0, "", 0.0..=5.0, "tenths of a mm are plausible";
+        breakaway_mm: f64 = 0.0, 0.0..=5.0, "tenths of a mm are plausible", draw rng.sized(0.3, 1.5, severity);
         /// Share of the breakaway strain that is left after the jump, 0 to 1. Default 0.3. A larger value jumps
         /// less.
-        sliding: f64 = 0.3, "", 0.0..=1.0, "a share of the breakaway";
+        sliding: f64 = 0.3, 0.0..=1.0, "a share of the breakaway", draw rng.between(0.0, 0.4);
         /// How much breakaway rises with ln(1 + seconds at standstill). Default 0.1. A larger value ages faster.
-        ageing: f64 = 0.1, "", 0.0..=2.0, "0.1 is plausible";
+        ageing: f64 = 0.1, 0.0..=2.0, "0.1 is plausible";
     }
-}
-
-impl PlantEffect for StickSlip {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            breakaway_mm: rng.sized(0.3, 1.5, severity),
-            sliding: rng.between(0.0, 0.4),
-            ..Self::default()
-        }
-    }
-}
-
-/// Three plungers with what they remember.
-#[derive(Debug, Clone)]
-pub(crate) struct Sticking {
-    config: StickSlip,
-    plunger_mm: Vector3<f64>,
-    resting_s: Vector3<f64>,
-}
-
-impl Sticking {
-    pub(crate) fn new(config: StickSlip) -> Self {
-        Self {
-            config,
-            plunger_mm: Vector3::zeros(),
-            resting_s: Vector3::zeros(),
-        }
+    /// Three plungers with what they remember.
+    Sticking runs config {
+        plunger_mm: Vector3<f64> = Vector3::zeros();
+        resting_s: Vector3<f64> = Vector3::zeros();
     }
 }
 

@@ -37,30 +37,31 @@ pub(crate) struct Imu {
     last: Surroundings,
     speed_m_s: Vector3<f64>,
     shown: Option<ImuSample>,
-    /// Injected faults.
-    pub(crate) faults: ImuFaults,
 }
 
-/// Faults of an IMU.
+/// Injected faults of an IMU.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct ImuFaults {
-    /// Every sample repeats the last one.
-    pub(crate) frozen: bool,
+pub struct ImuFaults {
+    /// Every sample repeats the last one under a new time stamp.
+    pub frozen: bool,
     /// Readings contain NaN.
-    pub(crate) nan: bool,
+    pub nan: bool,
     /// Rate and force read full scale.
-    pub(crate) saturated: bool,
-    /// Added to the next sample only: rate (rad/s) and force (m/s²).
-    pub(crate) spike: Option<(Vector3<f64>, Vector3<f64>)>,
-    /// Added to every rate, rad/s.
-    pub(crate) rate: Vector3<f64>,
+    pub saturated: bool,
+    /// Added to the next sample only, on every axis: rate, °/s, and force, g.
+    pub spike: Option<(f64, f64)>,
+    /// Added to every rate, °/s.
+    pub rate_deg_s: [f64; 3],
     /// Of the samples of the IMU on the base, only one in so many comes; those since the last one.
-    pub(crate) slow: Option<(u32, u32)>,
-    /// Added to the field in the axes of the chip, µT.
-    pub(crate) field_ut: Vector3<f64>,
+    pub slow: Option<(u32, u32)>,
+    /// Added to the field in the axes of the chip, µT: a magnet at the chip itself.
+    pub field_ut: Vector3<f64>,
 }
 
 impl ImuFaults {
+    /// [`slow`](Self::slow) for an IMU on the base of which no sample comes.
+    pub const SILENT: Option<(u32, u32)> = Some((u32::MAX, 0));
+
     /// Whether a sample comes.
     pub(crate) fn passes(&mut self) -> bool {
         self.slow.as_mut().is_none_or(|(one_in, since)| {
@@ -96,7 +97,6 @@ impl Imu {
             last: here,
             speed_m_s: Vector3::zeros(),
             shown: None,
-            faults: ImuFaults::default(),
         }
     }
 
@@ -106,7 +106,12 @@ impl Imu {
     }
 
     /// The sample that is due.
-    pub(crate) fn sample(&mut self, here: &Surroundings, laws: &mut Laws) -> ImuSample {
+    pub(crate) fn sample(
+        &mut self,
+        here: &Surroundings,
+        laws: &mut Laws,
+        faults: &mut ImuFaults,
+    ) -> ImuSample {
         let t = here.t;
         let at = Moment {
             t,
@@ -120,23 +125,25 @@ impl Imu {
         }
         laws.iter_mut()
             .for_each(|law| law.sensor(&mut stimulus, &at));
-        let (rate, force) = self.faults.spike.take().unwrap_or_default();
-        stimulus.rate = stimulus.rate + self.faults.rate + rate;
-        stimulus.force += force;
-        stimulus.field += self.faults.field_ut;
+        let (rate_deg_s, force_g) = faults.spike.take().unwrap_or_default();
+        let bias = Vector3::from(faults.rate_deg_s).map(f64::to_radians);
+        stimulus.rate = (stimulus.rate + bias).add_scalar(rate_deg_s.to_radians());
+        stimulus.force = stimulus.force.add_scalar(force_g * GRAVITY_M_S2);
+        stimulus.field += faults.field_ut;
         let fresh_mag = t >= self.mag_due_s - 1e-9;
         if fresh_mag {
             self.mag_due_s = next_due(self.mag_due_s, self.chip.mag_period_s, t);
         }
         let mut sample = self.chip.read(&stimulus, at.dt_s, fresh_mag);
         sample.t = Seconds(laws.iter().fold(t, |stamp, law| law.clock(stamp)));
-        self.output(sample, laws.iter().any(|law| law.hangs(t)))
+        let hangs = faults.frozen || laws.iter().any(|law| law.hangs(t));
+        self.output(sample, hangs, faults)
     }
 
     /// The output of a chip that may be faulty.
-    fn output(&mut self, mut sample: ImuSample, hangs: bool) -> ImuSample {
+    fn output(&mut self, mut sample: ImuSample, hangs: bool, faults: &ImuFaults) -> ImuSample {
         match self.shown {
-            Some(shown) if hangs || self.faults.frozen => {
+            Some(shown) if hangs => {
                 sample = ImuSample {
                     t: sample.t,
                     mag_ut: sample.mag_ut.and(shown.mag_ut),
@@ -152,10 +159,10 @@ impl Imu {
             }
             None => self.shown = Some(sample),
         }
-        if self.faults.saturated {
+        if faults.saturated {
             self.chip.pin_to_range(&mut sample);
         }
-        if self.faults.nan {
+        if faults.nan {
             sample.gyro_rad_s.x = f64::NAN;
             sample.acc_m_s2.z = f64::NAN;
         }

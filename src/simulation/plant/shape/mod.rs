@@ -9,6 +9,7 @@ use crate::model::Bend;
 use crate::primitives::{Rotation, Tip, World};
 use crate::simulation::plant::config::ShapeConfig;
 use crate::simulation::plant::effects::contact::Touching;
+use crate::simulation::plant::fault::Faults;
 use crate::simulation::plant::law::{Law, Laws, Moment, SectionState};
 use arc::{Plate, Section, Terms};
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
@@ -17,8 +18,6 @@ use nalgebra::{UnitQuaternion, Vector2, Vector3};
 #[derive(Debug, Clone)]
 pub(crate) struct Shape {
     section: Section,
-    /// Injected fault: a push on the tip, as a bend vector, rad.
-    pub(crate) push: Vector2<f64>,
     /// Injected fault: a wall in place of that of the configuration.
     pub(crate) wall: Option<Touching>,
 }
@@ -50,7 +49,6 @@ impl Shape {
         );
         Self {
             section,
-            push: Vector2::zeros(),
             wall: None,
         }
     }
@@ -62,6 +60,7 @@ impl Shape {
         r_world_plate: Rotation<World, Plate>,
         at: &Moment,
         laws: &mut Laws,
+        faults: &Faults,
     ) -> Pose {
         let (mut bend, length_mm) = match laws.iter().find_map(|law| law.offsets(bellow_mm)) {
             Some(offsets) => self.section.turned(&offsets).shape(bellow_mm),
@@ -75,16 +74,12 @@ impl Shape {
         };
         laws.iter_mut()
             .for_each(|law| law.bend(&mut bend, &section));
-        bend += self.push;
+        bend += faults.push.0;
         let touched = match &mut self.wall {
             Some(wall) => wall.contact(&mut bend, at),
-            None => {
-                let mut touched = false;
-                for law in laws.iter_mut() {
-                    touched |= law.contact(&mut bend, at);
-                }
-                touched
-            }
+            None => laws
+                .iter_mut()
+                .fold(false, |touched, law| law.contact(&mut bend, at) || touched),
         };
         Pose {
             r_plate_tip: oriented(&bend, at, laws),
