@@ -65,7 +65,8 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<bool> {
     let config = simulation()?;
     if let Some(folder) = &args.exercise {
-        process::exercise(&config, folder, args.harm).into_diagnostic()?;
+        let done = process::exercise(&config, folder, args.harm);
+        done.map_err(std::io::Error::other).into_diagnostic()?;
         return Ok(true);
     }
     if let Some(folder) = &args.recall {

@@ -4,7 +4,7 @@ use crate::control::Command;
 use crate::drill::bench::bend;
 use crate::drill::spec::Bound::{self, Brakes, Continues, Copes, Freezes, Holds};
 use crate::drill::spec::Detector::{self, Trip};
-use crate::drill::spec::{Injection, Situation, Spec, turn_base};
+use crate::drill::spec::{Injection, Situation, Spec};
 use crate::estimation::fusion::health::{HealthCause, ReadFault as Read};
 use crate::model::Bend;
 use crate::primitives::Mm;
@@ -53,6 +53,11 @@ fn plant(name: &'static str, fault: fn(&mut Plant), kinds: &'static [SuspicionKi
 
 fn lasting(fault: fn(&mut Plant)) -> Injection {
     Injection::Plant(fault, LASTING_S)
+}
+
+/// Turns the base about an axis that is neither the tip's nor perpendicular to it.
+fn turn_base(plant: &mut Plant, angle_deg: f64) {
+    plant.turn_base([0.3, 0.2, 1.0], angle_deg, 0.6);
 }
 
 fn sensor_faults() -> Vec<Spec> {
@@ -189,10 +194,7 @@ fn base_imu_faults() -> Vec<Spec> {
     let row = |name, fault: fn(&mut Plant), lasts_s, causes| {
         let (injection, detector) = (Injection::Plant(fault, lasts_s), Detector::BaseImu(causes));
         let spec = Spec::new(name, injection, detector, Continues, MOVING);
-        Spec {
-            base_sway_deg: Some(5.0),
-            ..spec.within(0.05)
-        }
+        spec.on_swaying_base(5.0).within(0.05)
     };
     let (late, loud): (&[HealthCause], &[HealthCause]) = (&[StaleTimestamp], &[Saturated, Spike]);
     let silent: fn(&mut Plant) = |p| p.faults.base_imu.slow = ImuFaults::SILENT;
@@ -202,7 +204,16 @@ fn base_imu_faults() -> Vec<Spec> {
     let saturated: fn(&mut Plant) = |p| p.faults.base_imu.saturated = true;
     let spike: fn(&mut Plant) = |p| p.faults.base_imu.spike = SPIKE;
     let magnet: fn(&mut Plant) = |p| p.faults.base_imu.field_ut = [50.0, -40.0, 30.0].into();
-    let out = row("base_imu_cable_out_in_turn", silent, LASTING_S, late);
+    let cable_out_in_turn: fn(&mut Plant) = |p| {
+        turn_base(p, 25.0);
+        p.faults.base_imu.slow = ImuFaults::SILENT;
+    };
+    let out = row(
+        "base_imu_cable_out_in_turn",
+        cable_out_in_turn,
+        LASTING_S,
+        late,
+    );
     vec![
         row("base_imu_silent", silent, LASTING_S, late),
         row("base_imu_dropout", silent, 0.3, late),
@@ -214,10 +225,8 @@ fn base_imu_faults() -> Vec<Spec> {
         row("base_imu_magnet", magnet, LASTING_S, &[FieldDisturbed]).within(0.1),
         // the base stands before and after the turn, and is aligned again
         Spec {
-            injection: Injection::CableOutInTurn,
-            base_sway_deg: Some(0.0),
             bound: Copes,
-            ..out.then_zero()
+            ..out.then_zero().on_swaying_base(0.0)
         },
     ]
 }

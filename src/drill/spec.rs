@@ -5,7 +5,6 @@ use crate::estimation::fusion::health::{HealthCause, ReadFault};
 use crate::named;
 use crate::service::status::trip_message;
 use crate::simulation::plant::Plant;
-use crate::simulation::plant::imu::ImuFaults;
 use crate::supervisor::{Alarm, CycleOutput, Mode, Order, Refusal, SuspicionKind, TripCause};
 
 /// Longest time until a detection unless a row states its own, s: the whole observation.
@@ -30,8 +29,6 @@ pub enum Injection {
     Order(Order),
     /// An order, and in the next cycle a contradictory one.
     Orders(Order, Order),
-    /// The cable of the IMU on the base comes off while the base turns by 25°.
-    CableOutInTurn,
     /// A stop, followed by orders to move as long as it is observed.
     Stop,
 }
@@ -141,21 +138,18 @@ impl Spec {
         bound: Bound,
         states: &'static [&'static str],
     ) -> Self {
-        let (zero, by_hand, within_s) = (false, false, WITHIN_S);
-        let (target, situation) = ((68.0, 80.0), Situation::Moving);
-        let base_sway_deg = None;
         Self {
             name,
             injection,
             detector,
             bound,
             states,
-            zero,
-            by_hand,
-            target,
-            situation,
-            within_s,
-            base_sway_deg,
+            zero: false,
+            by_hand: false,
+            target: (68.0, 80.0),
+            situation: Situation::Moving,
+            within_s: WITHIN_S,
+            base_sway_deg: None,
         }
     }
 
@@ -167,8 +161,7 @@ impl Spec {
 
     /// What the row requires, in words.
     pub fn words(&self, steps: i64, after_deg: f64) -> String {
-        let states = self.states.join(" or ");
-        let (within_s, bound) = (self.within_s, self.bound.name());
+        let (within_s, bound, states) = (self.within_s, self.bound, self.states.join(" or "));
         format!(
             "detected within {within_s} s; then {bound}, at most {steps} microsteps; ends {states}; next pose within {after_deg}°"
         )
@@ -182,11 +175,9 @@ impl Spec {
 
     /// With another bend and direction of the move, degrees.
     #[must_use]
-    pub fn toward(self, bend_deg: f64, dir_deg: f64) -> Self {
-        Self {
-            target: (bend_deg, dir_deg),
-            ..self
-        }
+    pub fn toward(mut self, bend_deg: f64, dir_deg: f64) -> Self {
+        self.target = (bend_deg, dir_deg);
+        self
     }
 
     /// With another situation.
@@ -197,17 +188,17 @@ impl Spec {
 
     /// With a rack put back by hand.
     #[must_use]
-    pub fn by_hand(self) -> Self {
-        Self {
-            by_hand: true,
-            ..self
-        }
+    pub fn by_hand(mut self) -> Self {
+        self.by_hand = true;
+        self
     }
-}
 
-/// Turns the base about an axis that is neither the tip's nor perpendicular to it.
-pub(super) fn turn_base(plant: &mut Plant, angle_deg: f64) {
-    plant.turn_base([0.3, 0.2, 1.0], angle_deg, 0.6);
+    /// With an IMU on a base that sways by so much, degrees.
+    #[must_use]
+    pub fn on_swaying_base(mut self, sway_deg: f64) -> Self {
+        self.base_sway_deg = Some(sway_deg);
+        self
+    }
 }
 
 impl Injection {
@@ -217,11 +208,7 @@ impl Injection {
         match *self {
             Self::Bus(fault, _) => machine.bus = Some(fault),
             Self::Plant(inject, _) => inject(machine.plant()),
-            Self::CableOutInTurn => {
-                turn_base(machine.plant(), 25.0);
-                machine.plant().faults.base_imu.slow = ImuFaults::SILENT;
-            }
-            Self::Stall(seconds) => bench.stall(seconds),
+            Self::Stall(seconds) => bench.now_s += seconds,
             Self::ClockJump(seconds, _) => machine.stamp_offset_s = seconds,
             Self::EmergencyStop => machine.emergency_stop = true,
             Self::Alarm(alarm) => machine.alarm = Some(alarm),
@@ -250,6 +237,7 @@ impl Detector {
             let among = |cause: &TripCause| causes.is_empty() || causes.contains(cause);
             Some(trip_message(output.tripped.filter(among)?).to_owned())
         };
+        let bias = "the gyroscope bias has changed since the alignment: `zero` when convenient";
         match self {
             Self::Sensor(causes) => {
                 let found = causes.iter().find(|c| output.raised.contains(**c))?;
@@ -257,10 +245,7 @@ impl Detector {
             }
             Self::Residual(_) => suspicion().or_else(|| trip(&[])).or_else(|| {
                 let shaken = HealthCause::AccelDisturbed;
-                output
-                    .raised
-                    .contains(shaken)
-                    .then(|| shaken.advice().to_owned())
+                said(output.raised.contains(shaken), shaken.advice())
             }),
             Self::BaseImu(causes) => {
                 let found = causes.iter().find(|c| output.base_raised.contains(**c))?;
@@ -276,19 +261,14 @@ impl Detector {
                 let refusal = output.answer?.err().filter(|refusal| expected(*refusal))?;
                 Some(refusal.to_string())
             }
-            Self::Bias if output.bias_moved => said(
-                true,
-                "the gyroscope bias has changed since the alignment: `zero` when convenient",
-            ),
+            Self::Bias if output.bias_moved => said(true, bias),
             Self::Bias if output.frame.senses.disagrees => {
                 said(true, "the two orientation filters disagree")
             }
             Self::Bias => (!output.raised.is_empty()).then(|| output.raised.to_string()),
             Self::Base => {
-                let turned = said(
-                    output.frame.base_moved,
-                    "the base has turned: relax, then zero",
-                );
+                let moved = output.frame.base_moved;
+                let turned = said(moved, "the base has turned: relax, then zero");
                 turned.or_else(suspicion).or_else(|| trip(&[]))
             }
         }

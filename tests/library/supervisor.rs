@@ -146,7 +146,7 @@ fn a_simulated_step_generator_waits_for_a_late_loop() {
 /// Injects a fault into a held pose; returns kind and channel of the suspicion five seconds later.
 fn named(fault: &str, inject: impl FnOnce(&mut Plant), at: (f64, f64)) -> (String, Option<u8>) {
     let mut f = held(at.0, at.1);
-    inject(f.runner.machine.world.plant_mut());
+    inject(&mut f.runner.machine.world.plant);
     let t = f.run(5.0);
     let s = t
         .suspicion
@@ -173,12 +173,12 @@ fn a_fault_of_one_line_is_attributed_to_its_channel() {
 #[ignore = "the suspicion of a weak line outlives its repair by more than eight moves; the cause is not known"]
 fn a_suspicion_ends_once_moves_come_good() {
     let mut f = held(65.0, 70.0);
-    f.runner.machine.world.plant_mut().faults.bellow_gain[1] = 0.4;
+    f.runner.machine.world.plant.faults.bellow_gain[1] = 0.4;
     assert!(f.run(5.0).suspicion.is_some());
     // the line stays weak: the suspicion stays
     f.bend(40.0, 70.0);
     assert!(f.run(3.0).suspicion.is_some());
-    f.runner.machine.world.plant_mut().faults.bellow_gain[1] = 1.0;
+    f.runner.machine.world.plant.faults.bellow_gain[1] = 1.0;
     f.run(3.0);
     let ended = (0..8).position(|k| {
         f.bend(if k % 2 == 0 { 60.0 } else { 30.0 }, 70.0);
@@ -210,7 +210,7 @@ fn a_weak_line_is_attributed_to_its_channel() {
 #[test]
 fn feedback_compensates_a_weak_line_without_reporting_an_obstruction() {
     let mut f = held(50.0, 70.0);
-    f.runner.machine.world.plant_mut().faults.bellow_gain[1] = 0.6;
+    f.runner.machine.world.plant.faults.bellow_gain[1] = 0.6;
     let t = f.run(5.0);
     let off = (t.frame.estimate.unwrap().bend.0 - t.frame.target.bend.0)
         .norm()
@@ -237,7 +237,7 @@ fn saturation_of_the_feedback_is_reported_and_withdrawn() {
     f.runner.supervisor.reload(&mut next);
     f.bend(65.0, 70.0);
     f.run(2.5);
-    f.runner.machine.world.plant_mut().faults.bellow_gain[1] = 0.6;
+    f.runner.machine.world.plant.faults.bellow_gain[1] = 0.6;
     let t = f.run(5.0);
     assert_eq!(
         (t.frame.saturation, t.mode),

@@ -102,7 +102,7 @@ impl Flight {
     }
 
     fn truth(&self) -> &Output {
-        self.runner.machine.world.last().unwrap()
+        self.runner.machine.world.last.as_ref().unwrap()
     }
 
     fn true_bend(&self) -> Bend {
@@ -297,7 +297,7 @@ fn an_orientation_in_the_world_needs_a_healthy_imu_on_the_base() {
     let mut flight = Flight::new(0, swaying(true));
     flight.order(Order::World(at(40.0, 60.0), None));
     assert_eq!(flight.run(5.0).guidance, Guidance::World);
-    flight.runner.machine.world.plant_mut().faults.base_imu.slow = ImuFaults::SILENT;
+    flight.runner.machine.world.plant.faults.base_imu.slow = ImuFaults::SILENT;
     let lost = flight.run(0.3);
     assert_eq!(lost.guidance, Guidance::WorldLost);
     let kept = lost.frame.target.bend.0;
@@ -323,7 +323,7 @@ fn an_orientation_out_of_reach_is_approached_as_far_as_the_tip_bends() {
         .runner
         .machine
         .world
-        .plant_mut()
+        .plant
         .turn_base((-axis).into(), 30.0, 2.0);
     let last = flight.run(5.0);
     let bend_deg = last.frame.target.bend.beta().to_degrees();
@@ -337,7 +337,7 @@ fn an_orientation_out_of_reach_is_approached_as_far_as_the_tip_bends() {
         .runner
         .machine
         .world
-        .plant_mut()
+        .plant
         .turn_base(axis.into(), 30.0, 2.0);
     let last = flight.run(5.0);
     assert!(

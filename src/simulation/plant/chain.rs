@@ -2,22 +2,23 @@
 
 use crate::primitives::{Base, ImuSample, Rotation, Seconds, Steps, Tip, World};
 use crate::simulation::plant::bellows::Bellows;
-use crate::simulation::plant::check::PlantError;
 use crate::simulation::plant::config::PlantConfig;
 use crate::simulation::plant::drive::Drive;
 use crate::simulation::plant::fault::Faults;
 use crate::simulation::plant::imu::{Imu, Surroundings};
-use crate::simulation::plant::law::{Laws, Moment};
+use crate::simulation::plant::law::{Laws, Moment, Step, each};
 use crate::simulation::plant::line::Line;
+use crate::simulation::plant::parameters::PlantError;
 use crate::simulation::plant::shape::arc::Plate;
 use crate::simulation::plant::shape::{Pose, Shape};
 use crate::simulation::plant::stand::Stand;
 use nalgebra::Vector3;
 
 /// A running plant.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Plant {
-    config: PlantConfig,
+    /// The configuration that it was built from.
+    pub config: PlantConfig,
     pub(crate) t: f64,
     pub(crate) laws: Laws,
     pub(crate) drive: Drive,
@@ -76,22 +77,24 @@ impl Plant {
         let stand = Stand::new(config.base.attitude());
         let r_world_plate = stand.attitude(0.0, &laws);
         let mut shape = Shape::new(&config.shape);
-        let rest = shape.step(
-            &Vector3::zeros(),
-            r_world_plate,
-            &Moment { t: 0.0, dt_s: 0.0 },
-            &mut laws,
-            &Faults::default(),
-        );
+        let mut start = Step {
+            at: Moment { t: 0.0, dt_s: 0.0 },
+            laws: &mut laws,
+            faults: &Faults::default(),
+        };
+        let rest = shape.step(&Vector3::zeros(), r_world_plate, &mut start);
         let r_plate_base = Rotation::<Plate, Base>::assert_frames(rest.r_plate_tip.quat());
         let field_ut = config.field.vector_ut();
         let mut here = surroundings(r_world_plate, &rest, 0.0, field_ut);
-        laws.iter_mut()
-            .for_each(|law| law.field(&mut here.field_ut, &Vector3::zeros(), 0.0));
+        each(&mut laws, |law| {
+            law.field(&mut here.field_ut, &Vector3::zeros(), 0.0)
+        });
         let at_base = Surroundings {
             at_mm: Vector3::zeros(),
             ..here
         };
+        let of_base = || Imu::base(&config.base_imu(), seed, at_base);
+        let base_imu = config.base.imu.then(of_base);
         Ok(Self {
             t: 0.0,
             drive: Drive::new(&unit),
@@ -103,39 +106,28 @@ impl Plant {
             field_ut,
             sensed_t: 0.0,
             imu: Imu::tip(&config.imu, seed, here, &mut laws),
-            base_imu: config
-                .base
-                .imu
-                .then(|| Imu::base(&config.base_imu(), seed, at_base)),
+            base_imu,
             laws,
             faults: Faults::default(),
             config: config.clone(),
         })
     }
 
-    /// The configuration that it was built from.
-    pub fn config(&self) -> &PlantConfig {
-        &self.config
-    }
-
     /// Holds the counts for `dt_s` (> 0) from now on and advances the plant by `dt_s`.
     pub fn step(&mut self, steps: &Steps, dt_s: f64) -> Output {
         self.t += dt_s;
-        let (at, laws) = (Moment { t: self.t, dt_s }, &mut self.laws);
-        let faults = &self.faults;
+        let at = Moment { t: self.t, dt_s };
+        let (laws, faults) = (&mut self.laws, &self.faults);
+        let now = &mut Step { at, laws, faults };
         let mut counts = Vector3::from(steps.0.map(f64::from));
-        laws.iter_mut()
-            .for_each(|law| law.command(&mut counts, &at));
-        let plunger_mm = self.drive.step(&counts, &at, laws, faults);
-        let air_mm = self
-            .line
-            .step(&plunger_mm, &self.bellows.state, &at, laws, faults);
-        let bellow_mm = self.bellows.step(&air_mm, &at, laws, faults);
-        let r_world_plate = self.stand.attitude(at.t, laws);
-        let pose = self
-            .shape
-            .step(&bellow_mm, r_world_plate, &at, laws, faults);
-        let here = surroundings(r_world_plate, &pose, at.t, self.field_ut + faults.magnet_ut);
+        each(now.laws, |law| law.command(&mut counts, &at));
+        let plunger_mm = self.drive.step(&counts, now);
+        let air_mm = self.line.step(&plunger_mm, &self.bellows.state, now);
+        let bellow_mm = self.bellows.step(&air_mm, now);
+        let r_world_plate = self.stand.attitude(at.t, now.laws);
+        let pose = self.shape.step(&bellow_mm, r_world_plate, now);
+        let field_ut = self.field_ut + faults.magnet_ut;
+        let here = surroundings(r_world_plate, &pose, at.t, field_ut);
         let (imu, base_imu) = self.sense(here, &counts);
         let truth = Truth {
             r_base_tip: self.r_base_plate * pose.r_plate_tip,
@@ -164,9 +156,9 @@ impl Plant {
         }
         let since_s = self.t - self.sensed_t;
         self.sensed_t = self.t;
-        self.laws
-            .iter_mut()
-            .for_each(|law| law.field(&mut here.field_ut, counts, since_s));
+        each(&mut self.laws, |law| {
+            law.field(&mut here.field_ut, counts, since_s)
+        });
         let base_imu = self.base_imu.as_mut().and_then(|imu| {
             let r_world_base =
                 self.stand.attitude(self.t, &self.laws) * self.r_base_plate.inverse();

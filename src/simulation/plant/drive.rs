@@ -2,12 +2,11 @@
 //!
 //! `count → rotor → rack → plunger`. Nominally the plunger stands at counts × step_mm.
 
-use crate::simulation::plant::fault::Faults;
-use crate::simulation::plant::law::{Laws, Moment, UnitData};
+use crate::simulation::plant::law::{Step, UnitData, each};
 use nalgebra::Vector3;
 
 /// The three drives with their state.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Drive {
     step_mm: f64,
     counts: Vector3<f64>,
@@ -25,16 +24,11 @@ impl Drive {
     }
 
     /// Plunger positions, mm, after the drives have followed the counts for one step.
-    pub(crate) fn step(
-        &mut self,
-        counts: &Vector3<f64>,
-        at: &Moment,
-        laws: &mut Laws,
-        faults: &Faults,
-    ) -> Vector3<f64> {
+    pub(crate) fn step(&mut self, counts: &Vector3<f64>, now: &mut Step<'_>) -> Vector3<f64> {
+        let (at, faults) = (&now.at, now.faults);
         let mut turned = (counts - self.counts).component_mul(&faults.drive_gain);
         self.counts = *counts;
-        laws.iter_mut().for_each(|law| law.rotor(&mut turned, at));
+        each(now.laws, |law| law.rotor(&mut turned, at));
         self.rotor += turned;
         let mut rack_mm = self.rotor * self.step_mm;
         for i in 0..3 {
@@ -46,7 +40,7 @@ impl Drive {
                 self.rotor[i] = stop / self.step_mm;
             }
         }
-        laws.iter_mut().for_each(|law| law.rack(&mut rack_mm, at));
+        each(now.laws, |law| law.rack(&mut rack_mm, at));
         rack_mm
     }
 }

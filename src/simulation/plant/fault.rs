@@ -7,6 +7,7 @@ use crate::model::Bend;
 use crate::simulation::plant::chain::Plant;
 use crate::simulation::plant::effects::contact::{Contact, Touching};
 use crate::simulation::plant::imu::ImuFaults;
+use crate::simulation::plant::law::each;
 use nalgebra::Vector3;
 
 /// The faults that act at present. Channels count from 0.
@@ -91,6 +92,6 @@ impl Plant {
         self.faults = Faults::default();
         self.stand.settle(self.t);
         self.shape.wall = None;
-        self.laws.iter_mut().for_each(|law| law.release());
+        each(&mut self.laws, |law| law.release());
     }
 }

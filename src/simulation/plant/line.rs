@@ -5,12 +5,11 @@
 
 use crate::simulation::plant::config::LineConfig;
 use crate::simulation::plant::effects::leak::{Leak, Leaking};
-use crate::simulation::plant::fault::Faults;
-use crate::simulation::plant::law::{BellowState, Law, Laws, Moment};
+use crate::simulation::plant::law::{BellowState, Law, Laws, Step, each};
 use nalgebra::Vector3;
 
 /// The three lines with their state.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Line {
     half_width_mm: Vector3<f64>,
     /// Outputs of the play operators, mm of piston.
@@ -38,7 +37,7 @@ impl Line {
 
     /// Opens all lines for a moment, pistons at zero: the air that leaked flows back.
     pub(crate) fn vent(&mut self, laws: &mut Laws) {
-        laws.iter_mut().for_each(|law| law.vent());
+        each(laws, |law| law.vent());
         self.leaking.vent();
     }
 
@@ -47,24 +46,21 @@ impl Line {
         &mut self,
         plunger_mm: &Vector3<f64>,
         bellows: &BellowState,
-        at: &Moment,
-        laws: &mut Laws,
-        faults: &Faults,
+        now: &mut Step<'_>,
     ) -> Vector3<f64> {
+        let (at, faults) = (&now.at, now.faults);
         let mut width = self.half_width_mm;
-        laws.iter_mut()
-            .for_each(|law| law.play(&mut width, plunger_mm));
+        each(now.laws, |law| law.play(&mut width, plunger_mm));
         for i in 0..3 {
             self.play_output_mm[i] = self.play_output_mm[i]
                 .max(plunger_mm[i] - width[i])
                 .min(plunger_mm[i] + width[i]);
         }
         let mut air_mm = self.play_output_mm;
-        laws.iter_mut()
-            .for_each(|law| law.air(&mut air_mm, bellows, at));
+        each(now.laws, |law| law.air(&mut air_mm, bellows, at));
         self.leaking.config.rate_per_s = faults.leak_per_s;
         self.leaking.air(&mut air_mm, bellows, at);
-        laws.iter_mut().for_each(|law| law.flow(&mut air_mm, at));
+        each(now.laws, |law| law.flow(&mut air_mm, at));
         for i in 0..3 {
             if !faults.blocked[i] {
                 self.delivered_mm[i] = air_mm[i];
@@ -77,6 +73,8 @@ impl Line {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulation::plant::fault::Faults;
+    use crate::simulation::plant::law::Moment;
 
     #[test]
     fn a_loop_of_the_play_is_two_half_widths_wide() {
@@ -90,14 +88,13 @@ mod tests {
                 dt_s: 0.001,
             };
             [from, 0.0].map(|to| {
-                line.step(
-                    &Vector3::repeat(to),
-                    &BellowState::default(),
-                    &at,
-                    &mut Vec::new(),
-                    &Faults::default(),
-                )
-                .x
+                let now = &mut Step {
+                    at,
+                    laws: &mut Vec::new(),
+                    faults: &Faults::default(),
+                };
+                line.step(&Vector3::repeat(to), &BellowState::default(), now)
+                    .x
             })[1]
         };
         assert!((at_zero(2.0) - at_zero(-2.0) - 1.0).abs() < 1e-12);

@@ -1,8 +1,34 @@
 //! The tables of the plant's parameters: rows as in [`primitives::parameters`](crate::primitives::parameters), whose keys name
 //! the unit, and the size of an effect.
 
-use crate::primitives::{Allowed, Parameters};
-use crate::simulation::plant::check::PlantError;
+use crate::primitives::{Allowed, Checker, Invalid, Parameters};
+use nalgebra::Vector3;
+use thiserror::Error;
+
+/// Why a plant cannot be built.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum PlantError {
+    /// A parameter is outside the range that the physics supports; its key counts from `[plant]`.
+    #[error("plant.{} = {}; {}", .0.shown_key(), .0.problem, .0.hint)]
+    Range(#[from] Invalid),
+    /// An effect that the plant does not have.
+    #[error("no effect is called `{name}`; the plant has {known}")]
+    UnknownEffect {
+        /// The name given.
+        name: String,
+        /// All names that exist.
+        known: String,
+    },
+}
+
+/// Refuses a direction without a length.
+pub(crate) fn directed(key: &str, direction: [f64; 3]) -> Result<(), PlantError> {
+    let mut checker = Checker::default();
+    let length = Vector3::from(direction).norm();
+    let checked = checker.at(key).range(length, 1e-3..=1e4, "");
+    checked.hint("a direction has a length");
+    Ok(checker.done()?)
+}
 
 /// Type of a parameter that states the size of an effect.
 pub(crate) trait Size {
@@ -84,7 +110,8 @@ pub(crate) use parameters;
 /// its fields as given, of which each may refer to those above it.
 ///
 /// ```text
-/// NAME at "path" sized by PARAMETER, …; [background SIZE;] [directed by PARAMETER;] drawn by RNG, SEVERITY {
+/// NAME at "path" sized by PARAMETER, …; [background SIZE;] [background by UP_TO { name: EXPRESSION, … };]
+/// [directed by PARAMETER;] drawn by RNG, SEVERITY {
 ///     [let LOCAL = EXPRESSION;] …
 ///     name: type = default, range, "advice" [, draw EXPRESSION];
 ///     …
@@ -126,29 +153,23 @@ macro_rules! effect {
             $(fn consistent(&self) -> Result<(), PlantError> {
                 directed(concat!($path, ".", stringify!($direction), " length"), self.$direction)
             })?
-            #[allow(clippy::needless_update)] // most effects keep the default of a parameter
+            #[allow(clippy::needless_update)] // some effects draw every parameter
             fn draw($severity: f64, $rng: &mut PlantRng) -> Self {
                 $(let $local = $first;)*
                 Self { $($($name: $draw,)?)+ ..Self::default() }
             }
-            effect!(@start $($law)*);
+            fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+                effect!(@start self, _unit, $($law)*)
+            }
         }
         effect!(@law $effect $($law)*);
     };
-    (@start) => {
-        fn law(&self, _: &UnitData) -> Box<dyn Law> {
-            Box::new(self.clone())
-        }
+    (@start $effect:ident, $unit:ident,) => { Box::new($effect.clone()) };
+    (@start $effect:ident, $unit:ident, $(#[doc = $about:literal])+ $law:ident runs $config:ident { $($memory:tt)* }) => {
+        Box::new($law::new($effect.clone()))
     };
-    (@start $(#[doc = $about:literal])+ $law:ident runs $config:ident { $($memory:tt)* }) => {
-        fn law(&self, _: &UnitData) -> Box<dyn Law> {
-            Box::new($law::new(self.clone()))
-        }
-    };
-    (@start $(#[doc = $about:literal])+ $law:ident runs $config:ident, $unit:ident { $($memory:tt)* }) => {
-        fn law(&self, unit: &UnitData) -> Box<dyn Law> {
-            Box::new($law::new(self.clone(), unit))
-        }
+    (@start $effect:ident, $unit:ident, $(#[doc = $about:literal])+ $law:ident runs $config:ident, $of:ident { $($memory:tt)* }) => {
+        Box::new($law::new($effect.clone(), $unit))
     };
     (@law $effect:ident) => {};
     (

@@ -6,14 +6,13 @@
 pub(crate) mod balance;
 
 use crate::simulation::plant::config::LineConfig;
-use crate::simulation::plant::fault::Faults;
-use crate::simulation::plant::law::{BellowState, Laws, Moment};
+use crate::simulation::plant::law::{BellowState, Laws, Step, each};
 use crate::simulation::plant::memory::Decay;
 use balance::Balance;
 use nalgebra::Vector3;
 
 /// The three bellows with their state.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Bellows {
     balance: Balance,
     lag: Decay,
@@ -33,13 +32,8 @@ impl Bellows {
     }
 
     /// Length changes of the bellows, mm, after one step with `air_mm` delivered.
-    pub(crate) fn step(
-        &mut self,
-        air_mm: &Vector3<f64>,
-        at: &Moment,
-        laws: &mut Laws,
-        faults: &Faults,
-    ) -> Vector3<f64> {
+    pub(crate) fn step(&mut self, air_mm: &Vector3<f64>, now: &mut Step<'_>) -> Vector3<f64> {
+        let Step { at, laws, faults } = now;
         let (mut compliance, mut stiffness) = (faults.compliance, Vector3::repeat(1.0));
         for law in laws.iter_mut() {
             law.compliance(&mut compliance, at.t);
@@ -47,11 +41,11 @@ impl Bellows {
         }
         self.state = self.balance.solve(air_mm, &compliance, &stiffness, laws);
         let mut q_mm = self.state.bellow_mm;
-        laws.iter_mut().for_each(|law| law.bellows(&mut q_mm, at));
+        each(laws, |law| law.bellows(&mut q_mm, at));
         q_mm.component_mul_assign(&faults.bellow_gain);
         self.lagged_mm += (q_mm - self.lagged_mm) * self.lag.share(at.dt_s);
         let mut out_mm = self.lagged_mm;
-        laws.iter_mut().for_each(|law| law.lagged(&mut out_mm, at));
+        each(laws, |law| law.lagged(&mut out_mm, at));
         out_mm
     }
 }

@@ -21,10 +21,8 @@ impl Law for Asymmetry {
     fn wall(&self, q_mm: f64) -> Option<(f64, f64)> {
         let x = q_mm / self.knee_mm;
         let root = (1.0 + x * x).sqrt();
-        Some((
-            self.share * self.knee_mm * (root - 1.0),
-            self.share * x / root,
-        ))
+        let extra = self.share * self.knee_mm * (root - 1.0);
+        Some((extra, self.share * x / root))
     }
 }
 

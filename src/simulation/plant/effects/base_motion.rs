@@ -37,11 +37,7 @@ const GOLDEN: f64 = 1.618_033_988_749_895;
 impl BaseMotion {
     /// Angle about the axis at time `t`, rad.
     fn angle(&self, t: f64) -> f64 {
-        let step = if t < self.at_s {
-            0.0
-        } else {
-            smooth_step((t - self.at_s) / self.over_s)
-        };
+        let step = smooth_step((t - self.at_s) / self.over_s);
         let since = (t - STILL_S).max(0.0);
         let grown = 1.0 - (-since / STILL_S).exp();
         let phase = TAU * since / self.sway_period_s;

@@ -24,10 +24,8 @@ effect! {
 
 impl Law for BubbleJump {
     fn compliance(&self, compliance: &mut Vector3<f64>, t: f64) {
-        compliance[self.channel - 1] *= if t >= self.at_s && t < self.until_s {
-            1.0 + self.change
-        } else {
-            1.0
-        };
+        if (self.at_s..self.until_s).contains(&t) {
+            compliance[self.channel - 1] *= 1.0 + self.change;
+        }
     }
 }

@@ -33,10 +33,8 @@ impl Law for GasCompression {
         let bounded = ratio.max(VACUUM_FLOOR);
         let shrunk = (-bounded.ln() / n).exp();
         let slope = shrunk / bounded;
-        Some((
-            n / s * (1.0 - shrunk) + slope * (ratio - bounded) / s,
-            slope,
-        ))
+        let strain = n / s * (1.0 - shrunk) + slope * (ratio - bounded) / s;
+        Some((strain, slope))
     }
 }
 

@@ -54,10 +54,8 @@ impl Weight {
         let (across, across_slope) = (l * t.v + c * t.s, l * t.dv + c * t.ds);
         let along_slope = l * t.ds - c * t.s;
         let turning = across_slope * (bend.x * up.x - bend.y * up.y) + along_slope * up.z;
-        Vector2::new(
-            across * up.x + bend.x * turning,
-            -across * up.y + bend.y * turning,
-        )
+        let x = across * up.x + bend.x * turning;
+        Vector2::new(x, -across * up.y + bend.y * turning)
     }
 }
 

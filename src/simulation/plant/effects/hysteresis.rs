@@ -53,20 +53,17 @@ fn ladder() -> [f64; PLIES] {
 
 impl Law for Plies {
     fn bellows(&mut self, q_mm: &mut Vector3<f64>, _at: &Moment) {
-        let moved = *q_mm - self.last_mm;
+        let (c, moved) = (&self.config, *q_mm - self.last_mm);
         self.last_mm = *q_mm;
         for i in 0..3 {
             let mut taken = 0.0;
             for j in 0..PLIES {
-                let e = (self.strain_mm[i][j] + moved[i])
-                    .clamp(-self.config.back * self.yield_mm[j], self.yield_mm[j]);
-                self.strain_mm[i][j] = e;
-                taken += self.weight[j] * e;
+                let (strain_mm, yield_mm) = (&mut self.strain_mm[i][j], self.yield_mm[j]);
+                *strain_mm = (*strain_mm + moved[i]).clamp(-c.back * yield_mm, yield_mm);
+                taken += self.weight[j] * *strain_mm;
             }
             let x = q_mm[i] / LONG_MM;
-            q_mm[i] -= self.config.share
-                * (1.0 + self.config.long_side * x / (1.0 + x * x).sqrt())
-                * taken;
+            q_mm[i] -= c.share * (1.0 + c.long_side * x / (1.0 + x * x).sqrt()) * taken;
         }
     }
 }

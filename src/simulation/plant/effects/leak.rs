@@ -28,11 +28,8 @@ effect! {
 impl Leaking {
     /// How far the flow is from proportional to pressure.
     fn opening(&self, pressure_kpa: f64) -> f64 {
-        let side = if pressure_kpa < 0.0 {
-            self.config.vacuum
-        } else {
-            1.0
-        };
+        let vacuum = pressure_kpa < 0.0;
+        let side = if vacuum { self.config.vacuum } else { 1.0 };
         side * 2.0 / (1.0 + (1.0 + pressure_kpa.abs() / self.config.turbulent_kpa).sqrt())
     }
 }
@@ -44,10 +41,9 @@ impl Law for Leaking {
                 let opening = self.opening(bellows.pressure_kpa[i]);
                 let x = self.config.rate_per_s[i] * opening * at.dt_s;
                 // 1 − e^(−x), for slow leaks by its first terms (error below x³)
-                let share = if x < 1e-4 {
-                    x * (1.0 - 0.5 * x)
-                } else {
-                    -(-x).exp_m1()
+                let share = match x < 1e-4 {
+                    true => x * (1.0 - 0.5 * x),
+                    false => -(-x).exp_m1(),
                 };
                 self.lost_mm[i] += (air_mm[i] - self.lost_mm[i]) * share;
             }

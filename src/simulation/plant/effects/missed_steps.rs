@@ -45,8 +45,8 @@ impl Stall {
         self.quick.1 += (speed_mm_s - self.quick.1) * self.quick.0.share(dt_s);
         self.slow.1 += (speed_mm_s - self.slow.1) * self.slow.0.share(dt_s);
         let slope = (self.quick.1 - self.slow.1) / (SLOW_S - QUICK_S);
-        let load = slope.abs() / self.config.accel_max_mm_s2
-            + self.quick.1.abs() / self.config.speed_max_mm_s;
+        let c = &self.config;
+        let load = slope.abs() / c.accel_max_mm_s2 + self.quick.1.abs() / c.speed_max_mm_s;
         let fires = load > 1.0 && self.ready;
         self.ready = load < 0.3 || (self.ready && load <= 1.0);
         fires

@@ -48,9 +48,8 @@ pub mod torsion;
 pub mod transport_delay;
 pub mod twist_creep;
 
-use crate::simulation::plant::check::PlantError;
 use crate::simulation::plant::law::{Law, Laws, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::Table;
+use crate::simulation::plant::parameters::{PlantError, Table};
 use crate::simulation::plant::rng::PlantRng;
 use serde::{Deserialize, Serialize};
 

@@ -43,17 +43,11 @@ impl Law for Motors {
         let share = self.decay.share(dt_s);
         let mut field = Vector3::zeros();
         for i in 0..3 {
-            let target = if counts[i] == self.counts[i] {
-                self.config.idle
-            } else {
-                1.0
-            };
+            let idle = counts[i] == self.counts[i];
+            let target = if idle { self.config.idle } else { 1.0 };
             // up at once, down slowly: a driver boosts on the first pulse
-            self.current[i] = if target > self.current[i] {
-                target
-            } else {
-                self.current[i] + (target - self.current[i]) * share
-            };
+            let down = self.current[i] + (target - self.current[i]) * share;
+            self.current[i] = target.max(down);
             field += self.coils(i, counts[i]) * (self.config.amplitude_ut[i] * self.current[i]);
         }
         self.counts = *counts;
@@ -66,10 +60,8 @@ impl Motors {
     fn coils(&self, i: usize, counts: f64) -> Vector3<f64> {
         let phase = TAU * counts / self.cycle;
         let h = self.config.saturation;
-        let (first, second) = (
-            phase.cos() + h * (3.0 * phase).cos(),
-            phase.sin() - h * (3.0 * phase).sin(),
-        );
+        let first = phase.cos() + h * (3.0 * phase).cos();
+        let second = phase.sin() - h * (3.0 * phase).sin();
         let (sin, cos) = self.config.azimuth_deg[i].to_radians().sin_cos();
         Vector3::new(cos * first, sin * first, second)
     }

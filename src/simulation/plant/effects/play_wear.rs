@@ -25,8 +25,8 @@ impl Law for Wearing {
         self.gone_mm += (plunger_mm - self.plunger_mm).abs();
         self.plunger_mm = *plunger_mm;
         for i in 0..3 {
-            half_width_mm[i] *=
-                1.0 - self.config.growth * (-self.gone_mm[i] / self.config.over_mm).exp_m1();
+            let worn = -(-self.gone_mm[i] / self.config.over_mm).exp_m1();
+            half_width_mm[i] *= 1.0 + self.config.growth * worn;
         }
     }
 }

@@ -27,10 +27,8 @@ effect! {
 impl Rings {
     /// Matrix of (distance, speed/ω) over `dt_s`.
     fn transition(&self, dt_s: f64) -> Matrix2<f64> {
-        let (omega, zeta) = (
-            std::f64::consts::TAU * self.config.frequency_hz,
-            self.config.damping,
-        );
+        let omega = std::f64::consts::TAU * self.config.frequency_hz;
+        let zeta = self.config.damping;
         let root = (1.0 - zeta * zeta).sqrt();
         let (sin, cos) = (omega * root * dt_s).sin_cos();
         let (fade, side) = ((-zeta * omega * dt_s).exp(), zeta / root);

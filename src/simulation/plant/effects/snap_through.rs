@@ -29,15 +29,9 @@ impl Law for Snapping {
         let i = self.config.channel - 1;
         let back_mm = self.config.at_mm - (1.5 * self.config.jump_mm).max(0.5);
         self.popped = q_mm[i] > self.config.at_mm || (self.popped && q_mm[i] > back_mm);
-        let target = if self.popped {
-            self.config.jump_mm
-        } else {
-            0.0
-        };
+        let target = f64::from(self.popped) * self.config.jump_mm;
         self.added_mm += (target - self.added_mm) * self.decay.share(at.dt_s);
-        let mut added = Vector3::zeros();
-        added[i] = self.added_mm;
-        *q_mm += added;
+        q_mm[i] += self.added_mm;
     }
 }
 

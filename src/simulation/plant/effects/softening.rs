@@ -27,12 +27,12 @@ const CONTRACTION: f64 = 0.7;
 
 impl Law for Damage {
     fn softening(&mut self, stiffness: &mut Vector3<f64>, bellow_mm: &Vector3<f64>) {
+        let c = &self.config;
         for i in 0..3 {
             let strain = bellow_mm[i].max(-CONTRACTION * bellow_mm[i]);
             if strain > self.worst_mm[i] {
                 self.worst_mm[i] = strain;
-                self.left[i] =
-                    1.0 + self.config.share * (-(strain / self.config.stretch_mm).powi(2)).exp_m1();
+                self.left[i] = 1.0 + c.share * (-(strain / c.stretch_mm).powi(2)).exp_m1();
             }
         }
         stiffness.component_mul_assign(&self.left);

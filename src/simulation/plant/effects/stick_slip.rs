@@ -27,13 +27,12 @@ effect! {
 
 impl Law for Sticking {
     fn rack(&mut self, rack_mm: &mut Vector3<f64>, at: &Moment) {
+        let c = &self.config;
         for i in 0..3 {
             let strain = rack_mm[i] - self.plunger_mm[i];
-            let holds =
-                self.config.breakaway_mm * (1.0 + self.config.ageing * self.resting_s[i].ln_1p());
+            let holds = c.breakaway_mm * (1.0 + c.ageing * self.resting_s[i].ln_1p());
             if strain.abs() > holds {
-                self.plunger_mm[i] =
-                    rack_mm[i] - strain.signum() * self.config.sliding * self.config.breakaway_mm;
+                self.plunger_mm[i] = rack_mm[i] - strain.signum() * c.sliding * c.breakaway_mm;
                 self.resting_s[i] = 0.0;
             } else {
                 self.resting_s[i] += at.dt_s;

@@ -8,7 +8,7 @@ pub mod chip;
 pub(crate) mod stimulus;
 
 use crate::primitives::{ImuSample, Rotation, Seconds, Tip, World};
-use crate::simulation::plant::law::{Laws, Moment};
+use crate::simulation::plant::law::{Laws, Moment, each};
 use crate::simulation::plant::rng::{PlantRng, Stream};
 use chip::{Chip, ImuConfig};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -28,7 +28,7 @@ pub(crate) struct Surroundings {
 }
 
 /// One IMU with its state.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Imu {
     chip: Chip,
     mount: Option<UnitQuaternion<f64>>,
@@ -76,16 +76,13 @@ impl Imu {
     pub(crate) fn tip(config: &ImuConfig, seed: u64, here: Surroundings, laws: &mut Laws) -> Self {
         let mut imu = Self::new(config, PlantRng::new(seed, Stream::TipImu), here);
         let stimulus = imu.stimulus(&here, config.period_s);
-        laws.iter_mut().for_each(|law| law.at_start(&stimulus));
+        each(laws, |law| law.at_start(&stimulus));
         imu
     }
     /// The base's IMU, of the same make but without bias.
     pub(crate) fn base(config: &ImuConfig, seed: u64, here: Surroundings) -> Self {
-        Self::new(
-            &config.unbiased(),
-            PlantRng::new(seed, Stream::BaseImu),
-            here,
-        )
+        let rng = PlantRng::new(seed, Stream::BaseImu);
+        Self::new(&config.unbiased(), rng, here)
     }
     fn new(config: &ImuConfig, rng: PlantRng, here: Surroundings) -> Self {
         let turn = Vector3::from(config.mount_deg).map(f64::to_radians);
@@ -112,19 +109,15 @@ impl Imu {
         laws: &mut Laws,
         faults: &mut ImuFaults,
     ) -> ImuSample {
-        let t = here.t;
-        let at = Moment {
-            t,
-            dt_s: t - self.last.t,
-        };
+        let (t, dt_s) = (here.t, here.t - self.last.t);
+        let at = Moment { t, dt_s };
         self.due_s = next_due(self.due_s, self.chip.period_s, t);
         let mut stimulus = self.stimulus(here, at.dt_s);
-        laws.iter_mut().for_each(|law| law.late(&mut stimulus, &at));
+        each(laws, |law| law.late(&mut stimulus, &at));
         if let Some(mount) = &self.mount {
             stimulus = stimulus.turned_by(mount);
         }
-        laws.iter_mut()
-            .for_each(|law| law.sensor(&mut stimulus, &at));
+        each(laws, |law| law.sensor(&mut stimulus, &at));
         let (rate_deg_s, force_g) = faults.spike.take().unwrap_or_default();
         let bias = Vector3::from(faults.rate_deg_s).map(f64::to_radians);
         stimulus.rate = (stimulus.rate + bias).add_scalar(rate_deg_s.to_radians());
@@ -142,22 +135,19 @@ impl Imu {
 
     /// The output of a chip that may be faulty.
     fn output(&mut self, mut sample: ImuSample, hangs: bool, faults: &ImuFaults) -> ImuSample {
-        match self.shown {
-            Some(shown) if hangs => {
-                sample = ImuSample {
-                    t: sample.t,
-                    mag_ut: sample.mag_ut.and(shown.mag_ut),
-                    ..shown
-                };
-            }
+        let shown = *self.shown.get_or_insert(sample);
+        if hangs {
+            sample = ImuSample {
+                t: sample.t,
+                mag_ut: sample.mag_ut.and(shown.mag_ut),
+                ..shown
+            };
+        } else {
             // a sample without a field keeps the field that is repeated
-            Some(shown) => {
-                self.shown = Some(ImuSample {
-                    mag_ut: sample.mag_ut.or(shown.mag_ut),
-                    ..sample
-                })
-            }
-            None => self.shown = Some(sample),
+            self.shown = Some(ImuSample {
+                mag_ut: sample.mag_ut.or(shown.mag_ut),
+                ..sample
+            });
         }
         if faults.saturated {
             self.chip.pin_to_range(&mut sample);

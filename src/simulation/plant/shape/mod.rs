@@ -9,13 +9,12 @@ use crate::model::Bend;
 use crate::primitives::{Rotation, Tip, World};
 use crate::simulation::plant::config::ShapeConfig;
 use crate::simulation::plant::effects::contact::Touching;
-use crate::simulation::plant::fault::Faults;
-use crate::simulation::plant::law::{Law, Laws, Moment, SectionState};
+use crate::simulation::plant::law::{Law, Laws, Moment, SectionState, Step, each};
 use arc::{Plate, Section, Terms};
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
 /// The bending section with its state.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Shape {
     section: Section,
     /// Injected fault: a wall in place of that of the configuration.
@@ -42,13 +41,9 @@ impl Pose {
 
 impl Shape {
     pub(crate) fn new(config: &ShapeConfig) -> Self {
-        let section = Section::new(
-            config.r_mm,
-            &config.angle_deg.map(f64::to_radians),
-            config.rest_length_mm,
-        );
+        let offset = config.angle_deg.map(f64::to_radians);
         Self {
-            section,
+            section: Section::new(config.r_mm, &offset, config.rest_length_mm),
             wall: None,
         }
     }
@@ -58,10 +53,9 @@ impl Shape {
         &mut self,
         bellow_mm: &Vector3<f64>,
         r_world_plate: Rotation<World, Plate>,
-        at: &Moment,
-        laws: &mut Laws,
-        faults: &Faults,
+        now: &mut Step<'_>,
     ) -> Pose {
+        let Step { at, laws, faults } = now;
         let (mut bend, length_mm) = match laws.iter().find_map(|law| law.offsets(bellow_mm)) {
             Some(offsets) => self.section.turned(&offsets).shape(bellow_mm),
             None => self.section.shape(bellow_mm),
@@ -72,8 +66,7 @@ impl Shape {
             longer_mm: length_mm - self.section.rest_length_mm,
             r_world_plate,
         };
-        laws.iter_mut()
-            .for_each(|law| law.bend(&mut bend, &section));
+        each(laws, |law| law.bend(&mut bend, &section));
         bend += faults.push.0;
         let touched = match &mut self.wall {
             Some(wall) => wall.contact(&mut bend, at),
