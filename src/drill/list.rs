@@ -4,13 +4,12 @@ use crate::control::Command;
 use crate::drill::bench::bend;
 use crate::drill::spec::Bound::{self, Brakes, Continues, Copes, Freezes, Holds};
 use crate::drill::spec::Detector::{self, Trip};
-use crate::drill::spec::{Injection, Situation, Spec};
+use crate::drill::spec::{Injection, Spec};
 use crate::estimation::fusion::health::{HealthCause, ReadFault as Read};
 use crate::model::Bend;
 use crate::primitives::Mm;
-use crate::simulation::plant::imu::ImuFaults;
-use crate::simulation::plant::{BURST_PER_S, Plant};
-use crate::supervisor::{Alarm, Order, Refusal, SuspicionKind, TripCause};
+use crate::simulation::plant::{BURST_PER_S, ImuFaults, Plant};
+use crate::supervisor::{Alarm, Mode, Order, Refusal, SuspicionKind, TripCause};
 
 /// Channel of the faults that concern one channel.
 const CHANNEL: usize = 1;
@@ -174,17 +173,17 @@ fn order_faults() -> Vec<Spec> {
 
 /// A stop in every situation; orders to move follow it a hundred times a second.
 fn stops() -> Vec<Spec> {
-    let stop = |name, situation, states| {
+    let stop = |name, mode, states| {
         let spec = Spec::new(name, Injection::Stop, Detector::Stopped, Brakes, states);
-        spec.within(0.002).when(situation)
+        spec.within(0.002).when(mode)
     };
     let held: &[&str] = &["holding"];
     vec![
-        stop("stop_in_motion", Situation::Moving, held),
-        stop("stop_while_held", Situation::Held, held),
-        stop("stop_while_relaxing", Situation::Relaxing, held),
-        stop("stop_while_the_gate_returns", Situation::Returning, FAULTED),
-        stop("stop_while_calibrating", Situation::Calibrating, held),
+        stop("stop_in_motion", Mode::Tracking, held),
+        stop("stop_while_held", Mode::Holding, held),
+        stop("stop_while_relaxing", Mode::Relaxing, held),
+        stop("stop_while_the_gate_returns", Mode::Faulted, FAULTED),
+        stop("stop_while_calibrating", Mode::Calibrating, held),
     ]
 }
 
@@ -244,7 +243,7 @@ fn environment_faults() -> Vec<Spec> {
         Spec::new("pushed", push, shaken, Copes, ANY).then_zero(),
         sensor("magnet", magnet, &[FieldDisturbed], Continues),
         // during a move, a small turn of the base cannot be distinguished from bending
-        base("base_turned", |p| turn_base(p, 25.0)).when(Situation::Held),
+        base("base_turned", |p| turn_base(p, 25.0)).when(Mode::Holding),
         base("base_turned_in_motion", |p| turn_base(p, 60.0)),
     ]
 }

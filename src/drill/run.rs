@@ -2,7 +2,7 @@
 
 use crate::drill::bench::{Bench, BenchConfig, bend, distance};
 use crate::drill::row::{FaultResult, require};
-use crate::drill::spec::{Bound, Detector, Injection, Situation, Spec};
+use crate::drill::spec::{Bound, Detector, Injection, Spec};
 use crate::supervisor::{CycleOutput, MachineError, Mode, Order, Refusal, SafeState};
 
 /// From the start of the move to the injection, s.
@@ -101,7 +101,7 @@ pub fn fly(
     let mut row = FaultResult::new(spec.name, requires).ending("boot");
     row.steps_allowed = steps_allowed;
     let mut config = config.clone();
-    if spec.situation == Situation::Returning {
+    if spec.mode == Mode::Faulted {
         config.board.safety.on.emergency_stop = SafeState::Relax;
     }
     if let (Some(sway_deg), Some(plant)) = (spec.base_sway_deg, &mut config.board.plant) {
@@ -115,7 +115,7 @@ pub fn fly(
         return Ok(row);
     }
     let before = enter(&mut bench, spec)?;
-    require!(row: before.mode == spec.situation.mode(); "injected in mode {}", before.mode);
+    require!(row: before.mode == spec.mode; "injected in mode {}", before.mode);
     let last = observe(&mut bench, spec, before, &mut row)?;
     let (after_s, steps) = (row.detected_s, row.steps_after);
     require!(row: after_s.is_some(); "not detected");
@@ -136,21 +136,21 @@ pub fn fly(
 
 /// Brings the machine into the situation in which the fault is injected.
 fn enter(bench: &mut Bench, spec: &Spec) -> Result<CycleOutput, MachineError> {
-    if spec.situation == Situation::Calibrating {
+    if spec.mode == Mode::Calibrating {
         bench.turn(Some(Order::Calibrate(true)))?;
     }
     bench.turn(Some(bend(spec.target.0, spec.target.1)))?;
-    let held = spec.situation == Situation::Held;
+    let held = spec.mode == Mode::Holding;
     let output = bench.run(if held { HELD_S } else { MID_MOTION_S })?;
-    match spec.situation {
-        Situation::Relaxing => bench.turn(Some(Order::Relax))?,
-        Situation::Returning => {
+    match spec.mode {
+        Mode::Relaxing => bench.turn(Some(Order::Relax))?,
+        Mode::Faulted => {
             bench.runner.machine.emergency_stop = true;
             bench.turn(None)?;
             bench.runner.machine.emergency_stop = false;
             bench.turn(None)?
         }
-        Situation::Moving | Situation::Held | Situation::Calibrating => return Ok(output),
+        _ => return Ok(output),
     };
     bench.run(MID_MOTION_S)
 }

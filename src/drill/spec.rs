@@ -33,34 +33,6 @@ pub enum Injection {
     Stop,
 }
 
-/// What the machine does when the fault is injected.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Situation {
-    /// It moves to the target.
-    Moving,
-    /// It holds the target.
-    Held,
-    /// It returns to rest.
-    Relaxing,
-    /// The gate has tripped and returns to rest.
-    Returning,
-    /// A calibration moves it.
-    Calibrating,
-}
-
-impl Situation {
-    /// The mode of the supervisor.
-    pub fn mode(self) -> Mode {
-        match self {
-            Self::Moving => Mode::Tracking,
-            Self::Held => Mode::Holding,
-            Self::Relaxing => Mode::Relaxing,
-            Self::Returning => Mode::Faulted,
-            Self::Calibrating => Mode::Calibrating,
-        }
-    }
-}
-
 /// What counts as detection.
 #[derive(Debug, Clone, Copy)]
 pub enum Detector {
@@ -121,8 +93,9 @@ pub struct Spec {
     pub by_hand: bool,
     /// Bend and direction of the move during which the fault is injected, degrees.
     pub target: (f64, f64),
-    /// What happens when it is injected.
-    pub situation: Situation,
+    /// Mode in which it is injected: in a move, at a held pose, on the return to rest, on the return of a gate that has tripped,
+    /// or in a calibration.
+    pub mode: Mode,
     /// Longest time until the detection, s.
     pub within_s: f64,
     /// The base carries an IMU, and sways by so much, degrees.
@@ -147,7 +120,7 @@ impl Spec {
             zero: false,
             by_hand: false,
             target: (68.0, 80.0),
-            situation: Situation::Moving,
+            mode: Mode::Tracking,
             within_s: WITHIN_S,
             base_sway_deg: None,
         }
@@ -180,10 +153,10 @@ impl Spec {
         self
     }
 
-    /// With another situation.
+    /// With another mode.
     #[must_use]
-    pub fn when(self, situation: Situation) -> Self {
-        Self { situation, ..self }
+    pub fn when(self, mode: Mode) -> Self {
+        Self { mode, ..self }
     }
 
     /// With a rack put back by hand.

@@ -3,10 +3,10 @@
 //! The true bend is that of the estimator, [`Bend::nearest`]: where the tip has twisted, half of the twist is in its
 //! direction. The bend angle β is the same in every definition.
 
-use crate::control::{Command, LoopState};
+use crate::control::Command;
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
-use crate::model::Bend;
+use crate::model::{Bend, Line};
 use crate::primitives::{Base, Mm, Rotation, Tip};
 use serde::Serialize;
 
@@ -109,7 +109,12 @@ pub fn run(
             progress();
         }
     }
-    Ok(summary(name, held, &rig.state))
+    Ok(summary(
+        name,
+        held,
+        rig.state.lines(),
+        rig.state.line_sigmas(),
+    ))
 }
 
 impl Held {
@@ -202,7 +207,7 @@ pub fn percentile(values: impl IntoIterator<Item = f64>, share: f64) -> f64 {
     sorted.get(at).or(sorted.last()).copied().unwrap_or(0.0)
 }
 
-fn summary(name: &str, held: Vec<Held>, state: &LoopState) -> ArmResult {
+fn summary(name: &str, held: Vec<Held>, lines: &[Line; 3], sigma_end: [[f64; 2]; 3]) -> ArmResult {
     let rms = |f: fn(&Held) -> f64| root_mean(held.iter().map(f));
     let settle = |share: f64| percentile(held.iter().map(|h| h.settle_s.unwrap_or(HOLD_S)), share);
     let count = |f: fn(&Held) -> bool| held.iter().filter(|h| f(h)).count();
@@ -220,9 +225,9 @@ fn summary(name: &str, held: Vec<Held>, state: &LoopState) -> ArmResult {
         blocked: count(|h| h.blocked),
         base_moved: count(|h| h.base_moved),
         stopped: count(|h| h.stopped),
-        k_eps_end: state.lines().map(|l| l.k_epsilon),
-        k_lambda_end_mm: state.lines().map(|l| l.k_lambda_mm),
-        sigma_end: state.line_sigmas(),
+        k_eps_end: lines.map(|l| l.k_epsilon),
+        k_lambda_end_mm: lines.map(|l| l.k_lambda_mm),
+        sigma_end,
         held,
     }
 }
@@ -230,10 +235,13 @@ fn summary(name: &str, held: Vec<Held>, state: &LoopState) -> ArmResult {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    use crate::control::LoopConfig;
     use crate::primitives::units::Rad;
     use nalgebra::{UnitQuaternion, Vector3};
+
+    const LINES: [Line; 3] = [Line {
+        k_epsilon: 2.2,
+        k_lambda_mm: 0.9,
+    }; 3];
 
     fn twisted(bend: Bend, twist: f64) -> Rotation<Base, Tip> {
         Rotation::assert_frames(
@@ -269,7 +277,7 @@ mod tests {
         };
         let of = |times: &[Option<f64>]| {
             let held = times.iter().map(|&t| state(t)).collect();
-            summary("closed", held, &LoopState::new(&LoopConfig::default()))
+            summary("closed", held, &LINES, [[0.0; 2]; 3])
         };
         let r = of(&[Some(0.2), Some(0.4), Some(0.3), None]);
         assert_eq!(

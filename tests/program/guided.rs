@@ -19,7 +19,7 @@ use retroflex::primitives::units::{Mm, Seconds};
 use retroflex::service::protocol::Request;
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::plant::config::PlantConfig;
-use retroflex::simulation::plant::{Output, imu::ImuFaults};
+use retroflex::simulation::plant::{ImuFaults, Output};
 use retroflex::simulation::sim::Sim;
 use retroflex::supervisor::cycle::order::{Order, Refusal};
 use retroflex::supervisor::cycle::runner::Runner;

@@ -4,6 +4,7 @@ use crate::primitives::{Base, ImuSample, Rotation, Seconds, Steps, Tip, World};
 use crate::simulation::plant::bellows::Bellows;
 use crate::simulation::plant::config::PlantConfig;
 use crate::simulation::plant::drive::Drive;
+use crate::simulation::plant::effects::contact::{Contact, Touching};
 use crate::simulation::plant::fault::Faults;
 use crate::simulation::plant::imu::{Imu, Surroundings};
 use crate::simulation::plant::law::{Laws, Moment, Step, each};
@@ -14,18 +15,21 @@ use crate::simulation::plant::shape::{Pose, Shape};
 use crate::simulation::plant::stand::Stand;
 use nalgebra::Vector3;
 
+/// Give of an injected wall, degrees of bend: soft tissue.
+const WALL_GIVE_DEG: f64 = 4.0;
+
 /// A running plant.
 #[derive(Debug)]
 pub struct Plant {
     /// The configuration that it was built from.
     pub config: PlantConfig,
-    pub(crate) t: f64,
-    pub(crate) laws: Laws,
-    pub(crate) drive: Drive,
-    pub(crate) line: Line,
-    pub(crate) bellows: Bellows,
-    pub(crate) shape: Shape,
-    pub(crate) stand: Stand,
+    t: f64,
+    laws: Laws,
+    drive: Drive,
+    line: Line,
+    bellows: Bellows,
+    shape: Shape,
+    stand: Stand,
     r_base_plate: Rotation<Base, Plate>,
     field_ut: Vector3<f64>,
     sensed_t: f64,
@@ -143,6 +147,42 @@ impl Plant {
             base_imu,
             truth,
         }
+    }
+
+    /// Lets the rotor of a channel fall behind by microsteps that nothing counts; below 0 it runs ahead.
+    pub fn slip(&mut self, channel: usize, microsteps: i32) {
+        self.drive.rotor[channel] -= f64::from(microsteps);
+    }
+
+    /// Turns the base about an axis in the world of any length but 0, within a time; 0 is instantaneous.
+    pub fn turn_base(&mut self, axis: [f64; 3], angle_deg: f64, over_s: f64) {
+        let axis = Vector3::from(axis).try_normalize(1e-9).unwrap_or_default();
+        self.stand
+            .begin_turn(axis * angle_deg.to_radians(), self.t, over_s);
+    }
+
+    /// Puts a soft wall in the way of the tip, at a bend in a direction, degrees.
+    pub fn put_wall(&mut self, at_deg: f64, direction_deg: f64) {
+        self.shape.wall = Some(Touching::new(Contact {
+            block: 1.0,
+            direction_deg,
+            at_deg,
+            give_deg: WALL_GIVE_DEG,
+            ..Contact::default()
+        }));
+    }
+
+    /// Opens the lines, pistons at zero, and closes them again: the air that leaked flows back.
+    pub fn vent(&mut self) {
+        self.line.vent(&mut self.laws);
+    }
+
+    /// Ends everything that was injected; consequences stay.
+    pub fn clear(&mut self) {
+        self.faults = Faults::default();
+        self.stand.settle(self.t);
+        self.shape.wall = None;
+        each(&mut self.laws, |law| law.release());
     }
 
     /// Samples that are due, with the drivers at `counts`.

@@ -215,7 +215,7 @@ impl PlantConfig {
         self.base.check()?;
         self.field.check()?;
         self.imu.check()?;
-        self.effects.validate()?;
+        self.effects.check()?;
         self.spread.check()
     }
 
@@ -231,7 +231,7 @@ impl PlantConfig {
         rng: &mut R,
     ) -> Result<Self, PlantError> {
         let mut rng = PlantRng::new(rng.next_u64(), Stream::Choice);
-        if self.effects.choose(name, severity, &mut rng) {
+        if self.effects.draw(name, severity, &mut rng) {
             return Ok(self);
         }
         let known: Vec<_> = effect_names().map(|e| e.name).collect();
@@ -250,11 +250,14 @@ impl PlantConfig {
         self
     }
 
-    /// The chip on the base: of the same make as the tip's, with its own mount.
+    /// The chip on the base: of the same make as the tip's, with its own mount and no constant bias.
     pub(crate) fn base_imu(&self) -> ImuConfig {
         let turned = rotation(self.imu.mount_deg) * rotation(self.base.imu_mount_deg);
         ImuConfig {
             mount_deg: turned.scaled_axis().map(f64::to_degrees).into(),
+            gyro_bias_deg_s: [0.0; 3],
+            acc_bias_mg: [0.0; 3],
+            mag_bias_ut: [0.0; 3],
             ..self.imu.clone()
         }
     }

@@ -1,13 +1,9 @@
 //! Faults that are injected while the plant runs.
 //!
-//! A fault acts from the step after its injection until all are cleared. Clearing ends the cause, not the
+//! A fault acts from the step after its injection until all are cleared (`Plant::clear`). Clearing ends the cause, not the
 //! consequence: lost steps stay lost, escaped air is gone, a base that was turned stays turned.
 
 use crate::model::Bend;
-use crate::simulation::plant::chain::Plant;
-use crate::simulation::plant::effects::contact::{Contact, Touching};
-use crate::simulation::plant::imu::ImuFaults;
-use crate::simulation::plant::law::each;
 use nalgebra::Vector3;
 
 /// The faults that act at present. Channels count from 0.
@@ -55,43 +51,35 @@ impl Default for Faults {
 
 /// Rate at which a line that comes off, or a torn bellow, empties, 1/s: within a tenth of a second.
 pub const BURST_PER_S: f64 = 25.0;
-/// Give of an injected wall, degrees of bend: soft tissue.
-const WALL_GIVE_DEG: f64 = 4.0;
 
-impl Plant {
-    /// Lets the rotor of a channel fall behind by microsteps that nothing counts; below 0 it runs ahead.
-    pub fn slip(&mut self, channel: usize, microsteps: i32) {
-        self.drive.rotor[channel] -= f64::from(microsteps);
-    }
+/// Injected faults of an IMU.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct ImuFaults {
+    /// Every sample repeats the last one under a new time stamp.
+    pub frozen: bool,
+    /// Readings contain NaN.
+    pub nan: bool,
+    /// Rate and force read full scale.
+    pub saturated: bool,
+    /// Added to the next sample only, on every axis: rate, °/s, and force, g.
+    pub spike: Option<(f64, f64)>,
+    /// Added to every rate, °/s.
+    pub rate_deg_s: [f64; 3],
+    /// Of the samples of the IMU on the base, only one in so many comes; those since the last one.
+    pub slow: Option<(u32, u32)>,
+    /// Added to the field in the axes of the chip, µT: a magnet at the chip itself.
+    pub field_ut: Vector3<f64>,
+}
 
-    /// Turns the base about an axis in the world of any length but 0, within a time; 0 is instantaneous.
-    pub fn turn_base(&mut self, axis: [f64; 3], angle_deg: f64, over_s: f64) {
-        let axis = Vector3::from(axis).try_normalize(1e-9).unwrap_or_default();
-        self.stand
-            .begin_turn(axis * angle_deg.to_radians(), self.t, over_s);
-    }
+impl ImuFaults {
+    /// [`slow`](Self::slow) for an IMU on the base of which no sample comes.
+    pub const SILENT: Option<(u32, u32)> = Some((u32::MAX, 0));
 
-    /// Puts a soft wall in the way of the tip, at a bend in a direction, degrees.
-    pub fn put_wall(&mut self, at_deg: f64, direction_deg: f64) {
-        self.shape.wall = Some(Touching::new(Contact {
-            block: 1.0,
-            direction_deg,
-            at_deg,
-            give_deg: WALL_GIVE_DEG,
-            ..Contact::default()
-        }));
-    }
-
-    /// Opens the lines, pistons at zero, and closes them again: the air that leaked flows back.
-    pub fn vent(&mut self) {
-        self.line.vent(&mut self.laws);
-    }
-
-    /// Ends everything that was injected; consequences stay.
-    pub fn clear(&mut self) {
-        self.faults = Faults::default();
-        self.stand.settle(self.t);
-        self.shape.wall = None;
-        each(&mut self.laws, |law| law.release());
+    /// Whether a sample comes.
+    pub(crate) fn passes(&mut self) -> bool {
+        self.slow.as_mut().is_none_or(|(one_in, since)| {
+            *since = (*since + 1) % *one_in;
+            *since == 0
+        })
     }
 }

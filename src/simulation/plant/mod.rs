@@ -28,5 +28,5 @@ mod unit;
 pub use chain::{Output, Plant, Truth};
 pub use config::PlantConfig;
 pub use effects::{EffectName, effect_names};
-pub use fault::{BURST_PER_S, Faults};
+pub use fault::{BURST_PER_S, Faults, ImuFaults};
 pub use parameters::PlantError;

@@ -88,21 +88,23 @@ macro_rules! table {
 
         impl $table {
             /// Refuses parameters outside their ranges.
-            fn check(&self) -> Result<(), PlantError> {
+            pub(crate) fn check(&self) -> Result<(), PlantError> {
                 $( if let Some(effect) = &self.$name { effect.check().and_then(|()| effect.consistent())?; } )*
+                $( self.$nested.check()?; )?
                 Ok(())
             }
-            /// Draws the named effect; false if this table has no such effect.
-            fn draw(&mut self, name: &str, severity: f64, rng: &mut PlantRng) -> bool {
+            /// Sets the named effect to a random one of its typical range; false if there is no such name.
+            pub(crate) fn draw(&mut self, name: &str, severity: f64, rng: &mut PlantRng) -> bool {
                 match name {
                     $( stringify!($name) => self.$name = Some(PlantEffect::draw(severity, rng)), )*
-                    _ => return false,
+                    _ => return false $(|| self.$nested.draw(name, severity, rng))?,
                 }
                 true
             }
             /// Scales every effect that is present by a random factor of its own.
             fn vary(&mut self, sigma: f64, rng: &mut PlantRng) {
                 $( if let Some(effect) = &mut self.$name { effect.scale(rng.factor(sigma)); } )*
+                $( self.$nested.vary(sigma, rng); )?
             }
             /// The imperfections of a real unit, all of them.
             #[allow(clippy::needless_update)] // the table of the catalogue has one more field than its effects
@@ -118,6 +120,7 @@ macro_rules! table {
                 $( if let Some(e) = self.$name.as_ref().filter(|e| e.is_active()) {
                     laws.push((table!(@order $($order)?), e.law(unit)));
                 } )*
+                $( self.$nested.add_laws(laws, unit); )?
             }
         }
     };
@@ -180,14 +183,6 @@ table! {
 }
 
 impl Effects {
-    pub(crate) fn validate(&self) -> Result<(), PlantError> {
-        self.check()?;
-        self.outside.check()
-    }
-    /// Sets the named effect to a random one of its typical range; false if there is no such name.
-    pub(crate) fn choose(&mut self, name: &str, severity: f64, rng: &mut PlantRng) -> bool {
-        self.draw(name, severity, rng) || self.outside.draw(name, severity, rng)
-    }
     /// Adds the imperfections that no real unit is without, each with even odds. What is set is left alone.
     pub(crate) fn add_background(&mut self, rng: &mut PlantRng) {
         let imperfections = Self::imperfections(&mut |size| size * rng.between(0.3, 1.0));
@@ -199,14 +194,12 @@ impl Effects {
     pub(crate) fn varied(&self, sigma: f64, rng: &mut PlantRng) -> Self {
         let mut unit = self.clone();
         unit.vary(sigma, rng);
-        unit.outside.vary(sigma, rng);
         unit
     }
     /// The laws of all effects of a size other than 0, in the order in which they act.
     pub(crate) fn laws(&self, unit: &UnitData) -> Laws {
         let mut laws = Vec::new();
         self.add_laws(&mut laws, unit);
-        self.outside.add_laws(&mut laws, unit);
         laws.sort_by_key(|(order, _)| *order);
         laws.into_iter().map(|(_, law)| law).collect()
     }

@@ -59,18 +59,6 @@ parameters! {
     }
 }
 
-impl ImuConfig {
-    /// The same make with no constant bias.
-    pub(crate) fn unbiased(&self) -> Self {
-        Self {
-            gyro_bias_deg_s: [0.0; 3],
-            acc_bias_mg: [0.0; 3],
-            mag_bias_ut: [0.0; 3],
-            ..self.clone()
-        }
-    }
-}
-
 /// One quantity of the chip in SI units.
 #[derive(Debug, Clone)]
 struct Axes {

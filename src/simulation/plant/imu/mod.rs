@@ -8,6 +8,7 @@ pub mod chip;
 pub(crate) mod stimulus;
 
 use crate::primitives::{ImuSample, Rotation, Seconds, Tip, World};
+use crate::simulation::plant::fault::ImuFaults;
 use crate::simulation::plant::law::{Laws, Moment, each};
 use crate::simulation::plant::rng::{PlantRng, Stream};
 use chip::{Chip, ImuConfig};
@@ -39,38 +40,6 @@ pub(crate) struct Imu {
     shown: Option<ImuSample>,
 }
 
-/// Injected faults of an IMU.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct ImuFaults {
-    /// Every sample repeats the last one under a new time stamp.
-    pub frozen: bool,
-    /// Readings contain NaN.
-    pub nan: bool,
-    /// Rate and force read full scale.
-    pub saturated: bool,
-    /// Added to the next sample only, on every axis: rate, °/s, and force, g.
-    pub spike: Option<(f64, f64)>,
-    /// Added to every rate, °/s.
-    pub rate_deg_s: [f64; 3],
-    /// Of the samples of the IMU on the base, only one in so many comes; those since the last one.
-    pub slow: Option<(u32, u32)>,
-    /// Added to the field in the axes of the chip, µT: a magnet at the chip itself.
-    pub field_ut: Vector3<f64>,
-}
-
-impl ImuFaults {
-    /// [`slow`](Self::slow) for an IMU on the base of which no sample comes.
-    pub const SILENT: Option<(u32, u32)> = Some((u32::MAX, 0));
-
-    /// Whether a sample comes.
-    pub(crate) fn passes(&mut self) -> bool {
-        self.slow.as_mut().is_none_or(|(one_in, since)| {
-            *since = (*since + 1) % *one_in;
-            *since == 0
-        })
-    }
-}
-
 impl Imu {
     /// The tip's IMU, at rest at `here`. The laws act on this one alone.
     pub(crate) fn tip(config: &ImuConfig, seed: u64, here: Surroundings, laws: &mut Laws) -> Self {
@@ -79,10 +48,9 @@ impl Imu {
         each(laws, |law| law.at_start(&stimulus));
         imu
     }
-    /// The base's IMU, of the same make but without bias.
+    /// The base's IMU.
     pub(crate) fn base(config: &ImuConfig, seed: u64, here: Surroundings) -> Self {
-        let rng = PlantRng::new(seed, Stream::BaseImu);
-        Self::new(&config.unbiased(), rng, here)
+        Self::new(config, PlantRng::new(seed, Stream::BaseImu), here)
     }
     fn new(config: &ImuConfig, rng: PlantRng, here: Surroundings) -> Self {
         let turn = Vector3::from(config.mount_deg).map(f64::to_radians);
