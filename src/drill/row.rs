@@ -62,7 +62,8 @@ impl FaultResult {
 /// Adds a failure to a row unless a condition is met: `require!(row: condition; "why not, as for format!")`.
 macro_rules! require {
     ($row:ident: $met:expr; $($why:tt)+) => {
-        if !$met {
+        let met: bool = $met;
+        if !met {
             $row.fail(format!($($why)+));
         }
     };

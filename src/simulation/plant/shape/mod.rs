@@ -70,9 +70,11 @@ impl Shape {
         bend += faults.push.0;
         let touched = match &mut self.wall {
             Some(wall) => wall.contact(&mut bend, at),
-            None => laws
-                .iter_mut()
-                .fold(false, |touched, law| law.contact(&mut bend, at) || touched),
+            None => {
+                let mut touched = false;
+                each(laws, |law| touched |= law.contact(&mut bend, at));
+                touched
+            }
         };
         Pose {
             r_plate_tip: oriented(&bend, at, laws),
