@@ -164,7 +164,6 @@ fn main() {
     let study = Study {
         config: assemble(&board, &calib, &Gains::default()),
         make: plant.make(),
-        period_s: plant.period_s,
         seed,
         units,
     };
@@ -175,7 +174,7 @@ fn main() {
             run(
                 &study.config,
                 &unit,
-                study.period_s,
+                study.make.period_s,
                 10 * (seed + n) + Arm::Closed as u64,
             )
         };

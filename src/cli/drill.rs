@@ -68,7 +68,8 @@ pub fn run(args: &Args) -> Result<bool> {
         gains: Gains::default(),
     };
     if let Some(folder) = &args.exercise {
-        process::exercise(&config, folder, args.harm).into_diagnostic()?;
+        let done = process::exercise(&config, folder, args.harm);
+        done.map_err(std::io::Error::other).into_diagnostic()?;
         return Ok(true);
     }
     if let Some(folder) = &args.recall {

@@ -5,11 +5,9 @@ use crate::config::{Board, Calibration, Gains};
 use crate::control::RestartState;
 use crate::estimation::fusion::health::{ImuReading, ReadFault};
 use crate::model::{Bend, Shape};
-use crate::motion::DriveLimits;
-use crate::motion::Inputs;
 use crate::primitives::{Base, Mm, Rotation, Seconds, Steps, Tip};
 use crate::simulation::lockstep::Lockstep;
-use crate::simulation::plant::{Channel, InjectedFault, PlantError};
+use crate::simulation::plant::{Plant, PlantError};
 use crate::simulation::sim::Sim;
 use crate::supervisor::{
     Alarm, CycleOutput, Machine, MachineError, MachineInfo, Order, Runner, Sensed, Supervisor,
@@ -31,46 +29,29 @@ pub struct FaultyMachine {
 }
 
 impl FaultyMachine {
-    /// A machine without faults.
-    pub fn new(sim: Sim, motion: &DriveLimits) -> Self {
-        Self {
-            inner: Lockstep::new(sim, motion),
-            bus: None,
-            stamp_offset_s: 0.0,
-            emergency_stop: false,
-            alarm: None,
-        }
-    }
-
-    /// Injects a fault into the plant.
-    pub fn inject(&mut self, fault: InjectedFault) {
-        self.inner.world.plant_mut().inject(fault);
+    /// The plant, for faults of its own.
+    pub fn plant(&mut self) -> &mut Plant {
+        &mut self.inner.world.plant
     }
 
     /// Puts the racks back to their marks by hand and vents the lines while the pistons are at zero. This restores lost
     /// steps and lost air.
     pub fn restore_racks(&mut self) {
-        self.inner.world.plant_mut().vent();
+        self.plant().vent();
         let step_mm = self.info().step_mm;
-        let Some(out) = self.inner.world.last() else {
+        let Some(out) = self.inner.world.last else {
             return;
         };
-        let lost = out
-            .truth
-            .play_output_mm
-            .map(|mm| (mm / step_mm).round() as i32);
-        for channel in Channel::ALL {
-            let microsteps = lost[channel.index()];
-            self.inject(InjectedFault::StepLoss {
-                channel,
-                microsteps,
-            });
+        let lost_mm = out.truth.play_output_mm;
+        for channel in 0..3 {
+            let microsteps = (lost_mm[channel] / step_mm).round() as i32;
+            self.plant().slip(channel, microsteps);
         }
     }
 
     /// Removes every fault. Consequences such as lost steps remain.
     pub fn clear_faults(&mut self) {
-        self.inner.world.plant_mut().clear();
+        self.plant().clear();
         (self.bus, self.stamp_offset_s, self.emergency_stop) = (None, 0.0, false);
         self.alarm = self.alarm.filter(Alarm::is_of_steps);
     }
@@ -84,10 +65,7 @@ impl Machine for FaultyMachine {
         if self.alarm.is_some_and(|alarm| alarm.is_of_steps()) {
             self.inner.fail();
         }
-        self.inner.inputs = Inputs {
-            emergency_stop: self.emergency_stop,
-            ..Inputs::default()
-        };
+        self.inner.inputs.emergency_stop = self.emergency_stop;
         let mut sensed = self.inner.turn(now, wanted)?;
         if let (Some(fault), ImuReading::Sample(..)) = (self.bus, sensed.imu) {
             sensed.imu = ImuReading::Failed(fault);
@@ -95,7 +73,7 @@ impl Machine for FaultyMachine {
         if let ImuReading::Sample(sample, quality) = &mut sensed.imu {
             sample.t.0 += self.stamp_offset_s;
             // share of the measuring range, as a driver computes it from the raw counts
-            let chip = &self.inner.world.unit().imu;
+            let chip = &self.inner.world.plant.config.imu;
             quality.gyro_load = sample.gyro_rad_s.amax().to_degrees() / chip.gyro_range_deg_s;
             quality.acc_load = sample.acc_m_s2.amax() / (chip.acc_range_g * 9.80665);
         }
@@ -137,20 +115,28 @@ pub struct Bench {
     pub runner: Runner<FaultyMachine>,
     /// Time, s.
     pub now_s: f64,
-    period_s: f64,
+    /// Period of a cycle, s.
+    pub period_s: f64,
     /// True orientation at the last alignment.
     straight: Option<Rotation<Base, Tip>>,
     truth: Option<Rotation<Base, Tip>>,
 }
 
 impl BenchConfig {
-    /// A simulated unit of the board's plant; `unit` and `noise` are seeds.
+    /// A simulated unit of the board's plant, without faults; `unit` and `noise` are seeds.
     ///
     /// # Errors
     /// [`PlantError`].
-    pub fn sim(&self, unit: u64, noise: u64) -> Result<Sim, PlantError> {
+    pub fn machine(&self, unit: u64, noise: u64) -> Result<FaultyMachine, PlantError> {
         let section = self.board.plant.clone().unwrap_or_default();
-        Sim::new(&section, unit, noise, section.period_s)
+        let sim = Sim::new(&section, unit, noise, section.period_s)?;
+        Ok(FaultyMachine {
+            inner: Lockstep::new(sim, &self.board.drive_limits()),
+            bus: None,
+            stamp_offset_s: 0.0,
+            emergency_stop: false,
+            alarm: None,
+        })
     }
 
     /// The configuration of its supervisor.
@@ -163,8 +149,7 @@ impl BenchConfig {
     /// # Errors
     /// [`PlantError`].
     pub fn bench(&self, unit: u64, noise: u64) -> Result<Bench, PlantError> {
-        let machine = FaultyMachine::new(self.sim(unit, noise)?, &self.board.drive_limits());
-        Ok(self.bench_on(machine, None, 0.0))
+        Ok(self.bench_on(self.machine(unit, noise)?, None, 0.0))
     }
 
     /// A bench with an existing machine, as after a restart.
@@ -175,12 +160,10 @@ impl BenchConfig {
         now_s: f64,
     ) -> Bench {
         let config = self.supervisor(machine.info());
-        let period_s = machine.info().period_s;
-        let runner = Runner::new(machine, Supervisor::new(config, restart));
         Bench {
-            runner,
             now_s,
-            period_s,
+            period_s: machine.info().period_s,
+            runner: Runner::new(machine, Supervisor::new(config, restart)),
             straight: None,
             truth: None,
         }
@@ -209,11 +192,6 @@ impl Bench {
             last = self.turn(None)?;
         }
         Ok(last)
-    }
-
-    /// Lets time pass without a cycle.
-    pub fn stall(&mut self, seconds: f64) {
-        self.now_s += seconds;
     }
 
     /// Runs until `holds`, at most for a time, s. Returns whether it came to hold.
@@ -262,15 +240,18 @@ impl Bench {
         self.turn(Some(Order::Arm))?;
         self.run(0.05)
     }
-
-    /// Period of a cycle, s.
-    pub fn period_s(&self) -> f64 {
-        self.period_s
-    }
 }
 
 /// An order to bend; angles in degrees.
 pub fn bend(bend_deg: f64, dir_deg: f64) -> Order {
     let (bend, length) = (Bend::from_deg(bend_deg, dir_deg), Mm(20.0));
     Order::Bend(Shape { bend, length }, None)
+}
+
+/// Microsteps between two positions, all channels.
+pub fn distance(a: &Steps, b: &Steps) -> i64 {
+    let pairs = a.0.into_iter().zip(b.0);
+    pairs
+        .map(|(a, b)| (i64::from(a) - i64::from(b)).abs())
+        .sum()
 }

@@ -3,15 +3,17 @@
 use crate::drill::bench::bend;
 use crate::drill::spec::Bound::{self, Brakes, Continues, Copes, Freezes, Holds};
 use crate::drill::spec::Detector::{self, Trip};
-use crate::drill::spec::{Injection, Situation, Spec};
+use crate::drill::spec::{Injection, Spec};
 use crate::estimation::fusion::health::{HealthCause, ReadFault as Read};
 use crate::model::{Bend, Shape};
 use crate::primitives::Mm;
-use crate::simulation::plant::{Channel, InjectedFault as Fault};
-use crate::supervisor::{Alarm, Order, Refusal, SuspicionKind, TripCause};
+use crate::simulation::plant::{BURST_PER_S, ImuFaults, Plant};
+use crate::supervisor::{Alarm, Mode, Order, Refusal, SuspicionKind, TripCause};
 
 /// Channel of the faults that concern one channel.
-const CHANNEL: Channel = Channel::Two;
+const CHANNEL: usize = 1;
+/// A single wrong sample: rate, °/s, and force, g.
+const SPIKE: Option<(f64, f64)> = Some((400.0, 2.0));
 /// Duration of a lasting fault, s: longer than it is observed.
 const LASTING_S: f64 = 10.0;
 const MOVING: &[&str] = &["holding", "tracking"];
@@ -43,33 +45,37 @@ fn sensor(
     Spec::new(name, injection, Detector::Sensor(causes), bound, states)
 }
 
-fn plant(name: &'static str, fault: Fault, kinds: &'static [SuspicionKind]) -> Spec {
+fn plant(name: &'static str, fault: fn(&mut Plant), kinds: &'static [SuspicionKind]) -> Spec {
     Spec::new(name, lasting(fault), Detector::Residual(kinds), Copes, ANY)
 }
 
-fn lasting(fault: Fault) -> Injection {
+fn lasting(fault: fn(&mut Plant)) -> Injection {
     Injection::Plant(fault, LASTING_S)
 }
 
+/// Turns the base about an axis that is neither the tip's nor perpendicular to it.
+fn turn_base(plant: &mut Plant, angle_deg: f64) {
+    plant.turn_base([0.3, 0.2, 1.0], angle_deg, 0.6);
+}
+
 fn sensor_faults() -> Vec<Spec> {
-    use Fault::{FrozenSample, NanSample};
     use HealthCause::{BrownOut, Frozen, NotFinite, Saturated, Spike, WrongId};
     use HealthCause::{Nack, ShortRead, StaleTimestamp, StuckBus};
     let nack = Injection::Bus(Read::Nack, 0.02);
     let bus = |fault| Injection::Bus(fault, LASTING_S);
     let no_data: &[HealthCause] = &[Nack, StuckBus, ShortRead, StaleTimestamp];
-    let (gyro_deg_s, acc_g) = (400.0, 2.0);
-    let spike = Injection::Plant(Fault::Spike { gyro_deg_s, acc_g }, 0.05);
-    let saturated = lasting(Fault::Saturation);
-    let deg_s = [2.0, -2.0, 1.0];
-    let biased = lasting(Fault::GyroBias { deg_s });
+    let frozen = lasting(|p| p.faults.imu.frozen = true);
+    let nan = lasting(|p| p.faults.imu.nan = true);
+    let spike = Injection::Plant(|p| p.faults.imu.spike = SPIKE, 0.05);
+    let saturated = lasting(|p| p.faults.imu.saturated = true);
+    let biased = lasting(|p| p.faults.imu.rate_deg_s = [2.0, -2.0, 1.0]);
     vec![
         sensor("i2c_nack", nack, no_data, Continues),
         sensor("i2c_stuck", bus(Read::Bus), no_data, Holds),
         sensor("i2c_wrong_id", bus(Read::WrongId), &[WrongId], Holds),
         sensor("i2c_brown_out", bus(Read::BrownOut), &[BrownOut], Holds),
-        sensor("sample_frozen", lasting(FrozenSample), &[Frozen], Holds),
-        sensor("sample_nan", lasting(NanSample), &[NotFinite], Holds),
+        sensor("sample_frozen", frozen, &[Frozen], Holds),
+        sensor("sample_nan", nan, &[NotFinite], Holds),
         sensor("sample_spike", spike, &[Spike, Saturated], Continues),
         sensor("sample_saturated", saturated, &[Saturated, Spike], Holds),
         Spec::new("sample_biased", biased, Detector::Bias, Copes, ANY).then_zero(),
@@ -78,36 +84,33 @@ fn sensor_faults() -> Vec<Spec> {
 
 fn plant_faults() -> Vec<Spec> {
     use SuspicionKind::{Burst, Contact, Inverted, Leak, LostSteps, NoResponse, Strong, Weak};
-    let channel = CHANNEL;
-    let loss = Fault::StepLoss {
-        channel,
-        microsteps: 160,
-    };
-    let leak = Fault::Leak {
-        channel,
-        rate_per_s: 0.1,
-    };
-    let (inverted, blocked) = (Fault::Inverted { channel }, Fault::Blocked { channel });
-    let stop = |at_mm| Fault::EndStop { channel, at_mm };
-    let bubble = |factor| Fault::AirBubble { channel, factor };
-    let gain = |factor| Fault::Gain { channel, factor };
-    let mut rows = vec![
+    let loss: fn(&mut Plant) = |p| p.slip(CHANNEL, 160);
+    let inverted: fn(&mut Plant) = |p| p.faults.drive_gain[CHANNEL] = -1.0;
+    let disabled: fn(&mut Plant) = |p| p.faults.drive_gain[CHANNEL] = 0.0;
+    let stop: fn(&mut Plant) = |p| p.faults.stop_mm[CHANNEL] = Some(11.5);
+    let by_hand = [
         plant("step_loss", loss, &[LostSteps, Weak, Leak, Contact]),
         plant("dir_inverted", inverted, &[Inverted, NoResponse]),
-        plant("en_stuck", Fault::Disabled { channel }, &[NoResponse, Weak]),
+        plant("en_stuck", disabled, &[NoResponse, Weak]),
         // only a move that goes far reaches the stop
-        plant("end_stop", stop(11.5), &[NoResponse, Weak]).toward(78.0, 62.0),
+        plant("end_stop", stop, &[NoResponse, Weak]).toward(78.0, 62.0),
     ];
-    rows = rows.into_iter().map(Spec::by_hand).collect();
-    rows.extend([
+    let leak: fn(&mut Plant) = |p| p.faults.leak_per_s[CHANNEL] = 0.1;
+    let burst: fn(&mut Plant) = |p| p.faults.leak_per_s[CHANNEL] = BURST_PER_S;
+    let bubble: fn(&mut Plant) = |p| p.faults.compliance[CHANNEL] = 1.8;
+    let blocked: fn(&mut Plant) = |p| p.faults.blocked[CHANNEL] = true;
+    let half: fn(&mut Plant) = |p| p.faults.bellow_gain[CHANNEL] = 0.5;
+    let double: fn(&mut Plant) = |p| p.faults.bellow_gain[CHANNEL] = 2.0;
+    let lines = [
         plant("leak", leak, &[Leak, Weak]),
-        plant("burst", Fault::Burst { channel }, &[Burst, NoResponse]),
-        plant("air_bubble", bubble(1.8), &[Weak, Leak]),
+        plant("burst", burst, &[Burst, NoResponse]),
+        plant("air_bubble", bubble, &[Weak, Leak]),
         plant("blocked_line", blocked, &[NoResponse, Weak]),
-        plant("gain_half", gain(0.5), &[Weak, Burst, NoResponse]),
-        plant("gain_double", gain(2.0), &[Strong]),
-    ]);
-    rows.into_iter().map(Spec::then_zero).collect()
+        plant("gain_half", half, &[Weak, Burst, NoResponse]),
+        plant("gain_double", double, &[Strong]),
+    ];
+    let rows = by_hand.into_iter().map(Spec::by_hand).chain(lines);
+    rows.map(Spec::then_zero).collect()
 }
 
 fn timing_faults() -> Vec<Spec> {
@@ -169,69 +172,59 @@ fn order_faults() -> Vec<Spec> {
 
 /// A stop in every situation; orders to move follow it a hundred times a second.
 fn stops() -> Vec<Spec> {
-    let stop = |name, situation, states| {
+    let stop = |name, mode, states| {
         let spec = Spec::new(name, Injection::Stop, Detector::Stopped, Brakes, states);
-        spec.within(0.002).when(situation)
+        spec.within(0.002).when(mode)
     };
     let held: &[&str] = &["holding"];
     vec![
-        stop("stop_in_motion", Situation::Moving, held),
-        stop("stop_while_held", Situation::Held, held),
-        stop("stop_while_relaxing", Situation::Relaxing, held),
-        stop("stop_while_the_gate_returns", Situation::Returning, FAULTED),
-        stop("stop_while_calibrating", Situation::Calibrating, held),
+        stop("stop_in_motion", Mode::Tracking, held),
+        stop("stop_while_held", Mode::Holding, held),
+        stop("stop_while_relaxing", Mode::Relaxing, held),
+        stop("stop_while_the_gate_returns", Mode::Faulted, FAULTED),
+        stop("stop_while_calibrating", Mode::Calibrating, held),
     ]
 }
 
 /// Faults of the IMU on a base that sways. Where it is lost, the loop goes on as without one.
 fn base_imu_faults() -> Vec<Spec> {
-    use Fault::{FrozenSample, NanSample, Saturation};
     use HealthCause::{FieldDisturbed, Frozen, NotFinite, Saturated, Spike, StaleTimestamp};
-    let row = |name, fault: &'static Fault, lasts_s, causes| {
-        let (injection, detector) = (
-            Injection::Plant(Fault::OfBaseImu(fault), lasts_s),
-            Detector::BaseImu(causes),
-        );
+    let row = |name, fault: fn(&mut Plant), lasts_s, causes| {
+        let (injection, detector) = (Injection::Plant(fault, lasts_s), Detector::BaseImu(causes));
         let spec = Spec::new(name, injection, detector, Continues, MOVING);
-        Spec {
-            base_sway_deg: Some(5.0),
-            ..spec.within(0.05)
-        }
+        spec.on_swaying_base(5.0).within(0.05)
     };
     let (late, loud): (&[HealthCause], &[HealthCause]) = (&[StaleTimestamp], &[Saturated, Spike]);
-    let spike = &Fault::Spike {
-        gyro_deg_s: 400.0,
-        acc_g: 2.0,
-    };
-    let magnet = &Fault::HardIron {
-        field_ut: [50.0, -40.0, 30.0],
+    let silent: fn(&mut Plant) = |p| p.faults.base_imu.slow = ImuFaults::SILENT;
+    let slow: fn(&mut Plant) = |p| p.faults.base_imu.slow = Some((50, 0));
+    let frozen: fn(&mut Plant) = |p| p.faults.base_imu.frozen = true;
+    let nan: fn(&mut Plant) = |p| p.faults.base_imu.nan = true;
+    let saturated: fn(&mut Plant) = |p| p.faults.base_imu.saturated = true;
+    let spike: fn(&mut Plant) = |p| p.faults.base_imu.spike = SPIKE;
+    let magnet: fn(&mut Plant) = |p| p.faults.base_imu.field_ut = [50.0, -40.0, 30.0].into();
+    let cable_out_in_turn: fn(&mut Plant) = |p| {
+        turn_base(p, 25.0);
+        p.faults.base_imu.slow = ImuFaults::SILENT;
     };
     let out = row(
         "base_imu_cable_out_in_turn",
-        &Fault::SILENT,
+        cable_out_in_turn,
         LASTING_S,
         late,
     );
     vec![
-        row("base_imu_silent", &Fault::SILENT, LASTING_S, late),
-        row("base_imu_dropout", &Fault::SILENT, 0.3, late),
-        row("base_imu_stuck", &FrozenSample, LASTING_S, &[Frozen]),
+        row("base_imu_silent", silent, LASTING_S, late),
+        row("base_imu_dropout", silent, 0.3, late),
+        row("base_imu_stuck", frozen, LASTING_S, &[Frozen]),
         row("base_imu_spike", spike, 0.05, loud),
-        row("base_imu_nan", &NanSample, LASTING_S, &[NotFinite]),
-        row("base_imu_saturated", &Saturation, LASTING_S, loud),
-        row(
-            "base_imu_slow",
-            &Fault::Slow { one_in: 50 },
-            LASTING_S,
-            late,
-        ),
+        row("base_imu_nan", nan, LASTING_S, &[NotFinite]),
+        row("base_imu_saturated", saturated, LASTING_S, loud),
+        row("base_imu_slow", slow, LASTING_S, late),
         row("base_imu_magnet", magnet, LASTING_S, &[FieldDisturbed]).within(0.1),
         // the base stands before and after the turn, and is aligned again
         Spec {
-            injection: Injection::CableOutInTurn,
-            base_sway_deg: Some(0.0),
             bound: Copes,
-            ..out.then_zero()
+            ..out.then_zero().on_swaying_base(0.0)
         },
     ]
 }
@@ -239,27 +232,17 @@ fn base_imu_faults() -> Vec<Spec> {
 fn environment_faults() -> Vec<Spec> {
     use HealthCause::{AccelDisturbed, FieldDisturbed, Spike};
     use SuspicionKind::{Burst, Contact, NoResponse, Strong, Weak};
-    let against = |at_deg, dir_deg| Fault::Wall { at_deg, dir_deg };
-    let push = |bend_deg, dir_deg| lasting(Fault::Push { bend_deg, dir_deg });
     let shaken = Detector::Sensor(&[AccelDisturbed, Spike]);
-    let field_ut = [40.0, -30.0, 20.0];
-    let magnet = lasting(Fault::Magnet { field_ut });
-    // about an axis that is neither the tip's nor perpendicular to it
-    let base = |name, angle_deg| {
-        let turn = Fault::BaseTurn {
-            axis: [0.3, 0.2, 1.0],
-            angle_deg,
-            over_s: 0.6,
-        };
-        Spec::new(name, lasting(turn), Detector::Base, Copes, ANY).then_zero()
-    };
-    let wall = against(48.0, 80.0);
+    let push = lasting(|p| p.faults.push = Bend::from_deg(15.0, 0.0));
+    let magnet = lasting(|p| p.faults.magnet_ut = [40.0, -30.0, 20.0].into());
+    let base = |name, turn| Spec::new(name, lasting(turn), Detector::Base, Copes, ANY).then_zero();
+    let wall: fn(&mut Plant) = |p| p.put_wall(48.0, 80.0);
     vec![
         plant("wall", wall, &[Contact, NoResponse, Weak, Strong, Burst]),
-        Spec::new("pushed", push(15.0, 0.0), shaken, Copes, ANY).then_zero(),
+        Spec::new("pushed", push, shaken, Copes, ANY).then_zero(),
         sensor("magnet", magnet, &[FieldDisturbed], Continues),
         // during a move, a small turn of the base cannot be distinguished from bending
-        base("base_turned", 25.0).when(Situation::Held),
-        base("base_turned_in_motion", 60.0),
+        base("base_turned", |p| turn_base(p, 25.0)).when(Mode::Holding),
+        base("base_turned_in_motion", |p| turn_base(p, 60.0)),
     ]
 }

@@ -57,12 +57,15 @@ impl FaultResult {
         }
         self.why.push_str(why.as_ref());
     }
-
-    /// Adds a failure unless `met`.
-    pub fn require<S: AsRef<str>>(&mut self, met: bool, why: impl FnOnce(&Self) -> S) {
-        if !met {
-            let why = why(self);
-            self.fail(why);
-        }
-    }
 }
+
+/// Adds a failure to a row unless a condition is met: `require!(row: condition; "why not, as for format!")`.
+macro_rules! require {
+    ($row:ident: $met:expr; $($why:tt)+) => {
+        let met: bool = $met;
+        if !met {
+            $row.fail(format!($($why)+));
+        }
+    };
+}
+pub(crate) use require;

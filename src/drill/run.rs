@@ -1,8 +1,8 @@
 //! One flight: bend, inject a fault during the next move, observe, repair, and bend again.
 
-use crate::drill::bench::{Bench, BenchConfig, bend};
-use crate::drill::row::FaultResult;
-use crate::drill::spec::{Bound, Detector, Injection, Situation, Spec};
+use crate::drill::bench::{Bench, BenchConfig, bend, distance};
+use crate::drill::row::{FaultResult, require};
+use crate::drill::spec::{Bound, Detector, Injection, Spec};
 use crate::supervisor::{CycleOutput, MachineError, Mode, Order, Refusal, SafeState};
 
 /// From the start of the move to the injection, s.
@@ -30,7 +30,8 @@ const AFTER: (f64, f64) = (35.0, 150.0);
 /// Microsteps that are allowed after a detection, all channels.
 #[derive(Debug, Clone, Copy)]
 pub struct Allowance {
-    stopping: i64,
+    /// What braking from full speed needs.
+    pub stopping: i64,
     braking: i64,
     moving: i64,
 }
@@ -50,30 +51,20 @@ impl Allowance {
         let stopping = steps(motion.braking_mm());
         let braking = steps(motion.braking_mm() + blind_mm);
         let mut moving = 0;
-        let Some(mut last) = take_off(&mut bench)? else {
-            return Ok(Self {
-                stopping,
-                braking,
-                moving,
-            });
-        };
-        bench.turn(Some(bend(TO.0, TO.1)))?;
-        for _ in 0..(OBSERVED_S / bench.period_s()) as usize {
-            let output = bench.turn(None)?;
-            moving += emitted(&last, &output);
-            last = output;
+        if let Some(mut last) = take_off(&mut bench)? {
+            bench.turn(Some(bend(TO.0, TO.1)))?;
+            for _ in 0..(OBSERVED_S / bench.period_s) as usize {
+                let output = bench.turn(None)?;
+                moving += distance(&last.counted, &output.counted);
+                last = output;
+            }
+            moving = 2 * moving + (3.0 * gate.travel_mm / gate.step_mm) as i64;
         }
-        moving = 2 * moving + (3.0 * gate.travel_mm / gate.step_mm) as i64;
         Ok(Self {
             stopping,
             braking,
             moving,
         })
-    }
-
-    /// Microsteps that braking from full speed needs.
-    pub fn stopping(&self) -> i64 {
-        self.stopping
     }
 
     fn of(&self, bound: Bound) -> i64 {
@@ -84,13 +75,6 @@ impl Allowance {
             Bound::Continues | Bound::Copes => self.moving,
         }
     }
-}
-
-fn emitted(before: &CycleOutput, after: &CycleOutput) -> i64 {
-    let pairs = after.counted.0.into_iter().zip(before.counted.0);
-    pairs
-        .map(|(now, then)| (i64::from(now) - i64::from(then)).abs())
-        .sum()
 }
 
 /// Aligns, arms and moves to the first pose; `None` if the alignment fails.
@@ -117,7 +101,7 @@ pub fn fly(
     let mut row = FaultResult::new(spec.name, requires).ending("boot");
     row.steps_allowed = steps_allowed;
     let mut config = config.clone();
-    if spec.situation == Situation::Returning {
+    if spec.mode == Mode::Faulted {
         config.board.safety.on.emergency_stop = SafeState::Relax;
     }
     if let (Some(sway_deg), Some(plant)) = (spec.base_sway_deg, &mut config.board.plant) {
@@ -131,52 +115,42 @@ pub fn fly(
         return Ok(row);
     }
     let before = enter(&mut bench, spec)?;
-    let mode = before.mode;
-    row.require(mode == spec.situation.mode(), |_| {
-        format!("injected in mode {mode}")
-    });
+    require!(row: before.mode == spec.mode; "injected in mode {}", before.mode);
     let last = observe(&mut bench, spec, before, &mut row)?;
     let (after_s, steps) = (row.detected_s, row.steps_after);
-    row.require(after_s.is_some(), |_| "not detected");
-    let in_time = after_s.is_none_or(|s| s <= spec.within_s);
-    row.require(in_time, |_| format!("detected after {after_s:?} s"));
-    row.require(steps <= steps_allowed, |_| {
-        format!("{steps} microsteps after the detection")
-    });
-    let ends = spec.states.contains(&row.state.as_str());
-    row.require(ends, |row| format!("final state {}", row.state));
+    require!(row: after_s.is_some(); "not detected");
+    require!(row: after_s.is_none_or(|s| s <= spec.within_s); "detected after {after_s:?} s");
+    require!(row: steps <= steps_allowed; "{steps} microsteps after the detection");
+    require!(row: spec.states.contains(&row.state.as_str()); "final state {}", row.state);
     let named = last.suspicion.map_or_else(String::new, |s| s.to_string());
-    row.require(spec.detector.accepts(&last), |_| {
-        format!("diagnosed as `{named}`")
-    });
+    require!(row: spec.detector.accepts(&last); "diagnosed as `{named}`");
     let error = recover(&mut bench, spec, &mut row)?;
     row.error_deg_after = error;
     let estimate = bench.runner.supervisor.state().fusion.estimate();
     let estimate = estimate.map_or(0.0, |f| f.bend.beta().to_degrees());
     let truth = bench.true_bend().beta().to_degrees();
-    row.require(error <= AFTER_MAX_DEG, |_| {
-        format!("error {error:.1}° after the repair (estimate {estimate:.1}°, truth {truth:.1}°)")
-    });
+    require!(row: error <= AFTER_MAX_DEG;
+        "error {error:.1}° after the repair (estimate {estimate:.1}°, truth {truth:.1}°)");
     Ok(row)
 }
 
 /// Brings the machine into the situation in which the fault is injected.
 fn enter(bench: &mut Bench, spec: &Spec) -> Result<CycleOutput, MachineError> {
-    if spec.situation == Situation::Calibrating {
+    if spec.mode == Mode::Calibrating {
         bench.turn(Some(Order::Calibrate(true)))?;
     }
     bench.turn(Some(bend(spec.target.0, spec.target.1)))?;
-    let held = spec.situation == Situation::Held;
+    let held = spec.mode == Mode::Holding;
     let output = bench.run(if held { HELD_S } else { MID_MOTION_S })?;
-    match spec.situation {
-        Situation::Relaxing => bench.turn(Some(Order::Relax))?,
-        Situation::Returning => {
+    match spec.mode {
+        Mode::Relaxing => bench.turn(Some(Order::Relax))?,
+        Mode::Faulted => {
             bench.runner.machine.emergency_stop = true;
             bench.turn(None)?;
             bench.runner.machine.emergency_stop = false;
             bench.turn(None)?
         }
-        Situation::Moving | Situation::Held | Situation::Calibrating => return Ok(output),
+        _ => return Ok(output),
     };
     bench.run(MID_MOTION_S)
 }
@@ -210,13 +184,13 @@ fn observe(
         if matches!(spec.injection, Injection::Stop) {
             let moves = output.order.is_some_and(|order| order.starts_motion());
             let refused = !moves || output.answer == Some(Err(Refusal::Stopped));
-            row.require(refused, |_| format!("{:?} was not refused", output.order));
-            let every = (RUNAWAY_S / bench.period_s()) as u64;
-            let due = ((elapsed_s / bench.period_s()) as u64).is_multiple_of(every);
+            require!(row: refused; "{:?} was not refused", output.order);
+            let every = (RUNAWAY_S / bench.period_s) as u64;
+            let due = ((elapsed_s / bench.period_s) as u64).is_multiple_of(every);
             order = due.then(|| bend(FURTHER.0, FURTHER.1));
         }
         if row.detected_s.is_some() {
-            row.steps_after += emitted(&last, &output);
+            row.steps_after += distance(&last.counted, &output.counted);
         } else if let Some(message) = spec.detector.detects(&output) {
             row.detected_s = Some((elapsed_s * 1e6).round() * 1e-6);
             row.message = message;
@@ -245,15 +219,12 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut FaultResult) -> Result<f64,
     }
     let mut stays = !spec.zero && bench.runner.supervisor.mode().moves();
     let mut zero = spec.zero;
-    if stays
-        || matches!(
-            spec.injection,
-            Injection::EmergencyStop
-                | Injection::Alarm(_)
-                | Injection::Bus(..)
-                | Injection::ClockJump(..)
-        )
-    {
+    use Injection::{Alarm, Bus, ClockJump, EmergencyStop};
+    let ends = matches!(
+        spec.injection,
+        EmergencyStop | Alarm(_) | Bus(..) | ClockJump(..)
+    );
+    if stays || ends {
         bench.runner.machine.clear_faults();
         // a tip that is released jumps, which can look like a moved base: then a new alignment is needed
         bench.until(20.0, |t| t.frame.senses.in_force.is_empty())?;
@@ -266,7 +237,7 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut FaultResult) -> Result<f64,
             let output = bench.run(0.1).and_then(|_| bench.turn(Some(Order::Reset)));
             output.is_ok_and(|t| t.answer == Some(Ok(())))
         });
-        row.require(accepted, |_| "the fault could not be reset within 10 s");
+        require!(row: accepted; "the fault could not be reset within 10 s");
     }
     if !stays {
         return_to_rest(bench, spec, zero, row)?;
@@ -277,19 +248,15 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut FaultResult) -> Result<f64,
         }
         bench.set_straight();
     }
-    let ready = bench.until(8.0, |t| t.mode != Mode::Aligning)?;
-    row.require(ready, |_| "not aligned again");
+    require!(row: bench.until(8.0, |t| t.mode != Mode::Aligning)?; "not aligned again");
     if bench.runner.supervisor.mode() == Mode::Disarmed {
         order(bench, Order::Arm, row)?;
         bench.run(0.05)?;
     }
     order(bench, bend(AFTER.0, AFTER.1), row)?;
     let output = bench.run(3.5)?;
-    let mode = output.mode;
-    row.require(mode == Mode::Holding, |_| {
-        format!("mode {mode} after the repair")
-    });
-    let (mut sum, n) = (0.0, (0.3 / bench.period_s()) as u32);
+    require!(row: output.mode == Mode::Holding; "mode {} after the repair", output.mode);
+    let (mut sum, n) = (0.0, (0.3 / bench.period_s) as u32);
     for _ in 0..n {
         bench.turn(None)?;
         sum += bench.error_deg(AFTER.0, AFTER.1);
@@ -308,8 +275,7 @@ fn return_to_rest(
         order(bench, Order::Relax, row)?;
     }
     let rests = |t: &CycleOutput| matches!(t.mode, Mode::Disarmed | Mode::Aligning | Mode::Lost);
-    let rested = bench.until(15.0, rests)?;
-    row.require(rested, |_| "did not return to rest");
+    require!(row: bench.until(15.0, rests)?; "did not return to rest");
     // at rest, a leaking line reaches the ambient pressure, at which it is closed again
     bench.run(if zero { VENT_S } else { 1.0 })?;
     bench.runner.machine.clear_faults();

@@ -49,10 +49,8 @@ pub fn run(
     progress: &mut dyn FnMut(f64),
 ) -> Result<Soak, MachineError> {
     let mut rng = StdRng::seed_from_u64(seed);
-    let specs: Vec<Spec> = specs()
-        .into_iter()
-        .filter(|spec| spec.base_sway_deg.is_none())
-        .collect();
+    let mut specs = specs();
+    specs.retain(|spec| spec.base_sway_deg.is_none());
     let prior = config.calibration.transmission.k_epsilon;
     let mut soak = Soak {
         gain_allowed: config.gains.refine.range,
@@ -66,8 +64,8 @@ pub fn run(
         while bench.now_s < SESSION_S {
             if !to_armed(&mut bench)? {
                 let mode = bench.runner.supervisor.mode();
-                soak.why
-                    .push(format!("session {session}: stuck in mode {mode}"));
+                let why = format!("session {session}: stuck in mode {mode}");
+                soak.why.push(why);
                 break;
             }
             soak.poses += 1;
@@ -136,13 +134,12 @@ fn one_move(
 fn assess(soak: &mut Soak) {
     let (range, allowed, [early, late]) = (soak.gain_range, soak.gain_allowed, soak.rss_kib);
     if range > allowed + 1e-9 {
-        soak.why.push(format!(
-            "a learned gain changed by {range:.2}, allowed is {allowed:.2}"
-        ));
+        let why = format!("a learned gain changed by {range:.2}, allowed is {allowed:.2}");
+        soak.why.push(why);
     }
     if late > early + early / 10 + 2048 {
-        soak.why
-            .push(format!("memory grew from {early} to {late} KiB"));
+        let why = format!("memory grew from {early} to {late} KiB");
+        soak.why.push(why);
     }
     soak.ok = soak.why.is_empty();
 }
@@ -153,11 +150,15 @@ fn restore_and_align(bench: &mut Bench) -> Result<(), MachineError> {
     bench.run(2.0)?;
     bench.runner.machine.restore_racks();
     bench.run(10.0)?;
-    bench.turn(Some(Order::Reset))?;
-    bench.turn(Some(Order::AssertStraight))?;
-    bench.until(8.0, |t| t.mode != Mode::Aligning)?;
+    align(bench)?;
     bench.set_straight();
     Ok(())
+}
+
+fn align(bench: &mut Bench) -> Result<bool, MachineError> {
+    bench.turn(Some(Order::Reset))?;
+    bench.turn(Some(Order::AssertStraight))?;
+    bench.until(8.0, |t| t.mode != Mode::Aligning)
 }
 
 /// Brings the machine from any state to an armed one, as an operator would.
@@ -170,9 +171,7 @@ fn to_armed(bench: &mut Bench) -> Result<bool, MachineError> {
             }
             // a fault that returns after a reset needs a new alignment
             Mode::Disarmed if attempt > 4 && bench.runner.supervisor.keep().steps.0 == [0; 3] => {
-                bench.turn(Some(Order::Reset))?;
-                bench.turn(Some(Order::AssertStraight))?;
-                bench.until(8.0, |t| t.mode != Mode::Aligning)?;
+                align(bench)?;
                 bench.arm()?;
             }
             Mode::Disarmed if attempt > 4 => {

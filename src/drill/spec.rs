@@ -4,7 +4,7 @@ use crate::drill::bench::Bench;
 use crate::estimation::fusion::health::{HealthCause, ReadFault};
 use crate::named;
 use crate::service::status::trip_message;
-use crate::simulation::plant::InjectedFault;
+use crate::simulation::plant::Plant;
 use crate::supervisor::{Alarm, CycleOutput, Mode, Order, Refusal, SuspicionKind, TripCause};
 
 /// Longest time until a detection unless a row states its own, s: the whole observation.
@@ -16,7 +16,7 @@ pub enum Injection {
     /// Every transfer fails for this long, s.
     Bus(ReadFault, f64),
     /// A fault of the plant, for this long, s.
-    Plant(InjectedFault, f64),
+    Plant(fn(&mut Plant), f64),
     /// The loop is delayed by this time, s.
     Stall(f64),
     /// Sensor time stamps jump by the first number, for as long as the second, s.
@@ -29,38 +29,8 @@ pub enum Injection {
     Order(Order),
     /// An order, and in the next cycle a contradictory one.
     Orders(Order, Order),
-    /// The cable of the IMU on the base comes off while the base turns by 25°.
-    CableOutInTurn,
     /// A stop, followed by orders to move as long as it is observed.
     Stop,
-}
-
-/// What the machine does when the fault is injected.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Situation {
-    /// It moves to the target.
-    Moving,
-    /// It holds the target.
-    Held,
-    /// It returns to rest.
-    Relaxing,
-    /// The gate has tripped and returns to rest.
-    Returning,
-    /// A calibration moves it.
-    Calibrating,
-}
-
-impl Situation {
-    /// The mode of the supervisor.
-    pub fn mode(self) -> Mode {
-        match self {
-            Self::Moving => Mode::Tracking,
-            Self::Held => Mode::Holding,
-            Self::Relaxing => Mode::Relaxing,
-            Self::Returning => Mode::Faulted,
-            Self::Calibrating => Mode::Calibrating,
-        }
-    }
 }
 
 /// What counts as detection.
@@ -123,8 +93,9 @@ pub struct Spec {
     pub by_hand: bool,
     /// Bend and direction of the move during which the fault is injected, degrees.
     pub target: (f64, f64),
-    /// What happens when it is injected.
-    pub situation: Situation,
+    /// Mode in which it is injected: in a move, at a held pose, on the return to rest, on the return of a gate that has tripped,
+    /// or in a calibration.
+    pub mode: Mode,
     /// Longest time until the detection, s.
     pub within_s: f64,
     /// The base carries an IMU, and sways by so much, degrees.
@@ -140,21 +111,18 @@ impl Spec {
         bound: Bound,
         states: &'static [&'static str],
     ) -> Self {
-        let (zero, by_hand, within_s) = (false, false, WITHIN_S);
-        let (target, situation) = ((68.0, 80.0), Situation::Moving);
-        let base_sway_deg = None;
         Self {
             name,
             injection,
             detector,
             bound,
             states,
-            zero,
-            by_hand,
-            target,
-            situation,
-            within_s,
-            base_sway_deg,
+            zero: false,
+            by_hand: false,
+            target: (68.0, 80.0),
+            mode: Mode::Tracking,
+            within_s: WITHIN_S,
+            base_sway_deg: None,
         }
     }
 
@@ -166,8 +134,7 @@ impl Spec {
 
     /// What the row requires, in words.
     pub fn words(&self, steps: i64, after_deg: f64) -> String {
-        let states = self.states.join(" or ");
-        let (within_s, bound) = (self.within_s, self.bound.name());
+        let (within_s, bound, states) = (self.within_s, self.bound, self.states.join(" or "));
         format!(
             "detected within {within_s} s; then {bound}, at most {steps} microsteps; ends {states}; next pose within {after_deg}°"
         )
@@ -181,26 +148,29 @@ impl Spec {
 
     /// With another bend and direction of the move, degrees.
     #[must_use]
-    pub fn toward(self, bend_deg: f64, dir_deg: f64) -> Self {
-        Self {
-            target: (bend_deg, dir_deg),
-            ..self
-        }
+    pub fn toward(mut self, bend_deg: f64, dir_deg: f64) -> Self {
+        self.target = (bend_deg, dir_deg);
+        self
     }
 
-    /// With another situation.
+    /// With another mode.
     #[must_use]
-    pub fn when(self, situation: Situation) -> Self {
-        Self { situation, ..self }
+    pub fn when(self, mode: Mode) -> Self {
+        Self { mode, ..self }
     }
 
     /// With a rack put back by hand.
     #[must_use]
-    pub fn by_hand(self) -> Self {
-        Self {
-            by_hand: true,
-            ..self
-        }
+    pub fn by_hand(mut self) -> Self {
+        self.by_hand = true;
+        self
+    }
+
+    /// With an IMU on a base that sways by so much, degrees.
+    #[must_use]
+    pub fn on_swaying_base(mut self, sway_deg: f64) -> Self {
+        self.base_sway_deg = Some(sway_deg);
+        self
     }
 }
 
@@ -210,16 +180,8 @@ impl Injection {
         let machine = &mut bench.runner.machine;
         match *self {
             Self::Bus(fault, _) => machine.bus = Some(fault),
-            Self::Plant(fault, _) => machine.inject(fault),
-            Self::CableOutInTurn => {
-                machine.inject(InjectedFault::BaseTurn {
-                    axis: [0.3, 0.2, 1.0],
-                    angle_deg: 25.0,
-                    over_s: 0.6,
-                });
-                machine.inject(InjectedFault::OfBaseImu(&InjectedFault::SILENT));
-            }
-            Self::Stall(seconds) => bench.stall(seconds),
+            Self::Plant(inject, _) => inject(machine.plant()),
+            Self::Stall(seconds) => bench.now_s += seconds,
             Self::ClockJump(seconds, _) => machine.stamp_offset_s = seconds,
             Self::EmergencyStop => machine.emergency_stop = true,
             Self::Alarm(alarm) => machine.alarm = Some(alarm),
@@ -248,6 +210,7 @@ impl Detector {
             let among = |cause: &TripCause| causes.is_empty() || causes.contains(cause);
             Some(trip_message(output.tripped.filter(among)?).to_owned())
         };
+        let bias = "the gyroscope bias has changed since the alignment: `zero` when convenient";
         match self {
             Self::Sensor(causes) => {
                 let found = causes.iter().find(|c| output.raised.contains(**c))?;
@@ -255,10 +218,7 @@ impl Detector {
             }
             Self::Residual(_) => suspicion().or_else(|| trip(&[])).or_else(|| {
                 let shaken = HealthCause::AccelDisturbed;
-                output
-                    .raised
-                    .contains(shaken)
-                    .then(|| shaken.advice().to_owned())
+                said(output.raised.contains(shaken), shaken.advice())
             }),
             Self::BaseImu(causes) => {
                 let found = causes.iter().find(|c| output.base_raised.contains(**c))?;
@@ -274,19 +234,14 @@ impl Detector {
                 let refusal = output.answer?.err().filter(|refusal| expected(*refusal))?;
                 Some(refusal.to_string())
             }
-            Self::Bias if output.bias_moved => said(
-                true,
-                "the gyroscope bias has changed since the alignment: `zero` when convenient",
-            ),
+            Self::Bias if output.bias_moved => said(true, bias),
             Self::Bias if output.frame.senses.disagrees => {
                 said(true, "the two orientation filters disagree")
             }
             Self::Bias => (!output.raised.is_empty()).then(|| output.raised.to_string()),
             Self::Base => {
-                let turned = said(
-                    output.frame.base_moved,
-                    "the base has turned: relax, then zero",
-                );
+                let moved = output.frame.base_moved;
+                let turned = said(moved, "the base has turned: relax, then zero");
                 turned.or_else(suspicion).or_else(|| trip(&[]))
             }
         }

@@ -1,15 +1,14 @@
 //! What each mechanism of loop and estimate contributes: the closed loop with one of them off at a time, under every condition of the
 //! sweep.
 
-use crate::control::{FeedbackConfig, LoopConfig};
-use crate::estimation::fusion::bend::BendFilterConfig;
+use crate::control::LoopConfig;
 use crate::estimation::fusion::estimator::EstimatorName;
 use crate::estimation::fusion::registry::FilterName;
 use crate::experiment::arm::{percentile, root_mean};
 use crate::experiment::evaluation::Arm;
 use crate::experiment::rig::RigError;
 use crate::experiment::schedule::HOLD_S;
-use crate::experiment::sweep::{Condition, DIRECTIONS, Study, TURN_DEG, rows};
+use crate::experiment::sweep::{Condition, Study, rows};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -21,90 +20,53 @@ const NEVER: f64 = 1e-6;
 /// Too large a standard deviation for anything to be believed.
 const ANY: f64 = 1e3;
 
+/// Lists mechanisms: a name, and what switches it off in the configuration of the whole loop, of the feedback if there is
+/// one, or of the bend filter.
+macro_rules! mechanisms {
+    ($($name:literal: $part:ident => $off:expr;)+) => {
+        [$(($name, |config| mechanisms!(@$part config, $off))),+]
+    };
+    (@whole $config:ident, $off:expr) => { with($config, $off) };
+    (@feedback $config:ident, $off:expr) => { $config.feedback.iter_mut().for_each(|f| with(f, $off)) };
+    (@filter $config:ident, $off:expr) => { with(&mut $config.fuse.bend, $off) };
+}
+
+fn with<T>(part: &mut T, off: fn(&mut T)) {
+    off(part);
+}
+
 /// The loop as configured, then each mechanism.
-pub const MECHANISMS: [Mechanism; 27] = [
-    ("nothing", |_| ()),
-    ("online k_eps, k_lambda", |c| c.refine.enabled = false),
-    ("learned curves", |c| {
-        feedback(c, |f| f.observer.curve_sigma = 0.0)
-    }),
-    ("learned plies", |c| {
-        feedback(c, |f| f.observer.ply_sigma = 0.0)
-    }),
-    ("learned creep", |c| {
-        feedback(c, |f| f.observer.creep_sigma = 0.0)
-    }),
-    ("learned leaks", |c| {
-        feedback(c, |f| f.observer.leak_sigma_1_s = 0.0)
-    }),
-    ("learned rotation and offset", |c| {
-        feedback(c, |f| {
-            (f.observer.rotation_sigma_deg, f.observer.offset_sigma_deg) = (0.0, 0.0)
-        })
-    }),
-    ("what no law explains", |c| {
-        feedback(c, |f| (f.observer.residual_deg, f.ki_1_s) = (NEVER, NEVER))
-    }),
-    ("dynamics bank", |c| {
-        feedback(c, |f| f.learn_dynamics = false)
-    }),
-    ("doubt about timing", |c| {
-        feedback(c, |f| {
-            (f.observer.timing_s, f.observer.timing_share) = (0.0, 0.0)
-        })
-    }),
-    ("periodic disturbance", |c| {
-        feedback(c, |f| f.periodic.enabled = false)
-    }),
-    ("rule for moving", |c| feedback(c, |f| f.caution = 0.0)),
-    ("free common length", |c| {
-        feedback(c, |f| f.free_length_mm = 0.0)
-    }),
-    ("slow corrections", |c| {
-        feedback(c, |f| f.calm.after_s = f64::INFINITY)
-    }),
-    ("set-point lead", |c| feedback(c, |f| f.lead = 0.0)),
-    ("obstruction", |c| {
-        feedback(c, |f| f.obstruction.push_deg = f64::INFINITY)
-    }),
-    ("base watch", |c| c.fuse.watch.enabled = false),
-    ("bias that drifts", |c| {
-        bend(c, |b| b.gyro_drift_rad_s_rts = b.gyro_walk_rad_s_rts)
-    }),
-    ("rate that is wrong", |c| {
-        bend(c, |b| b.wrong_rate_error = b.rate_error)
-    }),
-    ("scale of the gyroscope", |c| {
-        bend(c, |b| b.gyro_scale_sigma = NEVER)
-    }),
-    ("torsion", |c| {
-        bend(c, |b| (b.twist_sigma, b.twist_walk) = (NEVER, 0.0))
-    }),
-    ("tilted chip", |c| bend(c, |b| b.mount_sigma_rad = NEVER)),
-    ("standstill", |c| {
-        bend(c, |b| {
-            (b.still_rate_sigma_rad_s, b.still_twist_sigma_rad_s) = (ANY, ANY)
-        })
-    }),
-    ("acceleration of the arc", |c| {
-        bend(c, |b| (b.arc_mm, b.beyond_mm) = (0.0, 0.0))
-    }),
-    ("magnetometer", |c| bend(c, |b| b.use_mag = false)),
-    ("bend filter (vqf)", |c| {
-        c.fuse.filter = EstimatorName::Generic(FilterName::Vqf)
-    }),
-    ("bend filter (madgwick)", |c| {
-        c.fuse.filter = EstimatorName::Generic(FilterName::Madgwick)
-    }),
-];
-
-fn feedback(config: &mut LoopConfig, change: fn(&mut FeedbackConfig)) {
-    config.feedback.iter_mut().for_each(change);
-}
-
-fn bend(config: &mut LoopConfig, change: fn(&mut BendFilterConfig)) {
-    change(&mut config.fuse.bend);
-}
+pub const MECHANISMS: [Mechanism; 27] = mechanisms! {
+    "nothing": whole => |_| ();
+    "online k_eps, k_lambda": whole => |c| c.refine.enabled = false;
+    "learned curves": feedback => |f| f.observer.curve_sigma = 0.0;
+    "learned plies": feedback => |f| f.observer.ply_sigma = 0.0;
+    "learned creep": feedback => |f| f.observer.creep_sigma = 0.0;
+    "learned leaks": feedback => |f| f.observer.leak_sigma_1_s = 0.0;
+    "learned rotation and offset": feedback => |f| {
+        (f.observer.rotation_sigma_deg, f.observer.offset_sigma_deg) = (0.0, 0.0)
+    };
+    "what no law explains": feedback => |f| (f.observer.residual_deg, f.ki_1_s) = (NEVER, NEVER);
+    "dynamics bank": feedback => |f| f.learn_dynamics = false;
+    "doubt about timing": feedback => |f| (f.observer.timing_s, f.observer.timing_share) = (0.0, 0.0);
+    "periodic disturbance": feedback => |f| f.periodic.enabled = false;
+    "rule for moving": feedback => |f| f.caution = 0.0;
+    "free common length": feedback => |f| f.free_length_mm = 0.0;
+    "slow corrections": feedback => |f| f.calm.after_s = f64::INFINITY;
+    "set-point lead": feedback => |f| f.lead = 0.0;
+    "obstruction": feedback => |f| f.obstruction.push_deg = f64::INFINITY;
+    "base watch": whole => |c| c.fuse.watch.enabled = false;
+    "bias that drifts": filter => |b| b.gyro_drift_rad_s_rts = b.gyro_walk_rad_s_rts;
+    "rate that is wrong": filter => |b| b.wrong_rate_error = b.rate_error;
+    "scale of the gyroscope": filter => |b| b.gyro_scale_sigma = NEVER;
+    "torsion": filter => |b| (b.twist_sigma, b.twist_walk) = (NEVER, 0.0);
+    "tilted chip": filter => |b| b.mount_sigma_rad = NEVER;
+    "standstill": filter => |b| (b.still_rate_sigma_rad_s, b.still_twist_sigma_rad_s) = (ANY, ANY);
+    "acceleration of the arc": filter => |b| (b.arc_mm, b.beyond_mm) = (0.0, 0.0);
+    "magnetometer": filter => |b| b.use_mag = false;
+    "bend filter (vqf)": whole => |c| c.fuse.filter = EstimatorName::Generic(FilterName::Vqf);
+    "bend filter (madgwick)": whole => |c| c.fuse.filter = EstimatorName::Generic(FilterName::Madgwick);
+};
 
 /// The closed loop without one mechanism, under all conditions.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -142,9 +104,8 @@ pub fn run(
         change(&mut config);
         let outcome = |&(condition, value): &(&Condition, f64)| {
             let units = (0..study.units).map(|n| {
-                let mut unit = study.unit(n);
-                condition.apply(&mut unit, value, TURN_DEG * n as f64 % 360.0);
-                let result = study.run(&config, Arm::Closed, &unit, n, DIRECTIONS);
+                let unit = study.unit_under(condition, value, n);
+                let result = study.run(&config, Arm::Closed, &unit, n);
                 progress();
                 result
             });

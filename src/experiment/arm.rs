@@ -108,43 +108,30 @@ pub fn run(
             progress();
         }
     }
-    Ok(ArmResult {
-        sigma_end: rig.state.line_sigmas(),
-        ..summary(name, held, rig.state.lines())
-    })
+    Ok(summary(
+        name,
+        held,
+        rig.state.lines(),
+        rig.state.line_sigmas(),
+    ))
 }
 
-/// Sums over the scored part of a state.
-#[derive(Default)]
-struct Score {
-    samples: f64,
-    error: f64,
-    error_sq: f64,
-    orientation_sq: f64,
-    floor_sq: f64,
-    estimate_sq: f64,
-    low_high: Option<(f64, f64)>,
-}
-
-impl Score {
+impl Held {
+    /// Adds a scored sample to the sums.
     fn add(
         &mut self,
-        pose: &Pose,
+        want: &Bend,
         truth: &Rotation<Base, Tip>,
         error_deg: f64,
         estimate: Option<Bend>,
     ) {
-        let want = pose.bend();
-        self.samples += 1.0;
-        self.error += error_deg;
-        self.error_sq += error_deg * error_deg;
-        self.orientation_sq += want.rotation().angle_to(truth).to_degrees().powi(2);
-        self.floor_sq += floor(&want, truth).to_degrees().powi(2);
-        self.estimate_sq += estimate.map_or(0.0, |b| {
+        self.bend_error_deg += error_deg;
+        self.bend_error_sq += error_deg * error_deg;
+        self.orientation_error_sq += want.rotation().angle_to(truth).to_degrees().powi(2);
+        self.orientation_floor_sq += floor(want, truth).to_degrees().powi(2);
+        self.estimate_error_sq += estimate.map_or(0.0, |b| {
             (b.0 - Bend::nearest(truth).0).norm().to_degrees().powi(2)
         });
-        let (low, high) = self.low_high.unwrap_or((error_deg, error_deg));
-        self.low_high = Some((low.min(error_deg), high.max(error_deg)));
     }
 }
 
@@ -162,53 +149,52 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
     let dt_s = rig.period_s();
     let ticks = (HOLD_S / dt_s).round() as usize;
     let scored_from = ticks - (SCORED_S / dt_s).round() as usize;
+    let want = pose.bend();
     let mut command = Some(Shape {
-        bend: pose.bend(),
+        bend: want,
         length: Mm(rig.config.geometry.rest_length_mm),
     });
-    let (mut score, mut settled_since, mut last) = (Score::default(), 0, None);
-    let (mut blocked, mut base_moved, mut stopped) = (false, false, false);
+    let mut held = Held {
+        bend_deg: pose.bend_deg,
+        dir_deg: pose.dir_deg,
+        outward: pose.outward,
+        ..Held::default()
+    };
+    let (mut settled_since, mut low, mut high) = (0, f64::INFINITY, f64::NEG_INFINITY);
     for k in 0..ticks {
         let (frame, reply) = rig.advance(command.take())?;
         let truth = reply.truth.ok_or(RigError::NoReference)?;
         let error_deg = pose.bend_deg - Bend::nearest(&truth).beta().to_degrees();
-        blocked |= frame.blocked;
-        base_moved |= frame.base_moved || frame.base_doubted;
-        stopped |= frame.senses.held;
-        last = Some(frame);
+        held.blocked |= frame.blocked;
+        held.base_moved |= frame.base_moved || frame.base_doubted;
+        held.stopped |= frame.senses.held;
+        (held.lag_s, held.delay_s) = (frame.dynamics.lag_s, frame.dynamics.delay_s);
+        held.feedback_deg = frame.feedback.norm().to_degrees();
         if error_deg.abs() > SETTLED_DEG {
             settled_since = k + 1;
         }
         if k >= scored_from {
-            score.add(pose, &truth, error_deg, frame.estimate.map(|e| e.bend));
+            held.add(&want, &truth, error_deg, frame.estimate.map(|e| e.bend));
+            (low, high) = (low.min(error_deg), high.max(error_deg));
         }
     }
-    let n = score.samples.max(1.0);
-    Ok(Held {
-        bend_deg: pose.bend_deg,
-        dir_deg: pose.dir_deg,
-        outward: pose.outward,
-        bend_error_deg: score.error / n,
-        bend_error_sq: score.error_sq / n,
-        orientation_error_sq: score.orientation_sq / n,
-        orientation_floor_sq: score.floor_sq / n,
-        estimate_error_sq: score.estimate_sq / n,
-        settle_s: (settled_since <= scored_from).then_some(settled_since as f64 * dt_s),
-        peak_to_peak_deg: score.low_high.map_or(0.0, |(low, high)| high - low),
-        blocked,
-        base_moved,
-        stopped,
-        lag_s: last.map_or(0.0, |f| f.dynamics.lag_s),
-        delay_s: last.map_or(0.0, |f| f.dynamics.delay_s),
-        feedback_deg: last.map_or(0.0, |f| f.feedback.norm().to_degrees()),
-    })
+    let scored = (ticks - scored_from).max(1) as f64;
+    held.bend_error_deg /= scored;
+    held.bend_error_sq /= scored;
+    held.orientation_error_sq /= scored;
+    held.orientation_floor_sq /= scored;
+    held.estimate_error_sq /= scored;
+    held.peak_to_peak_deg = (high - low).max(0.0);
+    held.settle_s = (settled_since <= scored_from).then_some(settled_since as f64 * dt_s);
+    Ok(held)
 }
 
 /// The root of the mean; 0 if there are no values.
 pub fn root_mean(squares: impl IntoIterator<Item = f64>) -> f64 {
-    let (n, sum) = squares
-        .into_iter()
-        .fold((0.0, 0.0), |(n, sum), x| (n + 1.0, sum + x));
+    let (mut n, mut sum) = (0.0, 0.0);
+    for x in squares {
+        (n, sum) = (n + 1.0, sum + x);
+    }
     (sum / f64::max(n, 1.0)).sqrt()
 }
 
@@ -216,16 +202,14 @@ pub fn root_mean(squares: impl IntoIterator<Item = f64>) -> f64 {
 pub fn percentile(values: impl IntoIterator<Item = f64>, share: f64) -> f64 {
     let mut sorted: Vec<f64> = values.into_iter().collect();
     sorted.sort_by(f64::total_cmp);
-    let last = sorted.len().saturating_sub(1);
-    sorted
-        .get(((share * sorted.len() as f64) as usize).min(last))
-        .copied()
-        .unwrap_or(0.0)
+    let at = (share * sorted.len() as f64) as usize;
+    sorted.get(at).or(sorted.last()).copied().unwrap_or(0.0)
 }
 
-fn summary(name: &str, held: Vec<Held>, lines: &[Line; 3]) -> ArmResult {
+fn summary(name: &str, held: Vec<Held>, lines: &[Line; 3], sigma_end: [[f64; 2]; 3]) -> ArmResult {
     let rms = |f: fn(&Held) -> f64| root_mean(held.iter().map(f));
     let settle = |share: f64| percentile(held.iter().map(|h| h.settle_s.unwrap_or(HOLD_S)), share);
+    let count = |f: fn(&Held) -> bool| held.iter().filter(|h| f(h)).count();
     ArmResult {
         name: name.to_owned(),
         bend_rmse_deg: rms(|h| h.bend_error_sq),
@@ -234,15 +218,15 @@ fn summary(name: &str, held: Vec<Held>, lines: &[Line; 3]) -> ArmResult {
         estimate_rmse_deg: rms(|h| h.estimate_error_sq),
         settle_s_median: settle(0.5),
         settle_s_p95: settle(0.95),
-        unsettled: held.iter().filter(|h| h.settle_s.is_none()).count(),
+        unsettled: count(|h| h.settle_s.is_none()),
         peak_to_peak_max_deg: held.iter().map(|h| h.peak_to_peak_deg).fold(0.0, f64::max),
         states: held.len(),
-        blocked: held.iter().filter(|h| h.blocked).count(),
-        base_moved: held.iter().filter(|h| h.base_moved).count(),
-        stopped: held.iter().filter(|h| h.stopped).count(),
+        blocked: count(|h| h.blocked),
+        base_moved: count(|h| h.base_moved),
+        stopped: count(|h| h.stopped),
         k_eps_end: lines.map(|l| l.k_epsilon),
         k_lambda_end_mm: lines.map(|l| l.k_lambda_mm),
-        sigma_end: [[0.0; 2]; 3],
+        sigma_end,
         held,
     }
 }
@@ -250,13 +234,13 @@ fn summary(name: &str, held: Vec<Held>, lines: &[Line; 3]) -> ArmResult {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::primitives::units::Rad;
+    use nalgebra::{UnitQuaternion, Vector3};
 
     const LINES: [Line; 3] = [Line {
         k_epsilon: 2.2,
         k_lambda_mm: 0.9,
     }; 3];
-    use crate::primitives::units::Rad;
-    use nalgebra::{UnitQuaternion, Vector3};
 
     fn twisted(bend: Bend, twist: f64) -> Rotation<Base, Tip> {
         Rotation::assert_frames(
@@ -291,7 +275,8 @@ mod tests {
             ..Held::default()
         };
         let of = |times: &[Option<f64>]| {
-            summary("closed", times.iter().map(|&t| state(t)).collect(), &LINES)
+            let held = times.iter().map(|&t| state(t)).collect();
+            summary("closed", held, &LINES, [[0.0; 2]; 3])
         };
         let r = of(&[Some(0.2), Some(0.4), Some(0.3), None]);
         assert_eq!(

@@ -82,11 +82,8 @@ pub fn drive(world: &mut dyn World, log: &Observed) -> Result<Motion, RigError> 
 
 /// What a motion leaves of a log.
 fn residuals(log: &Observed, motion: &Motion) -> Residuals {
-    let (model, theta) = (
-        Model::new(&[]),
-        nominal_theta(&[log.rig.prior; 3], log.rig.prior_lag_s),
-    );
-    sense(log, &model, &theta, motion, every_bin)
+    let theta = nominal_theta(&[log.rig.prior; 3], log.rig.prior_lag_s);
+    sense(log, &Model::new(&[]), &theta, motion, every_bin)
 }
 
 /// Compares with the log what `run` says of the simulator with these parameters, and fits the parameters.
@@ -107,10 +104,12 @@ pub fn compare<E>(
     let blocks = Blocks::new(log, &fitted);
     let left = blocks.left_out(log, &fitted);
     let params = value(&fitted.x).into_iter().enumerate().map(|(i, value)| {
-        let (knob, wide) = (&knobs[i], blocks.half_width(i));
-        let wide = wide * (knob.high - knob.low);
-        let [low, high] = [value - wide, value + wide].map(|v| v.clamp(knob.low, knob.high));
-        (value, [low, high])
+        let Knob { low, high, .. } = knobs[i];
+        let wide = blocks.half_width(i) * (high - low);
+        (
+            value,
+            [value - wide, value + wide].map(|v| v.clamp(low, high)),
+        )
     });
     Ok(Compared {
         held_out: score(log, left, every_bin),
@@ -217,11 +216,9 @@ fn sums(
 
 /// The solution of the normal equations; 0 where they have none, or nothing is asked.
 fn solved(normal: DMatrix<f64>, gradient: &DVector<f64>) -> DVector<f64> {
+    let factor = (!gradient.is_empty()).then(|| normal.cholesky()).flatten();
     let zero = || DVector::zeros(gradient.len());
-    if gradient.is_empty() {
-        return zero();
-    }
-    normal.cholesky().map_or_else(zero, |c| c.solve(gradient))
+    factor.map_or_else(zero, |factor| factor.solve(gradient))
 }
 
 /// A damped step within the ranges.
@@ -235,8 +232,7 @@ fn stepped(
     for i in 0..x.len() {
         damped[(i, i)] += damping * normal[(i, i)] + f64::MIN_POSITIVE;
     }
-    let step = solved(damped, gradient);
-    (x - step).map(|x| x.clamp(0.0, 1.0))
+    (x - solved(damped, gradient)).map(|x| x.clamp(0.0, 1.0))
 }
 
 /// The sums of each block.
@@ -284,9 +280,8 @@ impl Blocks {
             return f64::INFINITY;
         }
         let n = self.sums.len() as f64;
-        let steps: Vec<f64> = (0..self.sums.len())
-            .map(|without| self.step(|b| b != without)[i])
-            .collect();
+        let without = |left_out: usize| self.step(|b| b != left_out)[i];
+        let steps: Vec<f64> = (0..self.sums.len()).map(without).collect();
         let mean = steps.iter().sum::<f64>() / n;
         let squares: f64 = steps.iter().map(|s| (s - mean).powi(2)).sum();
         let freedom = (n - 1.0).max(1.0);

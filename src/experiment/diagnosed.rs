@@ -61,14 +61,11 @@ pub fn record(
     rows.retain(|r| machine.reaches(r));
     let period_s = world.info().period_s;
     let of = |time_s: f64| ((time_s / period_s).round() as usize).max(1);
-    let path = machine
-        .drive(&rows, period_s)
-        .rounded(of(ROUNDED_S))
-        .piston_mm;
+    let path = machine.drive(&rows, period_s).rounded(of(ROUNDED_S));
     let nan = Vector3::repeat(f64::NAN);
     let mut log = BendLog::default();
     let (mut acc, mut gyr, mut mag) = (vec![], vec![], vec![]);
-    for (n, row) in path.chunks_exact(of(ROW_S)).enumerate() {
+    for (n, row) in path.piston_mm.chunks_exact(of(ROW_S)).enumerate() {
         let (mut sums, mut samples) = ([Vector3::zeros(); 3], [0.0; 3]);
         let mut piston = Vector3::zeros();
         for at in row {
@@ -78,27 +75,17 @@ pub fn record(
                 continue;
             };
             let sample = config.imu.apply(&sample);
-            let readings = [
-                Some(sample.acc_m_s2),
-                Some(sample.gyro_rad_s),
-                sample.mag_ut,
-            ];
-            for (k, value) in readings.iter().enumerate() {
+            let (acc, gyr) = (Some(sample.acc_m_s2), Some(sample.gyro_rad_s));
+            for (k, value) in [acc, gyr, sample.mag_ut].into_iter().enumerate() {
                 if let Some(value) = value {
                     (sums[k], samples[k]) = (sums[k] + value, samples[k] + 1.0);
                 }
             }
         }
-        let mean = |k: usize| {
-            if samples[k] > 0.0 {
-                sums[k] / samples[k]
-            } else {
-                nan
-            }
-        };
-        acc.push(mean(0));
-        gyr.push(mean(1));
-        mag.push(mean(2));
+        for (k, column) in [&mut acc, &mut gyr, &mut mag].into_iter().enumerate() {
+            let any = samples[k] > 0.0;
+            column.push(if any { sums[k] / samples[k] } else { nan });
+        }
         // the mean of the times of a row
         let middle = (n * row.len()) as f64 + 0.5 * (row.len() + 1) as f64;
         log.t_s.push(middle * period_s);

@@ -1,16 +1,17 @@
 //! The evaluation: identification on a plant of its own, then every arm on a fresh plant.
 
 use crate::control::LoopConfig;
+use crate::control::learning::batch::Estimate;
 use crate::diagnosis;
 use crate::experiment::arm::{self, ArmResult};
 use crate::experiment::diagnosed;
-use crate::experiment::identify::{self, Identified, IdentifyError};
+use crate::experiment::identify::{self, IdentifyError};
 use crate::experiment::path::PathFile;
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::{DIRECTIONS, arrivals, paper};
 use crate::experiment::track::{self, TrackResult};
 use crate::log::error::ReadError;
-use crate::model::{DescribedMachine, Drive, Line, nominal_theta};
+use crate::model::{DescribedMachine, nominal_theta};
 use crate::simulation::described::Described;
 use crate::simulation::world::World;
 use crate::supervisor::MachineError;
@@ -58,29 +59,33 @@ impl Arm {
 
     /// Configuration of this arm, derived from that of the closed loop.
     pub fn config(self, base: &LoopConfig) -> LoopConfig {
-        let lines = match self {
-            Self::None => {
-                [Line {
-                    k_epsilon: 0.0,
-                    k_lambda_mm: 0.0,
-                }; 3]
+        let mut config = base.clone();
+        for line in &mut config.lines {
+            if self == Self::None {
+                line.k_epsilon = 0.0;
             }
-            Self::Extension => base.lines.map(|l| Line {
-                k_lambda_mm: 0.0,
-                ..l
-            }),
-            Self::Backlash | Self::Closed | Self::Diagnosed => base.lines,
-        };
-        let feedback = if self == Self::Closed {
-            base.feedback
-        } else {
-            None
-        };
-        LoopConfig {
-            lines,
-            feedback,
-            ..base.clone()
+            if matches!(self, Self::None | Self::Extension) {
+                line.k_lambda_mm = 0.0;
+            }
         }
+        config.feedback = config.feedback.filter(|_| self == Self::Closed);
+        config
+    }
+
+    /// Runs this arm in so many directions on a fresh world, with a configuration derived from that of the closed loop;
+    /// `progress` is called after every scored state.
+    ///
+    /// # Errors
+    /// [`RigError`] as of [`arm::run`].
+    pub fn run(
+        self,
+        base: &LoopConfig,
+        world: &mut dyn World,
+        directions: usize,
+        progress: &mut dyn FnMut(),
+    ) -> Result<ArmResult, RigError> {
+        let mut rig = Rig::new(self.config(&for_world(base, world)), world);
+        arm::run(self.name(), &mut rig, &arrivals(directions), progress)
     }
 }
 
@@ -111,6 +116,17 @@ pub struct ChannelFigures {
     pub condition: f64,
     /// Root mean square residual, mm of piston.
     pub residual_mm: f64,
+}
+
+impl ChannelFigures {
+    fn of(e: &Estimate) -> Self {
+        Self {
+            k_eps_sigma: e.covariance[(0, 0)].max(0.0).sqrt(),
+            k_lambda_sigma_mm: e.covariance[(1, 1)].max(0.0).sqrt(),
+            condition: e.condition,
+            residual_mm: e.residual_mm,
+        }
+    }
 }
 
 /// The bend RMSE of an open-loop arm, and what two simulations foretell of it.
@@ -220,16 +236,17 @@ pub fn run(
     open: &mut Open<'_>,
     progress: &mut dyn FnMut(&str),
 ) -> Result<Evaluation, EvaluationError> {
-    let mut base = plan.config.clone();
-    let mut found = None;
-    let mut plant = String::new();
-    if plan.identify {
-        let mut world = open(Purpose::Identify).map_err(RigError::from)?;
+    let (mut base, mut found, mut plant) = (plan.config.clone(), None, String::new());
+    let mut opened = |purpose| -> Result<Box<dyn World>, RigError> {
+        let world = open(purpose)?;
         plant.clone_from(&world.info().name);
+        Ok(world)
+    };
+    if plan.identify {
+        let mut world = opened(Purpose::Identify)?;
         let config = for_world(&base, world.as_ref());
-        let result = identify::algorithm_1(&config, world.as_mut(), &paper(), None, &mut |pass| {
-            progress(&format!("identify, pass {pass}"))
-        })?;
+        let mut told = |pass| progress(&format!("identify, pass {pass}"));
+        let result = identify::algorithm_1(&config, world.as_mut(), &paper(), None, &mut told)?;
         (base.lines, base.dynamics, base.line_sigmas) =
             (result.lines(), result.dynamics, result.line_sigmas());
         found = Some(result);
@@ -237,60 +254,60 @@ pub fn run(
     let mut arms = Vec::with_capacity(plan.arms.len());
     let mut twin = plan.feedforward.clone();
     for &arm in &plan.arms {
-        let described = match (&plan.feedforward, arm) {
-            (None, Arm::Diagnosed) => {
-                progress("diagnose");
-                let mut world = open(Purpose::Record).map_err(RigError::from)?;
-                let config = for_world(&base, world.as_ref());
-                Some(Arc::new(diagnosed::described(
-                    &config,
-                    &plan.rig,
-                    world.as_mut(),
-                )?))
-            }
-            (given, _) => given.clone(),
-        };
-        let mut world = open(Purpose::Arm(arm)).map_err(RigError::from)?;
-        plant.clone_from(&world.info().name);
-        let config = arm.config(&for_world(&base, world.as_ref()));
+        let mut described = plan.feedforward.clone();
+        if described.is_none() && arm == Arm::Diagnosed {
+            progress("diagnose");
+            let mut world = opened(Purpose::Record)?;
+            let config = for_world(&base, world.as_ref());
+            let machine = diagnosed::described(&config, &plan.rig, world.as_mut())?;
+            described = Some(Arc::new(machine));
+        }
         twin = twin.or_else(|| described.clone());
         let uses = matches!(arm, Arm::Diagnosed | Arm::Closed);
-        let config = fed_forward(config, described.filter(|_| uses));
+        let config = fed_forward(&base, described.filter(|_| uses));
+        let mut world = opened(Purpose::Arm(arm))?;
         let name = format!("arm {}", arm.name());
-        arms.push(arm::run(
-            arm.name(),
-            &mut Rig::new(config, world.as_mut()),
-            &arrivals(DIRECTIONS),
-            &mut || progress(&name),
-        )?);
+        let mut told = || progress(&name);
+        arms.push(arm.run(&config, world.as_mut(), DIRECTIONS, &mut told)?);
     }
-    let foretold = twin.map_or(Ok(vec![]), |machine| {
-        foretell(&base, &machine, plan.seed, &arms)
-    })?;
-    let track = match &plan.track {
-        Some(Track { path, live }) => {
-            path.within(&base.limits, &base.geometry, &base.lines)?;
-            let mut world = open(Purpose::Track).map_err(RigError::from)?;
-            plant.clone_from(&world.info().name);
-            let config = fed_forward(for_world(&base, world.as_ref()), plan.feedforward.clone());
-            let mut rig = Rig::new(config, world.as_mut());
-            Some(track::run(&mut rig, &path.path, *live, &mut || {
-                progress("path")
-            })?)
-        }
-        None => None,
+    let foretold = match twin {
+        Some(machine) => foretell(&base, &machine, plan.seed, &arms)?,
+        None => vec![],
     };
+    let mut track = None;
+    if let Some(Track { path, live }) = &plan.track {
+        path.within(&base.limits, &base.geometry, &base.lines)?;
+        let mut world = opened(Purpose::Track)?;
+        let config = fed_forward(&base, plan.feedforward.clone());
+        let mut rig = Rig::new(for_world(&config, world.as_ref()), world.as_mut());
+        let mut told = || progress("path");
+        track = Some(track::run(&mut rig, &path.path, *live, &mut told)?);
+    }
+    let history = found.iter().flat_map(|f| &f.history);
+    let channels = found.iter().flat_map(|f| &f.channels);
     Ok(Evaluation {
+        seed: plan.seed,
+        arms,
         track,
         foretold,
-        ..gather(plan, &base, found.as_ref(), plant, arms)
+        k_eps: base.lines.map(|l| l.k_epsilon),
+        k_lambda_mm: base.lines.map(|l| l.k_lambda_mm),
+        lag_s: base.dynamics.expected.lag_s,
+        delay_s: base.dynamics.expected.delay_s,
+        iterations: found.as_ref().map_or(0, |f| f.history.len() - 1),
+        converged: found.as_ref().is_none_or(|f| f.converged),
+        history: history
+            .map(|lines| lines.map(|l| [l.k_epsilon, l.k_lambda_mm]))
+            .collect(),
+        identified: channels.map(ChannelFigures::of).collect(),
+        plant,
     })
 }
 
-fn fed_forward(config: LoopConfig, machine: Option<Arc<DescribedMachine>>) -> LoopConfig {
+fn fed_forward(config: &LoopConfig, machine: Option<Arc<DescribedMachine>>) -> LoopConfig {
     match machine {
-        Some(machine) => config.fed_forward(machine),
-        None => config,
+        Some(machine) => config.clone().fed_forward(machine),
+        None => config.clone(),
     }
 }
 
@@ -303,81 +320,31 @@ fn foretell(
 ) -> Result<Vec<Predicted>, RigError> {
     let theta = nominal_theta(&base.lines, base.dynamics.expected.lag_s);
     let nominal = DescribedMachine::new(machine.geometry, machine.rest, &theta, vec![]);
-    let run = |machine: &DescribedMachine, arm: Arm| -> Result<f64, RigError> {
+    let run = |machine: &DescribedMachine, arm: Arm| {
         let mut world = Described::new(machine.clone(), base.drive.step_mm, seed);
-        let config = arm.config(&for_world(base, &world));
-        let result = arm::run(
-            arm.name(),
-            &mut Rig::new(config, &mut world),
-            &arrivals(DIRECTIONS),
-            &mut || (),
-        )?;
-        Ok(result.bend_rmse_deg)
+        let result = arm.run(base, &mut world, DIRECTIONS, &mut || ());
+        result.map(|result| result.bend_rmse_deg)
     };
-    let open = [Arm::None, Arm::Extension, Arm::Backlash].into_iter();
-    let ran = open.filter_map(|arm| {
-        Some((
-            arm,
-            arms.iter().find(|a| a.name == arm.name())?.bend_rmse_deg,
-        ))
-    });
-    let one = |(arm, machine_deg): (Arm, f64)| {
-        let (twin_deg, nominal_deg) = (run(machine, arm)?, run(&nominal, arm)?);
-        Ok(Predicted {
+    let mut all = Vec::new();
+    for arm in [Arm::None, Arm::Extension, Arm::Backlash] {
+        let Some(ran) = arms.iter().find(|a| a.name == arm.name()) else {
+            continue;
+        };
+        all.push(Predicted {
             name: arm.name().to_owned(),
-            machine_deg,
-            twin_deg,
-            nominal_deg,
-        })
-    };
-    ran.map(one).collect()
+            machine_deg: ran.bend_rmse_deg,
+            twin_deg: run(machine, arm)?,
+            nominal_deg: run(&nominal, arm)?,
+        });
+    }
+    Ok(all)
 }
 
 /// The configuration with step and rest length of the world in place of those of the board.
 pub fn for_world(config: &LoopConfig, world: &dyn World) -> LoopConfig {
     let info = world.info();
     let mut config = config.clone();
-    config.drive = Drive {
-        step_mm: info.step_mm,
-    };
+    config.drive.step_mm = info.step_mm;
     config.geometry.rest_length_mm = info.rest_length_mm;
     config
-}
-
-fn gather(
-    plan: &Plan,
-    base: &LoopConfig,
-    found: Option<&Identified>,
-    plant: String,
-    arms: Vec<ArmResult>,
-) -> Evaluation {
-    Evaluation {
-        plant,
-        seed: plan.seed,
-        arms,
-        track: None,
-        foretold: vec![],
-        k_eps: base.lines.map(|l| l.k_epsilon),
-        k_lambda_mm: base.lines.map(|l| l.k_lambda_mm),
-        lag_s: base.dynamics.expected.lag_s,
-        delay_s: base.dynamics.expected.delay_s,
-        iterations: found.map_or(0, |f| f.history.len() - 1),
-        converged: found.is_none_or(|f| f.converged),
-        history: found.map_or(Vec::new(), |f| {
-            f.history
-                .iter()
-                .map(|ls| ls.map(|l| [l.k_epsilon, l.k_lambda_mm]))
-                .collect()
-        }),
-        identified: found.map_or(Vec::new(), |f| f.channels.iter().map(figures).collect()),
-    }
-}
-
-fn figures(e: &crate::control::learning::batch::Estimate) -> ChannelFigures {
-    ChannelFigures {
-        k_eps_sigma: e.covariance[(0, 0)].max(0.0).sqrt(),
-        k_lambda_sigma_mm: e.covariance[(1, 1)].max(0.0).sqrt(),
-        condition: e.condition,
-        residual_mm: e.residual_mm,
-    }
 }

@@ -65,13 +65,9 @@ impl Identified {
 
     /// Standard deviations of k_ε and k_λ in mm, per channel, no smaller than a calibration is repeatable.
     pub fn line_sigmas(&self) -> [[f64; 2]; 3] {
-        let sigma =
-            |e: &Estimate, i: usize, least: f64| e.covariance[(i, i)].max(0.0).sqrt().max(least);
-        std::array::from_fn(|i| {
-            [
-                sigma(&self.channels[i], 0, 0.05),
-                sigma(&self.channels[i], 1, 0.03),
-            ]
+        self.channels.map(|e| {
+            let sigma = |i, least| e.covariance[(i, i)].max(0.0).sqrt().max(least);
+            [sigma(0, 0.05), sigma(1, 0.03)]
         })
     }
 }
@@ -89,13 +85,11 @@ pub fn algorithm_1(
     progress: &mut dyn FnMut(usize),
 ) -> Result<Identified, IdentifyError> {
     let mut now = prior.map_or(config.lines, |p| p.map(|p| p.line));
-    let mut rig = Rig::new(
-        LoopConfig {
-            feedback: None,
-            ..config.clone()
-        },
-        world,
-    );
+    let open = LoopConfig {
+        feedback: None,
+        ..config.clone()
+    };
+    let mut rig = Rig::new(open, world);
     rig.align()?;
     let mut history = vec![now];
     let mut round = Round::new(config.geometry, poses.to_vec());
@@ -124,10 +118,7 @@ pub fn algorithm_1(
 /// [`IdentifyError::Unphysical`].
 pub fn plausible(channels: &[Estimate; 3]) -> Result<[Line; 3], IdentifyError> {
     for (i, e) in channels.iter().enumerate() {
-        let Line {
-            k_epsilon,
-            k_lambda_mm,
-        } = e.line;
+        let (k_epsilon, k_lambda_mm) = (e.line.k_epsilon, e.line.k_lambda_mm);
         if !(0.0..=10.0).contains(&k_epsilon) || !(-0.3..=3.0).contains(&k_lambda_mm) {
             return Err(IdentifyError::Unphysical {
                 channel: i + 1,
@@ -137,9 +128,9 @@ pub fn plausible(channels: &[Estimate; 3]) -> Result<[Line; 3], IdentifyError> {
         }
     }
     // noise may make a small backlash slightly negative
-    Ok([0, 1, 2].map(|i: usize| Line {
-        k_lambda_mm: channels[i].line.k_lambda_mm.max(0.0),
-        ..channels[i].line
+    Ok(channels.map(|e| Line {
+        k_lambda_mm: e.line.k_lambda_mm.max(0.0),
+        ..e.line
     }))
 }
 
@@ -148,18 +139,15 @@ fn hold(rig: &mut Rig<'_>, round: &mut Round, progress: &mut dyn FnMut()) -> Res
     let mut command = Some(round.command());
     loop {
         let (frame, sensed) = rig.advance(command.take())?;
-        match round.step(
-            &frame,
-            &rig.config.drive.piston_mm(&sensed.counted),
-            rig.period_s(),
-        ) {
-            Step::Waiting => continue,
-            Step::Next => command = Some(round.command()),
-            Step::Over => {
-                progress();
-                return Ok(());
-            }
+        let piston_mm = rig.config.drive.piston_mm(&sensed.counted);
+        let step = round.step(&frame, &piston_mm, rig.period_s());
+        if step != Step::Waiting {
+            progress();
         }
-        progress();
+        match step {
+            Step::Waiting => {}
+            Step::Next => command = Some(round.command()),
+            Step::Over => return Ok(()),
+        }
     }
 }

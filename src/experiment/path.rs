@@ -66,21 +66,15 @@ impl PathFile {
         geometry: &Geometry,
         lines: &[Line; 3],
     ) -> Result<(), ReadError> {
-        self.path
-            .out_of_reach(limits, geometry, lines)
-            .map_or(Ok(()), |(k, expected)| Err(self.refuse(k, &expected)))
+        let outside = self.path.out_of_reach(limits, geometry, lines);
+        outside.map_or(Ok(()), |(k, expected)| Err(self.refuse(k, &expected)))
     }
 
     /// The refusal of the bend of a row.
     pub fn refuse(&self, row: usize, expected: &str) -> ReadError {
-        let given = self
-            .table
-            .column("bend_deg")
-            .and_then(|b| b.get(row))
-            .copied()
-            .unwrap_or_default();
-        self.table
-            .refuse(row, "bend_deg", &given.to_string(), expected)
+        let given = self.table.column("bend_deg").and_then(|b| b.get(row));
+        let given = given.copied().unwrap_or_default().to_string();
+        self.table.refuse(row, "bend_deg", &given, expected)
     }
 }
 

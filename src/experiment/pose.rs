@@ -77,13 +77,9 @@ impl Round {
     }
     /// Command for the present pose, or for the last one when all have ended.
     pub fn command(&self) -> Shape {
-        let bend = self
-            .poses
-            .get(self.at)
-            .or(self.poses.last())
-            .map_or(Bend(Vector2::zeros()), Pose::bend);
+        let pose = self.poses.get(self.at).or(self.poses.last());
         Shape {
-            bend,
+            bend: pose.map_or(Bend::STRAIGHT, Pose::bend),
             length: Mm(self.geometry.rest_length_mm),
         }
     }
@@ -99,27 +95,22 @@ impl Round {
     pub fn step(&mut self, frame: &Frame, piston_mm: &Vector3<f64>, dt_s: f64) -> Step {
         let half_s = 0.5 * dt_s; // tolerance for rounding in the sums of periods
         self.sides.follow(piston_mm);
-        self.pose.since_s += dt_s;
-        self.pose.rested_s = if frame.phase == TickPhase::Holding {
-            self.pose.rested_s + dt_s
-        } else {
-            0.0
-        };
+        let pose = &mut self.pose;
+        pose.since_s += dt_s;
+        let holds = frame.phase == TickPhase::Holding;
+        pose.rested_s = if holds { pose.rested_s + dt_s } else { 0.0 };
         if let Some(estimate) = frame.estimate {
-            self.bank
-                .step(frame.bend_from_pistons.0, estimate.bend.0, dt_s);
-            if self.pose.since_s > HOLD_S - SCORED_S + half_s
-                && self.pose.rested_s > RESTED_S + half_s
-            {
-                self.pose.sum += estimate.bend.0;
-                self.pose.samples += 1;
-                self.pose.measured_s += dt_s;
+            let bend = estimate.bend.0;
+            self.bank.step(frame.bend_from_pistons.0, bend, dt_s);
+            if pose.since_s > HOLD_S - SCORED_S + half_s && pose.rested_s > RESTED_S + half_s {
+                pose.sum += bend;
+                pose.samples += 1;
+                pose.measured_s += dt_s;
             }
         }
-        let measured = self.pose.measured_s > SCORED_S - half_s;
-        if measured {
+        if pose.measured_s > SCORED_S - half_s {
             self.measure();
-        } else if self.pose.since_s < WAY_MAX_S - half_s {
+        } else if pose.since_s < WAY_MAX_S - half_s {
             return Step::Waiting;
         }
         self.pose = PoseProgress::default();
@@ -136,12 +127,11 @@ impl Round {
             bend,
             length: Mm(self.geometry.rest_length_mm),
         });
-        let Self { sides, .. } = self;
         self.data.push(Measurement {
-            piston_mm: sides.piston_mm(),
+            piston_mm: self.sides.piston_mm(),
             bellow_mm,
-            side: sides.side,
-            weight: sides.weight(),
+            side: self.sides.side,
+            weight: self.sides.weight(),
         });
     }
 }

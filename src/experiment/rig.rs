@@ -45,17 +45,15 @@ pub struct Rig<'w> {
 impl<'w> Rig<'w> {
     /// A fresh loop at rest, with energised drivers.
     pub fn new(config: LoopConfig, world: &'w mut dyn World) -> Self {
-        let state = LoopState::new(&config);
-        let dt_s = world.info().period_s;
         let input = Input {
-            dt_s,
+            dt_s: world.info().period_s,
             ..Input::default()
         };
         let mut machine = Lockstep::new(world, &config.motion);
         machine.energise(true);
         Self {
+            state: LoopState::new(&config),
             config,
-            state,
             reference: None,
             machine,
             input,
@@ -74,17 +72,11 @@ impl<'w> Rig<'w> {
         self.ticks += 1;
         let now = Seconds(self.ticks as f64 * self.input.dt_s);
         let sensed = self.machine.turn(now, &frame.steps)?;
-        let Sensed {
-            imu,
-            base_imu,
-            counted,
-            ..
-        } = sensed;
         self.input = Input {
             t: now,
-            imu,
-            base_imu,
-            steps: counted,
+            imu: sensed.imu,
+            base_imu: sensed.base_imu,
+            steps: sensed.counted,
             command: None,
             ..self.input
         };
@@ -99,10 +91,8 @@ impl<'w> Rig<'w> {
         while self.state.fusion.estimate().is_none() {
             let (frame, _) = self.advance(None)?;
             if frame.t.0 > ALIGN_MAX_S {
-                return Err(RigError::NotStill(
-                    ALIGN_MAX_S,
-                    self.state.fusion.waiting_for(),
-                ));
+                let waiting_for = self.state.fusion.waiting_for();
+                return Err(RigError::NotStill(ALIGN_MAX_S, waiting_for));
             }
         }
         Ok(())

@@ -40,47 +40,44 @@ const VISIT_DEG: f64 = 80.0;
 
 /// The 120 states, as Algorithm 1 measures them.
 pub fn paper() -> Vec<Pose> {
-    arrivals(DIRECTIONS)
-        .into_iter()
-        .filter(|p| p.scored)
-        .collect()
+    let mut poses = arrivals(DIRECTIONS);
+    poses.retain(|pose| pose.scored);
+    poses
+}
+
+/// A pose to be scored.
+fn pose(bend_deg: f64, dir_deg: f64, outward: bool) -> Pose {
+    Pose {
+        bend_deg,
+        dir_deg,
+        outward,
+        scored: true,
+    }
 }
 
 /// Ten states and a visit in each of `directions`, which are evenly spaced from 0°: the schedule of an arm.
 pub fn arrivals(directions: usize) -> Vec<Pose> {
-    (0..directions)
-        .flat_map(|d| {
-            let dir_deg = d as f64 * 360.0 / directions as f64;
-            let pose = move |bend_deg: f64, outward, scored| Pose {
-                bend_deg,
-                dir_deg,
-                outward,
-                scored,
-            };
-            let out = ANGLES_DEG.iter().map(move |&a| pose(a, true, true));
-            let back = ANGLES_DEG.iter().rev().map(move |&a| pose(a, false, true));
-            out.chain([pose(VISIT_DEG, true, false)]).chain(back)
-        })
-        .collect()
+    let mut poses = Vec::new();
+    for d in 0..directions {
+        let dir_deg = d as f64 * 360.0 / directions as f64;
+        poses.extend(ANGLES_DEG.map(|a| pose(a, dir_deg, true)));
+        poses.push(Pose {
+            scored: false,
+            ..pose(VISIT_DEG, dir_deg, true)
+        });
+        poses.extend(ANGLES_DEG.iter().rev().map(|&a| pose(a, dir_deg, false)));
+    }
+    poses
 }
 
 /// The poses of a calibration with a prior, at most 24: in a direction out to 75° and back to 50°, so that each bellow is
 /// strained on both sides of its backlash; poses from one side only cannot separate extension from backlash. Opposite
 /// directions follow each other, so that a drift does not appear as a gain. The first 12 poses already go around.
 pub fn short(poses: usize) -> Vec<Pose> {
-    let directions = [0.0, 180.0, 60.0, 240.0, 120.0, 300.0].map(|d| [d, d + 30.0]);
-    let all = [0, 1]
-        .into_iter()
-        .flat_map(|k| directions.iter().map(move |d| d[k]));
-    let both = |dir_deg| {
-        let pose = |bend_deg, outward| Pose {
-            bend_deg,
-            dir_deg,
-            outward,
-            scored: true,
-        };
-        [pose(75.0, true), pose(50.0, false)]
-    };
+    let directions = [0.0, 180.0, 60.0, 240.0, 120.0, 300.0];
+    let between = directions.map(|d| d + 30.0);
+    let all = directions.into_iter().chain(between);
+    let both = |dir_deg| [pose(75.0, dir_deg, true), pose(50.0, dir_deg, false)];
     all.flat_map(both).take(poses).collect()
 }
 

@@ -4,10 +4,9 @@
 //! loop has the same calibration everywhere and does not know the condition.
 
 use crate::control::LoopConfig;
-use crate::experiment::arm::{self, ArmResult, percentile, root_mean};
-use crate::experiment::evaluation::{Arm, for_world};
-use crate::experiment::rig::{Rig, RigError};
-use crate::experiment::schedule::arrivals;
+use crate::experiment::arm::{ArmResult, percentile, root_mean};
+use crate::experiment::evaluation::Arm;
+use crate::experiment::rig::RigError;
 use crate::simulation::plant::PlantConfig;
 use crate::simulation::sim::Sim;
 use crate::supervisor::MachineError;
@@ -45,91 +44,68 @@ impl Condition {
     }
 }
 
-const fn row(
-    name: &'static str,
-    values: &'static [f64],
-    set: fn(&mut PlantConfig, f64, f64),
-) -> Condition {
-    Condition { name, values, set }
+/// Lists conditions: a name, the values, and what a value does to a unit whose directions are turned by an angle.
+macro_rules! conditions {
+    ($($name:literal: $values:expr => $set:expr;)+) => {
+        [$(Condition { name: $name, values: &$values, set: $set }),+]
+    };
 }
 
 /// Every condition.
-pub const CONDITIONS: [Condition; 19] = [
-    row("line_lag_s", &[0.1, 0.25, 0.6, 1.0], |p, v, _| {
-        p.effects.line_lag.get_or_insert_default().lag_s = [v; 3];
-    }),
-    row("dead_time_s", &[0.05, 0.12, 0.2, 0.3], dead_time),
-    row("sensor_latency_s", &[0.05, 0.12, 0.2, 0.3], latency),
-    row("dead_time_and_latency_s", &[0.1, 0.2, 0.3], |p, v, turn| {
+pub const CONDITIONS: [Condition; 19] = conditions! {
+    "line_lag_s": [0.1, 0.25, 0.6, 1.0] => |p, v, _| p.effects.line_lag.get_or_insert_default().lag_s = [v; 3];
+    "dead_time_s": [0.05, 0.12, 0.2, 0.3] => dead_time;
+    "sensor_latency_s": [0.05, 0.12, 0.2, 0.3] => latency;
+    "dead_time_and_latency_s": [0.1, 0.2, 0.3] => |p, v, turn| {
         dead_time(p, v / 2.0, turn);
         latency(p, v / 2.0, turn);
-    }),
-    row(
-        "motor_field_ut",
-        &[0.1, 0.3, 1.0, 3.0, 8.0, 20.0],
-        |p, v, turn| {
-            let motors = p.effects.motor_field.get_or_insert_default();
-            motors.amplitude_ut = [v; 3];
-            motors.azimuth_deg = motors.azimuth_deg.map(|a| (a + turn) % 360.0);
-        },
-    ),
-    row("hard_iron_ut", &[5.0, 20.0, 50.0], |p, v, turn| {
+    };
+    "motor_field_ut": [0.1, 0.3, 1.0, 3.0, 8.0, 20.0] => |p, v, turn| {
+        let motors = p.effects.motor_field.get_or_insert_default();
+        motors.amplitude_ut = [v; 3];
+        motors.azimuth_deg = motors.azimuth_deg.map(|a| (a + turn) % 360.0);
+    };
+    "hard_iron_ut": [5.0, 20.0, 50.0] => |p, v, turn| {
         p.effects.hard_iron.get_or_insert_default().offset_ut = askew(v, turn);
-    }),
-    row(
-        "contact_and_release_deg",
-        &[60.0, 40.0, 20.0],
-        |p, v, turn| {
-            let wall = p.effects.contact.get_or_insert_default();
-            (wall.block, wall.at_deg, wall.direction_deg, wall.until_s) = (1.0, v, turn, RELEASE_S);
-        },
-    ),
-    row("stick_slip_mm", &[0.5, 1.6, 2.6], |p, v, _| {
-        let slip = p.effects.outside.stick_slip.get_or_insert_default();
-        slip.breakaway_mm = v;
-    }),
-    row("respiration_deg", &[1.0, 3.0, 5.0], |p, v, turn| {
+    };
+    "contact_and_release_deg": [60.0, 40.0, 20.0] => |p, v, turn| {
+        let wall = p.effects.contact.get_or_insert_default();
+        (wall.block, wall.at_deg, wall.direction_deg, wall.until_s) = (1.0, v, turn, RELEASE_S);
+    };
+    "stick_slip_mm": [0.5, 1.6, 2.6] => |p, v, _| {
+        p.effects.outside.stick_slip.get_or_insert_default().breakaway_mm = v;
+    };
+    "respiration_deg": [1.0, 3.0, 5.0] => |p, v, turn| {
         let breath = p.effects.outside.respiration.get_or_insert_default();
         (breath.amplitude_deg, breath.direction_deg) = (v, turn);
-    }),
-    row("base_sway_deg", &[1.0, 3.0, 5.0], sway),
-    row("base_sway_with_imu_deg", &[1.0, 3.0, 5.0], |p, v, turn| {
+    };
+    "base_sway_deg": [1.0, 3.0, 5.0] => sway;
+    "base_sway_with_imu_deg": [1.0, 3.0, 5.0] => |p, v, turn| {
         sway(p, v, turn);
         p.base.imu = true;
-    }),
-    row("torsion_deg", &[5.0, 10.0, 20.0], |p, v, _| {
-        p.effects.torsion.get_or_insert_default().twist_deg = v;
-    }),
-    row("mount_deg", &[3.0, 8.0, 15.0], |p, v, turn| {
-        let mount = p.effects.mount_misalignment.get_or_insert_default();
-        mount.tilt_deg = askew(v, turn);
-    }),
-    row("noise_factor", &[3.0, 10.0], |p, v, _| {
+    };
+    "torsion_deg": [5.0, 10.0, 20.0] => |p, v, _| p.effects.torsion.get_or_insert_default().twist_deg = v;
+    "mount_deg": [3.0, 8.0, 15.0] => |p, v, turn| {
+        p.effects.mount_misalignment.get_or_insert_default().tilt_deg = askew(v, turn);
+    };
+    "noise_factor": [3.0, 10.0] => |p, v, _| {
         p.imu.gyro_noise_deg_s_rthz *= v;
         p.imu.acc_noise_mg_rthz *= v;
         p.imu.mag_noise_ut *= v;
-    }),
-    row("temperature_drift_mm", &[1.0, 2.0, 4.0], |p, v, _| {
+    };
+    "temperature_drift_mm": [1.0, 2.0, 4.0] => |p, v, _| {
         let air = p.effects.thermal_drift.get_or_insert_default();
         (air.offset_mm, air.case_s) = ([v, -0.5 * v, -0.5 * v], 40.0);
-    }),
-    row("gyro_warm_up_deg_s", &[1.0, 4.0], |p, v, turn| {
-        let gyro = p.effects.gyro_bias.get_or_insert_default();
-        gyro.warm_up_deg_s = askew(v, turn);
-    }),
-    row("gyro_wander_deg_s", &[0.3], |p, v, _| {
-        let gyro = p.effects.gyro_bias.get_or_insert_default();
-        gyro.wander_deg_s = v;
-    }),
-    row("gyro_g_sensitivity_deg_s_per_g", &[1.0], |p, v, _| {
-        let gyro = p.effects.outside.g_sensitivity.get_or_insert_default();
-        gyro.deg_s_per_g = [v, -v, v];
-    }),
-    row("gyro_scale", &[0.02], |p, v, _| {
-        let gyro = p.effects.outside.gyro_scale.get_or_insert_default();
-        gyro.share = [v, -v, v];
-    }),
-];
+    };
+    "gyro_warm_up_deg_s": [1.0, 4.0] => |p, v, turn| {
+        p.effects.gyro_bias.get_or_insert_default().warm_up_deg_s = askew(v, turn);
+    };
+    "gyro_wander_deg_s": [0.3] => |p, v, _| p.effects.gyro_bias.get_or_insert_default().wander_deg_s = v;
+    "gyro_g_sensitivity_deg_s_per_g": [1.0] => |p, v, _| {
+        p.effects.outside.g_sensitivity.get_or_insert_default().deg_s_per_g = [v, -v, v];
+    };
+    "gyro_scale": [0.02] => |p, v, _| p.effects.outside.gyro_scale.get_or_insert_default().share = [v, -v, v];
+};
 
 fn dead_time(p: &mut PlantConfig, s: f64, _: f64) {
     p.effects.transport_delay.get_or_insert_default().delay_s = s;
@@ -157,8 +133,6 @@ pub struct Study {
     pub config: LoopConfig,
     /// Make of the units.
     pub make: PlantConfig,
-    /// Period of the simulation, s.
-    pub period_s: f64,
     /// Serial number before that of the first unit.
     pub seed: u64,
     /// Number of units.
@@ -193,7 +167,14 @@ impl Study {
         self.make.drawn(self.seed + 1 + n)
     }
 
-    /// An arm on a unit, in `directions` directions.
+    /// The unit `n` under a condition.
+    pub fn unit_under(&self, condition: &Condition, value: f64, n: u64) -> PlantConfig {
+        let mut unit = self.unit(n);
+        condition.apply(&mut unit, value, TURN_DEG * n as f64 % 360.0);
+        unit
+    }
+
+    /// An arm on a unit.
     ///
     /// # Errors
     /// [`RigError`] from the plant.
@@ -203,12 +184,10 @@ impl Study {
         arm: Arm,
         unit: &PlantConfig,
         n: u64,
-        directions: usize,
     ) -> Result<ArmResult, RigError> {
         let noise = 10 * (self.seed + n) + arm as u64;
-        let mut world = Sim::new(unit, 0, noise, self.period_s).map_err(MachineError::from)?;
-        let mut rig = Rig::new(arm.config(&for_world(config, &world)), &mut world);
-        arm::run(arm.name(), &mut rig, &arrivals(directions), &mut || ())
+        let mut world = Sim::new(unit, 0, noise, self.make.period_s).map_err(MachineError::from)?;
+        arm.run(config, &mut world, DIRECTIONS, &mut || ())
     }
 }
 
@@ -223,9 +202,8 @@ pub fn run(
 ) -> Result<Vec<SweepRow>, RigError> {
     let row = |&(condition, value): &(&Condition, f64)| {
         let unit = |n: u64| {
-            let mut unit = study.unit(n);
-            condition.apply(&mut unit, value, TURN_DEG * n as f64 % 360.0);
-            let arms = Arm::PAPER.map(|arm| study.run(&study.config, arm, &unit, n, DIRECTIONS));
+            let unit = study.unit_under(condition, value, n);
+            let arms = Arm::PAPER.map(|arm| study.run(&study.config, arm, &unit, n));
             progress();
             arms.into_iter().collect::<Result<Vec<_>, _>>()
         };
@@ -237,11 +215,11 @@ pub fn run(
 
 /// Every value of every condition.
 pub fn rows(conditions: &[Condition]) -> Vec<(&Condition, f64)> {
-    let row = |c| move |&v| (c, v);
-    conditions
-        .iter()
-        .flat_map(|c: &Condition| c.values.iter().map(row(c)))
-        .collect()
+    let mut all = Vec::new();
+    for condition in conditions {
+        all.extend(condition.values.iter().map(|&value| (condition, value)));
+    }
+    all
 }
 
 /// The row of the units, each with its arms in the order of [`Arm::PAPER`].
@@ -254,20 +232,21 @@ fn judge(condition: &'static str, value: f64, units: &[Vec<ArmResult>]) -> Sweep
     }
     let (open_deg, closed_deg) = (rmse(best), rmse(Arm::Closed));
     let p95_deg = percentile(held(Arm::Closed).map(|h| h.bend_error_deg.abs()), 0.95);
-    let most = |cold: bool| {
-        let states = |arm: Arm| {
-            units
-                .iter()
-                .flat_map(move |arms| arms[arm as usize].held.iter().enumerate())
-        };
-        let pairs = states(Arm::Closed)
-            .zip(states(best))
-            .filter(|((k, _), _)| (*k < COLD_STATES) == cold);
-        pairs
-            .map(|((_, c), (_, o))| c.peak_to_peak_deg - o.peak_to_peak_deg)
-            .fold(0.0, f64::max)
-    };
-    let (hunting_deg, cold_deg) = (most(false), most(true));
+    let (mut hunting_deg, mut cold_deg) = (0.0f64, 0.0f64);
+    for arms in units {
+        let pairs = arms[Arm::Closed as usize]
+            .held
+            .iter()
+            .zip(&arms[best as usize].held);
+        for (k, (closed, open)) in pairs.enumerate() {
+            let most = if k < COLD_STATES {
+                &mut cold_deg
+            } else {
+                &mut hunting_deg
+            };
+            *most = most.max(closed.peak_to_peak_deg - open.peak_to_peak_deg);
+        }
+    }
     let ok = closed_deg <= open_deg.max(GOOD_DEG)
         && hunting_deg <= HUNTING_MAX_DEG
         && cold_deg <= COLD_MAX_DEG;

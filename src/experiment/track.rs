@@ -82,33 +82,26 @@ pub fn run(
             progress();
         }
     }
-    let score = score(&path, &samples, dt_s);
     Ok(TrackResult {
         estimate_rmse_deg: root_mean(estimate_sq).to_degrees(),
         duration_s,
         live,
         demand,
         time_scale,
-        ..score
+        ..score(&path, &samples, dt_s)
     })
 }
 
 /// Scores the true bends, of which the first is `dt_s` after the beginning of the path.
 fn score(path: &Path, truth: &[Vector2<f64>], dt_s: f64) -> TrackResult {
     let rows = ((path.duration_s() / dt_s + 1e-6) as usize).min(truth.len());
-    let desired: Vec<_> = (1..=rows)
-        .map(|k| path.at(k as f64 * dt_s).shape.bend.0)
-        .collect();
+    let bend = |k: usize| path.at(k as f64 * dt_s).shape.bend.0;
+    let desired: Vec<_> = (1..=rows).map(bend).collect();
     let errors = |shift: isize| {
-        let shifted = move |k: usize| {
-            usize::try_from(k as isize + shift)
-                .ok()
-                .and_then(|k| truth.get(k))
-        };
-        desired
-            .iter()
-            .enumerate()
-            .filter_map(move |(k, want)| shifted(k).map(|is| (is - want).norm().to_degrees()))
+        let shifted = move |k: usize| truth.get(k.checked_add_signed(shift)?);
+        let error =
+            move |(k, want): (usize, &Vector2<f64>)| Some((shifted(k)? - want).norm().to_degrees());
+        desired.iter().enumerate().filter_map(error)
     };
     let rmse = |shift: isize| root_mean(errors(shift).map(|e| e * e));
     let ticks = |s: f64| (s / dt_s).round() as isize;

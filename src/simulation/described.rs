@@ -49,22 +49,18 @@ impl Described {
     pub fn new(machine: DescribedMachine, step_mm: f64, seed: u64) -> Self {
         let mut memory = machine.memory();
         let chain = machine.chain();
-        let rest = orientation(&chain.pose(
-            &mut memory,
-            &chain.moment(machine.rest.up, PERIOD_S),
-            &Vector3::zeros(),
-        ));
+        let at = chain.moment(machine.rest.up, PERIOD_S);
+        let rest = orientation(&chain.pose(&mut memory, &at, &Vector3::zeros()));
         let periods = |time_s: f64| (time_s / PERIOD_S).round() as usize;
         let late: f64 = chain.each().map(|(e, p)| e.latency_s(p)).sum();
         let behind: f64 = chain.each().map(|(e, p)| e.transport_s(p)).sum();
-        let info = MachineInfo {
-            name: "model".to_owned(),
-            period_s: PERIOD_S,
-            step_mm,
-            rest_length_mm: machine.geometry.rest_length_mm,
-        };
         Self {
-            info,
+            info: MachineInfo {
+                name: "model".to_owned(),
+                period_s: PERIOD_S,
+                step_mm,
+                rest_length_mm: machine.geometry.rest_length_mm,
+            },
             memory: machine.memory(),
             rng: StdRng::seed_from_u64(seed),
             periods: 0,
@@ -96,15 +92,10 @@ impl Described {
     fn read(&mut self, tip: &UnitQuaternion<f64>, at: &Moment) -> ImuSample {
         let (machine, rest) = (&self.machine, self.machine.rest);
         let chain = machine.chain();
-        let turned = chain
-            .each()
-            .find_map(|(e, p)| e.base(p, at))
-            .unwrap_or_default();
-        let mount = chain
-            .each()
-            .filter_map(|(e, p)| e.mount(p))
-            .fold(UnitQuaternion::identity(), |a, b| a * b);
-        let sensor = turned * tip * mount;
+        let turned = chain.each().find_map(|(e, p)| e.base(p, at));
+        let mounts = chain.each().filter_map(|(e, p)| e.mount(p));
+        let mount = mounts.fold(UnitQuaternion::identity(), |a, b| a * b);
+        let sensor = turned.unwrap_or_default() * tip * mount;
         let mut reading = ImuPrediction {
             acc_m_s2: sensor.inverse() * rest.up * G_M_S2,
             gyro_rad_s: (self.before.inverse() * sensor).scaled_axis() / PERIOD_S
@@ -116,10 +107,9 @@ impl Described {
             reading.gyro_rad_s = rest.gyro_bias_rad_s;
         }
         self.before = sensor;
-        chain
-            .each()
-            .zip(&mut self.memory)
-            .for_each(|((e, p), m)| e.sensor(p, m, at, &mut reading));
+        for ((e, p), memory) in chain.each().zip(&mut self.memory) {
+            e.sensor(p, memory, at, &mut reading);
+        }
         let mut noise =
             |size: f64| Vector3::from_fn(|_, _| size * self.rng.sample::<f64, _>(StandardNormal));
         ImuSample {
@@ -143,11 +133,8 @@ impl World for Described {
         let counted = self.counts.pop_front().unwrap_or(*steps);
         let counted_mm = Vector3::from(counted.0.map(f64::from)) * self.info.step_mm;
         let chain = self.machine.chain();
-        self.idle_s = if self.last == *steps {
-            self.idle_s + PERIOD_S
-        } else {
-            0.0
-        };
+        let idle = self.last == *steps;
+        self.idle_s = if idle { self.idle_s + PERIOD_S } else { 0.0 };
         self.last = *steps;
         let t_s = self.periods as f64 * PERIOD_S;
         let at = Moment {

@@ -84,24 +84,22 @@ impl Link {
         let missing = || fail(std::io::Error::other("its pipes could not be opened"));
         let to = BufWriter::new(child.stdin.take().ok_or_else(missing)?);
         let from = read_lines(child.stdout.take().ok_or_else(missing)?);
-        let info = MachineInfo::default();
         let mut link = Self {
             child,
             to,
             from,
-            info,
+            info: MachineInfo::default(),
             n: 0,
             last: "(nothing yet)".to_owned(),
             rates: RateCheck::default(),
         };
-        let first = match link.line(TOLD_S) {
-            Err(MachineError::Silent { .. }) => {
-                tracing::info!("waiting up to {GREETING_S} s for the greeting of {program}");
-                link.line(GREETING_S - TOLD_S)
-            }
-            said => said,
-        };
-        link.info = greeting(&first?)?;
+        let mut first = link.line(TOLD_S);
+        if let Err(MachineError::Silent { .. }) = first {
+            tracing::info!("waiting up to {GREETING_S} s for the greeting of {program}");
+            first = link.line(GREETING_S - TOLD_S);
+        }
+        let first = first?;
+        link.info = greeting(&first).map_err(|problem| malformed(&first, problem))?;
         Ok(link)
     }
 
@@ -115,10 +113,10 @@ impl Link {
                 seconds,
                 last: excerpt(&self.last),
             }),
-            Ok(Err(e)) => Err(MachineError::Malformed {
-                line: excerpt(&self.last),
-                problem: format!("then its output could not be read: {e}"),
-            }),
+            Ok(Err(e)) => {
+                let problem = format!("then its output could not be read: {e}");
+                Err(malformed(&self.last, problem))
+            }
             Ok(Ok(_)) | Err(RecvTimeoutError::Disconnected) => Err(self.died()),
         }
     }
@@ -169,7 +167,7 @@ impl World for Link {
             return Err(self.died());
         }
         let line = self.line(SILENCE_S)?;
-        let reply = reply(&line, t)?;
+        let reply = reply(&line, t).map_err(|problem| malformed(&line, problem))?;
         if let (Some(imu), Some(truth)) = (&reply.imu, &reply.truth) {
             let wrong = self.rates.update(reply.t.0, &truth.quat(), &imu.gyro_rad_s);
             wrong.into_iter().for_each(|why| tracing::warn!("{why}"));
@@ -199,32 +197,30 @@ fn read_lines(out: ChildStdout) -> Receiver<std::io::Result<String>> {
 }
 
 fn excerpt(line: &str) -> String {
-    let cut: String = line.trim_end().chars().take(160).collect();
-    if cut.len() < line.trim_end().len() {
-        format!("{cut}…")
-    } else {
-        cut
-    }
+    let line = line.trim_end();
+    let end = line.char_indices().nth(160).map(|(at, _)| at);
+    end.map_or_else(|| line.to_owned(), |end| format!("{}…", &line[..end]))
 }
 
-fn malformed(line: &str, problem: impl Into<String>) -> MachineError {
+fn malformed(line: &str, problem: String) -> MachineError {
     MachineError::Malformed {
         line: excerpt(line),
-        problem: problem.into(),
+        problem,
     }
 }
 
-fn greeting(line: &str) -> Result<MachineInfo, MachineError> {
-    let h: Hello = serde_json::from_str(line).map_err(|e| {
-        malformed(
-            line,
-            format!("not a greeting ({e}); expected {{\"plant\":…,\"protocol\":1,\"imu_period_s\":…,\"step_mm\":…,\"rest_length_mm\":…}}"),
+/// The machine that a line announces, or what is wrong with the line.
+fn greeting(line: &str) -> Result<MachineInfo, String> {
+    let not = |e| {
+        format!(
+            "not a greeting ({e}); expected {{\"plant\":…,\"protocol\":1,\"imu_period_s\":…,\"step_mm\":…,\"rest_length_mm\":…}}"
         )
-    })?;
+    };
+    let h: Hello = serde_json::from_str(line).map_err(not)?;
     if h.protocol != 1 {
-        return Err(malformed(
-            line,
-            format!("protocol {} is not supported, only 1 is", h.protocol),
+        return Err(format!(
+            "protocol {} is not supported, only 1 is",
+            h.protocol
         ));
     }
     let ranges = [
@@ -234,10 +230,7 @@ fn greeting(line: &str) -> Result<MachineInfo, MachineError> {
     ];
     for (key, value, low, high) in ranges {
         if !(low..=high).contains(&value) {
-            return Err(malformed(
-                line,
-                format!("{key} = {value} is outside {low} to {high}"),
-            ));
+            return Err(format!("{key} = {value} is outside {low} to {high}"));
         }
     }
     Ok(MachineInfo {
@@ -251,32 +244,34 @@ fn greeting(line: &str) -> Result<MachineInfo, MachineError> {
 /// Largest reading of any sensor, m/s², rad/s or µT.
 const READING_MAX: f64 = 1e9;
 
-fn reply(line: &str, t: f64) -> Result<Reply, MachineError> {
-    let a: Answer = serde_json::from_str(line).map_err(|e| {
-        malformed(line, format!("not an answer ({e}); expected {{\"t\":…,\"imu\":{{…}} or null,\"ref\":{{\"quat\":[w,x,y,z]}}}}"))
-    })?;
+/// The answer of a line for the time `t`, or what is wrong with the line.
+fn reply(line: &str, t: f64) -> Result<Reply, String> {
+    let not = |e| {
+        format!(
+            "not an answer ({e}); expected {{\"t\":…,\"imu\":{{…}} or null,\"ref\":{{\"quat\":[w,x,y,z]}}}}"
+        )
+    };
+    let a: Answer = serde_json::from_str(line).map_err(not)?;
     if (a.t - t).abs() > 1e-4 {
-        return Err(malformed(
-            line,
-            format!("answers for t = {} s, the request was for {t:.6} s", a.t),
+        return Err(format!(
+            "answers for t = {} s, the request was for {t:.6} s",
+            a.t
         ));
     }
-    let truth = match a.reference {
-        None => None,
-        Some(r) => Some(
-            orientation(&r.quat)
-                .ok_or_else(|| malformed(line, "ref.quat is not a unit quaternion [w,x,y,z]"))?,
-        ),
-    };
+    let truth = a.reference.map(|r| {
+        orientation(&r.quat).ok_or("ref.quat is not a unit quaternion [w,x,y,z]".to_owned())
+    });
+    let truth = truth.transpose()?;
     for imu in a.imu.iter().chain(&a.base) {
-        let values = imu
+        let mut values = imu
             .acc
             .iter()
             .chain(&imu.gyr)
             .chain(imu.mag.iter().flatten());
-        if let Some(value) = values.into_iter().find(|x| x.abs() > READING_MAX) {
-            let why = format!("a reading is {value:e}; expected at most {READING_MAX:e} in size");
-            return Err(malformed(line, why));
+        if let Some(value) = values.find(|x| x.abs() > READING_MAX) {
+            return Err(format!(
+                "a reading is {value:e}; expected at most {READING_MAX:e} in size"
+            ));
         }
     }
     let sample = |i: Imu| ImuSample {
@@ -316,7 +311,7 @@ mod tests {
             (good.replace("0.029452", "-1"), "step_mm = -1"),
             ("hello".to_owned(), "not a greeting"),
         ] {
-            let why = greeting(&bad).unwrap_err().to_string();
+            let why = malformed(&bad, greeting(&bad).unwrap_err()).to_string();
             assert!(why.contains(text) && why.contains(&excerpt(&bad)), "{why}");
         }
     }
@@ -353,7 +348,7 @@ mod tests {
                 "a reading is -1e10",
             ),
         ] {
-            let why = reply(&bad, 0.005).unwrap_err().to_string();
+            let why = reply(&bad, 0.005).unwrap_err();
             assert!(why.contains(text), "{why}");
         }
     }

@@ -34,25 +34,17 @@ pub struct Lockstep<W> {
 impl<W: World> Lockstep<W> {
     /// A world at rest with its drivers off. Motion is queued for at least one period.
     pub fn new(world: W, motion: &DriveLimits) -> Self {
-        let &MachineInfo {
-            period_s, step_mm, ..
-        } = world.info();
+        let (period_s, step_mm) = (world.info().period_s, world.info().step_mm);
         let motion = DriveLimits {
             lead_s: motion.lead_s.max(period_s),
             ..*motion
         };
-        let drive = Drive::new(
-            SimulatedStepper::new(&motion, step_mm),
-            &motion,
-            step_mm,
-            period_s,
-        );
-        let period_ns = ((period_s * 1e9).round() as u64).max(1);
+        let stepper = SimulatedStepper::new(&motion, step_mm);
         Self {
             world,
             inputs: Inputs::default(),
-            drive,
-            period_ns,
+            drive: Drive::new(stepper, &motion, step_mm, period_s),
+            period_ns: ((period_s * 1e9).round() as u64).max(1),
             reached_ns: 0,
             made: Steps::default(),
         }
@@ -78,13 +70,11 @@ impl<W: World> Machine for Lockstep<W> {
             self.drive.update(self.reached_ns, wanted);
             let from_ns = self.reached_ns;
             self.reached_ns += self.period_ns;
-            let made = self
-                .drive
-                .generator_mut()
-                .run(from_ns, self.reached_ns, self.inputs);
-            self.made = Steps(std::array::from_fn(|i| {
-                self.made.0[i].wrapping_add(made[i])
-            }));
+            let stepper = self.drive.generator_mut();
+            let made = stepper.run(from_ns, self.reached_ns, self.inputs);
+            for (sum, made) in self.made.0.iter_mut().zip(made) {
+                *sum = sum.wrapping_add(made);
+            }
             let reply = self.world.step(&self.made)?;
             if let Some(sample) = reply.imu {
                 imu = ImuReading::from_world(Some(sample));

@@ -11,6 +11,8 @@ const EXPLAINED_MIN: f64 = 0.1;
 /// Largest factor between both, either way.
 const FACTOR_MAX: f64 = 3.0;
 
+const OTHER_AXES: &str = "is about other axes, or in another frame than the tip's";
+
 /// Sums over the samples of a tip that turns.
 #[derive(Debug, Default)]
 pub struct RateCheck {
@@ -50,16 +52,12 @@ impl RateCheck {
             return None;
         }
         self.decided = true;
-        let (factor, explained) = (
-            self.rg / self.rr,
-            self.rg * self.rg.abs() / (self.rr * self.gg),
-        );
+        let factor = self.rg / self.rr;
+        let explained = self.rg * self.rg.abs() / (self.rr * self.gg);
         let like = 1f64.to_degrees();
         let cause = match factor {
             x if explained < -EXPLAINED_MIN && x < 0.0 => "has the other sign".to_owned(),
-            _ if explained < EXPLAINED_MIN => {
-                "is about other axes, or in another frame than the tip's".to_owned()
-            }
+            _ if explained < EXPLAINED_MIN => OTHER_AXES.to_owned(),
             x if (0.7..1.4).contains(&(x / like)) => "looks like °/s".to_owned(),
             x if !(1.0 / FACTOR_MAX..FACTOR_MAX).contains(&x) => format!("is {x:.3} times it"),
             _ => return None,

@@ -6,11 +6,13 @@ use crate::simulation::world::{Reply, World};
 use crate::supervisor::{MachineError, MachineInfo};
 
 /// A running built-in plant.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Sim {
-    plant: Plant,
+    /// The plant, for fault injection.
+    pub plant: Plant,
+    /// The last output with the true state, for scoring only.
+    pub last: Option<Output>,
     info: MachineInfo,
-    last: Option<Output>,
 }
 
 impl Sim {
@@ -25,10 +27,9 @@ impl Sim {
         noise_seed: u64,
         period_s: f64,
     ) -> Result<Self, PlantError> {
-        let unit = if unit_seed == 0 {
-            make.clone()
-        } else {
-            make.drawn(unit_seed)
+        let unit = match unit_seed {
+            0 => make.clone(),
+            _ => make.drawn(unit_seed),
         };
         let info = MachineInfo {
             name: "built-in".to_owned(),
@@ -37,29 +38,12 @@ impl Sim {
             rest_length_mm: unit.shape.rest_length_mm,
         };
         // the noise differs from unit to unit: the multiplier (2⁶⁴ over the golden ratio) spreads the seeds
-        let seed = unit_seed
-            .wrapping_mul(0x9e37_79b9_7f4a_7c15)
-            .wrapping_add(noise_seed);
+        let seed = unit_seed.wrapping_mul(0x9e37_79b9_7f4a_7c15);
         Ok(Self {
-            plant: Plant::new(&unit, seed)?,
+            plant: Plant::new(&unit, seed.wrapping_add(noise_seed))?,
             info,
             last: None,
         })
-    }
-
-    /// The last output with the true state, for scoring only.
-    pub fn last(&self) -> Option<&Output> {
-        self.last.as_ref()
-    }
-
-    /// The plant, for fault injection.
-    pub fn plant_mut(&mut self) -> &mut Plant {
-        &mut self.plant
-    }
-
-    /// Configuration of the unit.
-    pub fn unit(&self) -> &PlantConfig {
-        self.plant.config()
     }
 }
 

@@ -58,7 +58,7 @@ pub fn fly(
     };
     let mut events = vec![Arc::new(Event::Start(start.header(&run, "bench")))];
     let mut file = FlightFile::create(path, 0).unwrap();
-    let cycles = (duration_s / bench.period_s()) as u64;
+    let cycles = (duration_s / bench.period_s) as u64;
     for number in 0..cycles {
         let order = script(number, &mut bench);
         let output = bench.turn(order).unwrap();

@@ -19,7 +19,7 @@ use retroflex::primitives::units::{Mm, Seconds};
 use retroflex::service::protocol::Request;
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::plant::config::PlantConfig;
-use retroflex::simulation::plant::{InjectedFault, Output};
+use retroflex::simulation::plant::{ImuFaults, Output};
 use retroflex::simulation::sim::Sim;
 use retroflex::supervisor::cycle::order::{Order, Refusal};
 use retroflex::supervisor::cycle::runner::Runner;
@@ -102,7 +102,7 @@ impl Flight {
     }
 
     fn truth(&self) -> &Output {
-        self.runner.machine.world.last().unwrap()
+        self.runner.machine.world.last.as_ref().unwrap()
     }
 
     fn true_bend(&self) -> Bend {
@@ -300,12 +300,7 @@ fn an_orientation_in_the_world_needs_a_healthy_imu_on_the_base() {
         flight.run(5.0).source,
         Source::World { reached: true, .. }
     ));
-    flight
-        .runner
-        .machine
-        .world
-        .plant_mut()
-        .inject(InjectedFault::OfBaseImu(&InjectedFault::SILENT));
+    flight.runner.machine.world.plant.faults.base_imu.slow = ImuFaults::SILENT;
     let lost = flight.run(0.3);
     assert_eq!(lost.source, Source::WorldLost);
     let kept = lost.frame.target.bend.0;
@@ -331,12 +326,8 @@ fn an_orientation_out_of_reach_is_approached_as_far_as_the_tip_bends() {
         .runner
         .machine
         .world
-        .plant_mut()
-        .inject(InjectedFault::BaseTurn {
-            axis: (-axis).into(),
-            angle_deg: 30.0,
-            over_s: 2.0,
-        });
+        .plant
+        .turn_base((-axis).into(), 30.0, 2.0);
     let last = flight.run(5.0);
     let bend_deg = last.frame.target.bend.beta().to_degrees();
     println!("out of reach: {bend_deg:.1}° of 105° asked for");
@@ -350,12 +341,8 @@ fn an_orientation_out_of_reach_is_approached_as_far_as_the_tip_bends() {
         .runner
         .machine
         .world
-        .plant_mut()
-        .inject(InjectedFault::BaseTurn {
-            axis: axis.into(),
-            angle_deg: 30.0,
-            over_s: 2.0,
-        });
+        .plant
+        .turn_base(axis.into(), 30.0, 2.0);
     let last = flight.run(5.0);
     assert!(
         matches!(last.source, Source::World { reached: true, .. })

@@ -28,7 +28,6 @@ pub(super) fn run(
     let study = Study {
         config: assemble(board, &inputs::calibration(args.calib.as_deref())?, gains),
         make: section.make(),
-        period_s: section.period_s,
         seed: args.seed,
         units: [ABLATION_UNITS, SWEEP_UNITS][usize::from(args.sweep)],
     };

@@ -4,7 +4,7 @@ use super::attack::Attack::{self, Connect, Flood, Hang, Keep};
 use super::attack::Attackers;
 use super::daemon::{Daemon, WATCHDOG_S, ask, connect, insist, mode_of};
 use super::plan::Plan;
-use crate::drill::row::FaultResult;
+use crate::drill::row::{FaultResult, require};
 use crate::drill::run::Allowance;
 use crate::service::protocol::Request;
 use serde_json::Value;
@@ -30,11 +30,7 @@ const ATTACKS: [(&str, Attack, bool); 16] = [
     ("stop_in_a_flood_of_stop", Attack::Stop, false),
     ("client_flood", Flood(STATUS, 8), true),
     ("client_garbage", Flood("{]\n", 8), true),
-    (
-        "client_10_mb_line",
-        Flood("xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx", 8),
-        true,
-    ),
+    ("client_10_mb_line", Flood(LINE, 8), true),
     ("stop_among_readers", Flood(SUBSCRIBE, 16), true),
     ("stop_with_a_hung_disk", Hang("state"), true),
     ("stop_with_a_hung_status_thread", Hang("status"), true),
@@ -42,6 +38,8 @@ const ATTACKS: [(&str, Attack, bool); 16] = [
     ("stop_with_a_hung_hub", Hang("hub"), false),
 ];
 const BEND: &str = "{\"v\":1,\"cmd\":\"bend\",\"bend_deg\":30,\"dir_deg\":200}\n";
+/// Part of a line without an end.
+const LINE: &str = "xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx";
 const HOLD: &str = "{\"v\":1,\"cmd\":\"hold\"}\n";
 const STATUS: &str = "{\"v\":1,\"cmd\":\"status\"}\n";
 const SUBSCRIBE: &str = "{\"v\":1,\"cmd\":\"subscribe\",\"rate_hz\":1000}\n";
@@ -53,39 +51,32 @@ const HUNG_COMMANDS: &str = "hung_command_thread";
 /// # Errors
 /// A service that does not start.
 pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<FaultResult>> {
-    let Plan {
-        config,
-        program,
-        scratch,
-        tries,
-        selected,
-        ..
-    } = *plan;
-    let folder = scratch.join("attacks");
-    let steps_allowed = Allowance::new(config).map_err(io::Error::other)?.stopping();
+    let (tries, selected) = (plan.tries, plan.selected);
+    let folder = plan.scratch.join("attacks");
+    let allowance = Allowance::new(plan.config).map_err(io::Error::other)?;
+    let steps_allowed = allowance.stopping;
     let [socket_s, line_s] = ANSWER_MAX_S;
     let requires = format!(
         "{tries} of {tries} stops are answered, on the socket within {socket_s} s, by the command line within {line_s} s; \
          at most {steps_allowed} microsteps follow; the watchdog is fed"
     );
-    let run =
-        |name: &str, requires: &str, test: &dyn Fn(&Daemon, &mut FaultResult) -> io::Result<()>| {
-            let mut row = FaultResult::new(name, requires);
-            row.steps_allowed = steps_allowed;
-            let tested = Daemon::start(program, &folder.join(name)).and_then(|daemon| {
-                daemon.take_off()?;
-                daemon.until(5.0, "motion", |s| s["mode"] == "tracking")?;
-                test(&daemon, &mut row)
-            });
-            if let Err(e) = tested {
-                row.fail(e.to_string());
-            }
-            row
-        };
+    type Test<'a> = &'a dyn Fn(&Daemon, &mut FaultResult) -> io::Result<()>;
+    let run = |name: &str, requires: &str, test: Test<'_>| {
+        let mut row = FaultResult::new(name, requires);
+        row.steps_allowed = steps_allowed;
+        let tested = Daemon::start(plan.program, &folder.join(name)).and_then(|daemon| {
+            daemon.take_off()?;
+            daemon.until(5.0, "motion", |s| s["mode"] == "tracking")?;
+            test(&daemon, &mut row)
+        });
+        tested.unwrap_or_else(|e| row.fail(e.to_string()));
+        row
+    };
     let mut rows = Vec::new();
     for (name, attack, moves) in ATTACKS.into_iter().filter(|(name, ..)| selected(name)) {
-        let test = |daemon: &Daemon, row: &mut FaultResult| one(daemon, attack, tries, moves, row);
-        rows.push(run(name, &requires, &test));
+        rows.push(run(name, &requires, &|daemon, row| {
+            one(daemon, attack, tries, moves, row)
+        }));
     }
     if selected(HUNG_COMMANDS) {
         let requires = "the tip stops by itself within 2 s";
@@ -118,7 +109,7 @@ fn one(
         };
         slowest_s[way] = slowest_s[way].max(started.elapsed().as_secs_f64());
         answered += u32::from(reply.is_ok());
-        row.require(reply.is_ok(), |_| format!("stop {n}: {reply:?}"));
+        require!(row: reply.is_ok(); "stop {n}: {reply:?}");
         if moves {
             row.steps_after = row.steps_after.max(travelled(daemon)?);
         }
@@ -136,19 +127,13 @@ fn one(
          {fed} heartbeats; {} late cycles of {}",
         status["late_cycles"], status["cycles"]
     );
-    let (in_time, steps) = (
-        (0..2).all(|way| slowest_s[way] <= ANSWER_MAX_S[way]),
-        row.steps_after,
-    );
-    row.require(in_time, |row| format!("too late: {}", row.message));
-    row.require(steps <= row.steps_allowed, |_| {
-        format!("{steps} microsteps after the answer")
-    });
+    let in_time = (0..2).all(|way| slowest_s[way] <= ANSWER_MAX_S[way]);
+    let steps = row.steps_after;
+    require!(row: in_time; "too late: {}", row.message);
+    require!(row: steps <= row.steps_allowed; "{steps} microsteps after the answer");
     // a thread that hangs for long ends the heartbeat, as it must
-    let beats = fed >= expected || matches!(attack, Hang(_));
-    row.require(beats, |_| {
-        format!("{fed} heartbeats in {expected} time-outs of the watchdog")
-    });
+    require!(row: fed >= expected || matches!(attack, Hang(_));
+        "{fed} heartbeats in {expected} time-outs of the watchdog");
     Ok(())
 }
 
@@ -199,8 +184,6 @@ fn hung_commands(daemon: &Daemon, row: &mut FaultResult) -> io::Result<()> {
         row.message = format!("the command thread was silent for {age_s} s");
     }
     let after_s = row.detected_s;
-    row.require(after_s.is_some_and(|s| s <= 2.0), |_| {
-        format!("stopped after {after_s:?} s")
-    });
+    require!(row: after_s.is_some_and(|s| s <= 2.0); "stopped after {after_s:?} s");
     Ok(())
 }

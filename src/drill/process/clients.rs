@@ -1,8 +1,9 @@
 //! Clients that contradict each other, fall silent or die, of a service that runs in real time.
 
 use super::daemon::{Daemon, ask, insist, mode_of};
-use crate::drill::row::FaultResult;
+use crate::drill::row::{FaultResult, require};
 use crate::service::protocol::{RecordAction, Request};
+use serde_json::Value;
 use std::io;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -22,17 +23,14 @@ const BRAKED_MAX_S: f64 = 1.0;
 pub fn rows(program: &Path, folder: &Path) -> io::Result<Vec<FaultResult>> {
     let daemon = Daemon::start(program, folder)?;
     daemon.take_off()?;
-    let mut rows = vec![
-        two_clients(&daemon)?,
-        dead_man(&daemon)?,
-        abandoned(&daemon)?,
-    ];
+    let mut rows = vec![two_clients(&daemon)?, dead_man(&daemon)?];
+    rows.push(abandoned(&daemon)?);
     let (success, took_s) = daemon.end()?;
     let requires = "the tip returns to rest, then the service ends with success";
     let mut row = FaultResult::new(NAMES[3], requires).ending("relaxed");
     row.detected_s = Some(took_s);
     row.message = format!("relaxed and ended within {took_s:.1} s");
-    row.require(success, |_| "the service did not end with success");
+    require!(row: success; "the service did not end with success");
     rows.push(row);
     Ok(rows)
 }
@@ -70,27 +68,22 @@ fn two_clients(daemon: &Daemon) -> io::Result<FaultResult> {
     );
     row.error_deg_after = (target - estimate).abs();
     let meant = [30.0, 50.0].iter().any(|b| (target - b).abs() < 0.1);
-    row.require(meant, |_| format!("the target is {target}°"));
-    row.require(row.error_deg_after < 1.5, |row| {
-        format!("error {:.1}°", row.error_deg_after)
-    });
+    require!(row: meant; "the target is {target}°");
+    require!(row: row.error_deg_after < 1.5; "error {:.1}°", row.error_deg_after);
     Ok(row)
 }
 
 /// A stream of set-points that falls silent.
 fn dead_man(daemon: &Daemon) -> io::Result<FaultResult> {
     let mut client = daemon.client()?;
-    let (dir_deg, length_mm, t_s) = (30.0, None, None);
     let mut stream = |bend_deg| {
-        ask(
-            &mut client,
-            &Request::Stream {
-                bend_deg,
-                dir_deg,
-                length_mm,
-                t_s,
-            },
-        )
+        let set_point = Request::Stream {
+            bend_deg,
+            dir_deg: 30.0,
+            length_mm: None,
+            t_s: None,
+        };
+        ask(&mut client, &set_point)
     };
     for k in 0..20 {
         stream(30.0 + f64::from(k))?;
@@ -103,29 +96,20 @@ fn dead_man(daemon: &Daemon) -> io::Result<FaultResult> {
     let mut row = row(daemon, NAMES[1], requires, started)?;
     row.message = "the stream of set-points paused for too long: stopped".to_owned();
     let (after_s, bend_deg) = (row.detected_s, status["estimate"]["bend_deg"].as_f64());
-    row.require(after_s.is_some_and(|s| s < 1.0), |_| {
-        format!("stopped after {after_s:?} s")
-    });
-    row.require(
-        bend_deg.is_some_and(|b| b < 74.0),
-        |_| "moved to the last set-point",
-    );
+    require!(row: after_s.is_some_and(|s| s < 1.0); "stopped after {after_s:?} s");
+    require!(row: bend_deg.is_some_and(|b| b < 74.0); "moved to the last set-point");
     Ok(row)
 }
 
 /// A client that attends its motion and dies: the tip holds, and its recording ends.
 fn abandoned(daemon: &Daemon) -> io::Result<FaultResult> {
     let mut client = daemon.client()?;
-    let (action, name) = (RecordAction::Start, Some("x".to_owned()));
-    let owned = true;
-    ask(
-        &mut client,
-        &Request::Record {
-            action,
-            name,
-            owned,
-        },
-    )?;
+    let record = Request::Record {
+        action: RecordAction::Start,
+        name: Some("x".to_owned()),
+        owned: true,
+    };
+    ask(&mut client, &record)?;
     let away = Request::bend(10.0, 210.0, Some(20.0));
     insist(BRAKED_MAX_S, || ask(&mut client, &away))?;
     std::thread::sleep(Duration::from_millis(1000));
@@ -134,18 +118,13 @@ fn abandoned(daemon: &Daemon) -> io::Result<FaultResult> {
     let status = daemon.until(5.0, "the hold", |s| s["mode"] == "holding")?;
     let requires = "the tip holds within 0.5 s, before the target, and the client's recording ends";
     let mut row = row(daemon, NAMES[2], requires, started)?;
-    let ended = daemon.until(5.0, "the end of the recording", |s| {
-        s["recording"].is_null()
-    })?;
-    row.message = ended["recording_ended"]
-        .as_str()
-        .unwrap_or_default()
-        .to_owned();
+    let over = |s: &Value| s["recording"].is_null();
+    let ended = daemon.until(5.0, "the end of the recording", over)?;
+    let why = ended["recording_ended"].as_str();
+    row.message = why.unwrap_or_default().to_owned();
     let (after_s, estimate) = (row.detected_s, &status["estimate"]);
-    row.require(after_s.is_some_and(|s| s <= 0.5), |_| {
-        format!("held after {after_s:?} s")
-    });
-    let short = estimate["bend_deg"].as_f64().is_some_and(|b| b > 20.0);
-    row.require(short, |_| format!("moved on: {estimate}"));
+    let bend_deg = estimate["bend_deg"].as_f64();
+    require!(row: after_s.is_some_and(|s| s <= 0.5); "held after {after_s:?} s");
+    require!(row: bend_deg.is_some_and(|b| b > 20.0); "moved on: {estimate}");
     Ok(row)
 }

@@ -73,18 +73,13 @@ impl Daemon {
         };
         let started = Instant::now();
         while started.elapsed().as_secs_f64() < START_MAX_S {
-            if daemon
-                .notification()
-                .is_some_and(|text| text.contains("READY=1"))
-            {
+            if daemon.hears("READY=1") {
                 return Ok(daemon);
             }
             if let Some(status) = daemon.child.try_wait()? {
                 let log = std::fs::read_to_string(folder.join("log")).unwrap_or_default();
-                return Err(io::Error::other(format!(
-                    "the service ended immediately ({status}): {}",
-                    log.trim()
-                )));
+                let why = format!("the service ended immediately ({status}): {}", log.trim());
+                return Err(io::Error::other(why));
             }
         }
         Err(io::Error::other("the service did not become ready"))
@@ -95,6 +90,11 @@ impl Daemon {
         let mut buffer = [0u8; 1024];
         let n = self.notify.recv(&mut buffer).ok()?;
         Some(String::from_utf8_lossy(&buffer[..n]).into_owned())
+    }
+
+    /// Whether a notification comes within 50 ms that contains this text.
+    pub fn hears(&self, text: &str) -> bool {
+        self.notification().is_some_and(|said| said.contains(text))
     }
 
     /// A connection to its command socket.
@@ -126,12 +126,10 @@ impl Daemon {
             .stdin(Stdio::null())
             .output()?;
         if out.status.success() {
-            Ok(())
-        } else {
-            Err(io::Error::other(
-                String::from_utf8_lossy(&out.stderr).trim().to_owned(),
-            ))
+            return Ok(());
         }
+        let why = String::from_utf8_lossy(&out.stderr);
+        Err(io::Error::other(why.trim().to_owned()))
     }
 
     /// Polls the status until `holds`, at most for a time, s. `what` names the condition in the error.
@@ -152,10 +150,9 @@ impl Daemon {
                 return Ok(status);
             }
             if started.elapsed().as_secs_f64() > seconds {
-                return Err(io::Error::other(format!(
-                    "{what}: not reached within {seconds} s; mode {}",
-                    status["mode"]
-                )));
+                let mode = &status["mode"];
+                let why = format!("{what}: not reached within {seconds} s; mode {mode}");
+                return Err(io::Error::other(why));
             }
             std::thread::sleep(Duration::from_millis(20));
         }
@@ -175,16 +172,16 @@ impl Daemon {
     }
 
     /// Sends a signal to the service.
+    #[allow(unsafe_code)]
     pub fn signal(&self, signal: i32) {
-        signal_to(self.child.id(), signal);
+        if let Ok(pid) = libc::pid_t::try_from(self.child.id()) {
+            // SAFETY: kill takes two integers; the child has not been waited for, so the number is still that of the child
+            unsafe { libc::kill(pid, signal) };
+        }
     }
 
     /// Kills the service, as a power cut would.
-    pub fn kill(mut self) {
-        // it may have ended already
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+    pub fn kill(self) {}
 
     /// Ends the service with SIGTERM. Returns whether it succeeded, and the time it took, s.
     ///
@@ -213,7 +210,7 @@ impl Daemon {
 
 impl Drop for Daemon {
     fn drop(&mut self) {
-        // it has ended already unless the test failed
+        // it may have ended already
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -254,13 +251,4 @@ pub fn insist<T>(seconds: f64, mut work: impl FnMut() -> io::Result<T>) -> io::R
             result => return result,
         }
     }
-}
-
-#[allow(unsafe_code)]
-fn signal_to(pid: u32, signal: i32) {
-    let Ok(pid) = libc::pid_t::try_from(pid) else {
-        return;
-    };
-    // SAFETY: kill takes two integers; the child has not been waited for, so the number is still that of the child
-    unsafe { libc::kill(pid, signal) };
 }

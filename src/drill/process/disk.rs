@@ -1,8 +1,9 @@
 //! A full disk and a read-only one.
 
+use super::plan::Plan;
 use crate::control::RestartState;
 use crate::drill::bench::{BenchConfig, bend};
-use crate::drill::row::FaultResult;
+use crate::drill::row::{FaultResult, require};
 use crate::service::memory::Memory;
 use crate::service::store::Store;
 use crate::supervisor::{Mode, Order};
@@ -28,11 +29,7 @@ pub enum Harm {
 ///
 /// # Errors
 /// Any error except the injected one.
-pub fn exercise(config: &BenchConfig, folder: &Path, harm: Option<Harm>) -> io::Result<()> {
-    work(config, folder, harm).map_err(io::Error::other)
-}
-
-fn work(
+pub fn exercise(
     config: &BenchConfig,
     folder: &Path,
     harm: Option<Harm>,
@@ -122,39 +119,35 @@ fn do_harm(folder: &Path, harm: Harm) -> io::Result<()> {
 }
 
 /// A file system that becomes full: the reserved slots can still be overwritten.
-pub fn full(program: &Path, folder: &Path) -> io::Result<FaultResult> {
-    let mut row = harmed("disk_full", program, folder, Harm::Fill)?;
-    let kept = row.message.contains("0 writes failed");
-    row.require(kept, |_| "writes in place failed on a full disk");
+pub fn full(plan: &Plan<'_>, folder: &Path) -> io::Result<FaultResult> {
+    let (mut row, failures) = harmed("disk_full", plan.program, folder, "fill")?;
+    require!(row: failures == 0; "writes in place failed on a full disk");
     Ok(row)
 }
 
 /// A file system that becomes read-only: the drivers are not armed any more, and nothing is lost.
-pub fn read_only(program: &Path, folder: &Path) -> io::Result<FaultResult> {
-    let mut row = harmed("read_only_fs", program, folder, Harm::ReadOnly)?;
-    row.require(
-        !row.message.contains(" 0 writes failed"),
-        |_| "no write failed",
-    );
+pub fn read_only(plan: &Plan<'_>, folder: &Path) -> io::Result<FaultResult> {
+    let (mut row, failures) = harmed("read_only_fs", plan.program, folder, "read-only")?;
+    require!(row: failures > 0; "no write failed");
     Ok(row)
 }
 
-/// Runs an exercise on a small file system of its own or, where that is not permitted, with a limit on file size.
-fn harmed(name: &str, program: &Path, folder: &Path, harm: Harm) -> io::Result<FaultResult> {
+/// Runs an exercise on a small file system of its own or, where that is not permitted, with a limit on file size. Returns the row
+/// and how many writes failed.
+fn harmed(
+    name: &str,
+    program: &Path,
+    folder: &Path,
+    harm: &str,
+) -> io::Result<(FaultResult, usize)> {
     std::fs::create_dir_all(folder)?;
-    let argument = match harm {
-        Harm::Fill => "fill",
-        _ => "read-only",
-    };
     let script = "mount -t tmpfs -o size=160k none \"$1\" && \"$2\" drill --exercise \"$1\" --harm \"$3\" && \"$2\" drill --recall \"$1\"";
     let started = Instant::now();
     let own_file_system = |flags: &&str| {
         let mut command = Command::new("unshare");
-        command
-            .args([flags, "sh", "-c", script, "sh"])
-            .arg(folder)
-            .arg(program);
-        let out = command.arg(argument).stderr(Stdio::inherit()).output();
+        command.args([flags, "sh", "-c", script, "sh"]);
+        command.args([folder, program, Path::new(harm)]);
+        let out = command.stderr(Stdio::inherit()).output();
         out.ok().filter(|out| out.status.success())
     };
     let (out, how) = match ["-m", "-Urm"].iter().find_map(own_file_system) {
@@ -162,11 +155,8 @@ fn harmed(name: &str, program: &Path, folder: &Path, harm: Harm) -> io::Result<F
         None => {
             let drill = |option: &str, more: &[&str]| {
                 let mut command = Command::new(program);
-                command
-                    .args(["drill", option])
-                    .arg(folder)
-                    .args(more)
-                    .output()
+                command.args(["drill", option]).arg(folder);
+                command.args(more).output()
             };
             let out = drill("--exercise", &["--harm", "limit"])?;
             let recall = drill("--recall", &[])?;
@@ -174,35 +164,30 @@ fn harmed(name: &str, program: &Path, folder: &Path, harm: Harm) -> io::Result<F
             ([out.stdout, recall.stdout].concat(), how)
         }
     };
-    let took_s = started.elapsed().as_secs_f64();
-    Ok(assess(name, &String::from_utf8_lossy(&out), how, took_s))
-}
-
-/// Assesses the output of an exercise.
-fn assess(name: &str, text: &str, how: &str, took_s: f64) -> FaultResult {
     let requires = "the last acknowledged write is recalled; drivers are armed only if the state could be written";
     let mut row = FaultResult::new(name, requires).ending("disarmed");
-    row.detected_s = Some(took_s);
+    row.detected_s = Some(started.elapsed().as_secs_f64());
+    let failures = assess(&String::from_utf8_lossy(&out), how, &mut row);
+    Ok((row, failures))
+}
+
+/// Assesses the output of an exercise. Returns how many writes failed.
+fn assess(text: &str, how: &str, row: &mut FaultResult) -> usize {
     let after = || text.lines().skip_while(|l| !l.starts_with("harm:"));
-    row.require(after().count() > 0, |_| {
-        format!("the fault was not injected: {text}")
-    });
+    require!(row: after().count() > 0; "the fault was not injected: {text}");
     let failed: Vec<&str> = after().filter(|l| l.starts_with("failed:")).collect();
     let written =
         |l: &&str| l.ends_with('.') && !l.starts_with("recalled") && !l.starts_with("failed");
     let acknowledged = text.lines().rfind(written);
     let recalled = text.lines().rfind(|l| l.starts_with("recalled"));
     let same = |(r, a): (&str, &str)| r.starts_with(&format!("recalled {a}"));
-    row.require(recalled.zip(acknowledged).is_some_and(same), |_| {
-        format!("acknowledged {acknowledged:?}, recalled {recalled:?}")
-    });
-    let (kept, failures) = (
-        after().count().saturating_sub(2 + failed.len()),
-        failed.len(),
-    );
+    require!(row: recalled.zip(acknowledged).is_some_and(same);
+        "acknowledged {acknowledged:?}, recalled {recalled:?}");
+    let failures = failed.len();
+    let kept = after().count().saturating_sub(2 + failures);
     let reason = failed.first().copied().unwrap_or("");
     row.message = format!(
         "{kept} writes succeeded and {failures} writes failed afterwards, {how}; nothing lost. {reason}"
     );
-    row
+    failures
 }

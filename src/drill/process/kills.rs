@@ -1,9 +1,9 @@
 //! `kill -9` at random instants while a child works with the memory, and damage to the memory afterwards.
 
 use super::plan::Plan;
-use super::restart::distance;
-use crate::drill::bench::{Bench, BenchConfig, FaultyMachine};
-use crate::drill::row::FaultResult;
+use crate::drill::bench::{BenchConfig, distance};
+use crate::drill::row::{FaultResult, require};
+use crate::primitives::Steps;
 use crate::service::start::Start;
 use crate::service::store::{Belief, Found, Recall, Store};
 use crate::supervisor::{Machine, MachineError, Mode, Runner};
@@ -17,6 +17,9 @@ const BELIEVED_MAX_MM: f64 = 1.0;
 /// Names of the slots.
 const SLOTS: [&str; 2] = ["memory.a", "memory.b"];
 
+const RECALLED: &str = "the last acknowledged write is recalled, or the memory counts as lost; no microstep; at most 1 mm of what is believed is false";
+const LOST: &str = "the position is lost; no microstep";
+
 /// What happens to the memory after a kill.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Damage {
@@ -27,21 +30,13 @@ enum Damage {
 }
 
 impl Damage {
-    const ALL: [(Self, &'static str); 4] = [
-        (Self::None, "sigkill"),
-        (Self::Truncated, "sigkill_memory_truncated"),
-        (Self::Zeroed, "sigkill_memory_zeroed"),
-        (Self::Swapped, "sigkill_memory_swapped"),
+    /// All, each with its row and what the row requires.
+    const ALL: [(Self, &'static str, &'static str); 4] = [
+        (Self::None, "sigkill", RECALLED),
+        (Self::Truncated, "sigkill_memory_truncated", LOST),
+        (Self::Zeroed, "sigkill_memory_zeroed", LOST),
+        (Self::Swapped, "sigkill_memory_swapped", LOST),
     ];
-
-    fn requires(self) -> &'static str {
-        match self {
-            Self::None => {
-                "the last acknowledged write is recalled, or the memory counts as lost; no microstep; at most 1 mm of what is believed is false"
-            }
-            _ => "the position is lost; no microstep",
-        }
-    }
 
     /// The slots after the damage, which concerns one of them or exchanges both.
     fn apply(self, mut slots: [Vec<u8>; 2], one: usize) -> [Vec<u8>; 2] {
@@ -58,68 +53,53 @@ impl Damage {
 
 /// One row for each damage, which is done to a copy of the memory after each of the kills.
 pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<FaultResult>> {
-    let Plan {
-        config,
-        program,
-        scratch,
-        kills,
-        selected,
-        ..
-    } = *plan;
-    let folder = &scratch.join("kill");
+    let folder = &plan.scratch.join("kill");
     let mut rows: Vec<(Damage, FaultResult, [u32; 3])> = Vec::new();
-    for (damage, name) in Damage::ALL.into_iter().filter(|(_, name)| selected(name)) {
-        let row = FaultResult::new(name, damage.requires()).ending("lost");
+    for (damage, name, requires) in Damage::ALL.into_iter().filter(|d| (plan.selected)(d.1)) {
+        let row = FaultResult::new(name, requires).ending("lost");
         rows.push((damage, row, [0; 3]));
     }
     // xorshift (Marsaglia 2003)
     let mut random = 0x2545_f491_4f6c_dd1du64;
-    for n in 0..if rows.is_empty() { 0 } else { kills } {
+    for n in 0..if rows.is_empty() { 0 } else { plan.kills } {
         random ^= random << 13;
         random ^= random >> 7;
         random ^= random << 17;
-        let acknowledged = kill_after(program, folder, Duration::from_micros(random % 40_000))?;
+        let after = Duration::from_micros(random % 40_000);
+        let acknowledged = kill_after(plan.program, folder, after)?;
         let paths = SLOTS.map(|name| folder.join(name));
         let slots = [std::fs::read(&paths[0])?, std::fs::read(&paths[1])?];
         for (damage, row, count) in &mut rows {
-            for (path, slot) in paths
-                .iter()
-                .zip(damage.apply(slots.clone(), n as usize % 2))
-            {
+            let damaged = damage.apply(slots.clone(), n as usize % 2);
+            for (path, slot) in paths.iter().zip(damaged) {
                 std::fs::write(path, slot)?;
             }
             let started = Instant::now();
-            let (store, recall) = Store::open(folder).map_err(io::Error::other)?;
-            drop(store);
+            let (_, recall) = Store::open(folder).map_err(io::Error::other)?;
             let slowest_s = row.detected_s.unwrap_or(0.0);
             row.detected_s = Some(slowest_s.max(started.elapsed().as_secs_f64()));
             if *damage == Damage::None {
                 // the kill may have torn a write, or cut its acknowledgement
                 let newest = (acknowledged..=acknowledged + 1).contains(&recall.sequence);
                 let recalled = recall.sequence;
-                row.require(recall.found == Found::Damaged || newest, |_| {
-                    format!("kill {n}: recalled {recalled} after {acknowledged}")
-                });
+                require!(row: recall.found == Found::Damaged || newest;
+                    "kill {n}: recalled {recalled} after {acknowledged}");
             } else {
-                row.require(recall.belief() == Belief::Lost, |_| {
-                    format!("kill {n}: a damaged memory is believed")
-                });
+                require!(row: recall.belief() == Belief::Lost;
+                    "kill {n}: a damaged memory is believed");
             }
-            count[match start_at_rest(config, &recall, row, n).map_err(io::Error::other)? {
-                Mode::Disarmed => 0,
-                Mode::Lost => 1,
-                _ => 2,
-            }] += 1;
+            let mode = start_at_rest(plan.config, &recall, row, n).map_err(io::Error::other)?;
+            let known = [Mode::Disarmed, Mode::Lost].iter().position(|m| *m == mode);
+            count[known.unwrap_or(2)] += 1;
         }
     }
-    let concluded = |(_, mut row, [believed, lost, undecided]): (Damage, FaultResult, [u32; 3])| {
-        row.require(undecided == 0, |_| {
-            format!("{undecided} starts came to no decision")
-        });
+    let mut concluded = Vec::new();
+    for (_, mut row, [believed, lost, undecided]) in rows {
+        require!(row: undecided == 0; "{undecided} starts came to no decision");
         row.message = format!("believed after {believed} kills, lost after {lost}");
-        row
-    };
-    Ok(rows.into_iter().map(concluded).collect())
+        concluded.push(row);
+    }
+    Ok(concluded)
 }
 
 /// Starts a supervisor from the memory on a machine whose pistons are at rest. It must not move, and what it believes must
@@ -130,34 +110,29 @@ fn start_at_rest(
     row: &mut FaultResult,
     n: u32,
 ) -> Result<Mode, MachineError> {
-    let machine = FaultyMachine::new(config.sim(0, 3)?, &config.board.drive_limits());
-    let memory = recall.memory.clone().unwrap_or_default();
-    let belief = recall.belief();
-    let (supervisor, restart) = (config.supervisor(machine.info()), memory.restart);
+    let restart = recall.memory.as_ref().and_then(|memory| memory.restart);
+    let mut bench = config.bench(0, 3)?;
     let start = Start {
-        config: supervisor,
+        config: config.supervisor(bench.runner.machine.info()),
         restart,
-        belief,
+        belief: recall.belief(),
         unverified: false,
     };
-    let mut bench: Bench = config.bench_on(machine, None, 0.0);
     bench.runner = Runner::new(bench.runner.machine, start.supervisor());
     let output = bench.run(3.0)?;
     let recounted = bench.runner.supervisor.keep();
     // the remembered counts are declared, not driven
-    let remembered = memory.restart.map_or([0; 3], |r| r.steps.0);
-    let steps = distance(&output.counted.0, &remembered);
+    let steps = distance(
+        &output.counted,
+        &restart.map_or(Steps::default(), |r| r.steps),
+    );
     row.steps_after += steps;
-    row.require(steps == 0, |_| {
-        format!("kill {n}: moved by {steps} microsteps at the restart")
-    });
+    require!(row: steps == 0; "kill {n}: moved by {steps} microsteps at the restart");
     if output.mode == Mode::Disarmed {
         let radius_mm = bench.runner.supervisor.config().tick.geometry.r_mm;
         let false_mm = recounted.bend_rad[0].hypot(recounted.bend_rad[1]) * radius_mm;
         row.error_deg_after = row.error_deg_after.max((false_mm / radius_mm).to_degrees());
-        row.require(false_mm <= BELIEVED_MAX_MM, |_| {
-            format!("kill {n}: {false_mm:.2} mm are believed falsely")
-        });
+        require!(row: false_mm <= BELIEVED_MAX_MM; "kill {n}: {false_mm:.2} mm are believed falsely");
     }
     Ok(output.mode)
 }
@@ -170,7 +145,6 @@ fn kill_after(program: &Path, folder: &Path, after: Duration) -> io::Result<u64>
         .arg(folder)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
-        .stderr(Stdio::inherit())
         .spawn()?;
     let pipe = child.stdout.take().ok_or(io::Error::other("no pipe"))?;
     let mut lines = BufReader::new(pipe).lines();

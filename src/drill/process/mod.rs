@@ -26,30 +26,20 @@ use std::path::Path;
 /// # Errors
 /// The operating system's, if the service of the client rows cannot be started.
 pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<FaultResult>> {
-    let Plan {
-        config,
-        program,
-        scratch,
-        selected,
-        ..
-    } = *plan;
-    let folder = |name: &str| scratch.join(name);
-    type Single<'a> = (&'static str, &'a dyn Fn(&Path) -> io::Result<FaultResult>);
-    let single: [Single<'_>; 6] = [
-        ("sigstop", &|folder| restart::stopped(program, folder)),
-        ("disk_full", &|folder| disk::full(program, folder)),
-        ("read_only_fs", &|folder| disk::read_only(program, folder)),
-        ("restart_while_bent", &|_| restart::while_bent(config)),
-        ("stale_calibration", &|folder| {
-            restart::stale(program, folder)
-        }),
-        ("wrong_board_file", &|folder| {
-            restart::wrong_board(program, folder)
-        }),
+    let (program, selected) = (plan.program, plan.selected);
+    let folder = |name: &str| plan.scratch.join(name);
+    type Row = fn(&Plan<'_>, &Path) -> io::Result<FaultResult>;
+    let single: [(&str, Row); 6] = [
+        ("sigstop", restart::stopped),
+        ("disk_full", disk::full),
+        ("read_only_fs", disk::read_only),
+        ("restart_while_bent", restart::while_bent),
+        ("stale_calibration", restart::stale),
+        ("wrong_board_file", restart::wrong_board),
     ];
     let mut rows = Vec::new();
     for (name, run) in single.into_iter().filter(|(name, _)| selected(name)) {
-        rows.push(run(&folder(name)).unwrap_or_else(|e| not_run(name, &e)));
+        rows.push(run(plan, &folder(name)).unwrap_or_else(|e| not_run(name, &e)));
     }
     rows.extend(kills::rows(plan)?);
     let of_clients = clients::NAMES.into_iter().filter(|name| selected(name));

@@ -5,14 +5,12 @@
 
 use crate::model::Drive;
 use crate::primitives::{Rotation, Setting, Shape, World};
-use crate::simulation::plant::check::PlantError;
 use crate::simulation::plant::effects::{Effects, effect_names};
 use crate::simulation::plant::imu::chip::ImuConfig;
 use crate::simulation::plant::law::UnitData;
-use crate::simulation::plant::parameters::{Table, parameters};
+use crate::simulation::plant::parameters::{PlantError, Table, parameters};
 use crate::simulation::plant::rng::{PlantRng, Stream};
 use crate::simulation::plant::shape::arc::Plate;
-use crate::simulation::plant::spread::Spread;
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::Rng;
 use serde::{Deserialize, Serialize};
@@ -138,17 +136,57 @@ parameters! {
     }
 }
 
+parameters! {
+    /// `[spread]`: one standard deviation of everything in which units of one make differ.
+    Spread at "spread" {
+        /// Of each k_ε, as a share. Default 0; 0.06 for a batch of moulded bellows. Units of a larger spread need a
+        /// calibration of their own sooner.
+        k_epsilon: f64 = 0.0, "", 0.0..=0.4, "a standard deviation as a share; 0.2 is a lot";
+        /// Of each k_λ, as a share. Default 0; 0.1 for printed gears.
+        k_lambda: f64 = 0.0, "", 0.0..=0.4, "a standard deviation as a share; 0.2 is a lot";
+        /// Of each bellow's distance from the centre line, as a share. Default 0; 0.01 for a glued tip.
+        r: f64 = 0.0, "", 0.0..=0.4, "a standard deviation as a share; 0.2 is a lot";
+        /// Of each bellow's angle, degrees. Default 0; 1 for a glued tip.
+        angle_deg: f64 = 0.0, "", 0.0..=6.0, "1 is typical of a glued tip";
+        /// Of the lag, as a share. Default 0; 0.2 is plausible.
+        lag: f64 = 0.0, "", 0.0..=0.4, "a standard deviation as a share; 0.2 is a lot";
+        /// Of each effect's size, standard deviation of its logarithm. Default 0; 0.2 within a batch.
+        effects: f64 = 0.0, "", 0.0..=0.4, "a standard deviation as a share; 0.2 is a lot";
+        /// Of the base's pitch and roll, degrees. Default 0; 5 for a hand-held base.
+        tilt_deg: f64 = 0.0, "", 0.0..=45.0, "5 is typical of a hand-held base";
+        /// Of the base's heading, degrees, evenly spread over ± this. Default 0; 180 for any heading.
+        heading_deg: f64 = 0.0, "", 0.0..=180.0, "180 is any heading";
+        /// Of the magnetic field's strength, as a share. Default 0; 0.1 indoors.
+        field: f64 = 0.0, "", 0.0..=0.4, "a standard deviation as a share; 0.2 is a lot";
+        /// Of the field's dip, degrees. Default 0; 4 indoors.
+        dip_deg: f64 = 0.0, "", 0.0..=20.0, "4 is typical indoors";
+        /// Of each axis' constant gyroscope bias, °/s. Default 0; 0.5 is an uncalibrated chip.
+        gyro_bias_deg_s: f64 = 0.0, "", 0.0..=5.0, "0.5 is an uncalibrated chip";
+        /// Of each axis' constant accelerometer bias, mg. Default 0; 5 for a chip after a six-face
+        /// calibration, 20 for an uncalibrated one.
+        acc_bias_mg: f64 = 0.0, "", 0.0..=50.0, "5 is a calibrated chip";
+        /// Of each axis' constant magnetometer bias, µT. Default 0; 0.5 for a chip after calibration.
+        mag_bias_ut: f64 = 0.0, "", 0.0..=50.0, "0.5 is a calibrated chip";
+        /// Of each component of the chip's tilt in the tip, degrees. Default 0; 0.5 for a glued chip.
+        mount_deg: f64 = 0.0, "", 0.0..=20.0, "0.5 is a glued chip";
+        /// Of the tip's twist at 60° of bend, degrees. Default 0; 1 for a moulded tip.
+        torsion_deg: f64 = 0.0, "", 0.0..=20.0, "1 is a moulded tip";
+        /// Of the amplitude of each motor's field where the tip is, µT. Default 0; 0.1 for motors half a metre away.
+        motor_field_ut: f64 = 0.0, "", 0.0..=50.0, "0.1 is half a metre away";
+    }
+}
+
+/// The rotation by a vector in degrees.
+fn rotation(deg: [f64; 3]) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_scaled_axis(Vector3::from(deg).map(f64::to_radians))
+}
+
 impl BaseConfig {
     /// Attitude of the proximal plate in the world, `Rz(yaw) Ry(pitch) Rx(roll)`.
     pub(crate) fn attitude(&self) -> Rotation<World, Plate> {
-        let turn = |axis: Vector3<f64>, deg: f64| {
-            UnitQuaternion::from_scaled_axis(axis * deg.to_radians())
-        };
-        Rotation::assert_frames(
-            turn(Vector3::z(), self.yaw_deg)
-                * turn(Vector3::y(), self.pitch_deg)
-                * turn(Vector3::x(), self.roll_deg),
-        )
+        let yaw = rotation([0.0, 0.0, self.yaw_deg]);
+        let pitch = rotation([0.0, self.pitch_deg, 0.0]);
+        Rotation::assert_frames(yaw * pitch * rotation([self.roll_deg, 0.0, 0.0]))
     }
 }
 
@@ -177,7 +215,7 @@ impl PlantConfig {
         self.base.check()?;
         self.field.check()?;
         self.imu.check()?;
-        self.effects.validate()?;
+        self.effects.check()?;
         self.spread.check()
     }
 
@@ -193,16 +231,13 @@ impl PlantConfig {
         rng: &mut R,
     ) -> Result<Self, PlantError> {
         let mut rng = PlantRng::new(rng.next_u64(), Stream::Choice);
-        if self.effects.choose(name, severity, &mut rng) {
+        if self.effects.draw(name, severity, &mut rng) {
             return Ok(self);
         }
-        let known = effect_names()
-            .map(|e| e.name)
-            .collect::<Vec<_>>()
-            .join(", ");
+        let known: Vec<_> = effect_names().map(|e| e.name).collect();
         Err(PlantError::UnknownEffect {
             name: name.to_owned(),
-            known,
+            known: known.join(", "),
         })
     }
 
@@ -210,18 +245,19 @@ impl PlantConfig {
     /// present with even odds. Effects that are set already are left alone.
     #[must_use]
     pub fn background<R: Rng + ?Sized>(mut self, rng: &mut R) -> Self {
-        self.effects
-            .add_background(&mut PlantRng::new(rng.next_u64(), Stream::Choice));
+        let mut rng = PlantRng::new(rng.next_u64(), Stream::Choice);
+        self.effects.add_background(&mut rng);
         self
     }
 
-    /// The chip on the base: of the same make as the tip's, with its own mount.
+    /// The chip on the base: of the same make as the tip's, with its own mount and no constant bias.
     pub(crate) fn base_imu(&self) -> ImuConfig {
-        let mount =
-            |v: [f64; 3]| UnitQuaternion::from_scaled_axis(Vector3::from(v).map(f64::to_radians));
-        let turned = mount(self.imu.mount_deg) * mount(self.base.imu_mount_deg);
+        let turned = rotation(self.imu.mount_deg) * rotation(self.base.imu_mount_deg);
         ImuConfig {
             mount_deg: turned.scaled_axis().map(f64::to_degrees).into(),
+            gyro_bias_deg_s: [0.0; 3],
+            acc_bias_mg: [0.0; 3],
+            mag_bias_ut: [0.0; 3],
             ..self.imu.clone()
         }
     }

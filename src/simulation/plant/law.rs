@@ -4,17 +4,19 @@
 //! The stages call every law at every place, in the order that the table of all effects states.
 
 use crate::primitives::{Rotation, World};
-use crate::simulation::plant::check::PlantError;
+use crate::simulation::plant::fault::Faults;
 use crate::simulation::plant::imu::stimulus::Stimulus;
-use crate::simulation::plant::parameters::Table;
+use crate::simulation::plant::parameters::{PlantError, Table};
 use crate::simulation::plant::rng::PlantRng;
 use crate::simulation::plant::shape::arc::Plate;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
-/// An effect beyond the nominal machine, as its parameters describe it.
+/// An effect beyond the nominal machine, as its parameters describe it. `effect!` implements it.
 pub(crate) trait PlantEffect: Table + Default + Sized {
     /// Size of the imperfection that every real unit may have; 0 for an effect that only faulty units have.
     const BACKGROUND: f64 = 0.0;
+    /// The running law of this effect, at its start.
+    fn law(&self, unit: &UnitData) -> Box<dyn Law>;
     /// A random effect of plausible size: the small end of the typical range at severity 0, the large end at 1.
     fn draw(severity: f64, rng: &mut PlantRng) -> Self;
     /// That imperfection, with every size of the effect drawn. `up_to` draws 0.3 to 1 times its argument.
@@ -82,7 +84,7 @@ pub(crate) struct SectionState {
 }
 
 /// A running effect. The methods are the places of the chain, from command to sample.
-pub(crate) trait Law: std::fmt::Debug + Send + CloneLaw {
+pub(crate) trait Law: std::fmt::Debug + Send {
     /// Microstep counts on their way to the motors.
     fn command(&mut self, _counts: &mut Vector3<f64>, _at: &Moment) {}
     /// Microsteps by which the rotors turn in this step.
@@ -152,23 +154,17 @@ pub(crate) trait Law: std::fmt::Debug + Send + CloneLaw {
     }
 }
 
-/// Cloning of laws behind a box.
-pub(crate) trait CloneLaw {
-    /// A clone with its state.
-    fn cloned(&self) -> Box<dyn Law>;
-}
-
-impl<T: Law + Clone + 'static> CloneLaw for T {
-    fn cloned(&self) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
-}
-
-impl Clone for Box<dyn Law> {
-    fn clone(&self) -> Self {
-        (**self).cloned()
-    }
-}
-
 /// The effects that run in one plant.
 pub(crate) type Laws = Vec<Box<dyn Law>>;
+
+/// Lets every law act, in their order.
+pub(crate) fn each(laws: &mut Laws, act: impl FnMut(&mut Box<dyn Law>)) {
+    laws.iter_mut().for_each(act);
+}
+
+/// One step of the plant, as its stages see it.
+pub(crate) struct Step<'a> {
+    pub(crate) at: Moment,
+    pub(crate) laws: &'a mut Laws,
+    pub(crate) faults: &'a Faults,
+}

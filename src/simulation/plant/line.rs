@@ -5,61 +5,40 @@
 
 use crate::simulation::plant::config::LineConfig;
 use crate::simulation::plant::effects::leak::{Leak, Leaking};
-use crate::simulation::plant::law::{BellowState, Law, Laws, Moment};
+use crate::simulation::plant::law::{BellowState, Law, Laws, Step, each};
 use nalgebra::Vector3;
 
 /// The three lines with their state.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Line {
     half_width_mm: Vector3<f64>,
     /// Outputs of the play operators, mm of piston.
     pub(crate) play_output_mm: Vector3<f64>,
     delivered_mm: Vector3<f64>,
-    /// Injected faults.
-    pub(crate) faults: LineFaults,
-}
-
-/// Faults of the lines.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct LineFaults {
-    leaking: Option<Leaking>,
-    /// Lumens that are shut: the air in the bellow stays.
-    pub(crate) blocked: [bool; 3],
-}
-
-impl LineFaults {
-    /// Opens a leak on a channel (from 0) in addition to others.
-    pub(crate) fn leak(&mut self, channel: usize, rate_per_s: f64) {
-        self.leaking
-            .get_or_insert_with(|| Leaking::new(Leak::CLOSED))
-            .config
-            .rate_per_s[channel] = rate_per_s;
-    }
-    /// Ends all faults; air that has escaped does not return.
-    pub(crate) fn clear(&mut self) {
-        self.blocked = [false; 3];
-        self.leaking
-            .iter_mut()
-            .for_each(|leaking| leaking.config = Leak::CLOSED);
-    }
+    /// Injected leaks.
+    leaking: Leaking,
 }
 
 impl Line {
     pub(crate) fn new(config: &LineConfig) -> Self {
-        let zero = Vector3::zeros();
-        let half_width_mm = Vector3::from(config.k_lambda_mm);
+        // an injected leak is proportional to pressure and the same under vacuum
+        let leak = Leak {
+            turbulent_kpa: 1e6,
+            vacuum: 1.0,
+            ..Leak::default()
+        };
         Self {
-            half_width_mm,
-            play_output_mm: zero,
-            delivered_mm: zero,
-            faults: LineFaults::default(),
+            half_width_mm: Vector3::from(config.k_lambda_mm),
+            play_output_mm: Vector3::zeros(),
+            delivered_mm: Vector3::zeros(),
+            leaking: Leaking::new(leak),
         }
     }
 
     /// Opens all lines for a moment, pistons at zero: the air that leaked flows back.
     pub(crate) fn vent(&mut self, laws: &mut Laws) {
-        laws.iter_mut().for_each(|law| law.vent());
-        self.faults.leaking.iter_mut().for_each(Law::vent);
+        each(laws, |law| law.vent());
+        self.leaking.vent();
     }
 
     /// Air delivered to the bellows, mm of piston, after one step.
@@ -67,26 +46,23 @@ impl Line {
         &mut self,
         plunger_mm: &Vector3<f64>,
         bellows: &BellowState,
-        at: &Moment,
-        laws: &mut Laws,
+        now: &mut Step<'_>,
     ) -> Vector3<f64> {
+        let (at, faults) = (&now.at, now.faults);
         let mut width = self.half_width_mm;
-        laws.iter_mut()
-            .for_each(|law| law.play(&mut width, plunger_mm));
+        each(now.laws, |law| law.play(&mut width, plunger_mm));
         for i in 0..3 {
             self.play_output_mm[i] = self.play_output_mm[i]
                 .max(plunger_mm[i] - width[i])
                 .min(plunger_mm[i] + width[i]);
         }
         let mut air_mm = self.play_output_mm;
-        laws.iter_mut()
-            .for_each(|law| law.air(&mut air_mm, bellows, at));
-        if let Some(leaking) = &mut self.faults.leaking {
-            leaking.air(&mut air_mm, bellows, at);
-        }
-        laws.iter_mut().for_each(|law| law.flow(&mut air_mm, at));
+        each(now.laws, |law| law.air(&mut air_mm, bellows, at));
+        self.leaking.config.rate_per_s = faults.leak_per_s;
+        self.leaking.air(&mut air_mm, bellows, at);
+        each(now.laws, |law| law.flow(&mut air_mm, at));
         for i in 0..3 {
-            if !self.faults.blocked[i] {
+            if !faults.blocked[i] {
                 self.delivered_mm[i] = air_mm[i];
             }
         }
@@ -97,6 +73,8 @@ impl Line {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulation::plant::fault::Faults;
+    use crate::simulation::plant::law::Moment;
 
     #[test]
     fn a_loop_of_the_play_is_two_half_widths_wide() {
@@ -110,13 +88,13 @@ mod tests {
                 dt_s: 0.001,
             };
             [from, 0.0].map(|to| {
-                line.step(
-                    &Vector3::repeat(to),
-                    &BellowState::default(),
-                    &at,
-                    &mut Vec::new(),
-                )
-                .x
+                let now = &mut Step {
+                    at,
+                    laws: &mut Vec::new(),
+                    faults: &Faults::default(),
+                };
+                line.step(&Vector3::repeat(to), &BellowState::default(), now)
+                    .x
             })[1]
         };
         assert!((at_zero(2.0) - at_zero(-2.0) - 1.0).abs() < 1e-12);

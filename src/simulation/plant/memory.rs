@@ -26,10 +26,9 @@ impl Decay {
     pub(crate) fn share(&mut self, dt_s: f64) -> f64 {
         if dt_s != self.dt_s {
             self.dt_s = dt_s;
-            self.share = if self.tau_s > 0.0 {
-                -(-dt_s / self.tau_s).exp_m1()
-            } else {
-                1.0
+            self.share = match self.tau_s > 0.0 {
+                true => -(-dt_s / self.tau_s).exp_m1(),
+                false => 1.0,
             };
         }
         self.share
@@ -103,10 +102,8 @@ impl<T: Mix> Delay<T> {
     /// The value at time `t`, at most the reach ago.
     pub(crate) fn at(&self, t: f64) -> T {
         // never empty: it starts with two values and keeps at least two
-        let next = self
-            .past
-            .partition_point(|&(s, _)| s < t - 1e-12)
-            .clamp(1, self.past.len() - 1);
+        let next = self.past.partition_point(|&(s, _)| s < t - 1e-12);
+        let next = next.clamp(1, self.past.len() - 1);
         let ((s1, before), (s2, after)) = (self.past[next - 1], self.past[next]);
         let gap = s2 - s1;
         if gap.is_finite() && gap > 0.0 {
@@ -157,11 +154,8 @@ impl<T: Mix> DeadTime<T> {
     /// Takes the value at `t` and returns the value that arrives then.
     pub(crate) fn pass(&mut self, t: f64, dt_s: f64, value: T) -> T {
         self.line.push(t, value);
-        let x = self
-            .wander
-            .step(dt_s, &mut self.rng)
-            .x
-            .clamp(-WANDER_MAX, WANDER_MAX);
+        let x = self.wander.step(dt_s, &mut self.rng).x;
+        let x = x.clamp(-WANDER_MAX, WANDER_MAX);
         self.line.at(t - self.delay_s * (1.0 + self.jitter * x))
     }
 }

@@ -10,7 +10,6 @@
 
 mod bellows;
 mod chain;
-mod check;
 pub mod config;
 mod drive;
 pub mod effects;
@@ -23,12 +22,11 @@ mod parameters;
 mod prelude;
 mod rng;
 mod shape;
-pub mod spread;
 mod stand;
 mod unit;
 
 pub use chain::{Output, Plant, Truth};
-pub use check::PlantError;
 pub use config::PlantConfig;
 pub use effects::{EffectName, effect_names};
-pub use fault::{Channel, InjectedFault};
+pub use fault::{BURST_PER_S, Faults, ImuFaults};
+pub use parameters::PlantError;

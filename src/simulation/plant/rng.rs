@@ -27,9 +27,8 @@ pub(crate) struct PlantRng(Xoshiro256PlusPlus);
 impl PlantRng {
     pub(crate) fn new(seed: u64, stream: Stream) -> Self {
         // an odd multiplier maps streams to seeds one to one; seed_from_u64 mixes them apart
-        Self(Xoshiro256PlusPlus::seed_from_u64(
-            seed ^ (stream as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15),
-        ))
+        let stream = (stream as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        Self(Xoshiro256PlusPlus::seed_from_u64(seed ^ stream))
     }
     /// Standard normal.
     pub(crate) fn normal(&mut self) -> f64 {
@@ -41,9 +40,8 @@ impl PlantRng {
     }
     /// A direction in space, uniformly distributed.
     pub(crate) fn direction(&mut self) -> Vector3<f64> {
-        self.normals()
-            .try_normalize(1e-9)
-            .unwrap_or_else(Vector3::x)
+        let direction = self.normals().try_normalize(1e-9);
+        direction.unwrap_or_else(Vector3::x)
     }
     /// Uniform in `low..high`.
     pub(crate) fn between(&mut self, low: f64, high: f64) -> f64 {
@@ -77,16 +75,8 @@ impl PlantRng {
     pub(crate) fn on_channels(&mut self, size: f64) -> [f64; 3] {
         let only = self.channel() - 1;
         let all = self.chance(0.35);
-        std::array::from_fn(|i| {
-            let here = size * self.between(0.8, 1.2);
-            if i == only {
-                size
-            } else if all {
-                here
-            } else {
-                0.0
-            }
-        })
+        let others = [(); 3].map(|()| size * self.between(0.8, 1.2) * f64::from(all));
+        std::array::from_fn(|i| if i == only { size } else { others[i] })
     }
 }
 

@@ -1,8 +1,7 @@
 //! One unit of a make: the configuration, varied at random by its spread.
 
-use crate::simulation::plant::config::PlantConfig;
+use crate::simulation::plant::config::{PlantConfig, Spread};
 use crate::simulation::plant::rng::{PlantRng, Stream};
-use crate::simulation::plant::spread::Spread;
 
 /// Draws are limited to this many standard deviations: units beyond it fail the factory test.
 const LIMIT: f64 = 2.5;
@@ -32,8 +31,8 @@ impl PlantConfig {
         unit.field.dip_deg = (unit.field.dip_deg + about(spread.dip_deg)).clamp(-90.0, 90.0);
         unit.base.pitch_deg = wrapped(unit.base.pitch_deg + about(spread.tilt_deg));
         unit.base.roll_deg = wrapped(unit.base.roll_deg + about(spread.tilt_deg));
-        unit.base.yaw_deg =
-            wrapped(unit.base.yaw_deg + spread.heading_deg * rng.between(-1.0, 1.0));
+        let heading_deg = spread.heading_deg * rng.between(-1.0, 1.0);
+        unit.base.yaw_deg = wrapped(unit.base.yaw_deg + heading_deg);
         let mut about = |sigma: f64| sigma * rng.normal().clamp(-LIMIT, LIMIT);
         let effects = &mut unit.effects;
         if spread.mount_deg > 0.0 {
@@ -45,9 +44,8 @@ impl PlantConfig {
         }
         if spread.motor_field_ut > 0.0 {
             let motors = effects.motor_field.get_or_insert_default();
-            motors.amplitude_ut = motors
-                .amplitude_ut
-                .map(|field| field + about(spread.motor_field_ut));
+            let field = motors.amplitude_ut;
+            motors.amplitude_ut = field.map(|field| field + about(spread.motor_field_ut));
         }
         unit
     }

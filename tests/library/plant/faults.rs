@@ -1,8 +1,9 @@
 //! Injected faults act, end when cleared, and leave their consequences.
 
 use super::rig::{BEND, Rig, bend};
+use retroflex::model::Bend;
 use retroflex::primitives::sample::ImuSample;
-use retroflex::simulation::plant::{Channel, InjectedFault, Output};
+use retroflex::simulation::plant::{BURST_PER_S, Output};
 
 fn last(out: &[Output]) -> Output {
     *out.last().unwrap()
@@ -16,27 +17,24 @@ fn samples(rig: &mut Rig, seconds: f64) -> Vec<ImuSample> {
 fn samples_freeze_become_nan_saturate_and_spike() {
     let mut rig = Rig::of("");
     samples(&mut rig, 0.5);
-    rig.plant.inject(InjectedFault::FrozenSample);
+    rig.plant.faults.imu.frozen = true;
     let s = samples(&mut rig, 0.2);
     assert!(
         s.windows(2)
             .all(|w| w[0].gyro_rad_s == w[1].gyro_rad_s && w[1].t.0 > w[0].t.0)
     );
     rig.plant.clear();
-    rig.plant.inject(InjectedFault::NanSample);
+    rig.plant.faults.imu.nan = true;
     assert!(samples(&mut rig, 0.1).iter().all(|s| !s.is_finite()));
     rig.plant.clear();
-    rig.plant.inject(InjectedFault::Saturation);
+    rig.plant.faults.imu.saturated = true;
     assert!(
         samples(&mut rig, 0.1)
             .iter()
             .all(|s| (s.gyro_rad_s.amin().to_degrees() - 500.0).abs() < 0.1)
     );
     rig.plant.clear();
-    rig.plant.inject(InjectedFault::Spike {
-        gyro_deg_s: 300.0,
-        acc_g: 1.0,
-    });
+    rig.plant.faults.imu.spike = Some((300.0, 1.0));
     let s = samples(&mut rig, 0.1);
     assert!(s[0].gyro_rad_s.amin().to_degrees() > 290.0 && s[0].acc_m_s2.x > 9.0);
     assert!(
@@ -49,9 +47,7 @@ fn samples_freeze_become_nan_saturate_and_spike() {
 #[test]
 fn a_bias_fault_shifts_the_readings() {
     let mut rig = Rig::clean("");
-    rig.plant.inject(InjectedFault::GyroBias {
-        deg_s: [3.0, 0.0, 0.0],
-    });
+    rig.plant.faults.imu.rate_deg_s = [3.0, 0.0, 0.0];
     let s = samples(&mut rig, 0.1)[0];
     assert!((s.gyro_rad_s.x.to_degrees() - 3.0).abs() < 1e-9);
     rig.plant.clear();
@@ -61,10 +57,7 @@ fn a_bias_fault_shifts_the_readings() {
 #[test]
 fn drives_lose_steps_invert_stop_and_switch_off() {
     let mut rig = Rig::clean("");
-    rig.plant.inject(InjectedFault::StepLoss {
-        channel: Channel::Two,
-        microsteps: 100,
-    });
+    rig.plant.slip(1, 100);
     let lost = rig.at([0.0; 3]);
     assert!(lost.norm() > 3.0);
     rig.plant.clear();
@@ -78,14 +71,10 @@ fn drives_lose_steps_invert_stop_and_switch_off() {
         last(&rig.hold(0.01)).truth.play_output_mm.x
     };
     let mut rig = Rig::clean("");
-    rig.plant.inject(InjectedFault::Inverted {
-        channel: Channel::One,
-    });
+    rig.plant.faults.drive_gain[0] = -1.0;
     assert!((play_output(&mut rig, 5.0) + 5.0).abs() < 0.02);
     let mut rig = Rig::clean("");
-    rig.plant.inject(InjectedFault::Disabled {
-        channel: Channel::One,
-    });
+    rig.plant.faults.drive_gain[0] = 0.0;
     assert_eq!(play_output(&mut rig, 5.0), 0.0);
     rig.plant.clear();
     assert!(
@@ -93,10 +82,7 @@ fn drives_lose_steps_invert_stop_and_switch_off() {
         "steps sent meanwhile are lost"
     );
     let mut rig = Rig::clean("");
-    rig.plant.inject(InjectedFault::EndStop {
-        channel: Channel::One,
-        at_mm: -4.0,
-    });
+    rig.plant.faults.stop_mm[0] = Some(-4.0);
     assert!(
         (play_output(&mut rig, 7.0) - 7.0).abs() < 0.02
             && (play_output(&mut rig, -9.0) + 4.0).abs() < 0.02
@@ -113,18 +99,13 @@ fn lines_leak_burst_block_and_admit_air() {
     let mut rig = Rig::clean("");
     rig.at(BEND);
     let held = pressure(&mut rig, 1.0);
-    rig.plant.inject(InjectedFault::Leak {
-        channel: Channel::One,
-        rate_per_s: 0.05,
-    });
+    rig.plant.faults.leak_per_s[0] = 0.05;
     let leaked = pressure(&mut rig, 10.0);
     assert!(
         (leaked / held - (-0.5f64).exp()).abs() < 0.01,
         "{leaked} {held}"
     );
-    rig.plant.inject(InjectedFault::Burst {
-        channel: Channel::One,
-    });
+    rig.plant.faults.leak_per_s[0] = BURST_PER_S;
     assert!(pressure(&mut rig, 1.0).abs() < 1e-3);
     rig.plant.clear();
     assert!(pressure(&mut rig, 1.0).abs() < 1e-3, "escaped air is gone");
@@ -132,9 +113,7 @@ fn lines_leak_burst_block_and_admit_air() {
 
     let mut rig = Rig::clean("");
     rig.at(BEND);
-    rig.plant.inject(InjectedFault::Blocked {
-        channel: Channel::One,
-    });
+    rig.plant.faults.blocked[0] = true;
     let before = last(&rig.hold(0.01)).truth.bellow_mm.x;
     rig.at([0.0; 3]);
     assert!((last(&rig.hold(0.01)).truth.bellow_mm.x - before).abs() < 1e-9);
@@ -143,16 +122,10 @@ fn lines_leak_burst_block_and_admit_air() {
 
     let mut rig = Rig::clean("");
     let before = rig.at(BEND).norm();
-    rig.plant.inject(InjectedFault::AirBubble {
-        channel: Channel::One,
-        factor: 1.5,
-    });
+    rig.plant.faults.compliance[0] = 1.5;
     assert!(bend(&last(&rig.hold(1.0))).norm() < before - 3.0);
     rig.plant.clear();
-    rig.plant.inject(InjectedFault::Gain {
-        channel: Channel::One,
-        factor: 1.5,
-    });
+    rig.plant.faults.bellow_gain[0] = 1.5;
     assert!(bend(&last(&rig.hold(1.0))).norm() > before + 3.0);
 }
 
@@ -160,11 +133,7 @@ fn lines_leak_burst_block_and_admit_air() {
 fn the_base_turns_and_magnets_pushes_and_walls_act() {
     let mut rig = Rig::clean("");
     let rest = samples(&mut rig, 1.0)[0];
-    rig.plant.inject(InjectedFault::BaseTurn {
-        axis: [0.0, 2.0, 0.0],
-        angle_deg: 10.0,
-        over_s: 2.0,
-    });
+    rig.plant.turn_base([0.0, 2.0, 0.0], 10.0, 2.0);
     let s = samples(&mut rig, 3.0);
     let end = *s.last().unwrap();
     assert!((end.acc_m_s2.angle(&rest.acc_m_s2).to_degrees() - 10.0).abs() < 1e-3);
@@ -185,25 +154,17 @@ fn the_base_turns_and_magnets_pushes_and_walls_act() {
     };
     let mut rig = Rig::clean("");
     let before = mag(&mut rig);
-    rig.plant.inject(InjectedFault::Magnet {
-        field_ut: [30.0, 0.0, 0.0],
-    });
+    rig.plant.faults.magnet_ut = [30.0, 0.0, 0.0].into();
     assert!(((mag(&mut rig) - before).norm() - 30.0).abs() < 1e-6);
 
-    rig.plant.inject(InjectedFault::Push {
-        bend_deg: 12.0,
-        dir_deg: 90.0,
-    });
+    rig.plant.faults.push = Bend::from_deg(12.0, 90.0);
     let pushed = bend(&last(&rig.hold(0.1)));
     assert!(pushed.x.abs() < 1e-6 && (pushed.y - 12.0).abs() < 1e-6);
     rig.plant.clear();
     assert!(bend(&last(&rig.hold(0.1))).norm() < 1e-6);
 
     let free = rig.at(BEND).x;
-    rig.plant.inject(InjectedFault::Wall {
-        at_deg: 20.0,
-        dir_deg: 0.0,
-    });
+    rig.plant.put_wall(20.0, 0.0);
     let out = last(&rig.hold(0.1));
     assert!(out.truth.wall_touched && bend(&out).x < free - 8.0);
     rig.plant.clear();

@@ -12,7 +12,7 @@ use crate::simulation::plant::law::{BellowState, Laws};
 use nalgebra::Vector3;
 
 /// Springs of the three channels and their last balance.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Balance {
     k_epsilon: Vector3<f64>,
     kpa_per_mm: f64,
@@ -37,14 +37,11 @@ const ROUNDS: usize = 30;
 
 impl Balance {
     pub(crate) fn new(config: &LineConfig, laws: &Laws) -> Self {
-        let straight = laws
-            .iter()
-            .all(|law| law.gas(0.0).is_none() && law.wall(0.0).is_none());
-        let k_epsilon = Vector3::from(config.k_epsilon);
+        let mut laws = laws.iter();
         Self {
-            k_epsilon,
+            k_epsilon: Vector3::from(config.k_epsilon),
             kpa_per_mm: config.kpa_per_mm,
-            straight,
+            straight: laws.all(|law| law.gas(0.0).is_none() && law.wall(0.0).is_none()),
             last: [Point::default(); 3],
         }
     }

@@ -6,39 +6,19 @@
 pub(crate) mod balance;
 
 use crate::simulation::plant::config::LineConfig;
-use crate::simulation::plant::law::{BellowState, Laws, Moment};
+use crate::simulation::plant::law::{BellowState, Laws, Step, each};
 use crate::simulation::plant::memory::Decay;
 use balance::Balance;
 use nalgebra::Vector3;
 
 /// The three bellows with their state.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Bellows {
     balance: Balance,
     lag: Decay,
     lagged_mm: Vector3<f64>,
     /// State that reaches back into the lines.
     pub(crate) state: BellowState,
-    /// Injected faults.
-    pub(crate) faults: BellowFaults,
-}
-
-/// Faults of the bellows.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct BellowFaults {
-    /// Factor on the compliance of the air in each line.
-    pub(crate) compliance: Vector3<f64>,
-    /// Factor on the length change of each bellow.
-    pub(crate) gain: Vector3<f64>,
-}
-
-impl Default for BellowFaults {
-    fn default() -> Self {
-        Self {
-            compliance: Vector3::repeat(1.0),
-            gain: Vector3::repeat(1.0),
-        }
-    }
 }
 
 impl Bellows {
@@ -48,29 +28,24 @@ impl Bellows {
             lag: Decay::new(config.lag_s),
             lagged_mm: Vector3::zeros(),
             state: BellowState::default(),
-            faults: BellowFaults::default(),
         }
     }
 
     /// Length changes of the bellows, mm, after one step with `air_mm` delivered.
-    pub(crate) fn step(
-        &mut self,
-        air_mm: &Vector3<f64>,
-        at: &Moment,
-        laws: &mut Laws,
-    ) -> Vector3<f64> {
-        let (mut compliance, mut stiffness) = (self.faults.compliance, Vector3::repeat(1.0));
+    pub(crate) fn step(&mut self, air_mm: &Vector3<f64>, now: &mut Step<'_>) -> Vector3<f64> {
+        let Step { at, laws, faults } = now;
+        let (mut compliance, mut stiffness) = (faults.compliance, Vector3::repeat(1.0));
         for law in laws.iter_mut() {
             law.compliance(&mut compliance, at.t);
             law.softening(&mut stiffness, &self.state.bellow_mm);
         }
         self.state = self.balance.solve(air_mm, &compliance, &stiffness, laws);
         let mut q_mm = self.state.bellow_mm;
-        laws.iter_mut().for_each(|law| law.bellows(&mut q_mm, at));
-        q_mm.component_mul_assign(&self.faults.gain);
+        each(laws, |law| law.bellows(&mut q_mm, at));
+        q_mm.component_mul_assign(&faults.bellow_gain);
         self.lagged_mm += (q_mm - self.lagged_mm) * self.lag.share(at.dt_s);
         let mut out_mm = self.lagged_mm;
-        laws.iter_mut().for_each(|law| law.lagged(&mut out_mm, at));
+        each(laws, |law| law.lagged(&mut out_mm, at));
         out_mm
     }
 }

@@ -2,21 +2,14 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.outside.acc_scale]`
-    AccScale at "effects.outside.acc_scale" sized by share {
+    AccScale at "effects.outside.acc_scale" sized by share; drawn by rng, severity {
+        let size = rng.sized(0.03, 0.15, severity);
         /// Excess of each axis, as a share. Default 0; the data sheet allows ±0.005, plausible up to
         /// ±0.15. A larger value tilts the vertical more between attitudes.
-        share: [f64; 3] = [0.0; 3], "", -0.5..=0.5, "up to ±0.15 is plausible";
-    }
-}
-
-impl PlantEffect for AccScale {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        let size = rng.sized(0.03, 0.15, severity);
-        Self {
-            share: std::array::from_fn(|_| size * rng.sign() * rng.between(0.6, 1.2)),
-        }
+        share: [f64; 3] = [0.0; 3], -0.5..=0.5, "up to ±0.15 is plausible",
+            draw std::array::from_fn(|_| size * rng.sign() * rng.between(0.6, 1.2));
     }
 }
 

@@ -4,21 +4,12 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.accel_bias]`
-    AccelBias at "effects.accel_bias" sized by bias_mg {
-        /// Offset b of each axis, mg. Default 0 (none); typical 10 to 100. 17 mg tilt the vertical by 1°.
-        bias_mg: [f64; 3] = [0.0; 3], "", -500.0..=500.0, "10 to 100 mg is typical";
-    }
-}
-
-impl PlantEffect for AccelBias {
-    const BACKGROUND: f64 = 1.0;
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+    AccelBias at "effects.accel_bias" sized by bias_mg; background 1.0; drawn by rng, severity {
         let size = rng.sized(25.0, 120.0, severity);
-        Self {
-            bias_mg: (rng.direction() * size).into(),
-        }
+        /// Offset b of each axis, mg. Default 0 (none); typical 10 to 100. 17 mg tilt the vertical by 1°.
+        bias_mg: [f64; 3] = [0.0; 3], -500.0..=500.0, "10 to 100 mg is typical", draw (rng.direction() * size).into();
     }
 }
 

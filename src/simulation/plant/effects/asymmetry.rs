@@ -5,25 +5,15 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.asymmetry]`
-    Asymmetry at "effects.asymmetry" sized by share {
+    Asymmetry at "effects.asymmetry" sized by share; background 0.003; drawn by rng, severity {
         /// Half the difference of the two stiffnesses over their mean, a. Positive: elongation is
         /// stiffer. Default 0 (none); typical ±0.03 to 0.25 (5 to 40 % between the two sides). A larger value
         /// differs more.
-        share: f64 = 0.0, "", -0.8..=0.8, "±0.25 is a lot";
+        share: f64 = 0.0, -0.8..=0.8, "±0.25 is a lot", draw rng.sign() * rng.sized(0.08, 0.3, severity);
         /// Length change s over which one turns into the other, mm. Default 0.6. A larger value is smoother.
-        knee_mm: f64 = 0.6, "", 0.01..=10.0, "0.6 is typical";
-    }
-}
-
-impl PlantEffect for Asymmetry {
-    const BACKGROUND: f64 = 0.003;
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            share: rng.sign() * rng.sized(0.08, 0.3, severity),
-            knee_mm: rng.between(0.3, 1.2),
-        }
+        knee_mm: f64 = 0.6, 0.01..=10.0, "0.6 is typical", draw rng.between(0.3, 1.2);
     }
 }
 
@@ -31,10 +21,8 @@ impl Law for Asymmetry {
     fn wall(&self, q_mm: f64) -> Option<(f64, f64)> {
         let x = q_mm / self.knee_mm;
         let root = (1.0 + x * x).sqrt();
-        Some((
-            self.share * self.knee_mm * (root - 1.0),
-            self.share * x / root,
-        ))
+        let extra = self.share * self.knee_mm * (root - 1.0);
+        Some((extra, self.share * x / root))
     }
 }
 

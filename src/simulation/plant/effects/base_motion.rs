@@ -8,48 +8,24 @@ use crate::simulation::plant::prelude::*;
 use crate::simulation::plant::stand::smooth_step;
 use std::f64::consts::TAU;
 
-parameters! {
+effect! {
     /// `[effects.base_motion]`
-    BaseMotion at "effects.base_motion" sized by angle_deg, sway_deg {
+    BaseMotion at "effects.base_motion" sized by angle_deg, sway_deg; directed by axis; drawn by rng, severity {
+        let angle_deg = rng.sized(3.0, 12.0, severity);
         /// Angle that the base turns by, degrees. Default 0 (none); typical 1 to 10. A larger value turns
         /// further.
-        angle_deg: f64 = 0.0, "", -180.0..=180.0, "1 to 10 is typical";
+        angle_deg: f64 = 0.0, -180.0..=180.0, "1 to 10 is typical", draw angle_deg;
         /// Axis of the turn in the world, any length. Default [0, 1, 0].
-        axis: [f64; 3] = [0.0, 1.0, 0.0], "", -1e3..=1e3, "a direction";
+        axis: [f64; 3] = [0.0, 1.0, 0.0], -1e3..=1e3, "a direction", draw rng.direction().into();
         /// When the turn begins, s. Default 15.
-        at_s: f64 = 15.0, "", 0.0..=1e9, "seconds since the start";
+        at_s: f64 = 15.0, 0.0..=1e9, "seconds since the start", draw rng.between(8.0, 35.0);
         /// How long it takes, s. Default 6. A larger value is slower.
-        over_s: f64 = 6.0, "", 0.05..=1e6, "some seconds are typical";
+        over_s: f64 = 6.0, 0.05..=1e6, "some seconds are typical", draw rng.between(2.0, 15.0);
         /// Sway about the same axis, degrees. Default 0; typical 0 to 2. A larger value moves more.
-        sway_deg: f64 = 0.0, "", -30.0..=30.0, "a degree or two is typical";
+        sway_deg: f64 = 0.0, -30.0..=30.0, "a degree or two is typical",
+            draw if rng.chance(0.5) { angle_deg * rng.between(0.05, 0.2) } else { 0.0 };
         /// Period of the sway, s. Default 7. There is no sway during the first 3 s.
-        sway_period_s: f64 = 7.0, "", 0.2..=1e6, "some seconds are typical";
-    }
-}
-
-impl PlantEffect for BaseMotion {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        let angle_deg = rng.sized(3.0, 12.0, severity);
-        Self {
-            angle_deg,
-            axis: rng.direction().into(),
-            at_s: rng.between(8.0, 35.0),
-            over_s: rng.between(2.0, 15.0),
-            sway_deg: if rng.chance(0.5) {
-                angle_deg * rng.between(0.05, 0.2)
-            } else {
-                0.0
-            },
-            sway_period_s: rng.between(5.0, 20.0),
-        }
-    }
-    fn consistent(&self) -> Result<(), PlantError> {
-        range(
-            "effects.base_motion.axis length",
-            Vector3::from(self.axis).norm(),
-            1e-3..=1e4,
-            "a direction has a length",
-        )
+        sway_period_s: f64 = 7.0, 0.2..=1e6, "some seconds are typical", draw rng.between(5.0, 20.0);
     }
 }
 
@@ -61,11 +37,7 @@ const GOLDEN: f64 = 1.618_033_988_749_895;
 impl BaseMotion {
     /// Angle about the axis at time `t`, rad.
     fn angle(&self, t: f64) -> f64 {
-        let step = if t < self.at_s {
-            0.0
-        } else {
-            smooth_step((t - self.at_s) / self.over_s)
-        };
+        let step = smooth_step((t - self.at_s) / self.over_s);
         let since = (t - STILL_S).max(0.0);
         let grown = 1.0 - (-since / STILL_S).exp();
         let phase = TAU * since / self.sway_period_s;

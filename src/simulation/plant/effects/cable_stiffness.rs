@@ -6,63 +6,35 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.cable_stiffness]`
-    CableStiffness at "effects.cable_stiffness" sized by share {
+    CableStiffness at "effects.cable_stiffness" sized by share; background by up_to {
+        share: up_to(0.0015),
+        direction_deg: up_to(180.0)
+    }; drawn by rng, severity {
         /// Share c of the bend that the cable takes back in its own plane, mean of both ways. Default 0
         /// (none); typical 0.05 to 0.4. A larger value bends less in that plane.
-        share: f64 = 0.0, "", 0.0..=0.48, "0.05 to 0.4 is typical";
+        share: f64 = 0.0, 0.0..=0.48, "0.05 to 0.4 is typical", draw rng.sized(0.1, 0.4, severity);
         /// Bend direction in which the cable is pulled taut, degrees. Default 0.
-        direction_deg: f64 = 0.0, "", -360.0..=360.0, "one turn is enough";
+        direction_deg: f64 = 0.0, -360.0..=360.0, "one turn is enough", draw rng.angle_deg();
         /// How much stiffer it is pulled taut than buckled, 0 to 1. Default 0.35. A larger value differs more.
-        one_sided: f64 = 0.35, "", 0.0..=1.0, "0 resists alike both ways";
+        one_sided: f64 = 0.35, 0.0..=1.0, "0 resists alike both ways", draw rng.between(0.1, 0.6);
     }
-}
-
-impl PlantEffect for CableStiffness {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            share: rng.sized(0.1, 0.4, severity),
-            direction_deg: rng.angle_deg(),
-            one_sided: rng.between(0.1, 0.6),
-        }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self {
-            share: up_to(0.0015),
-            direction_deg: up_to(180.0),
-            ..Self::default()
-        })
+    /// A cable in its place.
+    Cable runs config {
+        side: Vector2<f64> = toward(config.direction_deg);
     }
 }
 
 /// Bend over which it turns from buckled to taut, rad.
 const KNEE: f64 = 0.3;
 
-/// A cable in its place.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Cable {
-    side: Vector2<f64>,
-    share: f64,
-    one_sided: f64,
-}
-
-impl Cable {
-    pub(crate) fn new(config: &CableStiffness) -> Self {
-        let (sin, cos) = config.direction_deg.to_radians().sin_cos();
-        Self {
-            side: Vector2::new(cos, sin),
-            share: config.share,
-            one_sided: config.one_sided,
-        }
-    }
-}
-
 impl Law for Cable {
     fn bend(&mut self, bend: &mut Vector2<f64>, _section: &SectionState) {
         let x = bend.dot(&self.side);
         let y = x / KNEE;
-        *bend -= self.side * (self.share * x * (1.0 + self.one_sided * y / (1.0 + y * y).sqrt()));
+        *bend -= self.side
+            * (self.config.share * x * (1.0 + self.config.one_sided * y / (1.0 + y * y).sqrt()));
     }
 }
 
@@ -79,7 +51,7 @@ mod tests {
             longer_mm: 0.0,
             r_world_plate: Rotation::identity(),
         };
-        let mut c = Cable::new(&CableStiffness {
+        let mut c = Cable::new(CableStiffness {
             share: 0.2,
             direction_deg: 30.0,
             one_sided: 0.3,

@@ -2,20 +2,12 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.outside.clock_drift]`
-    ClockDrift at "effects.outside.clock_drift" sized by per_mille {
+    ClockDrift at "effects.outside.clock_drift" sized by per_mille; drawn by rng, severity {
         /// How much faster the sensor's clock runs, parts per thousand. Default 0; plausible ±3 to 30.
         /// A larger value makes the time stamps run away, and the angles that are integrated by them.
-        per_mille: f64 = 0.0, "", -200.0..=200.0, "tens at most are plausible";
-    }
-}
-
-impl PlantEffect for ClockDrift {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            per_mille: rng.sign() * rng.sized(5.0, 40.0, severity),
-        }
+        per_mille: f64 = 0.0, -200.0..=200.0, "tens at most are plausible", draw rng.sign() * rng.sized(5.0, 40.0, severity);
     }
 }
 

@@ -4,35 +4,19 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.clocking]`
-    Clocking at "effects.clocking" sized by offset_deg {
+    Clocking at "effects.clocking" sized by offset_deg; background by up_to {
+        offset_deg: [up_to(0.08), -up_to(0.08), up_to(0.08)]
+    }; drawn by rng, severity {
+        let size = rng.sign() * rng.sized(3.0, 18.0, severity);
+        let only = rng.chance(0.6).then(|| rng.channel() - 1);
         /// How far each bellow is turned about the axis, ζ, degrees. Default 0; typical 1 to 20 on one or
         /// on all alike. All alike turn the bend's direction; one alone skews it as well.
-        offset_deg: [f64; 3] = [0.0; 3], "", -40.0..=40.0, "a bellow cannot pass its neighbour";
+        offset_deg: [f64; 3] = [0.0; 3], -40.0..=40.0, "a bellow cannot pass its neighbour",
+            draw std::array::from_fn(|i| if only.is_none_or(|only| i == only) { size } else { 0.0 });
         /// Share w that a stretch by 5 mm adds. Default 0.08. A larger value wanders more.
-        wander: f64 = 0.08, "", -1.0..=1.0, "a share of the offset";
-    }
-}
-
-impl PlantEffect for Clocking {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        let size = rng.sign() * rng.sized(3.0, 18.0, severity);
-        let mut offset_deg = [size; 3];
-        if rng.chance(0.6) {
-            offset_deg = [0.0; 3];
-            offset_deg[rng.channel() - 1] = size;
-        }
-        Self {
-            offset_deg,
-            wander: rng.between(0.03, 0.12),
-        }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self {
-            offset_deg: [up_to(0.08), -up_to(0.08), up_to(0.08)],
-            ..Self::default()
-        })
+        wander: f64 = 0.08, -1.0..=1.0, "a share of the offset", draw rng.between(0.03, 0.12);
     }
 }
 

@@ -6,28 +6,26 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.creep]`
-    Creep at "effects.creep" sized by share {
+    Creep at "effects.creep" sized by share; background 0.002; drawn by rng, severity {
         /// Final growth, as a share of the motion. Default 0 (none); typical 0.02 to 0.4.
         /// A larger value creeps further.
-        share: f64 = 0.0, "", 0.0..=2.0, "0.02 to 0.4 is typical";
+        share: f64 = 0.0, 0.0..=2.0, "0.02 to 0.4 is typical", draw rng.sized(0.08, 0.4, severity);
         /// Exponent α of the spectrum. Default 0.2. A larger value shifts the creep from seconds to
         /// minutes.
-        exponent: f64 = 0.2, "", -1.0..=1.0, "0.2 is typical";
+        exponent: f64 = 0.2, -1.0..=1.0, "0.2 is typical", draw rng.between(0.0, 0.3);
         /// Nonlinearity ν of the drive at large strain. Default 0.3. A larger value departs more from proportional.
-        nonlinear: f64 = 0.3, "", 0.0..=3.0, "0.3 is typical";
+        nonlinear: f64 = 0.3, 0.0..=3.0, "0.3 is typical", draw rng.between(0.0, 0.6);
     }
-}
-
-impl PlantEffect for Creep {
-    const BACKGROUND: f64 = 0.002;
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            share: rng.sized(0.08, 0.4, severity),
-            exponent: rng.between(0.0, 0.3),
-            nonlinear: rng.between(0.0, 0.6),
-        }
+    /// Retarded strains of the three bellows.
+    Creeping runs config {
+        elements: [(Decay, f64, Vector3<f64>); ELEMENTS] = {
+            let tau = |j: usize| SHORTEST_S * (LONGEST_S / SHORTEST_S).powf(j as f64 / (ELEMENTS - 1) as f64);
+            let raw: [f64; ELEMENTS] = std::array::from_fn(|j| tau(j).powf(config.exponent));
+            let sum: f64 = raw.iter().sum();
+            std::array::from_fn(|j| (Decay::new(tau(j)), config.share * raw[j] / sum, Vector3::zeros()))
+        };
     }
 }
 
@@ -39,36 +37,9 @@ const LONGEST_S: f64 = 100.0;
 /// Strain at which the nonlinear drive counts fully, mm.
 const FULL_MM: f64 = 5.0;
 
-/// Retarded strains of the three bellows.
-#[derive(Debug, Clone)]
-pub(crate) struct Creeping {
-    nonlinear: f64,
-    elements: [(Decay, f64, Vector3<f64>); ELEMENTS],
-}
-
-impl Creeping {
-    pub(crate) fn new(config: Creep) -> Self {
-        let tau =
-            |j: usize| SHORTEST_S * (LONGEST_S / SHORTEST_S).powf(j as f64 / (ELEMENTS - 1) as f64);
-        let raw: [f64; ELEMENTS] = std::array::from_fn(|j| tau(j).powf(config.exponent));
-        let sum: f64 = raw.iter().sum();
-        let elements = std::array::from_fn(|j| {
-            (
-                Decay::new(tau(j)),
-                config.share * raw[j] / sum,
-                Vector3::zeros(),
-            )
-        });
-        Self {
-            nonlinear: config.nonlinear,
-            elements,
-        }
-    }
-}
-
 impl Law for Creeping {
     fn bellows(&mut self, q_mm: &mut Vector3<f64>, at: &Moment) {
-        let drive = q_mm.map(|q| q * (1.0 + self.nonlinear * q.abs() / FULL_MM));
+        let drive = q_mm.map(|q| q * (1.0 + self.config.nonlinear * q.abs() / FULL_MM));
         let mut crept = Vector3::zeros();
         for (decay, share, strain) in &mut self.elements {
             *strain += (drive * *share - *strain) * decay.share(at.dt_s);

@@ -5,21 +5,12 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.curvature]`
-    Curvature at "effects.curvature" sized by excess_deg {
+    Curvature at "effects.curvature" sized by excess_deg; background 0.1; drawn by rng, severity {
         /// Extra bend A at 60°, degrees. Default 0 (none); typical ±1 to 10. A larger value bends more at large
         /// angles only.
-        excess_deg: f64 = 0.0, "", -25.0..=25.0, "±1 to 10 is typical";
-    }
-}
-
-impl PlantEffect for Curvature {
-    const BACKGROUND: f64 = 0.1;
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            excess_deg: rng.sign() * rng.sized(3.0, 10.0, severity),
-        }
+        excess_deg: f64 = 0.0, -25.0..=25.0, "±1 to 10 is typical", draw rng.sign() * rng.sized(3.0, 10.0, severity);
     }
 }
 

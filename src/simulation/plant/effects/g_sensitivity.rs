@@ -2,21 +2,13 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.outside.g_sensitivity]`
-    GSensitivity at "effects.outside.g_sensitivity" sized by deg_s_per_g {
+    GSensitivity at "effects.outside.g_sensitivity" sized by deg_s_per_g; drawn by rng, severity {
+        let size = rng.sized(0.6, 4.0, severity);
         /// Rate that each axis of the gyroscope reads under 1 g along it, °/s. Default 0; plausible ±0.1
         /// to 3. A larger value makes the bias depend on attitude.
-        deg_s_per_g: [f64; 3] = [0.0; 3], "", -50.0..=50.0, "a few °/s are plausible";
-    }
-}
-
-impl PlantEffect for GSensitivity {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        let size = rng.sized(0.6, 4.0, severity);
-        Self {
-            deg_s_per_g: (rng.direction() * size).into(),
-        }
+        deg_s_per_g: [f64; 3] = [0.0; 3], -50.0..=50.0, "a few °/s are plausible", draw (rng.direction() * size).into();
     }
 }
 

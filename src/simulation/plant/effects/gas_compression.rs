@@ -8,28 +8,17 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.gas_compression]`
-    GasCompression at "effects.gas_compression" sized by strength {
+    GasCompression at "effects.gas_compression" sized by strength; background 0.012; drawn by rng, severity {
         /// Pressure that the air really sees, per pressure of the nominal line. Default 0 (linear
         /// spring); typical 0.3 to 2, which changes the gain by 5 to 30 % at full bend. A larger value bends the
         /// curve more.
-        strength: f64 = 0.0, "", 0.0..=3.0, "beyond 3 a full bend needs absolute vacuum";
+        strength: f64 = 0.0, 0.0..=3.0, "beyond 3 a full bend needs absolute vacuum", draw rng.sized(0.5, 2.2, severity);
         /// Polytropic exponent n: 1 for slow, 1.4 for fast compression. Default 1.2. A larger value curves less.
-        polytropic: f64 = 1.2, "", 1.0..=1.67, "1 is isothermal, 1.4 adiabatic air";
+        polytropic: f64 = 1.2, 1.0..=1.67, "1 is isothermal, 1.4 adiabatic air", draw rng.between(1.05, 1.35);
         /// Pressure of the atmosphere, kPa. Default 101.3. A larger value curves less.
-        atmosphere_kpa: f64 = 101.3, "", 30.0..=200.0, "101.3 at sea level";
-    }
-}
-
-impl PlantEffect for GasCompression {
-    const BACKGROUND: f64 = 0.012;
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            strength: rng.sized(0.5, 2.2, severity),
-            polytropic: rng.between(1.05, 1.35),
-            ..Self::default()
-        }
+        atmosphere_kpa: f64 = 101.3, 30.0..=200.0, "101.3 at sea level";
     }
 }
 
@@ -44,10 +33,8 @@ impl Law for GasCompression {
         let bounded = ratio.max(VACUUM_FLOOR);
         let shrunk = (-bounded.ln() / n).exp();
         let slope = shrunk / bounded;
-        Some((
-            n / s * (1.0 - shrunk) + slope * (ratio - bounded) / s,
-            slope,
-        ))
+        let strain = n / s * (1.0 - shrunk) + slope * (ratio - bounded) / s;
+        Some((strain, slope))
     }
 }
 

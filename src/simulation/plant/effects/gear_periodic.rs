@@ -6,64 +6,27 @@
 use crate::simulation::plant::prelude::*;
 use std::f64::consts::{PI, TAU};
 
-parameters! {
+effect! {
     /// `[effects.gear_periodic]`
-    GearPeriodic at "effects.gear_periodic" sized by amplitude_mm {
+    GearPeriodic at "effects.gear_periodic" sized by amplitude_mm; background 0.01; drawn by rng, severity {
         /// Amplitude A of the rack's position error, mm. Default 0 (none); typical 0.02 to 0.3. A larger value
         /// ripples more.
-        amplitude_mm: f64 = 0.0, "", 0.0..=2.0, "tenths of a mm at most are typical";
+        amplitude_mm: f64 = 0.0, 0.0..=2.0, "tenths of a mm at most are typical", draw rng.sized(0.04, 0.4, severity);
         /// Pitch p, mm of rack per tooth. Default π (module 1). A larger value gives a longer ripple.
-        pitch_mm: f64 = PI, "", 0.1..=100.0, "π times the module";
+        pitch_mm: f64 = PI, 0.1..=100.0, "π times the module";
         /// Where each pinion stands in its tooth at rest, degrees. Default [0, 120, 240].
-        phase_deg: [f64; 3] = [0.0, 120.0, 240.0], "", -360.0..=360.0, "one tooth is 360°";
+        phase_deg: [f64; 3] = [0.0, 120.0, 240.0], -360.0..=360.0, "one tooth is 360°",
+            draw [rng.angle_deg(), rng.angle_deg(), rng.angle_deg()];
         /// Skew s of the flank, 0 to 1. Default 0.4. A larger value is further from a sine.
-        skew: f64 = 0.4, "", 0.0..=1.0, "beyond 1 the flank folds over";
+        skew: f64 = 0.4, 0.0..=1.0, "beyond 1 the flank folds over", draw rng.between(0.1, 0.6);
         /// Variation v from tooth to tooth, 0 to 1. Default 0.2. A larger value repeats less exactly.
-        variation: f64 = 0.2, "", 0.0..=1.0, "a share of the amplitude";
+        variation: f64 = 0.2, 0.0..=1.0, "a share of the amplitude", draw rng.between(0.05, 0.3);
     }
-}
-
-impl PlantEffect for GearPeriodic {
-    const BACKGROUND: f64 = 0.01;
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            amplitude_mm: rng.sized(0.04, 0.4, severity),
-            phase_deg: [rng.angle_deg(), rng.angle_deg(), rng.angle_deg()],
-            skew: rng.between(0.1, 0.6),
-            variation: rng.between(0.05, 0.3),
-            ..Self::default()
-        }
-    }
-}
-
-/// Racks with the tooth errors where they stand.
-#[derive(Debug, Clone)]
-pub(crate) struct Teeth {
-    config: GearPeriodic,
-    rest_mm: Vector3<f64>,
-    rack_mm: Vector3<f64>,
-    error_mm: Vector3<f64>,
-}
-
-impl Teeth {
-    pub(crate) fn new(config: GearPeriodic) -> Self {
-        let rest_mm = Vector3::from_fn(|i, _| config.wave(i, 0.0));
-        Self {
-            config,
-            rest_mm,
-            rack_mm: Vector3::zeros(),
-            error_mm: Vector3::zeros(),
-        }
-    }
-    /// Error of the three racks at their positions, mm; only racks that moved are worked out anew.
-    pub(crate) fn error_mm(&mut self, rack_mm: &Vector3<f64>) -> Vector3<f64> {
-        for i in 0..3 {
-            if rack_mm[i] != self.rack_mm[i] {
-                self.error_mm[i] = self.config.wave(i, rack_mm[i]) - self.rest_mm[i];
-            }
-        }
-        self.rack_mm = *rack_mm;
-        self.error_mm
+    /// Racks with the tooth errors where they stand.
+    Teeth runs config {
+        rest_mm: Vector3<f64> = Vector3::from_fn(|i, _| config.wave(i, 0.0));
+        rack_mm: Vector3<f64> = Vector3::zeros();
+        error_mm: Vector3<f64> = Vector3::zeros();
     }
 }
 
@@ -78,7 +41,14 @@ impl GearPeriodic {
 
 impl Law for Teeth {
     fn rack(&mut self, rack_mm: &mut Vector3<f64>, _at: &Moment) {
-        *rack_mm += self.error_mm(rack_mm);
+        for i in 0..3 {
+            // only racks that moved are worked out anew
+            if rack_mm[i] != self.rack_mm[i] {
+                self.error_mm[i] = self.config.wave(i, rack_mm[i]) - self.rest_mm[i];
+            }
+        }
+        self.rack_mm = *rack_mm;
+        *rack_mm += self.error_mm;
     }
 }
 
@@ -94,10 +64,15 @@ mod tests {
             ..GearPeriodic::default()
         };
         let mut g = Teeth::new(config.clone());
-        assert!(g.error_mm(&Vector3::zeros()).norm() < 1e-15);
+        let mut error_mm = |rack_mm: Vector3<f64>| {
+            let mut off_mm = rack_mm;
+            g.rack(&mut off_mm, &Moment { t: 0.0, dt_s: 0.0 });
+            off_mm - rack_mm
+        };
+        assert!(error_mm(Vector3::zeros()).norm() < 1e-15);
         for k in 0..60 {
             let u = Vector3::repeat(0.1 * f64::from(k));
-            assert!((g.error_mm(&u) - g.error_mm(&u.add_scalar(PI))).norm() < 1e-9);
+            assert!((error_mm(u) - error_mm(u.add_scalar(PI))).norm() < 1e-9);
         }
         // and is no plain sine: half a pitch on is not the mirror image
         let u = Vector3::repeat(0.4);

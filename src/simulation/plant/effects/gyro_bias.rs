@@ -5,51 +5,24 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.gyro_bias]`
-    GyroBias at "effects.gyro_bias" sized by warm_up_deg_s, wander_deg_s {
+    GyroBias at "effects.gyro_bias" sized by warm_up_deg_s, wander_deg_s; drawn by rng, severity {
+        let size = rng.sized(0.5, 4.0, severity);
         /// Change b of the bias by the end of the warm-up, °/s per axis. Default 0 (none); typical 0.1
         /// to 5. A larger value turns the integrated attitude faster.
-        warm_up_deg_s: [f64; 3] = [0.0; 3], "", -50.0..=50.0, "0.1 to 5 °/s is typical";
+        warm_up_deg_s: [f64; 3] = [0.0; 3], -50.0..=50.0, "0.1 to 5 °/s is typical", draw (rng.direction() * size).into();
         /// Time constant τ of the warm-up, s. Default 40. A larger value drifts for longer.
-        over_s: f64 = 40.0, "", 0.1..=1e6, "a minute or so is typical";
+        over_s: f64 = 40.0, 0.1..=1e6, "a minute or so is typical", draw rng.between(15.0, 70.0);
         /// Standard deviation of the wander, °/s. Default 0. A larger value is less predictable.
-        wander_deg_s: f64 = 0.0, "", 0.0..=20.0, "tenths of °/s are typical";
+        wander_deg_s: f64 = 0.0, 0.0..=20.0, "tenths of °/s are typical", draw 0.1 * size;
     }
-}
-
-impl PlantEffect for GyroBias {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        let size = rng.sized(0.5, 4.0, severity);
-        Self {
-            warm_up_deg_s: (rng.direction() * size).into(),
-            over_s: rng.between(15.0, 70.0),
-            wander_deg_s: 0.1 * size,
-        }
-    }
-}
-
-/// A bias that drifts, with where it has wandered.
-#[derive(Debug, Clone)]
-pub(crate) struct Drifting {
-    config: GyroBias,
-    wander: Wander,
-    rng: PlantRng,
-    start: Vector3<f64>,
-}
-
-impl Drifting {
-    pub(crate) fn new(config: GyroBias, seed: u64) -> Self {
-        let mut rng = PlantRng::new(seed, Stream::GyroBias);
-        let mut wander = Wander::new(config.wander_deg_s.to_radians(), 40.0, &mut rng);
-        // the value at the start is a constant bias, which is part of the nominal model
-        let start = wander.step(0.0, &mut rng);
-        Self {
-            config,
-            wander,
-            rng,
-            start,
-        }
+    /// A bias that drifts, with where it has wandered.
+    Drifting runs config, unit {
+        rng: PlantRng = PlantRng::new(unit.seed, Stream::GyroBias);
+        wander: Wander = Wander::new(config.wander_deg_s.to_radians(), 40.0, &mut rng);
+        /// The value at the start is a constant bias, which is part of the nominal model.
+        start: Vector3<f64> = wander.step(0.0, &mut rng);
     }
 }
 
@@ -72,7 +45,7 @@ mod tests {
                 warm_up_deg_s: [1.0, 0.0, -2.0],
                 ..GyroBias::default()
             },
-            1,
+            &crate::simulation::plant::PlantConfig::default().unit_data(1),
         );
         let mut rate = |t: f64, dt_s: f64| {
             let mut stimulus = Stimulus::default();

@@ -2,21 +2,14 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.outside.gyro_scale]`
-    GyroScale at "effects.outside.gyro_scale" sized by share {
+    GyroScale at "effects.outside.gyro_scale" sized by share; drawn by rng, severity {
+        let size = rng.sized(0.03, 0.15, severity);
         /// Excess of each axis, as a share. Default 0; the data sheet allows ±0.015, plausible up to
         /// ±0.15. A larger value integrates to wronger angles.
-        share: [f64; 3] = [0.0; 3], "", -0.5..=0.5, "up to ±0.15 is plausible";
-    }
-}
-
-impl PlantEffect for GyroScale {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        let size = rng.sized(0.03, 0.15, severity);
-        Self {
-            share: std::array::from_fn(|_| size * rng.sign() * rng.between(0.6, 1.2)),
-        }
+        share: [f64; 3] = [0.0; 3], -0.5..=0.5, "up to ±0.15 is plausible",
+            draw std::array::from_fn(|_| size * rng.sign() * rng.between(0.6, 1.2));
     }
 }
 

@@ -5,48 +5,25 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.hard_iron]`
-    HardIron at "effects.hard_iron" sized by offset_ut {
+    HardIron at "effects.hard_iron" sized by offset_ut; background 0.06; drawn by rng, severity {
+        let size = rng.sized(4.0, 40.0, severity);
         /// Field b of the parts, µT per axis. Default 0 (none); typical 1 to 50. A larger value turns the heading
         /// more.
-        offset_ut: [f64; 3] = [0.0; 3], "", -500.0..=500.0, "1 to 50 µT is typical";
+        offset_ut: [f64; 3] = [0.0; 3], -500.0..=500.0, "1 to 50 µT is typical", draw (rng.direction() * size).into();
         /// Share v that follows slowly. Default 0.1. A larger value remembers attitudes more.
-        viscous: f64 = 0.1, "", 0.0..=1.0, "0.1 is typical";
+        viscous: f64 = 0.1, 0.0..=1.0, "0.1 is typical", draw rng.between(0.02, 0.15);
     }
-}
-
-impl PlantEffect for HardIron {
-    const BACKGROUND: f64 = 0.06;
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        let size = rng.sized(4.0, 40.0, severity);
-        Self {
-            offset_ut: (rng.direction() * size).into(),
-            viscous: rng.between(0.02, 0.15),
-        }
+    /// Parts with the field they have acquired.
+    Iron runs config {
+        decay: Decay = Decay::new(VISCOUS_S);
+        acquired: Option<Vector3<f64>> = None;
     }
 }
 
 /// Time over which parts are magnetised, s.
 const VISCOUS_S: f64 = 15.0;
-
-/// Parts with the field they have acquired.
-#[derive(Debug, Clone)]
-pub(crate) struct Iron {
-    config: HardIron,
-    decay: Decay,
-    acquired: Option<Vector3<f64>>,
-}
-
-impl Iron {
-    pub(crate) fn new(config: HardIron) -> Self {
-        Self {
-            config,
-            decay: Decay::new(VISCOUS_S),
-            acquired: None,
-        }
-    }
-}
 
 impl Law for Iron {
     fn sensor(&mut self, stimulus: &mut Stimulus, at: &Moment) {

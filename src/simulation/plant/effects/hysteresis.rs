@@ -8,36 +8,34 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.hysteresis]`
-    Hysteresis at "effects.hysteresis" sized by share {
+    Hysteresis at "effects.hysteresis" sized by share; background 0.006; drawn by rng, severity {
         /// Share h of the motion that the plies take up until they yield. Default 0 (none); typical 0.1
         /// to 0.6, which makes loops 5 to 30 % of the range wide. A larger value gives wider loops.
-        share: f64 = 0.0, "", 0.0..=0.75, "beyond 0.75 the bellow would move backwards";
+        share: f64 = 0.0, 0.0..=0.75, "beyond 0.75 the bellow would move backwards", draw rng.sized(0.15, 0.55, severity);
         /// Typical yield strain, mm of bellow. Default 1. A larger value needs longer reversals to cross the
         /// loop.
-        yield_mm: f64 = 1.0, "", 0.01..=10.0, "around 1 mm is typical";
+        yield_mm: f64 = 1.0, 0.01..=10.0, "around 1 mm is typical", draw rng.between(0.6, 1.6);
         /// Spread of the yields, standard deviation of their logarithm. Default 0.7. A larger value rounds the
         /// loop.
-        spread: f64 = 0.7, "", 0.05..=2.0, "0.7 is typical";
+        spread: f64 = 0.7, 0.05..=2.0, "0.7 is typical", draw rng.between(0.5, 0.9);
         /// Yield on the way back as a share of that on the way out, κ. Default 0.8. Further from 1
         /// shifts the loop aside.
-        back: f64 = 0.8, "", 0.1..=2.0, "1 yields alike both ways";
+        back: f64 = 0.8, 0.1..=2.0, "1 yields alike both ways", draw rng.between(0.7, 1.1);
         /// How much wider loops are on the long side, η. Default 0.25. A larger value differs more.
-        long_side: f64 = 0.25, "", -0.3..=0.3, "0.25 is typical";
+        long_side: f64 = 0.25, -0.3..=0.3, "0.25 is typical", draw rng.between(0.0, 0.3);
     }
-}
-
-impl PlantEffect for Hysteresis {
-    const BACKGROUND: f64 = 0.006;
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            share: rng.sized(0.15, 0.55, severity),
-            yield_mm: rng.between(0.6, 1.6),
-            spread: rng.between(0.5, 0.9),
-            back: rng.between(0.7, 1.1),
-            long_side: rng.between(0.0, 0.3),
-        }
+    /// Plies of the three bellows with their strains.
+    Plies runs config {
+        yield_mm: [f64; PLIES] = ladder().map(|x| config.yield_mm * x.exp());
+        weight: [f64; PLIES] = {
+            let raw = ladder().map(|x| (-0.5 * (x / config.spread).powi(2)).exp());
+            let sum: f64 = raw.iter().sum();
+            raw.map(|w| w / sum)
+        };
+        strain_mm: [[f64; PLIES]; 3] = [[0.0; PLIES]; 3];
+        last_mm: Vector3<f64> = Vector3::zeros();
     }
 }
 
@@ -48,48 +46,24 @@ const REACH: f64 = 8.0;
 /// Length change over which the long side's extra width comes, mm.
 const LONG_MM: f64 = 3.0;
 
-/// Plies of the three bellows with their strains.
-#[derive(Debug, Clone)]
-pub(crate) struct Plies {
-    config: Hysteresis,
-    yield_mm: [f64; PLIES],
-    weight: [f64; PLIES],
-    strain_mm: [[f64; PLIES]; 3],
-    last_mm: Vector3<f64>,
-}
-
-impl Plies {
-    pub(crate) fn new(config: Hysteresis) -> Self {
-        let ladder: [f64; PLIES] =
-            std::array::from_fn(|j| REACH.ln() * (2.0 * j as f64 / (PLIES - 1) as f64 - 1.0));
-        let raw = ladder.map(|x| (-0.5 * (x / config.spread).powi(2)).exp());
-        let sum: f64 = raw.iter().sum();
-        Self {
-            yield_mm: ladder.map(|x| config.yield_mm * x.exp()),
-            weight: raw.map(|w| w / sum),
-            strain_mm: [[0.0; PLIES]; 3],
-            last_mm: Vector3::zeros(),
-            config,
-        }
-    }
+/// Logarithms of the yields over the typical one.
+fn ladder() -> [f64; PLIES] {
+    std::array::from_fn(|j| REACH.ln() * (2.0 * j as f64 / (PLIES - 1) as f64 - 1.0))
 }
 
 impl Law for Plies {
     fn bellows(&mut self, q_mm: &mut Vector3<f64>, _at: &Moment) {
-        let moved = *q_mm - self.last_mm;
+        let (c, moved) = (&self.config, *q_mm - self.last_mm);
         self.last_mm = *q_mm;
         for i in 0..3 {
             let mut taken = 0.0;
             for j in 0..PLIES {
-                let e = (self.strain_mm[i][j] + moved[i])
-                    .clamp(-self.config.back * self.yield_mm[j], self.yield_mm[j]);
-                self.strain_mm[i][j] = e;
-                taken += self.weight[j] * e;
+                let (strain_mm, yield_mm) = (&mut self.strain_mm[i][j], self.yield_mm[j]);
+                *strain_mm = (*strain_mm + moved[i]).clamp(-c.back * yield_mm, yield_mm);
+                taken += self.weight[j] * *strain_mm;
             }
             let x = q_mm[i] / LONG_MM;
-            q_mm[i] -= self.config.share
-                * (1.0 + self.config.long_side * x / (1.0 + x * x).sqrt())
-                * taken;
+            q_mm[i] -= c.share * (1.0 + c.long_side * x / (1.0 + x * x).sqrt()) * taken;
         }
     }
 }

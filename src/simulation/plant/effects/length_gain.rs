@@ -4,20 +4,12 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.outside.length_gain]`
-    LengthGain at "effects.outside.length_gain" sized by share {
+    LengthGain at "effects.outside.length_gain" sized by share; drawn by rng, severity {
         /// Change g of the bend for 5 mm of centre length. Default 0 (none); plausible ±0.1 to 0.5.
         /// A larger value couples more. At the resting length nothing is to be seen.
-        share: f64 = 0.0, "", -1.0..=1.0, "tenths are plausible";
-    }
-}
-
-impl PlantEffect for LengthGain {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            share: rng.sign() * rng.sized(0.2, 0.7, severity),
-        }
+        share: f64 = 0.0, -1.0..=1.0, "tenths are plausible", draw rng.sign() * rng.sized(0.2, 0.7, severity);
     }
 }
 

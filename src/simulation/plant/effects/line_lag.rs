@@ -7,43 +7,25 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.line_lag]`
-    LineLag at "effects.line_lag" sized by lag_s {
+    LineLag at "effects.line_lag" sized by lag_s; drawn by rng, severity {
+        let tau = rng.sized(0.12, 0.9, severity);
         /// Time constant τ of each line for slow flow, s. Default 0 (none); typical 0.05 to 1. A larger value is
         /// slower.
-        lag_s: [f64; 3] = [0.0; 3], "", 0.0..=20.0, "0.05 to 1 s is typical";
+        lag_s: [f64; 3] = [0.0; 3], 0.0..=20.0, "0.05 to 1 s is typical",
+            draw std::array::from_fn(|_| tau * rng.between(0.85, 1.15));
         /// Port loss at 10 mm/s as a share of the bore's. Default 0.5. A larger value makes fast motion lag more
         /// than slow motion.
-        port: f64 = 0.5, "", 0.0..=20.0, "a share of the loss in the bore";
+        port: f64 = 0.5, 0.0..=20.0, "a share of the loss in the bore", draw rng.between(0.2, 1.0);
     }
-}
-
-impl PlantEffect for LineLag {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        let tau = rng.sized(0.12, 0.9, severity);
-        Self {
-            lag_s: std::array::from_fn(|_| tau * rng.between(0.85, 1.15)),
-            port: rng.between(0.2, 1.0),
-        }
+    /// Three lumens with what has passed them.
+    Lumen runs config {
+        passed_mm: Vector3<f64> = Vector3::zeros();
     }
-}
-
-/// Three lumens with what has passed them.
-#[derive(Debug, Clone)]
-pub(crate) struct Lumen {
-    config: LineLag,
-    passed_mm: Vector3<f64>,
 }
 
 impl Lumen {
-    pub(crate) fn new(config: LineLag) -> Self {
-        Self {
-            config,
-            passed_mm: Vector3::zeros(),
-        }
-    }
-
     /// Δ / f for a strain Δ ≥ 0.
     fn tau_at(&self, i: usize, strain_mm: f64) -> f64 {
         let tau = self.config.lag_s[i];
@@ -61,10 +43,9 @@ impl Law for Lumen {
         for i in 0..3 {
             let strain = air_mm[i] - self.passed_mm[i];
             let tau = self.tau_at(i, strain.abs());
-            self.passed_mm[i] += if tau > 0.0 {
-                -strain * (-at.dt_s / tau).exp_m1()
-            } else {
-                strain
+            self.passed_mm[i] += match tau > 0.0 {
+                true => -strain * (-at.dt_s / tau).exp_m1(),
+                false => strain,
             };
         }
         *air_mm = self.passed_mm;

@@ -48,9 +48,8 @@ pub mod torsion;
 pub mod transport_delay;
 pub mod twist_creep;
 
-use crate::simulation::plant::check::PlantError;
 use crate::simulation::plant::law::{Law, Laws, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::Table;
+use crate::simulation::plant::parameters::{PlantError, Table};
 use crate::simulation::plant::rng::PlantRng;
 use serde::{Deserialize, Serialize};
 
@@ -65,24 +64,12 @@ pub struct EffectName {
     pub in_catalogue: bool,
 }
 
-/// The running law of an effect, at its start.
-fn started<E, L: Law + 'static>(
-    effect: &E,
-    unit: &UnitData,
-    start: fn(&E, &UnitData) -> L,
-) -> Box<dyn Law> {
-    Box::new(start(effect, unit))
-}
-
-/// Defines a table of optional effects from their names, and what is done with all of them in turn. An effect without
-/// memory is its own law; of others the table says after `runs` how their law starts. `at` is the place among the laws
-/// that act at one point of the chain, 10 by default: smaller ones act first, equal ones in the order of the list.
+/// Defines a table of optional effects from their names, and what is done with all of them in turn. `at` is the place among
+/// the laws that act at one point of the chain, 10 by default: smaller ones act first, equal ones in the order of the list.
 macro_rules! table {
     (@order) => { 10 };
     (@order $order:literal) => { $order };
-    (@law $effect:ident, $unit:ident) => { started($effect, $unit, |e, _| e.clone()) };
-    (@law $effect:ident, $unit:ident, $law:expr) => { started($effect, $unit, $law) };
-    ($(#[$doc:meta])* $table:ident, $names:ident, $in_catalogue:literal, { $($name:ident: $kind:ident in $stage:literal $(at $order:literal)? $(runs $law:expr)?,)* } $($nested:ident: $nested_kind:ident)?) => {
+    ($(#[$doc:meta])* $table:ident, $names:ident, $in_catalogue:literal, { $($name:ident: $kind:ident in $stage:literal $(at $order:literal)?,)* } $($nested:ident: $nested_kind:ident)?) => {
         $(#[$doc])*
         #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
         #[serde(deny_unknown_fields, default)]
@@ -101,21 +88,23 @@ macro_rules! table {
 
         impl $table {
             /// Refuses parameters outside their ranges.
-            fn check(&self) -> Result<(), PlantError> {
+            pub(crate) fn check(&self) -> Result<(), PlantError> {
                 $( if let Some(effect) = &self.$name { effect.check().and_then(|()| effect.consistent())?; } )*
+                $( self.$nested.check()?; )?
                 Ok(())
             }
-            /// Draws the named effect; false if this table has no such effect.
-            fn draw(&mut self, name: &str, severity: f64, rng: &mut PlantRng) -> bool {
+            /// Sets the named effect to a random one of its typical range; false if there is no such name.
+            pub(crate) fn draw(&mut self, name: &str, severity: f64, rng: &mut PlantRng) -> bool {
                 match name {
                     $( stringify!($name) => self.$name = Some(PlantEffect::draw(severity, rng)), )*
-                    _ => return false,
+                    _ => return false $(|| self.$nested.draw(name, severity, rng))?,
                 }
                 true
             }
             /// Scales every effect that is present by a random factor of its own.
             fn vary(&mut self, sigma: f64, rng: &mut PlantRng) {
                 $( if let Some(effect) = &mut self.$name { effect.scale(rng.factor(sigma)); } )*
+                $( self.$nested.vary(sigma, rng); )?
             }
             /// The imperfections of a real unit, all of them.
             #[allow(clippy::needless_update)] // the table of the catalogue has one more field than its effects
@@ -129,8 +118,9 @@ macro_rules! table {
             /// Adds the laws of all effects of a size other than 0, each with its place.
             fn add_laws(&self, laws: &mut Vec<(u8, Box<dyn Law>)>, unit: &UnitData) {
                 $( if let Some(e) = self.$name.as_ref().filter(|e| e.is_active()) {
-                    laws.push((table!(@order $($order)?), table!(@law e, unit $(, $law)?)));
+                    laws.push((table!(@order $($order)?), e.law(unit)));
                 } )*
+                $( self.$nested.add_laws(laws, unit); )?
             }
         }
     };
@@ -140,31 +130,31 @@ table! {
     /// `[effects]`: effects of the diagnosis catalogue, in its order.
     Effects, CATALOGUE, true,
     {
-        missed_steps: MissedSteps in "drive" runs |e, unit| missed_steps::Stall::new(e.clone(), unit.step_mm, unit.microsteps),
-        gear_periodic: GearPeriodic in "drive" runs |e, _| gear_periodic::Teeth::new(e.clone()),
-        leak: Leak in "transmission" at 20 runs |e, _| leak::Leaking::new(e.clone()),
+        missed_steps: MissedSteps in "drive",
+        gear_periodic: GearPeriodic in "drive",
+        leak: Leak in "transmission" at 20,
         gas_compression: GasCompression in "transmission",
-        line_lag: LineLag in "transmission" runs |e, _| line_lag::Lumen::new(e.clone()),
-        thermal_drift: ThermalDrift in "transmission" runs |e, _| thermal_drift::Warming::new(e.clone()),
-        crosstalk: Crosstalk in "transmission" runs |e, unit| crosstalk::Squeezing { crosstalk: e.clone(), k_epsilon: unit.k_epsilon },
-        stiffening: Stiffening in "bellows" runs |e, _| stiffening::Hardening::new(e),
+        line_lag: LineLag in "transmission",
+        thermal_drift: ThermalDrift in "transmission",
+        crosstalk: Crosstalk in "transmission",
+        stiffening: Stiffening in "bellows",
         asymmetry: Asymmetry in "bellows",
-        hysteresis: Hysteresis in "bellows" runs |e, _| hysteresis::Plies::new(e.clone()),
-        creep: Creep in "bellows" runs |e, _| creep::Creeping::new(e.clone()),
-        softening: Softening in "bellows" runs |e, _| softening::Damage::new(e.clone()),
-        gravity: Gravity in "shape" at 20 runs |e, unit| gravity::Weight::new(e.clone(), unit.rest_length_mm),
+        hysteresis: Hysteresis in "bellows",
+        creep: Creep in "bellows",
+        softening: Softening in "bellows",
+        gravity: Gravity in "shape" at 20,
         curvature: Curvature in "shape",
         clocking: Clocking in "shape",
-        cable_stiffness: CableStiffness in "shape" runs |e, _| cable_stiffness::Cable::new(e),
+        cable_stiffness: CableStiffness in "shape",
         torsion: Torsion in "shape",
-        contact: Contact in "shape" runs |e, _| contact::Touching::new(e.clone()),
-        gyro_bias: GyroBias in "sensor" runs |e, unit| gyro_bias::Drifting::new(e.clone(), unit.seed),
+        contact: Contact in "shape",
+        gyro_bias: GyroBias in "sensor",
         accel_bias: AccelBias in "sensor",
-        hard_iron: HardIron in "sensor" at 20 runs |e, _| hard_iron::Iron::new(e.clone()),
-        motor_field: MotorField in "sensor" runs |e, unit| motor_field::Motors::new(e.clone(), unit.microsteps),
+        hard_iron: HardIron in "sensor" at 20,
+        motor_field: MotorField in "sensor",
         mount_misalignment: MountMisalignment in "sensor" at 0,
-        transport_delay: TransportDelay in "timing" runs |e, unit| transport_delay::Late::new(e, unit.seed),
-        sensor_latency: SensorLatency in "timing" runs |e, unit| sensor_latency::Late::new(e, unit.seed),
+        transport_delay: TransportDelay in "timing",
+        sensor_latency: SensorLatency in "timing",
         base_motion: BaseMotion in "base",
     }
     outside: Outside
@@ -174,14 +164,14 @@ table! {
     /// `[effects.outside]`: effects that the diagnosis catalogue does not contain.
     Outside, OUTSIDE, false,
     {
-        stick_slip: StickSlip in "drive" runs |e, _| stick_slip::Sticking::new(e.clone()),
-        play_wear: PlayWear in "transmission" runs |e, _| play_wear::Wearing::new(e.clone()),
-        rate_coupling: RateCoupling in "transmission" at 0 runs |e, _| rate_coupling::Dragging::new(e.clone()),
+        stick_slip: StickSlip in "drive",
+        play_wear: PlayWear in "transmission",
+        rate_coupling: RateCoupling in "transmission" at 0,
         bubble_jump: BubbleJump in "transmission",
-        snap_through: SnapThrough in "bellows" runs |e, _| snap_through::Snapping::new(e.clone()),
-        ringing: Ringing in "bellows" runs |e, _| ringing::Rings::new(e.clone()),
+        snap_through: SnapThrough in "bellows",
+        ringing: Ringing in "bellows",
         length_gain: LengthGain in "shape" at 0,
-        twist_creep: TwistCreep in "shape" runs |e, _| twist_creep::Twisting::new(e.clone()),
+        twist_creep: TwistCreep in "shape",
         gyro_scale: GyroScale in "sensor" at 1,
         g_sensitivity: GSensitivity in "sensor" at 2,
         acc_scale: AccScale in "sensor" at 3,
@@ -193,14 +183,6 @@ table! {
 }
 
 impl Effects {
-    pub(crate) fn validate(&self) -> Result<(), PlantError> {
-        self.check()?;
-        self.outside.check()
-    }
-    /// Sets the named effect to a random one of its typical range; false if there is no such name.
-    pub(crate) fn choose(&mut self, name: &str, severity: f64, rng: &mut PlantRng) -> bool {
-        self.draw(name, severity, rng) || self.outside.draw(name, severity, rng)
-    }
     /// Adds the imperfections that no real unit is without, each with even odds. What is set is left alone.
     pub(crate) fn add_background(&mut self, rng: &mut PlantRng) {
         let imperfections = Self::imperfections(&mut |size| size * rng.between(0.3, 1.0));
@@ -212,14 +194,12 @@ impl Effects {
     pub(crate) fn varied(&self, sigma: f64, rng: &mut PlantRng) -> Self {
         let mut unit = self.clone();
         unit.vary(sigma, rng);
-        unit.outside.vary(sigma, rng);
         unit
     }
     /// The laws of all effects of a size other than 0, in the order in which they act.
     pub(crate) fn laws(&self, unit: &UnitData) -> Laws {
         let mut laws = Vec::new();
         self.add_laws(&mut laws, unit);
-        self.outside.add_laws(&mut laws, unit);
         laws.sort_by_key(|(order, _)| *order);
         laws.into_iter().map(|(_, law)| law).collect()
     }

@@ -8,97 +8,62 @@
 use crate::simulation::plant::prelude::*;
 use std::f64::consts::TAU;
 
-parameters! {
+effect! {
     /// `[effects.motor_field]`
-    MotorField at "effects.motor_field" sized by amplitude_ut {
+    MotorField at "effects.motor_field" sized by amplitude_ut; background 0.02; drawn by rng, severity {
+        let size = rng.sized(1.5, 20.0, severity);
         /// Amplitude A of each motor's field where the tip is, µT. Default 0 (none); typical 0.1 to 20.
         /// A larger value disturbs the heading more.
-        amplitude_ut: [f64; 3] = [0.0; 3], "", -500.0..=500.0, "0.1 to 20 µT is typical";
+        amplitude_ut: [f64; 3] = [0.0; 3], -500.0..=500.0, "0.1 to 20 µT is typical",
+            draw std::array::from_fn(|_| size * rng.between(0.6, 1.2));
         /// Direction in which each motor's first coil points, degrees about the world's vertical.
         /// Default [0, 60, 120].
-        azimuth_deg: [f64; 3] = [0.0, 60.0, 120.0], "", -360.0..=360.0, "one turn is enough";
+        azimuth_deg: [f64; 3] = [0.0, 60.0, 120.0], -360.0..=360.0, "one turn is enough",
+            draw [rng.angle_deg(), rng.angle_deg(), rng.angle_deg()];
         /// Share h of the third harmonic. Default 0.12. A larger value is further from a circle.
-        saturation: f64 = 0.12, "", 0.0..=1.0, "0.12 is typical";
+        saturation: f64 = 0.12, 0.0..=1.0, "0.12 is typical", draw rng.between(0.05, 0.2);
         /// Current at standstill as a share of the current in motion. Default 0.5. A smaller value gives a
         /// larger difference between motion and standstill.
-        idle: f64 = 0.5, "", 0.0..=1.0, "0.5 is a common driver setting";
+        idle: f64 = 0.5, 0.0..=1.0, "0.5 is a common driver setting", draw rng.between(0.3, 0.7);
     }
-}
-
-impl PlantEffect for MotorField {
-    const BACKGROUND: f64 = 0.02;
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        let size = rng.sized(1.5, 20.0, severity);
-        Self {
-            amplitude_ut: std::array::from_fn(|_| size * rng.between(0.6, 1.2)),
-            azimuth_deg: [rng.angle_deg(), rng.angle_deg(), rng.angle_deg()],
-            saturation: rng.between(0.05, 0.2),
-            idle: rng.between(0.3, 0.7),
-        }
+    /// Motors with their currents.
+    Motors runs config, unit {
+        cycle: f64 = 4.0 * unit.microsteps;
+        counts: Vector3<f64> = Vector3::zeros();
+        current: Vector3<f64> = Vector3::repeat(config.idle);
+        decay: Decay = Decay::new(CURRENT_S);
     }
 }
 
 /// How fast the driver lets the current down and up again, s.
 const CURRENT_S: f64 = 0.12;
 
-/// Motors with their currents.
-#[derive(Debug, Clone)]
-pub(crate) struct Motors {
-    config: MotorField,
-    cycle: f64,
-    counts: Vector3<f64>,
-    current: Vector3<f64>,
-    decay: Decay,
-}
-
-impl Motors {
-    pub(crate) fn new(config: MotorField, microsteps: f64) -> Self {
-        let current = Vector3::repeat(config.idle);
-        Self {
-            config,
-            cycle: 4.0 * microsteps,
-            counts: Vector3::zeros(),
-            current,
-            decay: Decay::new(CURRENT_S),
-        }
-    }
-    /// Field in the world, µT, with the drivers at `counts`, `dt_s` after the last.
-    pub(crate) fn field_ut(&mut self, counts: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
+impl Law for Motors {
+    fn field(&mut self, field_ut: &mut Vector3<f64>, counts: &Vector3<f64>, dt_s: f64) {
         let share = self.decay.share(dt_s);
         let mut field = Vector3::zeros();
         for i in 0..3 {
-            let target = if counts[i] == self.counts[i] {
-                self.config.idle
-            } else {
-                1.0
-            };
+            let idle = counts[i] == self.counts[i];
+            let target = if idle { self.config.idle } else { 1.0 };
             // up at once, down slowly: a driver boosts on the first pulse
-            self.current[i] = if target > self.current[i] {
-                target
-            } else {
-                self.current[i] + (target - self.current[i]) * share
-            };
+            let down = self.current[i] + (target - self.current[i]) * share;
+            self.current[i] = target.max(down);
             field += self.coils(i, counts[i]) * (self.config.amplitude_ut[i] * self.current[i]);
         }
         self.counts = *counts;
-        field
+        *field_ut += field;
     }
+}
+
+impl Motors {
     /// Field of one motor at unit current.
     fn coils(&self, i: usize, counts: f64) -> Vector3<f64> {
         let phase = TAU * counts / self.cycle;
         let h = self.config.saturation;
-        let (first, second) = (
-            phase.cos() + h * (3.0 * phase).cos(),
-            phase.sin() - h * (3.0 * phase).sin(),
-        );
+        let first = phase.cos() + h * (3.0 * phase).cos();
+        let second = phase.sin() - h * (3.0 * phase).sin();
         let (sin, cos) = self.config.azimuth_deg[i].to_radians().sin_cos();
         Vector3::new(cos * first, sin * first, second)
-    }
-}
-
-impl Law for Motors {
-    fn field(&mut self, field_ut: &mut Vector3<f64>, counts: &Vector3<f64>, dt_s: f64) {
-        *field_ut += self.field_ut(counts, dt_s);
     }
 }
 
@@ -113,17 +78,22 @@ mod tests {
                 amplitude_ut: [5.0, 0.0, 0.0],
                 ..MotorField::default()
             },
-            16.0,
+            &crate::simulation::plant::PlantConfig::default().unit_data(1),
         );
-        let moving = m.field_ut(&Vector3::new(7.0, 0.0, 0.0), 0.002);
+        let at_seven = |m: &mut Motors| {
+            let mut field_ut = Vector3::zeros();
+            m.field(&mut field_ut, &Vector3::new(7.0, 0.0, 0.0), 0.002);
+            field_ut
+        };
+        let moving = at_seven(&mut m);
         assert!(
             (m.coils(0, 7.0) - m.coils(0, 71.0)).norm() < 1e-9
                 && (m.coils(0, 7.0) - m.coils(0, 39.0)).norm() > 1.0
         );
         for _ in 0..1000 {
-            m.field_ut(&Vector3::new(7.0, 0.0, 0.0), 0.002);
+            at_seven(&mut m);
         }
-        let idle = m.field_ut(&Vector3::new(7.0, 0.0, 0.0), 0.002);
+        let idle = at_seven(&mut m);
         assert!((idle.norm() / moving.norm() - 0.5).abs() < 1e-3);
     }
 }

@@ -4,26 +4,16 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.mount_misalignment]`
-    MountMisalignment at "effects.mount_misalignment" sized by tilt_deg {
+    MountMisalignment at "effects.mount_misalignment" sized by tilt_deg; background 0.06; drawn by rng, severity {
+        let size = rng.sized(3.0, 15.0, severity);
         /// Tilt m of the chip in the tip, a rotation vector in degrees. Default 0 (none); typical 1 to
         /// 15. A larger value mixes the axes more.
-        tilt_deg: [f64; 3] = [0.0; 3], "", -180.0..=180.0, "1 to 15 is typical";
+        tilt_deg: [f64; 3] = [0.0; 3], -180.0..=180.0, "1 to 15 is typical", draw (rng.direction() * size).into();
         /// Give w of the board, as a share of the tilt's angle per g. Default 0.03. A larger value depends more
         /// on attitude.
-        give: f64 = 0.03, "", 0.0..=0.5, "0.03 is typical";
-    }
-}
-
-impl PlantEffect for MountMisalignment {
-    const BACKGROUND: f64 = 0.06;
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        let size = rng.sized(3.0, 15.0, severity);
-        Self {
-            tilt_deg: (rng.direction() * size).into(),
-            give: rng.between(0.0, 0.05),
-        }
+        give: f64 = 0.03, 0.0..=0.5, "0.03 is typical", draw rng.between(0.0, 0.05);
     }
 }
 

@@ -4,41 +4,19 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.outside.play_wear]`
-    PlayWear at "effects.outside.play_wear" sized by growth {
+    PlayWear at "effects.outside.play_wear" sized by growth; drawn by rng, severity {
         /// Final growth g of the half-width, as a share of it. Default 0 (none); plausible 0.2 to 2.
         /// A larger value ends with more play.
-        growth: f64 = 0.0, "", -1.0..=10.0, "a share of the half-width";
+        growth: f64 = 0.0, -1.0..=10.0, "a share of the half-width", draw rng.sized(0.5, 2.5, severity);
         /// Travel S over which it wears, mm of piston. Default 300. A larger value wears more slowly.
-        over_mm: f64 = 300.0, "", 1.0..=1e6, "mm of piston travel";
+        over_mm: f64 = 300.0, 1.0..=1e6, "mm of piston travel", draw rng.between(100.0, 400.0);
     }
-}
-
-impl PlantEffect for PlayWear {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            growth: rng.sized(0.5, 2.5, severity),
-            over_mm: rng.between(100.0, 400.0),
-        }
-    }
-}
-
-/// Teeth with the distance that each has travelled.
-#[derive(Debug, Clone)]
-pub(crate) struct Wearing {
-    wear: PlayWear,
-    plunger_mm: Vector3<f64>,
-    gone_mm: Vector3<f64>,
-}
-
-impl Wearing {
-    pub(crate) fn new(wear: PlayWear) -> Self {
-        Self {
-            wear,
-            plunger_mm: Vector3::zeros(),
-            gone_mm: Vector3::zeros(),
-        }
+    /// Teeth with the distance that each has travelled.
+    Wearing runs config {
+        plunger_mm: Vector3<f64> = Vector3::zeros();
+        gone_mm: Vector3<f64> = Vector3::zeros();
     }
 }
 
@@ -47,8 +25,8 @@ impl Law for Wearing {
         self.gone_mm += (plunger_mm - self.plunger_mm).abs();
         self.plunger_mm = *plunger_mm;
         for i in 0..3 {
-            half_width_mm[i] *=
-                1.0 - self.wear.growth * (-self.gone_mm[i] / self.wear.over_mm).exp_m1();
+            let worn = -(-self.gone_mm[i] / self.config.over_mm).exp_m1();
+            half_width_mm[i] *= 1.0 + self.config.growth * worn;
         }
     }
 }
@@ -59,14 +37,10 @@ mod tests {
 
     #[test]
     fn the_half_width_grows_with_the_distance() {
-        let mut worn = Wearing {
-            wear: PlayWear {
-                growth: 1.0,
-                over_mm: 20.0,
-            },
-            plunger_mm: Vector3::zeros(),
-            gone_mm: Vector3::zeros(),
-        };
+        let mut worn = Wearing::new(PlayWear {
+            growth: 1.0,
+            over_mm: 20.0,
+        });
         let mut width = |to: f64| {
             let mut half_width = Vector3::repeat(0.5);
             worn.play(&mut half_width, &Vector3::repeat(to));

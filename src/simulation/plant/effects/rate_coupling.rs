@@ -5,43 +5,22 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.outside.rate_coupling]`
-    RateCoupling at "effects.outside.rate_coupling" sized by shift_s {
+    RateCoupling at "effects.outside.rate_coupling" sized by shift_s; drawn by rng, severity {
         /// Shift of the next channel per speed of this one, s. Default 0 (none); plausible ±0.03 to 0.2.
         /// A larger value swings further aside while moving.
-        shift_s: f64 = 0.0, "", -1.0..=1.0, "tenths of a second are plausible";
+        shift_s: f64 = 0.0, -1.0..=1.0, "tenths of a second are plausible", draw rng.sign() * rng.sized(0.06, 0.3, severity);
     }
-}
-
-impl PlantEffect for RateCoupling {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            shift_s: rng.sign() * rng.sized(0.06, 0.3, severity),
-        }
+    /// The frame with what it remembers.
+    Dragging runs config {
+        decay: Decay = Decay::new(FRAME_S);
+        followed_mm: Vector3<f64> = Vector3::zeros();
     }
 }
 
 /// Relaxation of the frame, s.
 const FRAME_S: f64 = 0.15;
-
-/// The frame with what it remembers.
-#[derive(Debug, Clone)]
-pub(crate) struct Dragging {
-    config: RateCoupling,
-    decay: Decay,
-    followed_mm: Vector3<f64>,
-}
-
-impl Dragging {
-    pub(crate) fn new(config: RateCoupling) -> Self {
-        Self {
-            config,
-            decay: Decay::new(FRAME_S),
-            followed_mm: Vector3::zeros(),
-        }
-    }
-}
 
 impl Law for Dragging {
     fn air(&mut self, air_mm: &mut Vector3<f64>, _bellows: &BellowState, at: &Moment) {

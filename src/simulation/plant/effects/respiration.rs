@@ -5,25 +5,15 @@
 use crate::simulation::plant::prelude::*;
 use std::f64::consts::TAU;
 
-parameters! {
+effect! {
     /// `[effects.outside.respiration]`
-    Respiration at "effects.outside.respiration" sized by amplitude_deg {
+    Respiration at "effects.outside.respiration" sized by amplitude_deg; drawn by rng, severity {
         /// Amplitude A of the push, degrees of bend. Default 0 (none); plausible 1 to 5. A larger value pushes further.
-        amplitude_deg: f64 = 0.0, "", 0.0..=30.0, "1 to 5 is plausible";
+        amplitude_deg: f64 = 0.0, 0.0..=30.0, "1 to 5 is plausible", draw rng.sized(1.0, 5.0, severity);
         /// Period of a breath, s. Default 4. A larger value pushes more slowly.
-        period_s: f64 = 4.0, "", 0.5..=60.0, "3 to 5 s at rest";
+        period_s: f64 = 4.0, 0.5..=60.0, "3 to 5 s at rest", draw rng.between(3.0, 5.0);
         /// Direction of the push, degrees. Default 0.
-        direction_deg: f64 = 0.0, "", -360.0..=360.0, "one turn is enough";
-    }
-}
-
-impl PlantEffect for Respiration {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            amplitude_deg: rng.sized(1.0, 5.0, severity),
-            period_s: rng.between(3.0, 5.0),
-            direction_deg: rng.angle_deg(),
-        }
+        direction_deg: f64 = 0.0, -360.0..=360.0, "one turn is enough", draw rng.angle_deg();
     }
 }
 
@@ -34,8 +24,7 @@ impl Respiration {
     /// Push at time `t`, rad of bend.
     fn push(&self, t: f64) -> Vector2<f64> {
         let phase = TAU * (t - STILL_S).max(0.0) / self.period_s;
-        let (sin, cos) = self.direction_deg.to_radians().sin_cos();
-        Vector2::new(cos, sin)
+        toward(self.direction_deg)
             * (self.amplitude_deg.to_radians() * (0.8 * phase.sin() + 0.2 * (2.0 * phase).sin()))
     }
 }

@@ -5,55 +5,30 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.outside.ringing]`
-    Ringing at "effects.outside.ringing" sized by share {
+    Ringing at "effects.outside.ringing" sized by share; drawn by rng, severity {
         /// Share of the motion that rings. Default 0 (none); plausible 0.3 to 1. A larger value overshoots more.
-        share: f64 = 0.0, "", 0.0..=1.0, "a share of the motion";
+        share: f64 = 0.0, 0.0..=1.0, "a share of the motion", draw rng.sized(0.4, 0.9, severity);
         /// Frequency, Hz. Default 4. A larger value rings faster.
-        frequency_hz: f64 = 4.0, "", 0.2..=50.0, "a few Hz are plausible";
+        frequency_hz: f64 = 4.0, 0.2..=50.0, "a few Hz are plausible", draw rng.between(1.0, 4.0);
         /// Damping ratio ζ. Default 0.08. A larger value dies out sooner.
-        damping: f64 = 0.08, "", 0.005..=0.95, "above 1 it is a lag";
+        damping: f64 = 0.08, 0.005..=0.95, "above 1 it is a lag", draw rng.between(0.03, 0.12);
     }
-}
-
-impl PlantEffect for Ringing {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            share: rng.sized(0.4, 0.9, severity),
-            frequency_hz: rng.between(1.0, 4.0),
-            damping: rng.between(0.03, 0.12),
-        }
+    /// The ringing part's state: distance from the input and speed over ω.
+    Rings runs config {
+        dt_s: f64 = f64::NAN;
+        turn: Matrix2<f64> = Matrix2::identity();
+        at_mm: Vector3<f64> = Vector3::zeros();
+        speed: Vector3<f64> = Vector3::zeros();
     }
-}
-
-/// The ringing part's state: distance from the input and speed over ω.
-#[derive(Debug, Clone)]
-pub(crate) struct Rings {
-    config: Ringing,
-    dt_s: f64,
-    turn: Matrix2<f64>,
-    at_mm: Vector3<f64>,
-    speed: Vector3<f64>,
 }
 
 impl Rings {
-    pub(crate) fn new(config: Ringing) -> Self {
-        Self {
-            config,
-            dt_s: f64::NAN,
-            turn: Matrix2::identity(),
-            at_mm: Vector3::zeros(),
-            speed: Vector3::zeros(),
-        }
-    }
-
     /// Matrix of (distance, speed/ω) over `dt_s`.
     fn transition(&self, dt_s: f64) -> Matrix2<f64> {
-        let (omega, zeta) = (
-            std::f64::consts::TAU * self.config.frequency_hz,
-            self.config.damping,
-        );
+        let omega = std::f64::consts::TAU * self.config.frequency_hz;
+        let zeta = self.config.damping;
         let root = (1.0 - zeta * zeta).sqrt();
         let (sin, cos) = (omega * root * dt_s).sin_cos();
         let (fade, side) = ((-zeta * omega * dt_s).exp(), zeta / root);

@@ -2,25 +2,15 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.outside.sensor_freeze]`
-    SensorFreeze at "effects.outside.sensor_freeze" sized by for_s {
+    SensorFreeze at "effects.outside.sensor_freeze" sized by for_s; drawn by rng, severity {
         /// How long it hangs, s. Default 0 (never); plausible 0.3 to 3. A larger value blinds for longer.
-        for_s: f64 = 0.0, "", 0.0..=1e4, "some seconds are plausible";
+        for_s: f64 = 0.0, 0.0..=1e4, "some seconds are plausible", draw rng.sized(0.5, 3.0, severity);
         /// When it first hangs, s. Default 12.
-        at_s: f64 = 12.0, "", 0.0..=1e9, "seconds since the start";
+        at_s: f64 = 12.0, 0.0..=1e9, "seconds since the start", draw rng.between(8.0, 20.0);
         /// Time from one hang to the next, s. Default 25. A larger value hangs less often.
-        every_s: f64 = 25.0, "", 0.01..=1e9, "longer than it hangs";
-    }
-}
-
-impl PlantEffect for SensorFreeze {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            for_s: rng.sized(0.5, 3.0, severity),
-            at_s: rng.between(8.0, 20.0),
-            every_s: rng.between(10.0, 25.0),
-        }
+        every_s: f64 = 25.0, 0.01..=1e9, "longer than it hangs", draw rng.between(10.0, 25.0);
     }
 }
 

@@ -5,46 +5,22 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.outside.snap_through]`
-    SnapThrough at "effects.outside.snap_through" sized by jump_mm {
+    SnapThrough at "effects.outside.snap_through" sized by jump_mm; drawn by rng, severity {
         /// Length that the popped fold adds, mm. Default 0 (none); plausible 0.2 to 1. A larger value jumps
         /// further.
-        jump_mm: f64 = 0.0, "", 0.0..=5.0, "under 1 mm is plausible";
+        jump_mm: f64 = 0.0, 0.0..=5.0, "under 1 mm is plausible", draw rng.sized(0.4, 1.5, severity);
         /// Elongation at which it pops, mm. Default 2. A larger value pops at larger bends only.
-        at_mm: f64 = 2.0, "", 0.1..=10.0, "a bellow elongates by 5 mm or so";
+        at_mm: f64 = 2.0, 0.1..=10.0, "a bellow elongates by 5 mm or so", draw rng.between(1.0, 2.5);
         /// Channel of the bellow, 1 to 3. Default 1.
-        channel: usize = 1, "", 1..=3, "channels are counted from 1 to 3";
+        channel: usize = 1, 1..=3, "channels are counted from 1 to 3", draw rng.channel();
     }
-}
-
-impl PlantEffect for SnapThrough {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            jump_mm: rng.sized(0.4, 1.5, severity),
-            at_mm: rng.between(1.0, 2.5),
-            channel: rng.channel(),
-        }
-    }
-}
-
-/// A fold with its state.
-#[derive(Debug, Clone)]
-pub(crate) struct Snapping {
-    config: SnapThrough,
-    popped: bool,
-    decay: Decay,
-    added_mm: f64,
-}
-
-impl Snapping {
-    pub(crate) fn new(config: SnapThrough) -> Self {
-        Self {
-            config,
-            popped: false,
-            decay: Decay::new(0.05),
-            added_mm: 0.0,
-        }
+    /// A fold with its state.
+    Snapping runs config {
+        popped: bool = false;
+        decay: Decay = Decay::new(0.05);
+        added_mm: f64 = 0.0;
     }
 }
 
@@ -53,15 +29,9 @@ impl Law for Snapping {
         let i = self.config.channel - 1;
         let back_mm = self.config.at_mm - (1.5 * self.config.jump_mm).max(0.5);
         self.popped = q_mm[i] > self.config.at_mm || (self.popped && q_mm[i] > back_mm);
-        let target = if self.popped {
-            self.config.jump_mm
-        } else {
-            0.0
-        };
+        let target = f64::from(self.popped) * self.config.jump_mm;
         self.added_mm += (target - self.added_mm) * self.decay.share(at.dt_s);
-        let mut added = Vector3::zeros();
-        added[i] = self.added_mm;
-        *q_mm += added;
+        q_mm[i] += self.added_mm;
     }
 }
 

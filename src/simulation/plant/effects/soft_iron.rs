@@ -2,31 +2,14 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.outside.soft_iron]`
-    SoftIron at "effects.outside.soft_iron" sized by stretch {
+    SoftIron at "effects.outside.soft_iron" sized by stretch; directed by direction; drawn by rng, severity {
         /// Stretch of the field along the direction, as a share. Default 0 (none); plausible ±0.05 to
         /// 0.3. A larger value turns the heading more, twice per turn.
-        stretch: f64 = 0.0, "", -0.9..=5.0, "±0.05 to 0.3 is plausible";
+        stretch: f64 = 0.0, -0.9..=5.0, "±0.05 to 0.3 is plausible", draw rng.sized(0.06, 0.35, severity);
         /// Direction in the body, any length. Default [1, 0, 0].
-        direction: [f64; 3] = [1.0, 0.0, 0.0], "", -1e3..=1e3, "a direction";
-    }
-}
-
-impl PlantEffect for SoftIron {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            stretch: rng.sized(0.06, 0.35, severity),
-            direction: rng.direction().into(),
-        }
-    }
-    fn consistent(&self) -> Result<(), PlantError> {
-        range(
-            "effects.outside.soft_iron.direction length",
-            Vector3::from(self.direction).norm(),
-            1e-3..=1e4,
-            "a direction has a length",
-        )
+        direction: [f64; 3] = [1.0, 0.0, 0.0], -1e3..=1e3, "a direction", draw rng.direction().into();
     }
 }
 

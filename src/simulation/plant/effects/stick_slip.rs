@@ -6,57 +6,33 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.outside.stick_slip]`
-    StickSlip at "effects.outside.stick_slip" sized by breakaway_mm {
+    StickSlip at "effects.outside.stick_slip" sized by breakaway_mm; drawn by rng, severity {
         /// Rod strain at which a plunger breaks away, mm. Default 0 (none); plausible 0.1 to 0.8. A larger value
         /// moves in bigger jumps.
-        breakaway_mm: f64 = 0.0, "", 0.0..=5.0, "tenths of a mm are plausible";
+        breakaway_mm: f64 = 0.0, 0.0..=5.0, "tenths of a mm are plausible", draw rng.sized(0.3, 1.5, severity);
         /// Share of the breakaway strain that is left after the jump, 0 to 1. Default 0.3. A larger value jumps
         /// less.
-        sliding: f64 = 0.3, "", 0.0..=1.0, "a share of the breakaway";
+        sliding: f64 = 0.3, 0.0..=1.0, "a share of the breakaway", draw rng.between(0.0, 0.4);
         /// How much breakaway rises with ln(1 + seconds at standstill). Default 0.1. A larger value ages faster.
-        ageing: f64 = 0.1, "", 0.0..=2.0, "0.1 is plausible";
+        ageing: f64 = 0.1, 0.0..=2.0, "0.1 is plausible";
     }
-}
-
-impl PlantEffect for StickSlip {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            breakaway_mm: rng.sized(0.3, 1.5, severity),
-            sliding: rng.between(0.0, 0.4),
-            ..Self::default()
-        }
-    }
-}
-
-/// Three plungers with what they remember.
-#[derive(Debug, Clone)]
-pub(crate) struct Sticking {
-    config: StickSlip,
-    plunger_mm: Vector3<f64>,
-    resting_s: Vector3<f64>,
-}
-
-impl Sticking {
-    pub(crate) fn new(config: StickSlip) -> Self {
-        Self {
-            config,
-            plunger_mm: Vector3::zeros(),
-            resting_s: Vector3::zeros(),
-        }
+    /// Three plungers with what they remember.
+    Sticking runs config {
+        plunger_mm: Vector3<f64> = Vector3::zeros();
+        resting_s: Vector3<f64> = Vector3::zeros();
     }
 }
 
 impl Law for Sticking {
     fn rack(&mut self, rack_mm: &mut Vector3<f64>, at: &Moment) {
+        let c = &self.config;
         for i in 0..3 {
             let strain = rack_mm[i] - self.plunger_mm[i];
-            let holds =
-                self.config.breakaway_mm * (1.0 + self.config.ageing * self.resting_s[i].ln_1p());
+            let holds = c.breakaway_mm * (1.0 + c.ageing * self.resting_s[i].ln_1p());
             if strain.abs() > holds {
-                self.plunger_mm[i] =
-                    rack_mm[i] - strain.signum() * self.config.sliding * self.config.breakaway_mm;
+                self.plunger_mm[i] = rack_mm[i] - strain.signum() * c.sliding * c.breakaway_mm;
                 self.resting_s[i] = 0.0;
             } else {
                 self.resting_s[i] += at.dt_s;

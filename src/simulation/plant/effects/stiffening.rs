@@ -5,50 +5,28 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.stiffening]`
-    Stiffening at "effects.stiffening" sized by share {
+    Stiffening at "effects.stiffening" sized by share; background 0.003; drawn by rng, severity {
         /// Extra wall force at 5 mm of length change, as a share of the linear force. Default 0 (none);
         /// typical 0.05 to 0.5 (5 to 30 % of motion). A larger value bends less at large angles.
-        share: f64 = 0.0, "", 0.0..=3.0, "0.05 to 0.5 is typical";
+        share: f64 = 0.0, 0.0..=3.0, "0.05 to 0.5 is typical", draw rng.sized(0.12, 0.7, severity);
         /// Stretch s over which the extra grows by e, mm. Default 2.5. A larger value sets in earlier and more
         /// evenly.
-        onset_mm: f64 = 2.5, "", 0.8..=50.0, "2.5 is typical; shorter is a wall, not rubber";
+        onset_mm: f64 = 2.5, 0.8..=50.0, "2.5 is typical; shorter is a wall, not rubber", draw rng.between(1.8, 4.0);
     }
-}
-
-impl PlantEffect for Stiffening {
-    const BACKGROUND: f64 = 0.003;
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            share: rng.sized(0.12, 0.7, severity),
-            onset_mm: rng.between(1.8, 4.0),
-        }
+    /// A wall that hardens.
+    Hardening runs config {
+        h: f64 = config.share / (FULL_MM / config.onset_mm).exp_m1();
     }
 }
 
 /// Stretch at which the share is counted, mm: a bellow's at 75° of bend, nearly.
 const FULL_MM: f64 = 5.0;
 
-/// A wall that hardens.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Hardening {
-    h: f64,
-    onset_mm: f64,
-}
-
-impl Hardening {
-    pub(crate) fn new(config: &Stiffening) -> Self {
-        Self {
-            h: config.share / (FULL_MM / config.onset_mm).exp_m1(),
-            onset_mm: config.onset_mm,
-        }
-    }
-}
-
 impl Law for Hardening {
     fn wall(&self, q_mm: f64) -> Option<(f64, f64)> {
-        let x = q_mm.abs() / self.onset_mm;
+        let x = q_mm.abs() / self.config.onset_mm;
         let grown = x.exp() - 1.0;
         Some((self.h * q_mm * grown, self.h * (grown + x * (grown + 1.0))))
     }
@@ -60,7 +38,7 @@ mod tests {
 
     #[test]
     fn the_extra_force_is_odd_and_stated_at_full_stretch() {
-        let s = Hardening::new(&Stiffening {
+        let s = Hardening::new(Stiffening {
             share: 0.3,
             ..Stiffening::default()
         });

@@ -5,64 +5,34 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.thermal_drift]`
-    ThermalDrift at "effects.thermal_drift" sized by offset_mm {
-        /// Final offset a of each line, mm of piston. Default 0 (none); typical 0.2 to 2.5 on one line
-        /// (0.5 to 7° of bend). Equal offsets lengthen the tip and do not bend it. A larger value drifts further.
-        offset_mm: [f64; 3] = [0.0; 3], "", -20.0..=20.0, "a few mm at most are typical";
-        /// Time constant τ₁ of the air, s. Default 20. A larger value starts more softly.
-        air_s: f64 = 20.0, "", 0.1..=1e5, "tens of seconds are typical";
-        /// Time constant τ₂ of the case, s. Default 90. A larger value drifts for longer.
-        case_s: f64 = 90.0, "", 0.1..=1e5, "minutes are typical";
-    }
-}
-
-impl PlantEffect for ThermalDrift {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+    ThermalDrift at "effects.thermal_drift" sized by offset_mm; background by up_to {
+        offset_mm: [up_to(0.02), -up_to(0.02), 0.0]
+    }; drawn by rng, severity {
         let size = rng.sized(0.4, 3.0, severity);
         let main = rng.channel() - 1;
         let sign = rng.sign();
         let share = rng.between(-0.4, 0.4);
-        let mut offset_mm = [size * sign * share; 3];
-        offset_mm[main] = size * sign;
-        Self {
-            offset_mm,
-            air_s: rng.between(6.0, 25.0),
-            case_s: rng.between(30.0, 120.0),
-        }
+        /// Final offset a of each line, mm of piston. Default 0 (none); typical 0.2 to 2.5 on one line
+        /// (0.5 to 7° of bend). Equal offsets lengthen the tip and do not bend it. A larger value drifts further.
+        offset_mm: [f64; 3] = [0.0; 3], -20.0..=20.0, "a few mm at most are typical",
+            draw std::array::from_fn(|i| if i == main { size * sign } else { size * sign * share });
+        /// Time constant τ₁ of the air, s. Default 20. A larger value starts more softly.
+        air_s: f64 = 20.0, 0.1..=1e5, "tens of seconds are typical", draw rng.between(6.0, 25.0);
+        /// Time constant τ₂ of the case, s. Default 90. A larger value drifts for longer.
+        case_s: f64 = 90.0, 0.1..=1e5, "minutes are typical", draw rng.between(30.0, 120.0);
     }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self {
-            offset_mm: [up_to(0.02), -up_to(0.02), 0.0],
-            ..Self::default()
-        })
-    }
-}
-
-/// Air that is warming up.
-#[derive(Debug, Clone)]
-pub(crate) struct Warming {
-    offset_mm: Vector3<f64>,
-    air: (f64, Decay, f64),
-    case: (f64, Decay, f64),
-}
-
-impl Warming {
-    pub(crate) fn new(config: ThermalDrift) -> Self {
-        // equal time constants are the limit of unequal ones; a difference of 0.2 % keeps the formula stable
-        let alike = (config.case_s / config.air_s - 1.0).abs() < 1e-3;
-        let case_s = if alike {
-            config.case_s * 1.002
-        } else {
-            config.case_s
+    /// Air that is warming up.
+    Warming runs config {
+        /// Time constant, s, decay, and what is left of the initial difference.
+        air: (f64, Decay, f64) = (config.air_s, Decay::new(config.air_s), 1.0);
+        case: (f64, Decay, f64) = {
+            // equal time constants are the limit of unequal ones; a difference of 0.2 % keeps the formula stable
+            let alike = (config.case_s / config.air_s - 1.0).abs() < 1e-3;
+            let case_s = if alike { config.case_s * 1.002 } else { config.case_s };
+            (case_s, Decay::new(case_s), 1.0)
         };
-        let mass = |tau_s: f64| (tau_s, Decay::new(tau_s), 1.0);
-        Self {
-            offset_mm: Vector3::from(config.offset_mm),
-            air: mass(config.air_s),
-            case: mass(case_s),
-        }
     }
 }
 
@@ -72,7 +42,8 @@ impl Law for Warming {
             *left -= *left * decay.share(at.dt_s);
         }
         let cooling = self.case.0 * self.case.2 - self.air.0 * self.air.2;
-        *air_mm += self.offset_mm * (1.0 - cooling / (self.case.0 - self.air.0));
+        *air_mm +=
+            Vector3::from(self.config.offset_mm) * (1.0 - cooling / (self.case.0 - self.air.0));
     }
 }
 

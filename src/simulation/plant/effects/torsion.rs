@@ -5,24 +5,14 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.torsion]`
-    Torsion at "effects.torsion" sized by twist_deg {
+    Torsion at "effects.torsion" sized by twist_deg; background 0.1; drawn by rng, severity {
         /// Twist T at 60° of bend, degrees. Default 0 (none); typical up to ±20. A larger value turns the camera
         /// image more.
-        twist_deg: f64 = 0.0, "", -60.0..=60.0, "up to 20 is typical";
+        twist_deg: f64 = 0.0, -60.0..=60.0, "up to 20 is typical", draw rng.sign() * rng.sized(3.0, 20.0, severity);
         /// Bend direction δ₀ of the most twist, degrees. Default 0.
-        direction_deg: f64 = 0.0, "", -360.0..=360.0, "one turn is enough";
-    }
-}
-
-impl PlantEffect for Torsion {
-    const BACKGROUND: f64 = 0.1;
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            twist_deg: rng.sign() * rng.sized(3.0, 20.0, severity),
-            direction_deg: rng.angle_deg(),
-        }
+        direction_deg: f64 = 0.0, -360.0..=360.0, "one turn is enough", draw rng.angle_deg();
     }
 }
 

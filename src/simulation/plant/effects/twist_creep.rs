@@ -4,42 +4,19 @@
 
 use crate::simulation::plant::prelude::*;
 
-parameters! {
+effect! {
     /// `[effects.outside.twist_creep]`
-    TwistCreep at "effects.outside.twist_creep" sized by twist_deg {
+    TwistCreep at "effects.outside.twist_creep" sized by twist_deg; drawn by rng, severity {
         /// Twist T in the end at 60° of bend, degrees. Default 0 (none); plausible ±3 to 20. A larger value
         /// turns further.
-        twist_deg: f64 = 0.0, "", -60.0..=60.0, "up to 20 is plausible";
+        twist_deg: f64 = 0.0, -60.0..=60.0, "up to 20 is plausible", draw rng.sign() * rng.sized(5.0, 20.0, severity);
         /// Time constant, s. Default 8. A larger value is slower.
-        over_s: f64 = 8.0, "", 0.01..=1e5, "some seconds are plausible";
+        over_s: f64 = 8.0, 0.01..=1e5, "some seconds are plausible", draw rng.between(3.0, 15.0);
     }
-}
-
-impl PlantEffect for TwistCreep {
-    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
-        Self {
-            twist_deg: rng.sign() * rng.sized(5.0, 20.0, severity),
-            over_s: rng.between(3.0, 15.0),
-        }
-    }
-}
-
-/// A tip with the twist it has crept to.
-#[derive(Debug, Clone)]
-pub(crate) struct Twisting {
-    config: TwistCreep,
-    decay: Decay,
-    twist: f64,
-}
-
-impl Twisting {
-    pub(crate) fn new(config: TwistCreep) -> Self {
-        let decay = Decay::new(config.over_s);
-        Self {
-            config,
-            decay,
-            twist: 0.0,
-        }
+    /// A tip with the twist it has crept to.
+    Twisting runs config {
+        decay: Decay = Decay::new(config.over_s);
+        twist: f64 = 0.0;
     }
 }
 

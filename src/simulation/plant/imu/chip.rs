@@ -59,18 +59,6 @@ parameters! {
     }
 }
 
-impl ImuConfig {
-    /// The same make with no constant bias.
-    pub(crate) fn unbiased(&self) -> Self {
-        Self {
-            gyro_bias_deg_s: [0.0; 3],
-            acc_bias_mg: [0.0; 3],
-            mag_bias_ut: [0.0; 3],
-            ..self.clone()
-        }
-    }
-}
-
 /// One quantity of the chip in SI units.
 #[derive(Debug, Clone)]
 struct Axes {
@@ -87,14 +75,11 @@ impl Axes {
         if self.sigma > 0.0 {
             x += rng.normals() * self.sigma;
         }
-        x.map(|x| {
-            let clipped = x.clamp(-self.range, self.range);
-            if self.digit > 0.0 {
-                (clipped / self.digit).round() * self.digit
-            } else {
-                clipped
-            }
-        })
+        let mut clipped = x.map(|x| x.clamp(-self.range, self.range));
+        if self.digit > 0.0 {
+            clipped = clipped.map(|x| (x / self.digit).round() * self.digit);
+        }
+        clipped
     }
 }
 
@@ -112,38 +97,32 @@ pub(crate) struct Chip {
 
 impl Chip {
     pub(crate) fn new(config: &ImuConfig, mut rng: PlantRng) -> Self {
-        let white = (0.5 / config.period_s).sqrt();
-        let (deg, mg) = (1f64.to_radians(), 1e-3 * GRAVITY_M_S2);
         let c = config;
-        // values in `unit`, as a multiple of the SI unit
-        let mut axes = |bias: &[f64; 3], [sigma, wander, digit, range]: [f64; 4], unit: f64| Axes {
-            bias: Vector3::from(*bias) * unit,
-            sigma: sigma * unit,
-            wander: Wander::new(wander * unit, c.wander_s, &mut rng),
-            digit: digit * unit,
-            range: range * unit,
+        let (white, deg, mg) = (
+            (0.5 / c.period_s).sqrt(),
+            1f64.to_radians(),
+            1e-3 * GRAVITY_M_S2,
+        );
+        // bias, then noise, wander, digit and range in `unit`, as a multiple of the SI unit
+        let mut axes = |unit: f64, bias: [f64; 3], sizes: [f64; 4]| {
+            let [sigma, wander, digit, range] = sizes.map(|size| size * unit);
+            Axes {
+                bias: Vector3::from(bias) * unit,
+                sigma,
+                wander: Wander::new(wander, c.wander_s, &mut rng),
+                digit,
+                range,
+            }
         };
-        let gyro = [
-            c.gyro_noise_deg_s_rthz * white,
-            c.gyro_wander_deg_s,
-            c.gyro_digit_deg_s,
-            c.gyro_range_deg_s,
-        ];
-        let acc = [
-            c.acc_noise_mg_rthz * white,
-            c.acc_wander_mg,
-            c.acc_digit_mg,
-            c.acc_range_g * 1000.0,
-        ];
-        let mag = [
-            c.mag_noise_ut,
-            c.mag_wander_ut,
-            c.mag_digit_ut,
-            c.mag_range_ut,
-        ];
-        let gyro = axes(&c.gyro_bias_deg_s, gyro, deg);
-        let acc = axes(&c.acc_bias_mg, acc, mg);
-        let mag = axes(&c.mag_bias_ut, mag, 1.0);
+        let (noise, range) = (c.gyro_noise_deg_s_rthz * white, c.gyro_range_deg_s);
+        let sizes = [noise, c.gyro_wander_deg_s, c.gyro_digit_deg_s, range];
+        let gyro = axes(deg, c.gyro_bias_deg_s, sizes);
+        let (noise, range) = (c.acc_noise_mg_rthz * white, c.acc_range_g * 1000.0);
+        let sizes = [noise, c.acc_wander_mg, c.acc_digit_mg, range];
+        let acc = axes(mg, c.acc_bias_mg, sizes);
+        let (noise, range) = (c.mag_noise_ut, c.mag_range_ut);
+        let sizes = [noise, c.mag_wander_ut, c.mag_digit_ut, range];
+        let mag = axes(1.0, c.mag_bias_ut, sizes);
         Self {
             period_s: c.period_s,
             mag_period_s: c.mag_period_s,
@@ -160,11 +139,8 @@ impl Chip {
         let gyro_rad_s = self.gyro.read(&stimulus.rate, dt_s, &mut self.rng);
         let acc_m_s2 = self.acc.read(&stimulus.force, dt_s, &mut self.rng);
         let mag_ut = with_mag.then(|| {
-            self.mag.read(
-                &stimulus.field,
-                std::mem::take(&mut self.mag_dt_s),
-                &mut self.rng,
-            )
+            let dt_s = std::mem::take(&mut self.mag_dt_s);
+            self.mag.read(&stimulus.field, dt_s, &mut self.rng)
         });
         ImuSample {
             t: Seconds(0.0),

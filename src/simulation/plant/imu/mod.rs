@@ -8,7 +8,8 @@ pub mod chip;
 pub(crate) mod stimulus;
 
 use crate::primitives::{ImuSample, Rotation, Seconds, Tip, World};
-use crate::simulation::plant::law::{Laws, Moment};
+use crate::simulation::plant::fault::ImuFaults;
+use crate::simulation::plant::law::{Laws, Moment, each};
 use crate::simulation::plant::rng::{PlantRng, Stream};
 use chip::{Chip, ImuConfig};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -28,7 +29,7 @@ pub(crate) struct Surroundings {
 }
 
 /// One IMU with its state.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Imu {
     chip: Chip,
     mount: Option<UnitQuaternion<f64>>,
@@ -37,37 +38,6 @@ pub(crate) struct Imu {
     last: Surroundings,
     speed_m_s: Vector3<f64>,
     shown: Option<ImuSample>,
-    /// Injected faults.
-    pub(crate) faults: ImuFaults,
-}
-
-/// Faults of an IMU.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct ImuFaults {
-    /// Every sample repeats the last one.
-    pub(crate) frozen: bool,
-    /// Readings contain NaN.
-    pub(crate) nan: bool,
-    /// Rate and force read full scale.
-    pub(crate) saturated: bool,
-    /// Added to the next sample only: rate (rad/s) and force (m/s²).
-    pub(crate) spike: Option<(Vector3<f64>, Vector3<f64>)>,
-    /// Added to every rate, rad/s.
-    pub(crate) rate: Vector3<f64>,
-    /// Of the samples of the IMU on the base, only one in so many comes; those since the last one.
-    pub(crate) slow: Option<(u32, u32)>,
-    /// Added to the field in the axes of the chip, µT.
-    pub(crate) field_ut: Vector3<f64>,
-}
-
-impl ImuFaults {
-    /// Whether a sample comes.
-    pub(crate) fn passes(&mut self) -> bool {
-        self.slow.as_mut().is_none_or(|(one_in, since)| {
-            *since = (*since + 1) % *one_in;
-            *since == 0
-        })
-    }
 }
 
 impl Imu {
@@ -75,16 +45,12 @@ impl Imu {
     pub(crate) fn tip(config: &ImuConfig, seed: u64, here: Surroundings, laws: &mut Laws) -> Self {
         let mut imu = Self::new(config, PlantRng::new(seed, Stream::TipImu), here);
         let stimulus = imu.stimulus(&here, config.period_s);
-        laws.iter_mut().for_each(|law| law.at_start(&stimulus));
+        each(laws, |law| law.at_start(&stimulus));
         imu
     }
-    /// The base's IMU, of the same make but without bias.
+    /// The base's IMU.
     pub(crate) fn base(config: &ImuConfig, seed: u64, here: Surroundings) -> Self {
-        Self::new(
-            &config.unbiased(),
-            PlantRng::new(seed, Stream::BaseImu),
-            here,
-        )
+        Self::new(config, PlantRng::new(seed, Stream::BaseImu), here)
     }
     fn new(config: &ImuConfig, rng: PlantRng, here: Surroundings) -> Self {
         let turn = Vector3::from(config.mount_deg).map(f64::to_radians);
@@ -96,7 +62,6 @@ impl Imu {
             last: here,
             speed_m_s: Vector3::zeros(),
             shown: None,
-            faults: ImuFaults::default(),
         }
     }
 
@@ -106,56 +71,56 @@ impl Imu {
     }
 
     /// The sample that is due.
-    pub(crate) fn sample(&mut self, here: &Surroundings, laws: &mut Laws) -> ImuSample {
-        let t = here.t;
-        let at = Moment {
-            t,
-            dt_s: t - self.last.t,
-        };
+    pub(crate) fn sample(
+        &mut self,
+        here: &Surroundings,
+        laws: &mut Laws,
+        faults: &mut ImuFaults,
+    ) -> ImuSample {
+        let (t, dt_s) = (here.t, here.t - self.last.t);
+        let at = Moment { t, dt_s };
         self.due_s = next_due(self.due_s, self.chip.period_s, t);
         let mut stimulus = self.stimulus(here, at.dt_s);
-        laws.iter_mut().for_each(|law| law.late(&mut stimulus, &at));
+        each(laws, |law| law.late(&mut stimulus, &at));
         if let Some(mount) = &self.mount {
             stimulus = stimulus.turned_by(mount);
         }
-        laws.iter_mut()
-            .for_each(|law| law.sensor(&mut stimulus, &at));
-        let (rate, force) = self.faults.spike.take().unwrap_or_default();
-        stimulus.rate = stimulus.rate + self.faults.rate + rate;
-        stimulus.force += force;
-        stimulus.field += self.faults.field_ut;
+        each(laws, |law| law.sensor(&mut stimulus, &at));
+        let (rate_deg_s, force_g) = faults.spike.take().unwrap_or_default();
+        let bias = Vector3::from(faults.rate_deg_s).map(f64::to_radians);
+        stimulus.rate = (stimulus.rate + bias).add_scalar(rate_deg_s.to_radians());
+        stimulus.force = stimulus.force.add_scalar(force_g * GRAVITY_M_S2);
+        stimulus.field += faults.field_ut;
         let fresh_mag = t >= self.mag_due_s - 1e-9;
         if fresh_mag {
             self.mag_due_s = next_due(self.mag_due_s, self.chip.mag_period_s, t);
         }
         let mut sample = self.chip.read(&stimulus, at.dt_s, fresh_mag);
         sample.t = Seconds(laws.iter().fold(t, |stamp, law| law.clock(stamp)));
-        self.output(sample, laws.iter().any(|law| law.hangs(t)))
+        let hangs = faults.frozen || laws.iter().any(|law| law.hangs(t));
+        self.output(sample, hangs, faults)
     }
 
     /// The output of a chip that may be faulty.
-    fn output(&mut self, mut sample: ImuSample, hangs: bool) -> ImuSample {
-        match self.shown {
-            Some(shown) if hangs || self.faults.frozen => {
-                sample = ImuSample {
-                    t: sample.t,
-                    mag_ut: sample.mag_ut.and(shown.mag_ut),
-                    ..shown
-                };
-            }
+    fn output(&mut self, mut sample: ImuSample, hangs: bool, faults: &ImuFaults) -> ImuSample {
+        let shown = *self.shown.get_or_insert(sample);
+        if hangs {
+            sample = ImuSample {
+                t: sample.t,
+                mag_ut: sample.mag_ut.and(shown.mag_ut),
+                ..shown
+            };
+        } else {
             // a sample without a field keeps the field that is repeated
-            Some(shown) => {
-                self.shown = Some(ImuSample {
-                    mag_ut: sample.mag_ut.or(shown.mag_ut),
-                    ..sample
-                })
-            }
-            None => self.shown = Some(sample),
+            self.shown = Some(ImuSample {
+                mag_ut: sample.mag_ut.or(shown.mag_ut),
+                ..sample
+            });
         }
-        if self.faults.saturated {
+        if faults.saturated {
             self.chip.pin_to_range(&mut sample);
         }
-        if self.faults.nan {
+        if faults.nan {
             sample.gyro_rad_s.x = f64::NAN;
             sample.acc_m_s2.z = f64::NAN;
         }

@@ -13,6 +13,12 @@ use std::f64::consts::TAU;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Plate;
 
+/// The unit vector of a bend direction, degrees.
+pub(crate) fn toward(direction_deg: f64) -> Vector2<f64> {
+    let (sin, cos) = direction_deg.to_radians().sin_cos();
+    Vector2::new(cos, sin)
+}
+
 /// Where the bellows sit.
 #[derive(Debug, Clone)]
 pub(crate) struct Section {

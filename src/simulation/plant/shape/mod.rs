@@ -9,16 +9,14 @@ use crate::model::Bend;
 use crate::primitives::{Rotation, Tip, World};
 use crate::simulation::plant::config::ShapeConfig;
 use crate::simulation::plant::effects::contact::Touching;
-use crate::simulation::plant::law::{Law, Laws, Moment, SectionState};
+use crate::simulation::plant::law::{Law, Laws, Moment, SectionState, Step, each};
 use arc::{Plate, Section, Terms};
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
 /// The bending section with its state.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Shape {
     section: Section,
-    /// Injected fault: a push on the tip, as a bend vector, rad.
-    pub(crate) push: Vector2<f64>,
     /// Injected fault: a wall in place of that of the configuration.
     pub(crate) wall: Option<Touching>,
 }
@@ -43,14 +41,9 @@ impl Pose {
 
 impl Shape {
     pub(crate) fn new(config: &ShapeConfig) -> Self {
-        let section = Section::new(
-            config.r_mm,
-            &config.angle_deg.map(f64::to_radians),
-            config.rest_length_mm,
-        );
+        let offset = config.angle_deg.map(f64::to_radians);
         Self {
-            section,
-            push: Vector2::zeros(),
+            section: Section::new(config.r_mm, &offset, config.rest_length_mm),
             wall: None,
         }
     }
@@ -60,9 +53,9 @@ impl Shape {
         &mut self,
         bellow_mm: &Vector3<f64>,
         r_world_plate: Rotation<World, Plate>,
-        at: &Moment,
-        laws: &mut Laws,
+        now: &mut Step<'_>,
     ) -> Pose {
+        let Step { at, laws, faults } = now;
         let (mut bend, length_mm) = match laws.iter().find_map(|law| law.offsets(bellow_mm)) {
             Some(offsets) => self.section.turned(&offsets).shape(bellow_mm),
             None => self.section.shape(bellow_mm),
@@ -73,16 +66,13 @@ impl Shape {
             longer_mm: length_mm - self.section.rest_length_mm,
             r_world_plate,
         };
-        laws.iter_mut()
-            .for_each(|law| law.bend(&mut bend, &section));
-        bend += self.push;
+        each(laws, |law| law.bend(&mut bend, &section));
+        bend += faults.push.0;
         let touched = match &mut self.wall {
             Some(wall) => wall.contact(&mut bend, at),
             None => {
                 let mut touched = false;
-                for law in laws.iter_mut() {
-                    touched |= law.contact(&mut bend, at);
-                }
+                each(laws, |law| touched |= law.contact(&mut bend, at));
                 touched
             }
         };
