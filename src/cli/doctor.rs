@@ -158,11 +158,10 @@ fn devices(board: &Board) -> Vec<Finding> {
     };
     for (what, sensor) in [("tip IMU", &machine.imu), ("base IMU", &machine.base_imu)] {
         let Some(config) = sensor else { continue };
-        findings.push(match Sensor::start(config) {
+        findings.push(match Sensor::start(config, machine.imu_priority) {
             Ok(s) => {
                 let i = s.identity;
-                let (part, address) = (i.inertial.part, i.inertial.address);
-                let found = format!("{part} at {address:#04x}, {:.0} Hz", i.rate_hz);
+                let found = format!("{}, {:.0} Hz", i.inertial, i.rate_hz);
                 let slow = slowness(s.read_s, i.rate_hz);
                 let verdict = pass_or_warn(slow.is_none());
                 Finding::new(what, verdict, found, &slow.unwrap_or_default())

@@ -4,7 +4,7 @@
 use crate::cli::{inputs, manual_motion, output};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::HardwareError;
-use crate::hardware::pins::{self, OpenError, PinError};
+use crate::hardware::pins::{self, OpenError, PinError, Pins};
 use crate::hardware::rt;
 use crate::motion::Levels;
 use miette::{IntoDiagnostic, Result, miette};

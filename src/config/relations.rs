@@ -1,11 +1,10 @@
 //! Relations between the tables of a board: a board that contradicts itself is refused as it is read, with the place in
 //! the file.
 
-use crate::config::sections::ImuSection;
 use crate::config::{Board, Header, HomingMethod, PlantSection};
+use crate::hardware::machine::ImuSection;
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{Backend, PinsConfig};
-use crate::motion::MotionLimits;
 use crate::motion::stop::longest_stop_mm;
 use crate::primitives::{Check, Checker, Invalid, Parameters, Table, shown};
 use crate::simulation::plant::PlantError;
@@ -95,7 +94,7 @@ fn power(board: &Board, to: &mut Checker) {
 /// Motion and pulses, each alone and together.
 fn motion(board: &Board, to: &mut Checker) {
     let (motion, stepper, period_s) = (
-        board.motion_config(),
+        board.motion_limits(),
         &board.stepper,
         board.machine.period_s,
     );
@@ -114,10 +113,10 @@ fn motion(board: &Board, to: &mut Checker) {
             .holds(stepper.lead_ms * 1e-3 >= period_s, &problem)
             .hint("two turns of machine.period_s are a good lead");
     }
-    let Ok(limits) = MotionLimits::try_from(&motion) else {
+    if motion.validate().is_err() {
         return;
-    };
-    let (stop_mm, travel_mm) = (longest_stop_mm(&limits), board.limits.travel_mm);
+    }
+    let (stop_mm, travel_mm) = (longest_stop_mm(&motion), board.limits.travel_mm);
     let problem = format!(
         "a stop from full speed takes {stop_mm:.2} mm, more than the travel of {travel_mm} mm"
     );

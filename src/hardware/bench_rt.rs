@@ -11,8 +11,8 @@ use crate::hardware::stepper::{StartError, Stepper, Summary};
 use crate::motion::Motion;
 use crate::motion::queue::SyncStatus;
 use crate::motion::{
-    EmergencyStop, Histogram, Inputs, Levels, MotionConfig, MotionLimits, StepGenerator,
-    StepperConfig, StepperMode,
+    EmergencyStop, Histogram, Inputs, Levels, MotionLimits, StepGenerator, StepperConfig,
+    StepperMode,
 };
 use crate::report::chart::{Axis, Chart, Series, Stroke, sheet};
 use crate::report::svg::Ink;
@@ -93,13 +93,13 @@ const QUANTILES: [(&str, f64); 4] = [
 /// Microstep of the bench, mm. Only the step rate matters, so the value is arbitrary.
 const STEP_MM: f64 = 0.01;
 
-/// Runs the bench on the given pins and returns them with the result.
+/// Runs the bench on the given pins.
 ///
 /// # Errors
 /// [`StartError`]: a rate that the configuration forbids, or no thread.
-pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBench, P), StartError> {
+pub fn run(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench, StartError> {
     let speed = config.rate_hz * STEP_MM;
-    let motion_config = MotionConfig {
+    let limits = MotionLimits {
         speed_max_mm_s: speed,
         acceleration_max_mm_s2: speed * 10.0,
         jerk_max_mm_s3: speed * 200.0,
@@ -110,7 +110,7 @@ pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBenc
     let mut stepper = Stepper::start(
         pins,
         &config.stepper,
-        &motion_config,
+        &limits,
         STEP_MM,
         EmergencyStop::Release,
     )?;
@@ -124,32 +124,29 @@ pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBenc
     let tick = std::thread::scope(|scope| {
         let control = scope.spawn(|| {
             let (_status, _guard) = rt::enter(&request);
-            drive(config, &motion_config, &mut stepper)
+            drive(config, &limits, &mut stepper)
         });
-        control.join().unwrap_or(Err(StartError::Died))
+        control.join().map_err(|_| StartError::Died)
     })?;
     let elapsed_s = (monotonic_ns() - start_ns) as f64 * 1e-9;
-    let (steps, pins) = stepper.finish().ok_or(StartError::Died)?;
+    let (steps, _) = stepper.finish().ok_or(StartError::Died)?;
     drop(load);
-    Ok((
-        RtBench {
-            config: *config,
-            status,
-            elapsed_s,
-            steps,
-            tick,
-        },
-        pins,
-    ))
+    Ok(RtBench {
+        config: *config,
+        status,
+        elapsed_s,
+        steps,
+        tick,
+    })
 }
 
 /// The loop's part: moves between the ends of travel, one tick at a time, at absolute times.
-fn drive<P: Pins + 'static>(
+fn drive(
     config: &RtBenchConfig,
-    motion_config: &MotionConfig,
-    stepper: &mut Stepper<P>,
-) -> Result<Histogram, StartError> {
-    let mut motion = Motion::new(&MotionLimits::try_from(motion_config)?);
+    limits: &MotionLimits,
+    stepper: &mut impl StepGenerator,
+) -> Histogram {
+    let mut motion = Motion::new(limits);
     let mut times = Histogram::default();
     let tick_ns = (config.tick_s * 1e9) as u64;
     let mut next_ns = monotonic_ns();
@@ -167,18 +164,17 @@ fn drive<P: Pins + 'static>(
                 continue;
             }
         }
-        if motion.state()[0].is_rest()
-            && motion.state()[0].position_mm.abs() > 0.5 * motion_config.travel_max_mm
-        {
+        let first = motion.state()[0];
+        if first.is_rest() && first.position_mm.abs() > 0.5 * limits.travel_max_mm {
             side = -side;
         }
-        let segment = motion.tick([side * motion_config.travel_max_mm; 3], config.tick_s);
+        let segment = motion.tick([side * limits.travel_max_mm; 3], config.tick_s);
         // A refused segment appears as an underrun in the result.
         let _ = stepper.feed(&segment, now_ns);
         times.record(monotonic_ns() - now_ns);
         rt::sleep_until_ns(next_ns);
     }
-    Ok(times)
+    times
 }
 
 /// Threads that load the processors until they are dropped.
@@ -195,9 +191,9 @@ impl Load {
             std::thread::spawn(move || {
                 let mut block = vec![1.0_f64; 1 << 16];
                 while !stop.load(Ordering::Relaxed) {
-                    block
-                        .iter_mut()
-                        .for_each(|x| *x = (*x * 1.000_001).sin() + 1.0);
+                    for x in &mut block {
+                        *x = (*x * 1.000_001).sin() + 1.0;
+                    }
                     std::hint::black_box(&block);
                 }
             })
@@ -246,10 +242,8 @@ impl RtBench {
         });
         let table = table(&header, 1..header.len(), rows);
         let report = &self.steps.report;
-        let (steps, rate) = (
-            report.lateness.count(),
-            report.lateness.count() as f64 / self.elapsed_s,
-        );
+        let steps = report.lateness.count();
+        let rate = steps as f64 / self.elapsed_s;
         let mut text = format!(
             "{table}\n{steps} steps in {:.1} s on three channels ({rate:.0} per second), {} load threads, {} underruns",
             self.elapsed_s, self.config.load_threads, report.underruns
@@ -266,11 +260,13 @@ impl RtBench {
     /// Histograms of wake-up lateness, step lateness and interval error as one SVG drawing with
     /// logarithmic axes.
     pub fn svg(&self) -> String {
-        let charts: Vec<Chart> = self.rows()[..3]
-            .iter()
-            .map(|(name, h)| histogram(name, h, self.config.stepper.late_max_us))
-            .collect();
-        sheet("Lateness of the step thread", &charts, 3)
+        let [wake, steps, intervals, _] = self.rows();
+        let chart = |(name, h)| histogram(name, h, self.config.stepper.late_max_us);
+        sheet(
+            "Lateness of the step thread",
+            &[wake, steps, intervals].map(chart),
+            3,
+        )
     }
 }
 
@@ -285,11 +281,14 @@ fn histogram(name: &str, h: &Histogram, late_max_us: f64) -> Chart {
             [(from, 0), (from, n), (until, n), (until, 0)].map(|(ns, n)| (x(ns as f64), y(n)))
         })
         .collect();
+    let area = outline.iter().map(|&(x, y)| (x, 0.0, y)).collect();
     let times = [
         "0.1 µs", "1 µs", "10 µs", "100 µs", "1 ms", "10 ms", "100 ms",
     ];
+    let times = times.iter().zip(-1..);
     let counts = (0..9).map(|k| 10u32.pow(k)).take_while(|n| *n <= most);
     let limit = x(late_max_us * 1e3);
+    let limit = vec![(limit, 0.0), (limit, y(most))];
     Chart {
         title: format!("{name}, {} times", h.count()),
         x: Axis {
@@ -297,9 +296,7 @@ fn histogram(name: &str, h: &Histogram, late_max_us: f64) -> Chart {
             low: -1.0,
             high: 5.0,
             ticks: times
-                .iter()
-                .enumerate()
-                .map(|(k, t)| (k as f64 - 1.0, (*t).to_owned()))
+                .map(|(t, k)| (f64::from(k), (*t).to_owned()))
                 .collect(),
         },
         y: Axis {
@@ -309,20 +306,12 @@ fn histogram(name: &str, h: &Histogram, late_max_us: f64) -> Chart {
             ticks: counts.map(|n| (y(n), n.to_string())).collect(),
         },
         series: vec![
-            Series::band(
-                Ink::BLUE,
-                outline.iter().map(|&(x, y)| (x, 0.0, y)).collect(),
-            ),
+            Series::band(Ink::BLUE, area),
             Series {
                 name: None,
                 ..Series::line("", Ink::BLUE, Stroke::Solid, outline)
             },
-            Series::line(
-                "limit of a fault",
-                Ink::RED,
-                Stroke::Dashed,
-                vec![(limit, 0.0), (limit, y(most))],
-            ),
+            Series::line("limit of a fault", Ink::RED, Stroke::Dashed, limit),
         ],
     }
 }
@@ -330,14 +319,16 @@ fn histogram(name: &str, h: &Histogram, late_max_us: f64) -> Chart {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::atomic::AtomicU64;
 
     /// Pins that count the edges of the step lines.
-    #[derive(Default)]
-    struct Counting(Levels, u64);
+    #[derive(Clone, Default)]
+    struct Counting(Levels, Arc<AtomicU64>);
 
     impl Pins for Counting {
         fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
-            self.1 += (0..3).filter(|&c| levels.step[c] != self.0.step[c]).count() as u64;
+            let edges = (0..3).filter(|&c| levels.step[c] != self.0.step[c]).count();
+            self.1.fetch_add(edges as u64, Ordering::Relaxed);
             self.0 = *levels;
             Ok(())
         }
@@ -361,14 +352,15 @@ mod tests {
             stepper,
             ..RtBenchConfig::default()
         };
-        let (bench, pins) = run(&config, Counting::default()).unwrap();
+        let pins = Counting::default();
+        let bench = run(&config, pins.clone()).unwrap();
         let steps = bench.steps.report.lateness.count();
         assert!(
             steps > 300 && !matches!(bench.steps.report.mode, StepperMode::Faulted(_)),
             "{}",
             bench.table()
         );
-        assert_eq!(pins.1, 2 * steps);
+        assert_eq!(pins.1.load(Ordering::Relaxed), 2 * steps);
         let table = bench.table();
         for words in [
             "step lateness",

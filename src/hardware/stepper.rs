@@ -13,10 +13,10 @@
 
 use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt::{self, RtRequest, RtStatus, monotonic_ns};
-use crate::motion::queue::{self, FeedError, Feeder, SyncStatus, TimedSegment};
+use crate::motion::queue::{self, Feeder, SyncStatus, TimedSegment};
 use crate::motion::{
-    EmergencyStop, Histogram, Levels, MotionConfig, MotionLimits, PulseAction, PulseTiming,
-    Segment, StepCore, StepGenerator, StepperConfig, StepperOrder, StepperReport,
+    EmergencyStop, Histogram, Levels, MotionLimits, PulseAction, PulseTiming, Segment, StepCore,
+    StepGenerator, StepperConfig, StepperOrder, StepperReport,
 };
 use crate::primitives::Invalid;
 use std::sync::{Arc, OnceLock};
@@ -196,7 +196,7 @@ impl<P: Pins + 'static> Stepper<P> {
     pub fn start(
         pins: P,
         config: &StepperConfig,
-        motion: &MotionConfig,
+        motion: &MotionLimits,
         step_mm: f64,
         emergency_stop: EmergencyStop,
     ) -> Result<Self, StartError> {
@@ -205,13 +205,13 @@ impl<P: Pins + 'static> Stepper<P> {
             ..PulseTiming::try_from(config)?
         };
         config.validate_rate(motion, step_mm)?;
-        let limits = MotionLimits::try_from(motion)?;
+        motion.validate()?;
         let (feeder, segments) = queue::ring(SEGMENTS, (config.lead_ms * 1e6) as u64);
         let (orders, orders_out) = rtrb::RingBuffer::new(ORDERS);
         let (reports_in, reports) = rtrb::RingBuffer::new(REPORTS);
         let pin_error_text = Arc::new(OnceLock::new());
         let energised = pins.found_energised();
-        let core = StepCore::new(timing, &limits, step_mm);
+        let core = StepCore::new(timing, motion, step_mm);
         let shell = Shell {
             core: if energised {
                 core.found_energised(monotonic_ns())
@@ -284,7 +284,7 @@ impl<P> StepGenerator for Stepper<P> {
             .map_or(SyncStatus::Busy, |report| self.feeder.sync(report, now_ns))
     }
 
-    fn feed(&mut self, segment: &Segment, now_ns: u64) -> Result<(), FeedError> {
+    fn feed(&mut self, segment: &Segment, now_ns: u64) -> bool {
         self.feeder.push(segment, now_ns)
     }
 

@@ -4,7 +4,7 @@
 //! stopped leaves the step generator to brake. Hardware and simulation run the same drive: there the step generator is a
 //! thread with pins, here the step core alone in simulated time.
 
-use crate::motion::queue::{FeedError, SyncStatus};
+use crate::motion::queue::SyncStatus;
 use crate::motion::stop::longest_stop_mm;
 use crate::motion::{
     Motion, MotionLimits, MotionState, Segment, StepperFault, StepperMode, StepperOrder,
@@ -60,11 +60,8 @@ pub trait StepGenerator {
     /// Reads the reports and returns what the drive must do.
     fn sync(&mut self, now_ns: u64) -> SyncStatus;
 
-    /// Queues the next segment.
-    ///
-    /// # Errors
-    /// [`FeedError`]; nothing was queued.
-    fn feed(&mut self, segment: &Segment, now_ns: u64) -> Result<(), FeedError>;
+    /// Queues the next segment. Returns false if nothing was queued: the queue is full, or no epoch has begun.
+    fn feed(&mut self, segment: &Segment, now_ns: u64) -> bool;
 
     /// Time by which the queued motion extends past `now_ns`, ns.
     fn lead_ns(&self, now_ns: u64) -> i64;
@@ -174,7 +171,7 @@ impl<G: StepGenerator> Drive<G> {
             } else {
                 self.motion.tick(target_mm, self.period_s)
             };
-            if self.generator.feed(&segment, now_ns).is_err() {
+            if !self.generator.feed(&segment, now_ns) {
                 // A full ring means that the thread is stuck; its lateness will be a fault.
                 return DriveState::Busy;
             }

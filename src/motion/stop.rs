@@ -100,11 +100,10 @@ pub fn stops_within_travel(state: &MotionState, limits: &MotionLimits, longest_m
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::config::MotionConfig;
     use proptest::prelude::*;
 
     fn limits() -> MotionLimits {
-        MotionLimits::try_from(&MotionConfig::default()).unwrap()
+        MotionLimits::default()
     }
 
     fn duration_s(stop: &Stop) -> f64 {

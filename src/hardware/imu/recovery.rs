@@ -51,12 +51,11 @@ struct Repetition<const N: usize> {
 
 impl<const N: usize> Repetition<N> {
     fn new(patience_s: f64) -> Self {
-        let (last, wait_s, next_s) = (None, patience_s, 0.0);
         Self {
-            last,
+            last: None,
             patience_s,
-            wait_s,
-            next_s,
+            wait_s: patience_s,
+            next_s: 0.0,
         }
     }
 
@@ -364,7 +363,9 @@ mod tests {
             bus.machine().attach(FakeLsm6dso::new(0x6A, seed));
             bus.machine().attach(FakeLis2mdl::new(seed));
             let config = lsm6dso::LsmConfig::default();
-            Box::new(lsm6dso::Lsm6dsoLis2mdl::new(bus.clone(), &config).unwrap())
+            Box::new(
+                lsm6dso::Lsm6dsoLis2mdl::new(bus.clone(), &config, lsm6dso::Variant::Dso).unwrap(),
+            )
         } else {
             bus.machine().attach(FakeIcm20948::new(0x68, seed));
             let config = icm20948::IcmConfig::default();

@@ -36,14 +36,9 @@ pub enum HardwareError {
         "{0} hangs: no answer within {1} s; cycle the power of the IMU, then look for a short on SDA or SCL"
     )]
     BusHangs(String, f64),
-    /// The sensor.
-    #[error("IMU on {path}: {source}")]
-    Imu {
-        /// Path of the bus.
-        path: String,
-        /// The error of the driver.
-        source: ImuError,
-    },
+    /// The sensor: path of its bus, and the error of its driver.
+    #[error("IMU on {0}: {1}")]
+    Imu(String, #[source] ImuError),
     /// The part does not support a setting.
     #[error(transparent)]
     Setting(#[from] Invalid),

@@ -19,4 +19,4 @@ mod sensor;
 pub use error::HardwareError;
 pub use gauges::GaugeConfig;
 pub use hardware::{Hardware, MachineConfig};
-pub use sensor::{Sensor, SensorConfig, slowness};
+pub use sensor::{ImuSection, Sensor, slowness};

@@ -1,19 +1,19 @@
-//! Pins without hardware, for `bench rt` and boards with `pins.backend = "mock"`.
+//! Lines without hardware, for `bench rt` and boards with `pins.backend = "mock"`.
 
-use crate::hardware::pins::map::LineMap;
-use crate::hardware::pins::{PinError, Pins};
-use crate::motion::{Inputs, Levels};
+use crate::hardware::pins::PinError;
+use crate::hardware::pins::interface::Lines;
 
-/// Pins that take every write; the voltage of every input of the map is low.
-#[derive(Debug)]
-pub struct MockPins(pub LineMap);
+/// Lines that take every write; every input is low.
+pub(super) struct NoLines;
 
-impl Pins for MockPins {
-    fn write(&mut self, _: &Levels) -> Result<(), PinError> {
+impl Lines for NoLines {
+    fn set(&mut self, _: u64, _: u64) -> Result<(), PinError> {
         Ok(())
     }
-
-    fn read(&mut self) -> Result<Inputs, PinError> {
-        Ok(self.0.inputs_from(0))
+    fn outputs(&mut self, _: u64) -> Result<Option<u64>, PinError> {
+        Ok(None)
+    }
+    fn inputs(&mut self) -> Result<u64, PinError> {
+        Ok(0)
     }
 }
