@@ -5,7 +5,7 @@
 use divan::{Bencher, black_box};
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
-use retroflex::motion::lines::PulseTiming;
+use retroflex::motion::lines::EmergencyStop;
 use retroflex::motion::plan::Plan;
 use retroflex::motion::pulse::{PulseAction, StepCore};
 use retroflex::motion::queue::TimedSegment;
@@ -122,7 +122,7 @@ fn steps_of_a_tick_at_full_speed(bencher: Bencher) {
 /// One second of motion of three channels through the step core, its clock jumping from wait to wait.
 #[divan::bench(sample_count = 50)]
 fn step_core_one_second(bencher: Bencher) {
-    let Ok(timing) = PulseTiming::try_from(&StepperConfig::default()) else {
+    let Ok(timing) = StepperConfig::default().timing(EmergencyStop::default()) else {
         unreachable!("the defaults are tested to be valid")
     };
     let mut motion = Motion::new(&MotionLimits::default());

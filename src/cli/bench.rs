@@ -6,7 +6,7 @@ use crate::cli::{Unreachable, inputs, manual_motion, output};
 use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::HardwareError;
-use crate::hardware::pins::{self, Backend, OpenError, Pins, PinsConfig};
+use crate::hardware::pins::{self, Backend, PinError, Pins, PinsConfig};
 use crate::hardware::stepper::StartError;
 use crate::motion::StepperConfig;
 use clap::Args;
@@ -84,8 +84,8 @@ fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
     let refused = |e| manual_motion::hardware_error(path, e);
     let _lock = HardwareLock::take().map_err(|device| refused(HardwareError::InUse(device)))?;
     let pins = pins::open(wiring, board.drive.microsteps).map_err(|e| match e {
-        OpenError::Config(e) => miette!("{file}: {e}"),
-        OpenError::Pin(e) => Unreachable::report("the GPIO", e),
+        PinError::Config(e) => miette!("{file}: {e}"),
+        e => Unreachable::report("the GPIO", e),
     })?;
     // no motor turns, so only the pulse widths limit the rate; a fifth of the period leaves room to catch up
     let least_us = board.stepper.pulse_high_us + board.stepper.pulse_low_us;

@@ -126,7 +126,7 @@ fn kernel() -> Finding {
 
 fn pressure(board: &Board) -> Finding {
     let bound = PressureBound::of(board);
-    let (verdict, found) = (pass_or_warn(bound.is_bounded()), bound.to_string());
+    let (verdict, found) = (pass_or_warn(bound.is_bounded), bound.to_string());
     Finding::new("pressure", verdict, found, PressureBound::REMEDY)
 }
 
@@ -160,9 +160,9 @@ fn devices(board: &Board) -> Vec<Finding> {
         let Some(config) = sensor else { continue };
         findings.push(match Sensor::start(config, machine.imu_priority) {
             Ok(s) => {
-                let i = s.identity;
+                let i = s.found.identity;
                 let found = format!("{}, {:.0} Hz", i.inertial, i.rate_hz);
-                let slow = slowness(s.read_s, i.rate_hz);
+                let slow = slowness(s.found.read_s, i.rate_hz);
                 let verdict = pass_or_warn(slow.is_none());
                 Finding::new(what, verdict, found, &slow.unwrap_or_default())
             }

@@ -3,7 +3,6 @@
 use crate::cli::{Unreachable, inputs};
 use crate::config::Board;
 use crate::hardware::machine::{Hardware, HardwareError, MachineConfig};
-use crate::hardware::pins::OpenError;
 use crate::hardware::rt;
 use crate::primitives::Seconds;
 use crate::simulation::lockstep::Lockstep;
@@ -59,7 +58,7 @@ pub fn hardware_error(path: &Path, error: HardwareError) -> miette::Report {
         return miette!("{}: {error}", path.display());
     }
     let what = match &error {
-        HardwareError::Pins(OpenError::Pin(_)) | HardwareError::InUse(_) => "the GPIO",
+        HardwareError::Pins(_) | HardwareError::InUse(_) => "the GPIO",
         HardwareError::Stepper(_) | HardwareError::Thread(_) => "the scheduler",
         _ => "the IMU",
     };

@@ -4,7 +4,7 @@
 use crate::cli::{inputs, manual_motion, output};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::HardwareError;
-use crate::hardware::pins::{self, OpenError, PinError, Pins};
+use crate::hardware::pins::{self, PinError, Pins};
 use crate::hardware::rt;
 use crate::motion::Levels;
 use miette::{IntoDiagnostic, Result, miette};
@@ -34,16 +34,14 @@ pub fn run(args: &Args) -> Result<()> {
             args.board.display()
         ));
     };
-    let hardware =
-        |e: OpenError| manual_motion::hardware_error(&args.board, HardwareError::Pins(e));
+    let hardware = |e: PinError| manual_motion::hardware_error(&args.board, HardwareError::Pins(e));
     let _lock = HardwareLock::take()
         .map_err(|path| manual_motion::hardware_error(&args.board, HardwareError::InUse(path)))?;
     let mut pins = pins::open(config, board.drive.microsteps).map_err(hardware)?;
-    let off = |e: PinError| hardware(OpenError::Pin(e));
-    pins.write(&Levels::default()).map_err(off)?;
+    pins.write(&Levels::default()).map_err(hardware)?;
     // the lines settle before they are read back
     std::thread::sleep(std::time::Duration::from_millis(10));
-    pins.check_enable().map_err(off)?;
+    pins.check_enable().map_err(hardware)?;
     output::print("drivers released: the tip goes soft, and zero must be found again\n");
     if args.hold {
         let mut signals =

@@ -70,11 +70,8 @@ parameters! {
 impl DriveSection {
     /// The drive law of this section.
     pub fn law(&self) -> Drive {
-        Drive::rack_and_pinion(
-            self.pinion_pitch_diameter_mm,
-            self.full_steps,
-            self.microsteps,
-        )
+        let diameter_mm = self.pinion_pitch_diameter_mm;
+        Drive::rack_and_pinion(diameter_mm, self.full_steps, self.microsteps)
     }
 }
 

@@ -19,7 +19,6 @@ use crate::report::svg::Ink;
 use crate::report::table::table;
 use std::fmt::Write;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// What to measure.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,8 +27,6 @@ pub struct RtBenchConfig {
     pub rate_hz: f64,
     /// Duration at that rate, s.
     pub duration_s: f64,
-    /// Length of a control tick, s.
-    pub tick_s: f64,
     /// Number of threads that load the processors meanwhile.
     pub load_threads: usize,
     /// Configuration of the step thread.
@@ -41,7 +38,6 @@ impl Default for RtBenchConfig {
         Self {
             rate_hz: 4000.0,
             duration_s: 10.0,
-            tick_s: 2e-3,
             load_threads: 0,
             stepper: StepperConfig {
                 step_interval_min_us: 50.0,
@@ -90,6 +86,8 @@ const QUANTILES: [(&str, f64); 4] = [
     ("99.99 %", 0.9999),
 ];
 
+/// Length of a control tick, s.
+const TICK_S: f64 = 2e-3;
 /// Microstep of the bench, mm. Only the step rate matters, so the value is arbitrary.
 const STEP_MM: f64 = 0.01;
 
@@ -106,14 +104,9 @@ pub fn run(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench,
         travel_max_mm: (speed * (config.duration_s + 2.0)).min(1000.0),
         retarget_min_mm: 0.0,
     };
-    let load = Load::start(config.load_threads);
-    let mut stepper = Stepper::start(
-        pins,
-        &config.stepper,
-        &limits,
-        STEP_MM,
-        EmergencyStop::Release,
-    )?;
+    let load = load_processors(config.load_threads);
+    let stop = EmergencyStop::Release;
+    let mut stepper = Stepper::start(pins, &config.stepper, &limits, STEP_MM, stop)?;
     let status = stepper.status.clone();
     let start_ns = monotonic_ns();
     // The loop runs at a lower priority than the step thread, as in the service.
@@ -148,7 +141,7 @@ fn drive(
 ) -> Histogram {
     let mut motion = Motion::new(limits);
     let mut times = Histogram::default();
-    let tick_ns = (config.tick_s * 1e9) as u64;
+    let tick_ns = (TICK_S * 1e9) as u64;
     let mut next_ns = monotonic_ns();
     let end_ns = next_ns + (config.duration_s * 1e9) as u64;
     let mut side = 1.0;
@@ -168,7 +161,7 @@ fn drive(
         if first.is_rest() && first.position_mm.abs() > 0.5 * limits.travel_max_mm {
             side = -side;
         }
-        let segment = motion.tick([side * limits.travel_max_mm; 3], config.tick_s);
+        let segment = motion.tick([side * limits.travel_max_mm; 3], TICK_S);
         // A refused segment appears as an underrun in the result.
         let _ = stepper.feed(&segment, now_ns);
         times.record(monotonic_ns() - now_ns);
@@ -177,39 +170,22 @@ fn drive(
     times
 }
 
-/// Threads that load the processors until they are dropped.
-pub(crate) struct Load {
-    stop: Arc<AtomicBool>,
-    threads: Vec<std::thread::JoinHandle<()>>,
-}
-
-impl Load {
-    pub(crate) fn start(threads: usize) -> Self {
-        let stop = Arc::new(AtomicBool::new(false));
-        let spawn = |_| {
-            let stop = stop.clone();
-            std::thread::spawn(move || {
-                let mut block = vec![1.0_f64; 1 << 16];
-                while !stop.load(Ordering::Relaxed) {
-                    for x in &mut block {
-                        *x = (*x * 1.000_001).sin() + 1.0;
-                    }
-                    std::hint::black_box(&block);
+/// Loads the processors with threads until the handle is dropped.
+fn load_processors(threads: usize) -> Arc<()> {
+    let handle = Arc::new(());
+    for _ in 0..threads {
+        let alive = Arc::downgrade(&handle);
+        std::thread::spawn(move || {
+            let mut block = vec![1.0_f64; 1 << 16];
+            while alive.strong_count() > 0 {
+                for x in &mut block {
+                    *x = (*x * 1.000_001).sin() + 1.0;
                 }
-            })
-        };
-        let threads = (0..threads).map(spawn).collect();
-        Self { stop, threads }
+                std::hint::black_box(&block);
+            }
+        });
     }
-}
-
-impl Drop for Load {
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-        for thread in self.threads.drain(..) {
-            let _ = thread.join();
-        }
-    }
+    handle
 }
 
 impl RtBench {
@@ -262,11 +238,8 @@ impl RtBench {
     pub fn svg(&self) -> String {
         let [wake, steps, intervals, _] = self.rows();
         let chart = |(name, h)| histogram(name, h, self.config.stepper.late_max_us);
-        sheet(
-            "Lateness of the step thread",
-            &[wake, steps, intervals].map(chart),
-            3,
-        )
+        let charts = [wake, steps, intervals].map(chart);
+        sheet("Lateness of the step thread", &charts, 3)
     }
 }
 
@@ -275,17 +248,18 @@ fn histogram(name: &str, h: &Histogram, late_max_us: f64) -> Chart {
     let x = |ns: f64| (ns.max(100.0) * 1e-3).log10();
     let y = |n: u32| (f64::from(n) + 1.0).log10();
     let most = h.filled().map(|b| b.2).max().unwrap_or(1).max(10);
-    let outline: Vec<(f64, f64)> = h
-        .filled()
-        .flat_map(|(from, until, n)| {
-            [(from, 0), (from, n), (until, n), (until, 0)].map(|(ns, n)| (x(ns as f64), y(n)))
-        })
-        .collect();
+    let corners = |(from, until, n)| {
+        [(from, 0), (from, n), (until, n), (until, 0)].map(|(ns, n)| (x(ns as f64), y(n)))
+    };
+    let outline: Vec<(f64, f64)> = h.filled().flat_map(corners).collect();
     let area = outline.iter().map(|&(x, y)| (x, 0.0, y)).collect();
     let times = [
         "0.1 µs", "1 µs", "10 µs", "100 µs", "1 ms", "10 ms", "100 ms",
     ];
-    let times = times.iter().zip(-1..);
+    let times = times
+        .iter()
+        .zip(-1..)
+        .map(|(t, k)| (f64::from(k), (*t).to_owned()));
     let counts = (0..9).map(|k| 10u32.pow(k)).take_while(|n| *n <= most);
     let limit = x(late_max_us * 1e3);
     let limit = vec![(limit, 0.0), (limit, y(most))];
@@ -295,9 +269,7 @@ fn histogram(name: &str, h: &Histogram, late_max_us: f64) -> Chart {
             label: "time".to_owned(),
             low: -1.0,
             high: 5.0,
-            ticks: times
-                .map(|(t, k)| (f64::from(k), (*t).to_owned()))
-                .collect(),
+            ticks: times.collect(),
         },
         y: Axis {
             label: "count".to_owned(),
@@ -319,7 +291,7 @@ fn histogram(name: &str, h: &Histogram, late_max_us: f64) -> Chart {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::atomic::AtomicU64;
+    use std::sync::atomic::{AtomicU64, Ordering};
 
     /// Pins that count the edges of the step lines.
     #[derive(Clone, Default)]

@@ -78,9 +78,8 @@ const SCHEMA: Schema<'_> = Schema {
 
 fn known(name: &str) -> bool {
     let imu = name.strip_prefix("base_").unwrap_or(name);
-    [REQUIRED, OPTIONAL, REFERENCE]
-        .as_flattened()
-        .contains(&name)
+    let columns = [REQUIRED, OPTIONAL, REFERENCE];
+    columns.as_flattened().contains(&name)
         || PRESSURE.contains(&name)
         || [ACC, GYR, MAG].as_flattened().contains(&imu)
 }

@@ -117,11 +117,8 @@ fn world_from_enu(r_enu_sensor: UnitQuaternion<f64>) -> Rotation<World, Sensor> 
 impl Recording {
     /// Median time between rows, s; gaps do not affect it.
     pub fn period_s(&self) -> f64 {
-        let steps = self
-            .rows
-            .windows(2)
-            .map(|w| w[1].sample.t.0 - w[0].sample.t.0);
-        let mut steps: Vec<f64> = steps.collect();
+        let step = |w: &[RecordingRow]| w[1].sample.t.0 - w[0].sample.t.0;
+        let mut steps: Vec<f64> = self.rows.windows(2).map(step).collect();
         steps.sort_by(f64::total_cmp);
         steps.get(steps.len() / 2).copied().unwrap_or(0.0)
     }

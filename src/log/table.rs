@@ -33,17 +33,14 @@ const TEXT_MAX: u64 = 1 << 20;
 /// # Errors
 /// The operating system's, or [`io::ErrorKind::FileTooLarge`] above 1 MiB.
 pub fn text(path: &Path) -> io::Result<String> {
-    let mut bytes = Vec::new();
-    match File::open(path)?
-        .take(TEXT_MAX + 1)
-        .read_to_end(&mut bytes)? as u64
-    {
-        0..=TEXT_MAX => match encoding(&bytes) {
-            Some(problem) => Err(io::Error::new(io::ErrorKind::InvalidData, problem)),
-            None => String::from_utf8(bytes).map_err(|_| io::ErrorKind::InvalidData.into()),
-        },
-        _ => Err(io::ErrorKind::FileTooLarge.into()),
+    let (mut bytes, mut start) = (Vec::new(), File::open(path)?.take(TEXT_MAX + 1));
+    if start.read_to_end(&mut bytes)? as u64 > TEXT_MAX {
+        return Err(io::ErrorKind::FileTooLarge.into());
     }
+    if let Some(problem) = encoding(&bytes) {
+        return Err(io::Error::new(io::ErrorKind::InvalidData, problem));
+    }
+    String::from_utf8(bytes).map_err(|_| io::ErrorKind::InvalidData.into())
 }
 
 /// What is wrong with the encoding of a text that begins with these bytes.
@@ -52,11 +49,8 @@ fn encoding(start: &[u8]) -> Option<&'static str> {
         |byte: u8| byte == b'\t' || byte == b'\n' || byte == b'\r' || (b' '..0x7f).contains(&byte);
     // without a mark: every other byte of a text is zero
     let wide = |zero: usize| {
-        let pairs = start[..start.len().min(64)].chunks_exact(2);
-        pairs.len() > 2
-            && pairs
-                .into_iter()
-                .all(|pair| pair[zero] == 0 && is_text(pair[1 - zero]))
+        let mut pairs = start[..start.len().min(64)].chunks_exact(2);
+        pairs.len() > 2 && pairs.all(|pair| pair[zero] == 0 && is_text(pair[1 - zero]))
     };
     if start.starts_with(&[0xff, 0xfe]) || start.starts_with(&[0xfe, 0xff]) || wide(0) || wide(1) {
         return Some("this is UTF-16 text, as some Windows programs write it; save it as UTF-8");
@@ -92,19 +86,15 @@ impl<R: Read> Read for Bounded<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let n = self.text.read(buffer)?;
         self.all += n as u64;
-        self.line = buffer[..n]
-            .iter()
-            .rev()
-            .position(|b| *b == b'\n')
-            .map_or(self.line + n as u64, |k| k as u64);
+        let since_end = buffer[..n].iter().rev().position(|b| *b == b'\n');
+        self.line = since_end.map_or(self.line + n as u64, |k| k as u64);
         if self.line > BYTES_MAX[0] {
             return Err(io::Error::other("a line is longer than 64 KiB"));
         }
         if self.all > BYTES_MAX[1] {
-            Err(io::Error::other("the table is larger than 4 GiB"))
-        } else {
-            Ok(n)
+            return Err(io::Error::other("the table is larger than 4 GiB"));
         }
+        Ok(n)
     }
 }
 
@@ -115,10 +105,9 @@ impl<R: Read> Read for Bounded<R> {
 fn reader(path: &Path) -> io::Result<Box<dyn Read>> {
     let mut file = BufReader::new(File::open(path)?);
     let gzip = file.fill_buf()?.starts_with(&GZIP_MAGIC);
-    Ok(if gzip {
-        Box::new(MultiGzDecoder::new(file))
-    } else {
-        Box::new(file)
+    Ok(match gzip {
+        true => Box::new(MultiGzDecoder::new(file)),
+        false => Box::new(file),
     })
 }
 
@@ -169,14 +158,12 @@ impl Table {
         if let Some(problem) = encoding(start) {
             return Err(notation(problem));
         }
+
         let mut options = csv::ReaderBuilder::new();
-        let mut reader = options
-            .flexible(true)
-            .trim(csv::Trim::All)
-            .from_reader(text);
-        let header = reader
-            .headers()
-            .map_err(|e| ReadError::broken(file, 1, e))?;
+        let options = options.flexible(true).trim(csv::Trim::All);
+        let mut reader = options.from_reader(text);
+        let header = reader.headers();
+        let header = header.map_err(|e| ReadError::broken(file, 1, e))?;
         if let Some(problem) = separation(header) {
             return Err(notation(problem));
         }
@@ -191,8 +178,12 @@ impl Table {
             let mut names = schema.required.iter();
             names.try_for_each(|name| table.position(name).map(drop))?;
         }
-        let known = table.header.iter().map(|name| (schema.known)(name));
-        let known: Vec<bool> = known.collect();
+
+        let known: Vec<bool> = table
+            .header
+            .iter()
+            .map(|name| (schema.known)(name))
+            .collect();
         let mut record = csv::StringRecord::new();
         let mut line = 1;
         while reader
@@ -316,7 +307,7 @@ impl Table {
     /// Four columns `w`, `x`, `y`, `z` as unit quaternions; an element is `None` where a value is missing.
     ///
     /// # Errors
-    /// [`ReadError`] as for [`Table::vectors`], [`ReadError`] if a norm is not one.
+    /// [`ReadError`] as for [`Table::vectors`], and if a norm is not one.
     pub fn quaternions(
         &self,
         names: [&str; 4],
@@ -343,7 +334,7 @@ impl Table {
     /// Refuses a column in which a value is missing.
     ///
     /// # Errors
-    /// [`ReadError`] for the first missing value, [`ReadError`].
+    /// [`ReadError`] for the first missing value, and if the header does not name the column.
     pub fn complete(&self, name: &str) -> Result<&[f64], ReadError> {
         let values = self.required(name)?;
         let Some(row) = values.iter().position(|v| v.is_nan()) else {
@@ -357,7 +348,7 @@ impl Table {
     /// A complete column of strictly increasing times, s.
     ///
     /// # Errors
-    /// [`ReadError`] at the first row that is not later than the one before; as for [`Table::complete`].
+    /// [`ReadError`] at the first row that is not later than the one before, and as for [`Table::complete`].
     pub fn clock(&self, name: &str) -> Result<&[f64], ReadError> {
         let t = self.complete(name)?;
         self.increasing(name, 0..self.rows())?;
@@ -367,7 +358,7 @@ impl Table {
     /// Refuses a column of times that does not strictly increase over `rows`, in which no value is missing.
     ///
     /// # Errors
-    /// [`ReadError`], [`ReadError`].
+    /// [`ReadError`] at the first row that is not later than the one before.
     pub fn increasing(
         &self,
         name: &str,

@@ -127,10 +127,9 @@ impl<S: Solver> Motion<S> {
         });
         if planned {
             self.kept = 0;
-            self.status = if self.resting {
-                MoveStatus::Resting
-            } else {
-                MoveStatus::Following
+            self.status = match self.resting {
+                true => MoveStatus::Resting,
+                false => MoveStatus::Following,
             };
         } else if let Err(error) = self.replan(target_mm) {
             self.keep(error);

@@ -89,13 +89,11 @@ impl ChannelPlan {
 
     /// The state at a time.
     pub fn at(&self, t_s: f64) -> MotionState {
-        match self.phases().iter().find(|phase| t_s < phase.end_s) {
-            Some(phase) => phase.start.after(
-                phase.jerk_mm_s3,
-                (t_s - (phase.end_s - phase.duration_s)).max(0.0),
-            ),
-            None => MotionState::rest(self.end_mm),
-        }
+        let Some(phase) = self.phases().iter().find(|phase| t_s < phase.end_s) else {
+            return MotionState::rest(self.end_mm);
+        };
+        let since_s = (t_s - (phase.end_s - phase.duration_s)).max(0.0);
+        phase.start.after(phase.jerk_mm_s3, since_s)
     }
 
     /// The part from `from_s` on that lasts `duration_s`, given the state at its start.
@@ -149,11 +147,9 @@ fn keeps_limits(phase: &Phase, end: &MotionState, limits: &MotionLimits) -> bool
         return false;
     }
     if start.acceleration_mm_s2 * end.acceleration_mm_s2 < 0.0 {
-        let fastest = start.after(j, -start.acceleration_mm_s2 / j);
-        if !limits.contains_rates(&MotionState {
-            acceleration_mm_s2: 0.0,
-            ..fastest
-        }) {
+        let mut fastest = start.after(j, -start.acceleration_mm_s2 / j);
+        fastest.acceleration_mm_s2 = 0.0;
+        if !limits.contains_rates(&fastest) {
             return false;
         }
     }
@@ -189,10 +185,8 @@ impl Plan {
 
     /// Time from the start until all channels are at rest, s.
     pub fn duration_s(&self) -> f64 {
-        self.channels
-            .iter()
-            .map(ChannelPlan::duration_s)
-            .fold(0.0, f64::max)
+        let durations_s = self.channels.iter().map(ChannelPlan::duration_s);
+        durations_s.fold(0.0, f64::max)
     }
 
     /// The part from `from_s` on that lasts `duration_s`, given the states at its start.

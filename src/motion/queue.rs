@@ -57,15 +57,13 @@ pub struct Feeder {
 /// A ring for `capacity` segments. The first segment of an epoch starts `lead_ns` ahead of the clock.
 pub fn ring(capacity: usize, lead_ns: u64) -> (Feeder, rtrb::Consumer<TimedSegment>) {
     let (ring, consumer) = rtrb::RingBuffer::new(capacity);
-    (
-        Feeder {
-            ring,
-            lead_ns,
-            epoch: None,
-            next_start_ns: 0,
-        },
-        consumer,
-    )
+    let feeder = Feeder {
+        ring,
+        lead_ns,
+        epoch: None,
+        next_start_ns: 0,
+    };
+    (feeder, consumer)
 }
 
 impl Feeder {

@@ -68,10 +68,9 @@ impl Solver for Ruckig {
         for (plan, (from, &to)) in out.channels.iter_mut().zip(from.iter().zip(target_mm)) {
             // A channel at rest on its target needs no profile.
             let rests = from.is_rest() && from.position_mm == to;
-            *plan = if rests {
-                ChannelPlan::resting(to)
-            } else {
-                scratch.fastest(from, to).ok_or(PlanFault::NoProfile)?
+            *plan = match rests {
+                true => ChannelPlan::resting(to),
+                false => scratch.fastest(from, to).ok_or(PlanFault::NoProfile)?,
             };
         }
         Ok(())
@@ -89,11 +88,9 @@ impl Scratch {
 
     /// Brake and step 1: the time-optimal plan of one channel.
     fn fastest(&mut self, from: &MotionState, target_mm: f64) -> Option<ChannelPlan> {
-        let (v, j) = (self.speed_max, self.jerk_max);
-        let (v0, a0) = (
-            from.velocity_mm_s * self.unit_s,
-            from.acceleration_mm_s2 * self.unit_s * self.unit_s,
-        );
+        let (v, j, unit_s) = (self.speed_max, self.jerk_max, self.unit_s);
+        let v0 = from.velocity_mm_s * unit_s;
+        let a0 = from.acceleration_mm_s2 * unit_s * unit_s;
         let p = &mut self.profile;
         p.brake
             .get_position_brake_trajectory(v0, a0, v, -v, 1.0, -1.0, j);

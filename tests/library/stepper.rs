@@ -29,7 +29,7 @@ fn limits() -> MotionLimits {
 }
 
 fn timing(config: &StepperConfig) -> PulseTiming {
-    PulseTiming::try_from(config).unwrap()
+    config.timing(EmergencyStop::default()).unwrap()
 }
 
 /// Largest delays of the machine, ns.

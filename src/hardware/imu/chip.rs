@@ -1,42 +1,8 @@
-//! The supported chips, and the transfers with one of them that every driver needs.
+//! The transfers with a chip that every driver needs.
 
-use super::ImuError;
-use crate::named;
+use super::{Chip, ImuError, Part};
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::{Error, ErrorKind, I2c};
-use std::fmt;
-
-named! {
-    /// A part.
-    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-    pub enum Part {
-        /// TDK InvenSense ICM-20948: gyroscope and accelerometer.
-        Icm20948 = "ICM-20948",
-        /// Asahi Kasei AK09916: the magnetometer inside the ICM-20948.
-        Ak09916 = "AK09916",
-        /// ST LSM6DSO: gyroscope and accelerometer.
-        Lsm6dso = "LSM6DSO",
-        /// ST LSM6DSV16X: gyroscope and accelerometer.
-        Lsm6dsv16x = "LSM6DSV16X",
-        /// ST LIS2MDL: magnetometer.
-        Lis2mdl = "LIS2MDL",
-    }
-}
-
-/// A part at a 7-bit address of a bus.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Chip {
-    /// The part.
-    pub part: Part,
-    /// 7-bit address.
-    pub address: u8,
-}
-
-impl fmt::Display for Chip {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} at {:#04x}", self.part, self.address)
-    }
-}
 
 impl Chip {
     /// Reads `out.len()` registers from `register` on, in one transaction with a repeated start.

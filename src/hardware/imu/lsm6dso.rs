@@ -109,9 +109,8 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
                 Ok(value) => raw.mag = value,
                 Err(error) => raw.mag_fault = Some(error),
             }
-            raw.mag_overflow = raw
-                .mag
-                .is_some_and(|m| m.iter().any(|c| c.unsigned_abs() >= MAG_OVERFLOW));
+            let overflows = |m: [i16; 3]| m.iter().any(|c| c.unsigned_abs() >= MAG_OVERFLOW);
+            raw.mag_overflow = raw.mag.is_some_and(overflows);
         }
     }
 }

@@ -20,6 +20,7 @@
 
 pub mod bus_clear;
 mod chip;
+mod driver;
 mod error;
 #[cfg(test)]
 #[path = "../../../tests/fake_imu/mod.rs"]
@@ -29,54 +30,20 @@ pub mod icm20948;
 pub mod linux;
 pub mod lis2mdl;
 pub mod lsm6dso;
+mod part;
 mod raw;
 mod recovery;
 
-pub use chip::{Chip, Part};
+pub use driver::{Identity, Imu};
 pub use error::ImuError;
+pub use part::{Chip, Part};
 pub use raw::{Axes, Axis, RawImu, STANDARD_GRAVITY_M_S2, Scale};
 pub use recovery::{ImuRecovery, POLL_SHARE};
 
 use crate::primitives::{Invalid, Parameters, Setting, Shape};
-use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 use lsm6dso::{Lsm6dsoLis2mdl, Variant};
 use serde::{Deserialize, Serialize};
-
-/// What `init` found.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Identity {
-    /// Gyroscope and accelerometer.
-    pub inertial: Chip,
-    /// Conversions per second of gyroscope and accelerometer.
-    pub rate_hz: f64,
-}
-
-/// A nine-axis sensor.
-pub trait Imu {
-    /// Identifies, resets and configures the chips. Takes up to half a second and may be repeated at any
-    /// time.
-    ///
-    /// # Errors
-    /// [`ImuError`] when a chip is absent, is another part, or does not start.
-    fn init(&mut self, delay: &mut dyn DelayNs) -> Result<Identity, ImuError>;
-
-    /// Reads once, without waiting for a new conversion.
-    ///
-    /// # Errors
-    /// [`ImuError`] when the transfer fails or the chip has restarted. After
-    /// [`ImuError::ResetToDefaults`], `init` is required.
-    fn read(&mut self) -> Result<RawImu, ImuError>;
-
-    /// Sets up the magnetometer alone, while the other axes go on. Takes some 10 ms, or 50 ms if it does not answer.
-    ///
-    /// # Errors
-    /// [`ImuError`] when it is absent, is another part, or does not start.
-    fn restart_mag(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError>;
-
-    /// The scale of the counts in the present configuration.
-    fn scale(&self) -> Scale;
-}
 
 /// The `chip` table of a sensor: `part = "icm20948"`, `"lsm6dso_lis2mdl"` or `"lsm6dsv16x_lis2mdl"`, and the settings of that part.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

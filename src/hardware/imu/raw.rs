@@ -1,6 +1,7 @@
 //! Raw counts of a chip, and the scale that converts them to SI units.
 
 use super::ImuError;
+use crate::choices;
 use crate::estimation::fusion::health::Quality;
 use crate::primitives::{ImuSample, Seconds, Setting, Shape};
 use nalgebra::Vector3;
@@ -46,27 +47,22 @@ impl RawImu {
     }
 }
 
-/// A signed axis of a chip.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Axis {
-    /// +x.
-    #[serde(rename = "+x")]
-    PlusX,
-    /// −x.
-    #[serde(rename = "-x")]
-    MinusX,
-    /// +y.
-    #[serde(rename = "+y")]
-    PlusY,
-    /// −y.
-    #[serde(rename = "-y")]
-    MinusY,
-    /// +z.
-    #[serde(rename = "+z")]
-    PlusZ,
-    /// −z.
-    #[serde(rename = "-z")]
-    MinusZ,
+choices! {
+    /// A signed axis of a chip.
+    pub enum Axis {
+        /// +x.
+        PlusX = "+x",
+        /// −x.
+        MinusX = "-x",
+        /// +y.
+        PlusY = "+y",
+        /// −y.
+        MinusY = "-y",
+        /// +z.
+        PlusZ = "+z",
+        /// −z.
+        MinusZ = "-z",
+    }
 }
 
 impl Axis {

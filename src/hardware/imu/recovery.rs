@@ -61,9 +61,8 @@ impl<const N: usize> Repetition<N> {
 
     /// Takes the counts of a reading, if it has new ones; true if the part has to be set up again, at once if it is `lost`.
     fn is_due(&mut self, counts: Option<[i16; N]>, lost: bool, now_s: f64) -> bool {
-        let (last, changed_s) = self
-            .last
-            .get_or_insert((counts.unwrap_or([0; N]), [now_s; N]));
+        let first = (counts.unwrap_or([0; N]), [now_s; N]);
+        let (last, changed_s) = self.last.get_or_insert(first);
         for (i, count) in counts.iter().flatten().enumerate() {
             if *count != last[i] {
                 (last[i], changed_s[i]) = (*count, now_s);
@@ -146,10 +145,9 @@ impl<S: Imu + ?Sized> ImuRecovery<S> {
                 if let Some(reading) = self.thaw(&raw, delay, now.0) {
                     return reading;
                 }
-                self.stale = if raw.fresh {
-                    0
-                } else {
-                    self.stale.saturating_add(1)
+                self.stale = match raw.fresh {
+                    true => 0,
+                    false => self.stale.saturating_add(1),
                 };
                 if (1..=STALE_MAX).contains(&self.stale) {
                     return ImuReading::Nothing;

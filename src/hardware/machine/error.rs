@@ -1,7 +1,7 @@
 //! Errors of opening the hardware, each with a remedy.
 
 use crate::hardware::imu::ImuError;
-use crate::hardware::pins::OpenError;
+use crate::hardware::pins::PinError;
 use crate::hardware::stepper::StartError;
 use crate::primitives::Invalid;
 use std::path::PathBuf;
@@ -14,7 +14,7 @@ pub enum HardwareError {
     InUse(PathBuf),
     /// The pins.
     #[error(transparent)]
-    Pins(#[from] OpenError),
+    Pins(#[from] PinError),
     /// The step thread.
     #[error(transparent)]
     Stepper(#[from] StartError),
@@ -55,7 +55,7 @@ impl HardwareError {
     pub fn is_config(&self) -> bool {
         matches!(
             self,
-            Self::Pins(OpenError::Config(_))
+            Self::Pins(PinError::Config(_))
                 | Self::Stepper(StartError::Config(_))
                 | Self::Setting(_)
         )

@@ -108,9 +108,10 @@ impl Machine for Hardware {
 
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         let now_ns = monotonic_ns();
+        let since_zero_ns = (now.0 * 1e9) as u64;
         let zero_ns = *self
             .zero_ns
-            .get_or_insert_with(|| now_ns.saturating_sub((now.0 * 1e9) as u64));
+            .get_or_insert(now_ns.saturating_sub(since_zero_ns));
         self.drive.update(now_ns, wanted);
         let base_imu = match newest(&mut self.base_imu, zero_ns) {
             (ImuReading::Sample(sample, _), _) => Some(sample),
@@ -118,7 +119,7 @@ impl Machine for Hardware {
         };
         let (imu, die_c) = newest(&mut self.imu, zero_ns);
         let (gauges, limit) = self.gauges.turn(now_ns, die_c);
-        let steps = Sensed::of_drive(now, zero_ns + (now.0 * 1e9) as u64, &self.drive);
+        let steps = Sensed::of_drive(now, zero_ns + since_zero_ns, &self.drive);
         Ok(Sensed {
             imu,
             base_imu,
@@ -148,10 +149,10 @@ impl Machine for Hardware {
         let mut remarks = Vec::new();
         for (place, sensor) in [("tip", &self.imu), ("base", &self.base_imu)] {
             let Some(s) = sensor else { continue };
-            let (chip, rate_hz) = (s.identity.inertial, s.identity.rate_hz);
-            let slow = slowness(s.read_s, rate_hz);
+            let (chip, rate_hz) = (s.found.identity.inertial, s.found.identity.rate_hz);
+            let slow = slowness(s.found.read_s, rate_hz);
             remarks.extend(slow.map(|slow| format!("{place} IMU: {slow}")));
-            let limit = match s.bounded {
+            let limit = match s.found.bounded {
                 true => "",
                 false => "; the bus driver accepts no time limit",
             };

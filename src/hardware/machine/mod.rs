@@ -14,6 +14,7 @@
 mod error;
 mod gauges;
 mod hardware;
+mod reading;
 mod sensor;
 
 pub use error::HardwareError;

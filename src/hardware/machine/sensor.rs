@@ -7,18 +7,17 @@
 use crate::estimation::fusion::health::ImuReading;
 use crate::hardware::imu::{self, ChipConfig, Identity, Imu, ImuRecovery, POLL_SHARE};
 use crate::hardware::machine::error::HardwareError;
+use crate::hardware::machine::reading;
 use crate::hardware::rt::{self, RtRequest, monotonic_ns};
 use crate::primitives::Seconds;
 use crate::{choices, parameters};
 use embedded_hal::delay::DelayNs;
 use nalgebra::{UnitQuaternion, Vector3};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::Sender;
 use std::time::Duration;
 
-/// Longest time from opening the bus to a configured chip, s. The slowest part takes half a second.
-const SETUP_MAX_S: f64 = 5.0;
+/// Longest time from opening the bus to a configured chip. The slowest part takes half a second.
+const SETUP_MAX: Duration = Duration::from_secs(5);
 /// Capacity of the ring: an eighth of a second at 500 Hz.
 const READINGS: usize = 64;
 
@@ -73,17 +72,23 @@ pub struct StampedReading {
     pub temp_c: Option<f64>,
 }
 
-/// The loop's handle on the thread.
+/// The loop's handle on the thread. Dropping it ends the thread without waiting for it, because its bus may hang.
 #[derive(Debug)]
 pub struct Sensor {
     readings: rtrb::Consumer<StampedReading>,
-    stop: Arc<AtomicBool>,
-    /// The chips that were found and their rates.
+    /// Device file of the bus.
+    pub bus: String,
+    /// What the set-up found.
+    pub found: Found,
+}
+
+/// What the set-up of a sensor found.
+#[derive(Debug)]
+pub struct Found {
+    /// The inertial chip and its rate.
     pub identity: Identity,
     /// True if the driver of the bus accepted a time limit for its transfers.
     pub bounded: bool,
-    /// Device file of the bus.
-    pub bus: String,
     /// Duration of a reading, s.
     pub read_s: f64,
 }
@@ -96,9 +101,6 @@ pub fn slowness(read_s: f64, rate_hz: f64) -> Option<String> {
     let (read_ms, period_ms) = (read_s * 1e3, 1e3 / rate_hz);
     (read_ms > period_ms).then(|| format!("slow bus: a reading takes {read_ms:.1} ms and the chip converts every {period_ms:.1} ms, so conversions are lost: set `dtparam=i2c_arm_baudrate=400000` in config.txt, or a smaller imu.chip.rate_hz"))
 }
-
-/// What the thread reports once the chip is set up: the chips, whether transfers have a time limit, and the duration of a reading, s.
-type Ready = (Identity, bool, f64);
 
 /// Delays by sleeping.
 struct Sleep;
@@ -116,40 +118,21 @@ impl Sensor {
     /// [`HardwareError`]: no bus, no permission, or a chip that does not answer, is another part or does
     /// not start.
     pub fn start(config: &ImuSection, priority: i32) -> Result<Self, HardwareError> {
-        let (output, readings) = rtrb::RingBuffer::new(READINGS);
-        let stop = Arc::new(AtomicBool::new(false));
-        let (sender, receiver) = channel();
-        let (own, end) = (config.clone(), stop.clone());
-        std::thread::Builder::new()
-            .name("imu".into())
-            .spawn(move || run(&own, priority, output, &end, &sender))?;
-        let bus = config.bus.clone();
-        match receiver.recv_timeout(Duration::from_secs_f64(SETUP_MAX_S)) {
-            Ok(result) => result.map(|(identity, bounded, read_s)| Self {
-                readings,
-                stop,
-                identity,
-                bounded,
-                bus,
-                read_s,
-            }),
-            Err(RecvTimeoutError::Timeout) => {
-                stop.store(true, Ordering::Relaxed);
-                Err(HardwareError::BusHangs(bus, SETUP_MAX_S))
-            }
-            Err(RecvTimeoutError::Disconnected) => {
-                let problem = "the IMU thread ended as it started";
-                Err(HardwareError::Bus(bus, problem.to_owned()))
-            }
-        }
+        let (own, bus) = (config.clone(), config.bus.clone());
+        let run = move |output, started| run(&own, priority, output, &started);
+        let (readings, found) = reading::start("IMU", &bus, SETUP_MAX, READINGS, run)?;
+        Ok(Self {
+            readings,
+            bus,
+            found,
+        })
     }
 
     /// The readings since the last call as one: the newest failure, or the mean of the samples after it at the time of the
     /// newest. The mean over the interval keeps the angle that the gyroscope has measured.
     pub fn newest(&mut self) -> Option<StampedReading> {
-        std::iter::from_fn(|| self.readings.pop().ok())
-            .fold((None, 0.0), merge)
-            .0
+        let readings = std::iter::from_fn(|| self.readings.pop().ok());
+        readings.fold((None, 0.0), merge).0
     }
 }
 
@@ -176,20 +159,12 @@ fn merge(
     (Some(StampedReading { reading, ..next }), n)
 }
 
-impl Drop for Sensor {
-    /// Tells the thread to end without waiting for it, because its bus may hang.
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-    }
-}
-
-/// The thread: reports the result of the set-up, then reads until `stop` or until the handle is dropped.
+/// The thread: reports the result of the set-up, then reads until the handle is dropped.
 fn run(
     config: &ImuSection,
     priority: i32,
     mut output: rtrb::Producer<StampedReading>,
-    stop: &AtomicBool,
-    started: &Sender<Result<Ready, HardwareError>>,
+    started: &Sender<Result<Found, HardwareError>>,
 ) {
     let set_up = open(config).and_then(|(driver, bounded)| {
         let mut imu = recovery(config, driver);
@@ -213,12 +188,16 @@ fn run(
         imu.read(&mut Sleep, Seconds(monotonic_ns() as f64 * 1e-9));
     }
     let read_s = (monotonic_ns() - since_ns) as f64 * 1e-9 / f64::from(TIMED);
-    // The receiver may have timed out; then `stop` is set.
-    let _ = started.send(Ok((identity, bounded, read_s)));
+    // The receiver may have timed out; then the ring is abandoned.
+    let _ = started.send(Ok(Found {
+        identity,
+        bounded,
+        read_s,
+    }));
     let period_ns = (1e9 / (POLL_SHARE * identity.rate_hz)) as u64;
     let mount = config.mount();
     let mut next_ns = monotonic_ns();
-    while !stop.load(Ordering::Relaxed) && !output.is_abandoned() {
+    while !output.is_abandoned() {
         let t_ns = monotonic_ns();
         let mut reading = imu.read(&mut Sleep, Seconds(t_ns as f64 * 1e-9));
         if let ImuReading::Sample(sample, _) = &mut reading {
@@ -278,10 +257,8 @@ fn open(config: &ImuSection) -> Result<(Box<dyn Imu + Send>, bool), HardwareErro
             let number = path.strip_prefix("/dev/i2c-").and_then(|n| n.parse().ok());
             let form = || failed("rppal requires a path of the form /dev/i2c-N".to_owned());
             let bus = rppal::i2c::I2c::with_bus(number.ok_or_else(form)?);
-            imu::open(
-                &config.chip,
-                Classified(bus.map_err(|e| failed(e.to_string()))?),
-            )
+            let bus = bus.map_err(|e| failed(e.to_string()))?;
+            imu::open(&config.chip, Classified(bus))
         }
     };
     Ok((driver?, bounded))

@@ -44,10 +44,8 @@ pub(super) fn open_with<K: Kernel + 'static>(
     map: LineMap,
 ) -> Result<BoardPins, PinError> {
     let (chip, lines) = chip(&kernel, path, label)?;
-    let mut requested = map
-        .outputs
-        .iter()
-        .chain(map.inputs.iter().map(|(pin, _)| pin));
+    let inputs = map.inputs.iter().map(|(pin, _)| pin);
+    let mut requested = map.outputs.iter().chain(inputs);
     if let Some(&pin) = requested.find(|pin| **pin >= lines) {
         return Err(PinError::NoLine {
             chip: path.into(),
@@ -130,11 +128,8 @@ fn found_energised<K: Kernel>(kernel: &K, chip: &K::Chip, map: &LineMap) -> io::
     let (places, offsets): (Vec<usize>, Vec<u32>) =
         map.outputs.iter().enumerate().filter(is_enable).unzip();
     for &offset in &offsets {
-        if !kernel
-            .state(chip, offset)?
-            .flags
-            .contains(LineFlags::OUTPUT)
-        {
+        let flags = kernel.state(chip, offset)?.flags;
+        if !flags.contains(LineFlags::OUTPUT) {
             return Ok(false);
         }
     }
@@ -165,19 +160,15 @@ fn request<K: Kernel>(
     path: &str,
     request: LineRequest,
 ) -> Result<K::Lines, PinError> {
-    let offsets = request
-        .offsets
-        .0
-        .into_iter()
-        .take(request.num_lines as usize);
-    let first = request.offsets.0[0];
+    let all = request.offsets.0;
+    let offsets = all.into_iter().take(request.num_lines as usize);
     let refused = |error: io::Error| match (error.kind(), error.raw_os_error()) {
         (_, Some(libc::EBUSY)) => {
             let holder = |pin: u32| {
                 let state = kernel.state(chip, pin).ok()?;
                 (!state.consumer.is_empty()).then(|| (pin, Some(uapi::text(&state.consumer))))
             };
-            let (pin, by) = offsets.clone().find_map(holder).unwrap_or((first, None));
+            let (pin, by) = offsets.clone().find_map(holder).unwrap_or((all[0], None));
             PinError::Busy { pin, by }
         }
         (_, Some(libc::ENOTTY | libc::EINVAL)) => PinError::NotAChip(path.into()),
@@ -209,7 +200,7 @@ mod tests {
             map(),
         )
         .unwrap();
-        let message = pins.check_enable().unwrap_err().to_string();
+        let message = pins.check_enable().err().unwrap().to_string();
         assert!(
             message.contains("EN on GPIO 5 stays low when driven high"),
             "{message}"
@@ -327,7 +318,10 @@ mod tests {
             consumer: Some((27, "spi0 CS1")),
             ..Fake::default()
         };
-        let message = open_with(busy, "chip", "", map()).unwrap_err().to_string();
+        let message = open_with(busy, "chip", "", map())
+            .err()
+            .unwrap()
+            .to_string();
         assert!(
             message.contains("GPIO 27 is in use by \"spi0 CS1\""),
             "{message}"
@@ -348,7 +342,8 @@ mod tests {
         config.channels[1].step = 54;
         let map = LineMap::new(&config, 16).unwrap();
         let message = open_with(Fake::default(), "/dev/gpiochip0", "", map)
-            .unwrap_err()
+            .err()
+            .unwrap()
             .to_string();
         assert!(
             message.contains("has no line 54, only 0 to 53"),
@@ -370,7 +365,7 @@ mod tests {
             ("/dev/gpiochip4", "pinctrl-bcm", "no chip of this computer"),
         ] {
             let (opened, log) = open(path, label);
-            let why = opened.unwrap_err();
+            let why = opened.err().unwrap();
             assert!(why.contains(label) && why.contains(mend), "{why}");
             assert!(log.lock().unwrap().is_empty());
         }
@@ -382,9 +377,9 @@ mod tests {
     /// Runs against the kernel of the machine that runs the tests.
     #[test]
     fn missing_files_and_files_that_are_not_chips_have_errors_of_their_own() {
-        let none = super::open("/dev/gpiochip-none", "", map()).unwrap_err();
+        let none = super::open("/dev/gpiochip-none", "", map()).err().unwrap();
         assert!(matches!(none, PinError::NoChip(..)), "{none}");
-        let null = super::open("/dev/null", "", map()).unwrap_err();
+        let null = super::open("/dev/null", "", map()).err().unwrap();
         assert!(matches!(null, PinError::NotAChip(..)), "{null}");
     }
 }

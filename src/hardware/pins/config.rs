@@ -120,12 +120,8 @@ impl PinsConfig {
             }
         }
         if let Some(stop) = self.emergency_stop {
-            add(
-                "emergency_stop.pin".to_owned(),
-                "emergency_stop",
-                stop.pin,
-                false,
-            );
+            let key = "emergency_stop.pin".to_owned();
+            add(key, "emergency_stop", stop.pin, false);
         }
         uses
     }
@@ -137,9 +133,8 @@ impl PinsConfig {
     pub fn validate(&self) -> Result<(), Invalid> {
         let uses = self.uses();
         for (n, u) in uses.iter().enumerate() {
-            let clash = uses[..n]
-                .iter()
-                .find(|o| o.pin == u.pin && !(u.shared && o.shared && o.name == u.name));
+            let may_share = |o: &Use| u.shared && o.shared && o.name == u.name;
+            let clash = uses[..n].iter().find(|o| o.pin == u.pin && !may_share(o));
             if let Some(other) = clash {
                 return Err(Invalid {
                     key: format!("pins.{}", u.key),

@@ -49,9 +49,8 @@ impl<O: OutputPin + Send, I: InputPin + Send> Lines for HalLines<O, I> {
     }
 
     fn outputs(&mut self, mask: u64) -> Result<Option<u64>, PinError> {
-        Ok(self
-            .level
-            .map(|level| mask & word(self.outputs.iter().map(level))))
+        let levels = |level| word(self.outputs.iter().map(level));
+        Ok(self.level.map(|level| mask & levels(level)))
     }
 
     fn inputs(&mut self) -> Result<u64, PinError> {

@@ -18,7 +18,6 @@ mod error;
 pub mod hal;
 mod interface;
 pub mod map;
-mod mock;
 #[cfg(feature = "hw")]
 pub mod rppal;
 #[cfg(test)]
@@ -33,15 +32,15 @@ pub use interface::{BoardPins, Pins};
 /// for `microsteps` (1, 2, 4, 8 or 16), and the drivers released, unless they were found energised.
 ///
 /// # Errors
-/// [`OpenError`].
-pub fn open(config: &PinsConfig, microsteps: u32) -> Result<BoardPins, OpenError> {
+/// [`PinError`].
+pub fn open(config: &PinsConfig, microsteps: u32) -> Result<BoardPins, PinError> {
     config.validate()?;
     let map = map::LineMap::new(config, microsteps)?;
     Ok(match config.backend {
-        Backend::Mock => BoardPins::new(map, mock::NoLines, false),
+        Backend::Mock => BoardPins::new(map, interface::NoLines, false),
         Backend::Cdev => cdev::open(&config.chip, &config.chip_label, map)?,
         #[cfg(not(feature = "hw"))]
-        Backend::Rppal => return Err(OpenError::Pin(PinError::NotBuilt)),
+        Backend::Rppal => return Err(PinError::NotBuilt),
         // without the device, rppal may still reach the registers through /dev/mem
         #[cfg(feature = "hw")]
         Backend::Rppal => rppal::open(map).map_err(|e| match (e, probe(config)) {
@@ -77,15 +76,4 @@ pub fn probe(config: &PinsConfig) -> Result<Option<&str>, PinError> {
         _ => PinError::io("open")(e),
     })?;
     Ok(Some(path))
-}
-
-/// Why [`open`] failed: an invalid board file (exit code 2) or the hardware (exit code 3).
-#[derive(Debug, thiserror::Error)]
-pub enum OpenError {
-    /// The configuration.
-    #[error(transparent)]
-    Config(#[from] crate::primitives::check::Invalid),
-    /// The hardware.
-    #[error(transparent)]
-    Pin(#[from] PinError),
 }

@@ -34,7 +34,7 @@ pub fn open(map: LineMap) -> Result<BoardPins, PinError> {
         line
     };
     let outputs = lines.into_iter().enumerate().map(output).collect();
-    let input = |&(pin, pull): &(u32, Pull)| {
+    let input = |&(pin, pull): &(u32, Pull)| -> Result<InputPin, PinError> {
         let line = get(&gpio, pin)?;
         Ok(match pull {
             Pull::Up => line.into_input_pullup(),
@@ -43,13 +43,8 @@ pub fn open(map: LineMap) -> Result<BoardPins, PinError> {
         })
     };
     let inputs: Vec<InputPin> = map.inputs.iter().map(input).collect::<Result<_, _>>()?;
-    hal::open(
-        map,
-        outputs,
-        inputs,
-        Some(OutputPin::is_set_high),
-        energised,
-    )
+    let level: fn(&OutputPin) -> bool = OutputPin::is_set_high;
+    hal::open(map, outputs, inputs, Some(level), energised)
 }
 
 /// One line of the header.

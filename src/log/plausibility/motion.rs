@@ -99,16 +99,54 @@ impl Motion {
         };
         self.bellows.iter().filter_map(over).max_by(f64::total_cmp)
     }
+
+    /// Pistons in metres: numbers below a tenth while the tip tilts.
+    pub(super) fn piston_unit(&self, log: &BendLog) -> Option<String> {
+        let most = log.piston_mm.iter().map(|p| p.amax()).fold(0.0, f64::max);
+        if !(most > 0.0 && most < 0.1 && self.tilt_rad > 0.14) {
+            return None;
+        }
+        let tilt_deg = self.tilt_rad.to_degrees();
+        let text = format!(
+            "piston*_mm looks like m: the tip tilts by {tilt_deg:.0}° and the largest piston position is {most:.4}"
+        );
+        finding("columns piston*_mm", text, "write mm")
+    }
+
+    /// Rates in degrees per second: the gyroscope's path is 57 times the one that the pistons drive.
+    pub(super) fn rate_unit(&self) -> Option<String> {
+        let (predicted, measured) = self.path_rad;
+        if predicted < 4.0 * MOTION_RAD || measured < 12.0 * predicted {
+            return None;
+        }
+        let ratio = measured / predicted;
+        let text = format!(
+            "gyr_* looks like °/s: the gyroscope turns {ratio:.0} times as far as the pistons drive the tip"
+        );
+        finding("columns gyr_*", text, "write rad/s")
+    }
+
+    /// Pistons wired otherwise than the model says: another wiring explains the tip's rotations, and this one does not. A single
+    /// reversed piston leaves a correlation of 0.45, an exchange 0 and all reversed −1.
+    pub(super) fn wiring(&self) -> Option<String> {
+        let as_wired = self.agreement(&AS_WIRED)?;
+        let scores = OTHERS.iter().filter_map(|w| Some((self.agreement(w)?, w)));
+        let (best, Wiring { says, mend, .. }) = scores.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        if best < 0.7 || best - as_wired < 0.25 {
+            return None;
+        }
+        let text = format!(
+            "{says}: the tip's rotations correlate with the pistons by {as_wired:.2}, and by {best:.2} if so"
+        );
+        finding("columns piston*_mm", text, mend)
+    }
 }
 
 /// Mean rate over the rows before the first piston moves, rad/s: the gyroscope's constant bias.
 fn rest_rate(log: &BendLog) -> Vector3<f64> {
     let gyr = log.imu.as_ref().map_or(&[][..], |imu| &imu.gyr);
-    let still = log
-        .piston_mm
-        .iter()
-        .zip(gyr)
-        .take_while(|(p, _)| **p == log.piston_mm[0]);
+    let rows = log.piston_mm.iter().zip(gyr);
+    let still = rows.take_while(|(p, _)| **p == log.piston_mm[0]);
     let rates: Vec<_> = still.map(|(_, rate)| rate).filter(|r| finite(r)).collect();
     rates.iter().fold(Vector3::zeros(), |sum, r| sum + **r) / rates.len().max(1) as f64
 }
@@ -153,49 +191,6 @@ fn tilt_rad(log: &BendLog) -> f64 {
     let tracker = orientations.map(|q| q * Vector3::z());
     let gravity = log.imu.iter().flat_map(|imu| imu.acc.iter().copied());
     largest(&mut { tracker }).max(largest(&mut { gravity }))
-}
-
-impl Motion {
-    /// Pistons in metres: numbers below a tenth while the tip tilts.
-    pub(super) fn piston_unit(&self, log: &BendLog) -> Option<String> {
-        let most = log.piston_mm.iter().map(|p| p.amax()).fold(0.0, f64::max);
-        if !(most > 0.0 && most < 0.1 && self.tilt_rad > 0.14) {
-            return None;
-        }
-        let tilt_deg = self.tilt_rad.to_degrees();
-        let text = format!(
-            "piston*_mm looks like m: the tip tilts by {tilt_deg:.0}° and the largest piston position is {most:.4}"
-        );
-        finding("columns piston*_mm", text, "write mm")
-    }
-
-    /// Rates in degrees per second: the gyroscope's path is 57 times the one that the pistons drive.
-    pub(super) fn rate_unit(&self) -> Option<String> {
-        let (predicted, measured) = self.path_rad;
-        if predicted < 4.0 * MOTION_RAD || measured < 12.0 * predicted {
-            return None;
-        }
-        let ratio = measured / predicted;
-        let text = format!(
-            "gyr_* looks like °/s: the gyroscope turns {ratio:.0} times as far as the pistons drive the tip"
-        );
-        finding("columns gyr_*", text, "write rad/s")
-    }
-
-    /// Pistons wired otherwise than the model says: another wiring explains the tip's rotations, and this one does not. A single
-    /// reversed piston leaves a correlation of 0.45, an exchange 0 and all reversed −1.
-    pub(super) fn wiring(&self) -> Option<String> {
-        let as_wired = self.agreement(&AS_WIRED)?;
-        let scores = OTHERS.iter().filter_map(|w| Some((self.agreement(w)?, w)));
-        let (best, Wiring { says, mend, .. }) = scores.max_by(|a, b| a.0.total_cmp(&b.0))?;
-        if best < 0.7 || best - as_wired < 0.25 {
-            return None;
-        }
-        let text = format!(
-            "{says}: the tip's rotations correlate with the pistons by {as_wired:.2}, and by {best:.2} if so"
-        );
-        finding("columns piston*_mm", text, mend)
-    }
 }
 
 /// A way in which pistons may be wired.

@@ -30,9 +30,8 @@ fn periods(log: &BendLog) -> impl Iterator<Item = f64> {
 pub(super) fn clock_unit(log: &BendLog) -> Option<String> {
     let period_s = median(periods(log))?;
     let steps = log.piston_mm.windows(2).zip(periods(log));
-    let speed_mm_s = steps
-        .map(|(p, dt)| (p[1] - p[0]).amax() / dt)
-        .fold(0.0, f64::max);
+    let speeds_mm_s = steps.map(|(p, dt)| (p[1] - p[0]).amax() / dt);
+    let speed_mm_s = speeds_mm_s.fold(0.0, f64::max);
     // at 2 kHz and 1 mm/s a clock in milliseconds gives 0.5 and 0.001
     if period_s < 0.4 || speed_mm_s == 0.0 || speed_mm_s > 0.3 {
         return None;
@@ -89,11 +88,8 @@ pub(super) fn single_values(log: &BendLog) -> Option<String> {
         let column = columns.replace('*', names[i]);
         beyond(&column, row, values[row][i], most, unit)
     };
-    let (lines, axes, pose) = (
-        ["1", "2", "3"],
-        ["x", "y", "z"],
-        ["bend_deg", "dir_deg", "len_mm"],
-    );
+    let (lines, axes) = (["1", "2", "3"], ["x", "y", "z"]);
+    let pose = ["bend_deg", "dir_deg", "len_mm"];
     let imu = |imu: &Option<ImuColumns>, prefix: &str| {
         let imu = imu.as_ref()?;
         let [acc, mag, gyr] =

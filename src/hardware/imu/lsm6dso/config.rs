@@ -122,10 +122,9 @@ impl LsmConfig {
         }
         // every value is in its list: the searches find it
         let (_, _, rates_hz) = variant.part();
-        let (odr, rate_hz) = (1_u8..)
-            .zip(rates_hz.iter().copied())
-            .find(|(_, rate)| *rate >= self.rate_hz)
-            .unwrap_or((1, rates_hz[0]));
+        let mut rates = (1_u8..).zip(rates_hz.iter().copied());
+        let enough = rates.find(|(_, rate)| *rate >= self.rate_hz);
+        let (odr, rate_hz) = enough.unwrap_or((1, rates_hz[0]));
         let (writes, canary) = self.registers(variant, odr);
         Ok(Settings {
             writes,
