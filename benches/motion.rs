@@ -5,26 +5,19 @@
 use divan::{Bencher, black_box};
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
-use retroflex::motion::lines::PulseTiming;
+use retroflex::motion::lines::EmergencyStop;
 use retroflex::motion::plan::Plan;
 use retroflex::motion::pulse::{PulseAction, StepCore};
 use retroflex::motion::queue::TimedSegment;
 use retroflex::motion::solver::{Ruckig, Solver};
 use retroflex::motion::steps::ChannelSteps;
-use retroflex::motion::{Motion, MotionConfig, MotionLimits, MotionState, Segment, StepperConfig};
+use retroflex::motion::{Motion, MotionLimits, MotionState, Segment, StepperConfig};
 use std::collections::VecDeque;
 
 const STEP_MM: f64 = 0.029_452;
 
 fn main() {
     divan::main();
-}
-
-fn limits() -> MotionLimits {
-    let Ok(limits) = MotionLimits::try_from(&MotionConfig::default()) else {
-        unreachable!("the defaults are tested to be valid")
-    };
-    limits
 }
 
 /// Targets as a closed loop gives them: slow sines and a little noise.
@@ -44,7 +37,7 @@ impl Sines {
 
 #[divan::bench]
 fn tick_resting(bencher: Bencher) {
-    let mut motion = Motion::new(&limits());
+    let mut motion = Motion::new(&MotionLimits::default());
     bencher.bench_local(|| motion.tick(black_box([0.0; 3]), 1e-3));
 }
 
@@ -52,7 +45,7 @@ fn tick_resting(bencher: Bencher) {
 fn tick_following(bencher: Bencher) {
     let mut motion = Motion::new(&MotionLimits {
         travel_max_mm: 1e6,
-        ..limits()
+        ..MotionLimits::default()
     });
     motion.tick([1e6, -1e6, 5e5], 1e-3);
     bencher.bench_local(|| motion.tick(black_box([1e6, -1e6, 5e5]), 1e-9));
@@ -60,13 +53,16 @@ fn tick_following(bencher: Bencher) {
 
 #[divan::bench]
 fn tick_replanning_sines(bencher: Bencher) {
-    let (mut motion, mut targets) = (Motion::new(&limits()), Sines::new());
+    let (mut motion, mut targets) = (Motion::new(&MotionLimits::default()), Sines::new());
     bencher.bench_local(|| motion.tick(targets.next(), 1e-3));
 }
 
 #[divan::bench]
 fn tick_replanning_wild(bencher: Bencher) {
-    let (mut motion, mut random) = (Motion::new(&limits()), SmallRng::seed_from_u64(1));
+    let (mut motion, mut random) = (
+        Motion::new(&MotionLimits::default()),
+        SmallRng::seed_from_u64(1),
+    );
     bencher.bench_local(|| {
         motion.tick(
             std::array::from_fn(|_| random.random_range(-20.0..20.0)),
@@ -77,7 +73,7 @@ fn tick_replanning_wild(bencher: Bencher) {
 
 #[divan::bench]
 fn solver_alone(bencher: Bencher) {
-    let (l, mut solver, mut plan) = (limits(), Ruckig::default(), Plan::default());
+    let (l, mut solver, mut plan) = (MotionLimits::default(), Ruckig::default(), Plan::default());
     let from = [3.0, -7.0, 1.0].map(|v| MotionState {
         velocity_mm_s: v,
         acceleration_mm_s2: 40.0,
@@ -92,7 +88,7 @@ fn solver_alone(bencher: Bencher) {
 
 #[divan::bench]
 fn verify_a_plan(bencher: Bencher) {
-    let (l, mut plan) = (limits(), Plan::default());
+    let (l, mut plan) = (MotionLimits::default(), Plan::default());
     let from = [3.0, -7.0, 1.0].map(|v| MotionState {
         velocity_mm_s: v,
         ..MotionState::rest(0.5)
@@ -107,7 +103,7 @@ fn verify_a_plan(bencher: Bencher) {
 
 #[divan::bench]
 fn steps_of_a_tick_at_full_speed(bencher: Bencher) {
-    let mut motion = Motion::new(&limits());
+    let mut motion = Motion::new(&MotionLimits::default());
     for _ in 0..300 {
         motion.tick([20.0; 3], 1e-3);
     }
@@ -126,10 +122,10 @@ fn steps_of_a_tick_at_full_speed(bencher: Bencher) {
 /// One second of motion of three channels through the step core, its clock jumping from wait to wait.
 #[divan::bench(sample_count = 50)]
 fn step_core_one_second(bencher: Bencher) {
-    let Ok(timing) = PulseTiming::try_from(&StepperConfig::default()) else {
+    let Ok(timing) = StepperConfig::default().timing(EmergencyStop::default()) else {
         unreachable!("the defaults are tested to be valid")
     };
-    let mut motion = Motion::new(&limits());
+    let mut motion = Motion::new(&MotionLimits::default());
     let segments: Vec<Segment> = (0..500)
         .map(|_| motion.tick([22.0, -22.0, 20.0], 2e-3))
         .collect();
@@ -144,7 +140,12 @@ fn step_core_one_second(bencher: Bencher) {
         })
         .collect();
     bencher
-        .with_inputs(|| (StepCore::new(timing, &limits(), STEP_MM), queue.clone()))
+        .with_inputs(|| {
+            (
+                StepCore::new(timing, &MotionLimits::default(), STEP_MM),
+                queue.clone(),
+            )
+        })
         .bench_local_values(|(mut core, mut queue)| {
             let mut now = 0;
             while now < 1_000_000_000 {

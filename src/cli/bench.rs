@@ -2,8 +2,7 @@
 
 use crate::cli::{ResultFile, inputs, manual_motion, output, within};
 use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
-use crate::hardware::pins::map::LineMap;
-use crate::hardware::pins::{MockPins, Pins, PinsConfig};
+use crate::hardware::pins::{self, Backend, Pins, PinsConfig};
 use crate::hardware::stepper::StartError;
 use clap::Args;
 use miette::{IntoDiagnostic, Result, bail, miette};
@@ -51,8 +50,12 @@ pub fn run(args: &Rt) -> Result<bool> {
     let (bench, through) = match &args.board {
         Some(path) => on_board(path, base)?,
         None => {
-            let map = LineMap::new(&PinsConfig::default(), 16).into_diagnostic()?;
-            (measure(&base, MockPins(map))?, "the mock".to_owned())
+            let mock = PinsConfig {
+                backend: Backend::Mock,
+                ..PinsConfig::default()
+            };
+            let pins = pins::open(&mock, 16).into_diagnostic()?;
+            (measure(&base, pins)?, "the mock".to_owned())
         }
     };
     output::print(format!("through {through}\n{}\n", bench.table()));
@@ -85,9 +88,9 @@ fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
     Ok((measure(&config, NoCurrent(pins))?, through))
 }
 
-fn measure<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<RtBench> {
+fn measure(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench> {
     match bench_rt::run(config, pins) {
-        Ok((bench, _)) => Ok(bench),
+        Ok(bench) => Ok(bench),
         Err(StartError::Config(e)) => Err(miette!("{e}")),
         Err(e) => Err(e).into_diagnostic(),
     }

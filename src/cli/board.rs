@@ -100,5 +100,5 @@ fn check(args: &CheckArgs) -> Result<bool> {
     let board = inputs::board(Some(&args.board))?;
     let bound = PressureBound::of(&board);
     output::print(format!("file      consistent\npressure  {bound}\n"));
-    Ok(bound.is_bounded())
+    Ok(bound.is_bounded)
 }

@@ -123,7 +123,7 @@ fn kernel() -> Finding {
 
 fn pressure(board: &Board) -> Finding {
     let bound = PressureBound::of(board);
-    let (verdict, found) = (pass_or_warn(bound.is_bounded()), bound.to_string());
+    let (verdict, found) = (pass_or_warn(bound.is_bounded), bound.to_string());
     Finding::new("pressure", verdict, found, PressureBound::REMEDY)
 }
 
@@ -163,12 +163,11 @@ fn devices(board: &Board) -> Vec<Finding> {
     }
     for (what, sensor) in [("tip IMU", &machine.imu), ("base IMU", &machine.base_imu)] {
         let Some(config) = sensor else { continue };
-        findings.push(match Sensor::start(config) {
+        findings.push(match Sensor::start(config, machine.imu_priority) {
             Ok(s) => {
-                let i = s.identity;
-                let (part, address) = (i.inertial.part, i.inertial.address);
-                let found = format!("{part} at {address:#04x}, {:.0} Hz", i.rate_hz);
-                let slow = slowness(s.read_s, i.rate_hz);
+                let i = s.found.identity;
+                let found = format!("{}, {:.0} Hz", i.inertial, i.rate_hz);
+                let slow = slowness(s.found.read_s, i.rate_hz);
                 let verdict = pass_or_warn(slow.is_none());
                 Finding::new(what, verdict, found, &slow.unwrap_or_default())
             }

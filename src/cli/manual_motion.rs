@@ -4,7 +4,7 @@ use crate::cli::{Unreachable, inputs};
 use crate::config::Board;
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::{Hardware, HardwareError, MachineConfig};
-use crate::hardware::pins::{self, OpenError, Pins, PinsConfig};
+use crate::hardware::pins::{self, BoardPins, PinsConfig};
 use crate::hardware::rt;
 use crate::primitives::Seconds;
 use crate::simulation::lockstep::Lockstep;
@@ -45,7 +45,7 @@ pub fn open_pins(
     path: &Path,
     board: &Board,
     wiring: &PinsConfig,
-) -> Result<(HardwareLock, Box<dyn Pins>)> {
+) -> Result<(HardwareLock, BoardPins)> {
     let refused = |e| hardware_error(path, e);
     let lock = HardwareLock::take().map_err(|device| refused(HardwareError::InUse(device)))?;
     let pins = pins::open(wiring, board.drive.microsteps).map_err(|e| refused(e.into()))?;
@@ -75,7 +75,7 @@ pub fn hardware_error(path: &Path, error: HardwareError) -> miette::Report {
         return miette!("{}: {error}", path.display());
     }
     let what = match &error {
-        HardwareError::Pins(OpenError::Pin(_)) | HardwareError::InUse(_) => "the GPIO",
+        HardwareError::Pins(_) | HardwareError::InUse(_) => "the GPIO",
         HardwareError::Stepper(_) | HardwareError::Thread(_) => "the scheduler",
         _ => "the IMU",
     };

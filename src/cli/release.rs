@@ -2,7 +2,8 @@
 //! service has failed for good, because the drivers otherwise stay energised with nobody in control.
 
 use crate::cli::{inputs, manual_motion, output};
-use crate::hardware::pins::OpenError;
+use crate::hardware::machine::HardwareError;
+use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt;
 use crate::motion::Levels;
 use miette::{IntoDiagnostic, Result, bail};
@@ -32,11 +33,11 @@ pub fn run(args: &Args) -> Result<()> {
         bail!("{file}: there is no [pins] table, so there are no drivers to release");
     };
     let (_lock, mut pins) = manual_motion::open_pins(&args.board, &board, config)?;
-    let off = |e| manual_motion::hardware_error(&args.board, OpenError::Pin(e).into());
-    pins.write(&Levels::default()).map_err(off)?;
+    let hardware = |e: PinError| manual_motion::hardware_error(&args.board, HardwareError::Pins(e));
+    pins.write(&Levels::default()).map_err(hardware)?;
     // the lines settle before they are read back
     std::thread::sleep(std::time::Duration::from_millis(10));
-    pins.check_enable().map_err(off)?;
+    pins.check_enable().map_err(hardware)?;
     output::print("drivers released: the tip goes soft, and zero must be found again\n");
     if args.hold {
         let mut signals = Signals::new(rt::ending_signals()).into_diagnostic()?;

@@ -94,7 +94,7 @@ pub fn run(args: &Args) -> Result<()> {
     }
     place(args, &mut board.service)?;
     let bound = PressureBound::of(&board);
-    if !foreign && !bound.is_bounded() {
+    if !foreign && !bound.is_bounded {
         tracing::warn!("pressure: {bound}; {}", PressureBound::REMEDY);
     }
     let claim = Claim::new(&board.service).map_err(report)?;

@@ -3,16 +3,15 @@
 use crate::config::ServiceSection;
 use crate::config::power::PowerSection;
 use crate::config::sections::{
-    BusBackend, DriveSection, GeometrySection, HomingSection, ImuSection, LimitsSection,
-    MachineSection,
+    DriveSection, GeometrySection, HomingSection, LimitsSection, MachineSection,
 };
 use crate::config::service::SafetySection;
 use crate::control::ActuatorLimits;
-use crate::hardware::machine::{GaugeConfig, MachineConfig, SensorConfig};
+use crate::hardware::machine::{GaugeConfig, ImuSection, MachineConfig};
 use crate::hardware::pins::PinsConfig;
 use crate::hardware::pressure::PressureSection;
 use crate::motion::EmergencyStop;
-use crate::motion::{DriveLimits, MotionConfig, MotionLimits, StepperConfig};
+use crate::motion::{DriveLimits, MotionLimits, StepperConfig};
 use crate::parameters;
 use crate::simulation::plant::PlantConfig;
 use crate::supervisor::{MachineInfo, SafeState};
@@ -31,7 +30,7 @@ parameters! {
         /// Motor, rack and pinion.
         drive: DriveSection;
         /// Speed of the pistons.
-        motion: MotionConfig;
+        motion: MotionLimits;
         /// Travel and pressure of the pistons.
         limits: LimitsSection;
         /// Power loss: the effect of trapped pressure on a motor without current.
@@ -63,8 +62,8 @@ pub type PlantSection = PlantConfig;
 
 impl Board {
     /// Motion of one piston within this board's limits.
-    pub fn motion_config(&self) -> MotionConfig {
-        MotionConfig {
+    pub fn motion_limits(&self) -> MotionLimits {
+        MotionLimits {
             travel_max_mm: self.limits.travel_mm,
             ..self.motion
         }
@@ -73,7 +72,7 @@ impl Board {
     /// How the drive moves the pistons.
     pub fn drive_limits(&self) -> DriveLimits {
         DriveLimits {
-            limits: MotionLimits::of_checked(&self.motion_config()),
+            limits: self.motion_limits(),
             lead_s: self.stepper.lead_ms * 1e-3,
         }
     }
@@ -91,14 +90,6 @@ impl Board {
 
     /// What hardware is made from; `None` on a board without `[pins]`.
     pub fn hardware(&self) -> Option<MachineConfig> {
-        let sensor = |s: &ImuSection| SensorConfig {
-            bus: s.bus.clone(),
-            rppal: s.backend == BusBackend::Rppal,
-            mount: s.mount(),
-            chip: s.chip.clone(),
-            bus_lines: s.bus_lines,
-            priority: self.machine.imu_priority,
-        };
         // whatever is not an immediate release brakes first; the gate then decides between hold and relax
         let emergency_stop = match self.safety.on.emergency_stop {
             SafeState::Release => EmergencyStop::Release,
@@ -115,9 +106,10 @@ impl Board {
             pins: self.pins.clone()?,
             stepper: self.stepper,
             emergency_stop,
-            motion: self.motion_config(),
-            imu: self.imu.as_ref().map(sensor),
-            base_imu: self.base_imu.as_ref().map(sensor),
+            motion: self.motion_limits(),
+            imu: self.imu.clone(),
+            base_imu: self.base_imu.clone(),
+            imu_priority: self.machine.imu_priority,
             gauges: GaugeConfig {
                 pressure: self.pressure.clone(),
                 pressure_max_kpa: self.safety.pressure_max_kpa,

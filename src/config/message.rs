@@ -8,10 +8,9 @@ const LISTED_MAX: usize = 9;
 /// A message of serde about `key`, whose row, if it is a parameter, gives range and unit.
 pub fn plain(message: &str, key: &str, row: Option<&Parameter>) -> String {
     // a list of tables begins where its first table begins
-    let key = if message.starts_with("invalid length") {
-        key.trim_end_matches(|c: char| "[]".contains(c) || c.is_ascii_digit())
-    } else {
-        key
+    let key = match message.starts_with("invalid length") {
+        true => key.trim_end_matches(|c: char| "[]".contains(c) || c.is_ascii_digit()),
+        false => key,
     };
     let text = match quoted(message) {
         [Some(name), ..] if message.starts_with("unknown field") => {
@@ -25,10 +24,9 @@ pub fn plain(message: &str, key: &str, row: Option<&Parameter>) -> String {
         }
         _ => typed(message, row),
     };
-    if key.is_empty() {
-        text
-    } else {
-        format!("{key}: {text}")
+    match key {
+        "" => text,
+        key => format!("{key}: {text}"),
     }
 }
 
@@ -55,10 +53,9 @@ fn instead(name: &str, message: &str) -> String {
 
 /// The name that is most similar to a misspelt one.
 pub fn near<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
-    let scored = known
-        .map(|k| (strsim::jaro_winkler(name, k), k))
-        .filter(|(score, _)| *score > 0.8);
-    scored.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, k)| k)
+    let scored = known.map(|k| (strsim::jaro_winkler(name, k), k));
+    let near = scored.filter(|(score, _)| *score > 0.8);
+    near.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, k)| k)
 }
 
 /// A value of the wrong type or a list of the wrong length.
@@ -75,30 +72,23 @@ fn typed(message: &str, row: Option<&Parameter>) -> String {
         ("invalid length ", "a list of length "),
         ("duplicate key", "this key is stated twice"),
     ];
-    let text = VALUES
-        .iter()
-        .fold(message.to_owned(), |m, (from, to)| m.replace(from, to));
+    let words = |text: String, (from, to): &(&str, &str)| text.replace(from, to);
+    let text = VALUES.iter().fold(message.to_owned(), words);
     let Some((found, expected)) = text.split_once(", expected ") else {
         return text;
     };
     let limits = match row.map(|r| (r.allowed, r.unit)) {
         None | Some((Allowed::Any, _)) => String::new(),
-        Some((Allowed::OneOf(_), _)) => {
-            row.map_or_else(String::new, |r| format!(", {}", r.allowed))
-        }
-        Some((allowed, unit)) => format!(" from {allowed} {unit}").trim_end().to_owned(),
+        Some((one_of @ Allowed::OneOf(_), _)) => format!(", {one_of}"),
+        Some((range, unit)) => format!(" from {range} {unit}").trim_end().to_owned(),
     };
     let expected = match expected {
         "f64" => format!("a number{limits}"),
         "i32" => format!("a whole number{limits}"),
-        "u8" | "u16" | "u32" | "u64" | "usize" => format!(
-            "a whole number{}",
-            if limits.is_empty() {
-                ", not negative"
-            } else {
-                &limits
-            }
-        ),
+        "u8" | "u16" | "u32" | "u64" | "usize" if limits.is_empty() => {
+            "a whole number, not negative".to_owned()
+        }
+        "u8" | "u16" | "u32" | "u64" | "usize" => format!("a whole number{limits}"),
         "a string" | "path string" => "a text in quotes".to_owned(),
         "a boolean" => "true or false".to_owned(),
         other if other.starts_with("struct ") => "a table".to_owned(),

@@ -2,77 +2,75 @@
 
 use crate::primitives::join;
 use std::ops::Range;
+use toml::Spanned;
 use toml::de::{DeTable, DeValue};
+
+/// A key that is written in a text.
+struct Written {
+    /// The dotted key.
+    name: String,
+    /// Where the key stands, and where its value.
+    key: Range<usize>,
+    value: Range<usize>,
+}
+
+/// Every key that is written in a text, tables and lists before what is in them.
+fn written(text: &str) -> Vec<Written> {
+    let mut out = Vec::new();
+    if let Ok(table) = DeTable::parse(text) {
+        add_table(&mut out, "", table.get_ref());
+    }
+    out
+}
+
+fn add_table(out: &mut Vec<Written>, above: &str, table: &DeTable<'_>) {
+    for (key, value) in table.iter() {
+        add(out, join(above, key.get_ref()), key.span(), value);
+    }
+}
+
+fn add(out: &mut Vec<Written>, name: String, key: Range<usize>, value: &Spanned<DeValue<'_>>) {
+    out.push(Written {
+        name: name.clone(),
+        key,
+        value: value.span(),
+    });
+    match value.get_ref() {
+        DeValue::Table(table) => add_table(out, &name, table),
+        DeValue::Array(list) => list.iter().enumerate().for_each(|(i, entry)| {
+            add(out, join(&name, &i.to_string()), entry.span(), entry);
+        }),
+        _ => {}
+    }
+}
 
 /// The dotted key of the innermost key or value that covers a place; empty if none does.
 pub fn key_at(text: &str, at: &Range<usize>) -> String {
-    DeTable::parse(text)
-        .ok()
-        .and_then(|table| in_table(table.get_ref(), "", at))
-        .unwrap_or_default()
+    let covers = |outer: &Range<usize>| outer.start <= at.start && at.end <= outer.end;
+    let mut inner_first = written(text).into_iter().rev();
+    let found = inner_first.find(|w| covers(&w.key) || covers(&w.value));
+    found.map(|w| w.name).unwrap_or_default()
 }
 
-fn covers(outer: &Range<usize>, inner: &Range<usize>) -> bool {
-    outer.start <= inner.start && inner.end <= outer.end
-}
-
-fn in_table(table: &DeTable<'_>, above: &str, at: &Range<usize>) -> Option<String> {
-    table.iter().find_map(|(key, value)| {
-        let name = join(above, key.get_ref());
-        if covers(&key.span(), at) {
-            Some(name)
-        } else {
-            in_value(value.get_ref(), &name, at)
-                .or_else(|| covers(&value.span(), at).then_some(name))
-        }
-    })
-}
-
-fn in_value(value: &DeValue<'_>, name: &str, at: &Range<usize>) -> Option<String> {
-    match value {
-        DeValue::Table(table) => in_table(table, name, at),
-        DeValue::Array(list) => list.iter().enumerate().find_map(|(i, entry)| {
-            let name = join(name, &i.to_string());
-            in_value(entry.get_ref(), &name, at)
-                .or_else(|| covers(&entry.span(), at).then_some(name))
-        }),
-        _ => None,
-    }
+/// Where the value of a dotted key stands in the text; `None` when the key is not written in it.
+pub fn value_of(text: &str, key: &str) -> Option<Range<usize>> {
+    let found = written(text).into_iter().find(|w| w.name == key);
+    found.map(|w| w.value)
 }
 
 /// The text with the value of a dotted key replaced, everything else left as it is; `None` when the key is
 /// not written in it.
 pub fn replace(text: &str, key: &str, value: &str) -> Option<String> {
-    let (table, last) = key.rsplit_once('.')?;
-    // a key that is not written is answered with its table: then the text there is no value of its own
-    let span = span_of(text, key)?;
-    if span_of(text, table) == Some(span.clone()) {
-        return None;
-    }
-    let line = text[..span.start].rsplit('\n').next().unwrap_or("");
-    let named = last.parse::<usize>().is_ok() || line.contains(last);
-    named.then(|| format!("{}{value}{}", &text[..span.start], &text[span.end..]))
+    let span = value_of(text, key)?;
+    let (before, after) = (&text[..span.start], &text[span.end..]);
+    Some(format!("{before}{value}{after}"))
 }
 
 /// Where a dotted key's value stands in the text. A key that is not written (a default that clashes
 /// with something written) points at the nearest table that is.
 pub fn span_of(text: &str, key: &str) -> Option<Range<usize>> {
-    let table = DeTable::parse(text).ok()?;
-    let mut parts = key.split('.');
-    let first = parts.next()?;
-    let (_, mut value) = table.get_ref().iter().find(|(k, _)| k.get_ref() == first)?;
-    for part in parts {
-        let next = match value.get_ref() {
-            DeValue::Table(t) => t.iter().find(|(k, _)| k.get_ref() == part).map(|(_, v)| v),
-            DeValue::Array(a) => part.parse::<usize>().ok().and_then(|i| a.get(i)),
-            _ => None,
-        };
-        match next {
-            Some(inner) => value = inner,
-            None => break,
-        }
-    }
-    Some(value.span())
+    let above = || span_of(text, key.rsplit_once('.')?.0);
+    value_of(text, key).or_else(above)
 }
 
 #[cfg(test)]

@@ -34,11 +34,6 @@ impl PowerSection {
     pub fn stall_kpa(&self, pitch_diameter_mm: f64) -> f64 {
         self.holding_torque_n_mm / self.torque_n_mm(1.0, pitch_diameter_mm)
     }
-
-    /// Gauge pressure that the motor keeps without current, kPa.
-    pub fn kept_kpa(&self, pitch_diameter_mm: f64) -> f64 {
-        self.detent_torque_n_mm / self.torque_n_mm(1.0, pitch_diameter_mm)
-    }
 }
 
 #[cfg(test)]
@@ -55,7 +50,9 @@ mod tests {
             p.torque_n_mm(41.3, 30.0)
         );
         assert!((p.stall_kpa(30.0) - 86.24).abs() < 0.01);
-        assert!((p.kept_kpa(30.0) - 4.975).abs() < 0.01);
-        assert!((p.kept_kpa(30.0) / 41.3 - 0.1205).abs() < 1e-3);
+        // what the motor keeps without current
+        let kept_kpa = p.detent_torque_n_mm / p.torque_n_mm(1.0, 30.0);
+        assert!((kept_kpa - 4.975).abs() < 0.01);
+        assert!((kept_kpa / 41.3 - 0.1205).abs() < 1e-3);
     }
 }

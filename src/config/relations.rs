@@ -1,11 +1,10 @@
 //! Relations between the tables of a board: a board that contradicts itself is refused as it is read, with the place in
 //! the file.
 
-use crate::config::sections::ImuSection;
 use crate::config::{Board, Header, HomingMethod, PlantSection};
+use crate::hardware::machine::ImuSection;
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{Backend, PinsConfig};
-use crate::motion::MotionLimits;
 use crate::motion::stop::longest_stop_mm;
 use crate::primitives::{Check, Checker, Invalid, Parameters, Table, shown};
 use crate::simulation::plant::PlantError;
@@ -22,8 +21,8 @@ impl Check for Board {
         to.at("geometry.bellow_max_mm")
             .range(g.bellow_max_mm, g.rest_length_mm..=200.0, "mm")
             .hint(at_rest);
-        let same =
-            self.service.socket.is_some() && self.service.socket == self.service.status_socket;
+        let (socket, status) = (&self.service.socket, &self.service.status_socket);
+        let same = socket.is_some() && socket == status;
         to.at("service.status_socket")
             .holds(!same, "the status socket is the command socket")
             .hint("give each its own path");
@@ -62,13 +61,9 @@ fn priorities(board: &Board, to: &mut Checker) {
 }
 
 fn power(board: &Board, to: &mut Checker) {
-    let (have, pressure) = (
-        board.power.holding_torque_n_mm,
-        board.limits.pressure_max_kpa,
-    );
-    let needed = board
-        .power
-        .torque_n_mm(pressure, board.drive.pinion_pitch_diameter_mm);
+    let (power, pitch_mm) = (&board.power, board.drive.pinion_pitch_diameter_mm);
+    let (have, pressure) = (power.holding_torque_n_mm, board.limits.pressure_max_kpa);
+    let needed = power.torque_n_mm(pressure, pitch_mm);
     let problem = format!(
         "{have} N·mm do not hold limits.pressure_max_kpa = {pressure} kPa, which turns the motor with {needed:.0} N·mm"
     );
@@ -82,7 +77,7 @@ fn power(board: &Board, to: &mut Checker) {
         to.at("safety.relief_valve_kpa")
             .holds(valve > pressure, &problem)
             .hint("use a stiffer valve or lower limits.pressure_max_kpa");
-        let stall = board.power.stall_kpa(board.drive.pinion_pitch_diameter_mm);
+        let stall = power.stall_kpa(pitch_mm);
         let problem = format!(
             "a valve that opens at {valve} kPa never opens: the motor makes {stall:.0} kPa at most"
         );
@@ -94,30 +89,21 @@ fn power(board: &Board, to: &mut Checker) {
 
 /// Motion and pulses, each alone and together.
 fn motion(board: &Board, to: &mut Checker) {
-    let (motion, stepper, period_s) = (
-        board.motion_config(),
-        &board.stepper,
-        board.machine.period_s,
-    );
+    let (motion, stepper) = (board.motion_limits(), &board.stepper);
     pass_on(stepper.validate(), to);
     if board.pins.is_some() {
-        pass_on(
-            stepper.validate_rate(&motion, board.drive.law().step_mm),
-            to,
-        );
-        let problem = format!(
-            "{} ms is less than one turn of the loop, {} ms",
-            stepper.lead_ms,
-            period_s * 1e3
-        );
+        let (step_mm, period_s) = (board.drive.law().step_mm, board.machine.period_s);
+        pass_on(stepper.validate_rate(&motion, step_mm), to);
+        let (lead_ms, turn_ms) = (stepper.lead_ms, period_s * 1e3);
+        let problem = format!("{lead_ms} ms is less than one turn of the loop, {turn_ms} ms");
         to.at("stepper.lead_ms")
-            .holds(stepper.lead_ms * 1e-3 >= period_s, &problem)
+            .holds(lead_ms * 1e-3 >= period_s, &problem)
             .hint("two turns of machine.period_s are a good lead");
     }
-    let Ok(limits) = MotionLimits::try_from(&motion) else {
+    if motion.validate().is_err() {
         return;
-    };
-    let (stop_mm, travel_mm) = (longest_stop_mm(&limits), board.limits.travel_mm);
+    }
+    let (stop_mm, travel_mm) = (longest_stop_mm(&motion), board.limits.travel_mm);
     let problem = format!(
         "a stop from full speed takes {stop_mm:.2} mm, more than the travel of {travel_mm} mm"
     );
@@ -143,11 +129,8 @@ fn homing(board: &Board, to: &mut Checker) {
     if h.method == HomingMethod::Operator {
         return;
     }
-    let missing = board
-        .pins
-        .as_ref()
-        .map(|p| p.channels.iter().position(|c| c.home.is_none()));
-    let problem = match missing {
+    let without = |pins: &PinsConfig| pins.channels.iter().position(|c| c.home.is_none());
+    let problem = match board.pins.as_ref().map(without) {
         None => "switches are selected, but the board has no [pins]".to_owned(),
         Some(Some(i)) => format!("switches are selected, but channel {} has none", i + 1),
         Some(None) => String::new(),
@@ -163,51 +146,34 @@ fn homing(board: &Board, to: &mut Checker) {
 
 fn sensors(board: &Board, to: &mut Checker) {
     for (table, imu) in [("imu", &board.imu), ("base_imu", &board.base_imu)] {
-        if let Some(imu) = imu {
-            let bus = format!("{table}.bus");
-            to.at(&bus)
-                .holds(
-                    imu.bus.starts_with('/'),
-                    &format!("`{}` is not a device file", imu.bus),
-                )
-                .hint("`ls /dev/i2c-*` lists the buses");
-            for (i, line) in imu.bus_lines.iter().flatten().enumerate() {
-                let uses = board
-                    .pins
-                    .iter()
-                    .flat_map(PinsConfig::uses)
-                    .find(|u| u.pin == *line);
-                let problem = uses.map(|u| {
-                    format!(
-                        "line {line} is already {}",
-                        shown(&format!("pins.{}", u.key))
-                    )
-                });
-                to.at(&format!("{table}.bus_lines.{i}"))
-                    .holds(problem.is_none(), &problem.unwrap_or_default())
-                    .hint("write SDA and SCL of the bus");
+        let Some(imu) = imu else { continue };
+        let problem = format!("`{}` is not a device file", imu.bus);
+        to.at(&format!("{table}.bus"))
+            .holds(imu.bus.starts_with('/'), &problem)
+            .hint("`ls /dev/i2c-*` lists the buses");
+        let uses = board.pins.as_ref().map_or(vec![], PinsConfig::uses);
+        for (i, line) in imu.bus_lines.iter().flatten().enumerate() {
+            if let Some(u) = uses.iter().find(|u| u.pin == *line) {
+                let key = format!("{table}.bus_lines.{i}");
+                let used = shown(&format!("pins.{}", u.key));
+                let problem = format!("line {line} is already {used}");
+                to.refuse(&key, problem, "write SDA and SCL of the bus");
             }
-            pass_on(
-                imu.chip.check().map_err(|e| Invalid {
-                    key: e.key.replacen("imu", table, 1),
-                    ..e
-                }),
-                to,
-            );
         }
+        let in_table = |e: Invalid| Invalid {
+            key: e.key.replacen("imu", table, 1),
+            ..e
+        };
+        pass_on(imu.chip.check().map_err(in_table), to);
     }
     pressure_sensors(board, to);
     if let (Some(tip), Some(base)) = (&board.imu, &board.base_imu) {
         let place = |imu: &ImuSection| (imu.bus.clone(), imu.chip.address());
-        let problem = format!(
-            "{:#04x} on {} is already the tip's IMU",
-            base.chip.address(),
-            base.bus
-        );
-        let hint = "pull the address pin of one sensor the other way, or use another bus";
+        let (bus, address) = place(base);
+        let problem = format!("{address:#04x} on {bus} is already the tip's IMU");
         to.at("base_imu.chip.address")
-            .holds(place(tip) != place(base), &problem)
-            .hint(hint);
+            .holds(place(tip) != (bus, address), &problem)
+            .hint("pull the address pin of one sensor the other way, or use another bus");
     }
 }
 
@@ -216,19 +182,17 @@ fn pressure_sensors(board: &Board, to: &mut Checker) {
     let Some(p) = &board.pressure else { return };
     let imus = [("imu", &board.imu), ("base_imu", &board.base_imu)];
     for (i, address) in p.addresses.iter().enumerate() {
-        let imu = imus.iter().find(|(_, imu)| {
-            imu.as_ref()
-                .is_some_and(|imu| imu.bus == p.bus && imu.chip.address() == *address)
-        });
-        let twin = p.addresses[..i]
-            .iter()
-            .position(|a| a == address)
-            .map(|k| shown(&format!("pressure.addresses.{k}")));
+        let is_there = |imu: &ImuSection| imu.bus == p.bus && imu.chip.address() == *address;
+        let mut imus = imus.iter();
+        let imu = imus.find(|(_, imu)| imu.as_ref().is_some_and(is_there));
+        let twin = p.addresses[..i].iter().position(|a| a == address);
+        let twin = twin.map(|k| shown(&format!("pressure.addresses.{k}")));
         let other = twin.or(imu.map(|(table, _)| format!("{table}.chip.address")));
-        let problem = other.map(|o| format!("{address:#04x} on {} is already {o}", p.bus));
-        to.at(&format!("pressure.addresses.{i}"))
-            .holds(problem.is_none(), &problem.unwrap_or_default())
-            .hint("order the part with another address");
+        if let Some(other) = other {
+            let problem = format!("{address:#04x} on {} is already {other}", p.bus);
+            let key = format!("pressure.addresses.{i}");
+            to.refuse(&key, problem, "order the part with another address");
+        }
     }
     let (limit, low, high) = (board.safety.pressure_max_kpa, p.low_kpa, p.high_kpa);
     let problem =
@@ -260,23 +224,19 @@ fn header_line(board: &Board, backend: Backend, key: &str, pin: u32, to: &mut Ch
         return;
     }
     let numbers = "the header has GPIO 2 to 27 (Broadcom numbers, not positions on the header)";
-    let on_bus_1 = [&board.imu, &board.base_imu]
-        .into_iter()
-        .flatten()
-        .any(|imu| imu.bus == "/dev/i2c-1");
+    let mut imus = [&board.imu, &board.base_imu].into_iter().flatten();
+    let on_bus_1 = imus.any(|imu| imu.bus == "/dev/i2c-1");
+    let mut refuse = |problem: String| to.refuse(key, problem, numbers);
     match pin {
-        0 | 1 => to.refuse(
-            key,
-            format!("GPIO {pin} reads the identification EEPROM of an add-on board"),
-            numbers,
-        ),
-        2 | 3 if on_bus_1 => to.refuse(
-            key,
-            format!("GPIO {pin} is SDA or SCL of /dev/i2c-1, where the IMU is"),
-            "choose another line",
-        ),
+        0 | 1 => refuse(format!(
+            "GPIO {pin} reads the identification EEPROM of an add-on board"
+        )),
+        2 | 3 if on_bus_1 => {
+            let problem = format!("GPIO {pin} is SDA or SCL of /dev/i2c-1, where the IMU is");
+            to.refuse(key, problem, "choose another line");
+        }
         2..=27 => {}
-        _ => to.refuse(key, format!("the header has no GPIO {pin}"), numbers),
+        _ => refuse(format!("the header has no GPIO {pin}")),
     }
 }
 
@@ -290,10 +250,9 @@ fn plant(section: &PlantSection, to: &mut Checker) {
         Err(PlantError::Range(Invalid { key, problem, hint })) => {
             to.refuse(&format!("plant.{key}"), problem, &hint)
         }
-        Err(other) => to.refuse(
-            "plant",
-            other.to_string(),
-            "see the tables of boards/sim.toml",
-        ),
+        Err(other) => {
+            let hint = "see the tables of boards/sim.toml";
+            to.refuse("plant", other.to_string(), hint);
+        }
     }
 }

@@ -38,10 +38,8 @@ pub fn rewired(
     if let (Some(imu), true) = (&board.imu, wiring.turned_rad.abs() >= TURN_SMALL_RAD) {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), wiring.turned_rad);
         let mount_deg = (turn * imu.mount()).scaled_axis().map(f64::to_degrees);
-        set(
-            "imu.mount_deg".to_owned(),
-            format!("{:.1?}", <[f64; 3]>::from(mount_deg)),
-        )?;
+        let mount_deg = format!("{:.1?}", <[f64; 3]>::from(mount_deg));
+        set("imu.mount_deg".to_owned(), mount_deg)?;
     }
     Ok((new, changes))
 }

@@ -1,9 +1,7 @@
 //! The tables of a board file that describe the machine.
 
-use crate::hardware::imu::ChipConfig;
 use crate::model::{Drive, Geometry};
 use crate::{choices, parameters};
-use nalgebra::{UnitQuaternion, Vector3};
 
 choices! {
     /// Which lines a header has.
@@ -72,11 +70,8 @@ parameters! {
 impl DriveSection {
     /// The drive law of this section.
     pub fn law(&self) -> Drive {
-        Drive::rack_and_pinion(
-            self.pinion_pitch_diameter_mm,
-            self.full_steps,
-            self.microsteps,
-        )
+        let diameter_mm = self.pinion_pitch_diameter_mm;
+        Drive::rack_and_pinion(diameter_mm, self.full_steps, self.microsteps)
     }
 }
 
@@ -120,45 +115,5 @@ parameters! {
         /// Piston position of each channel where its switch closes; the default is the end of travel that shortens the bellow.
         /// The sign sets the direction of the search.
         at_mm: [f64; 3] = [-30.0; 3], "mm", -100.0..=100.0, "where the switch closes, within limits.travel_mm";
-    }
-}
-
-choices! {
-    /// How the bus is reached.
-    pub enum BusBackend {
-        /// The kernel's bus file, through `linux-embedded-hal`.
-        Linux = "linux",
-        /// The same file, through `rppal`.
-        Rppal = "rppal",
-    }
-}
-
-parameters! {
-    /// An IMU and its mounting.
-    pub struct ImuSection {
-        /// Device file of the bus. On a Raspberry Pi it is on pins 3 and 5 of the header and needs
-        /// `dtparam=i2c_arm_baudrate=400000` in config.txt.
-        bus: String = "/dev/i2c-1".to_owned();
-        /// How the bus is reached: `linux`, the kernel's file with a repeated start in every reading; `rppal`, the same file
-        /// with a stop between register and data.
-        backend: BusBackend = BusBackend::Linux;
-        /// GPIO numbers of SDA and SCL on the header of a Raspberry Pi. With them the driver frees a bus whose SDA a chip holds
-        /// low, by up to nine clock pulses; it needs access to the registers (/dev/gpiomem). Leave it out on other computers.
-        bus_lines: Option<[u32; 2]> = None;
-        /// What the die reads above the surface of the tip: the offset of the part, up to 15 °C, and its own heat. Measure it with
-        /// a thermometer while the tip rests. A larger value shows a colder tip.
-        temp_offset_c: f64 = 0.0, "°C", -30.0..=30.0, "reading of the die minus that of a thermometer";
-        /// Rotation from the sensor to the tip (or base) as a rotation vector: axis times angle. With the default, z points out
-        /// of the tip and x towards bellow 1. `retroflex commission` measures it; an error turns every bend plane.
-        mount_deg: [f64; 3] = [0.0; 3], "deg", -360.0..=360.0, "a rotation vector: axis times angle";
-        /// The part and its settings.
-        chip: ChipConfig;
-    }
-}
-
-impl ImuSection {
-    /// The mount as a rotation.
-    pub fn mount(&self) -> UnitQuaternion<f64> {
-        UnitQuaternion::from_scaled_axis(Vector3::from(self.mount_deg).map(f64::to_radians))
     }
 }

@@ -29,10 +29,8 @@ pub const BOARDS: [(&str, &str); 8] = [
 
 /// The text of a board.
 pub fn board(name: &str) -> Option<&'static str> {
-    BOARDS
-        .iter()
-        .find(|(n, _)| *n == name)
-        .map(|(_, text)| *text)
+    let found = BOARDS.iter().find(|(n, _)| *n == name);
+    found.map(|(_, text)| *text)
 }
 
 /// Their names, for messages.

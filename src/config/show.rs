@@ -44,14 +44,15 @@ impl Page {
             }
         }
         for row in table.rows.iter().filter(|r| is_table(&r.shape)) {
-            self.sub_table(
-                row,
-                &row.shape,
-                &join(at, row.key),
-                values.get(row.key),
-                defaults.get(row.key),
-            );
+            let (value, default) = (values.get(row.key), defaults.get(row.key));
+            self.sub_table(row, &row.shape, &join(at, row.key), value, default);
         }
+    }
+
+    fn heading(&mut self, row: &Parameter, title: &str) {
+        self.line("");
+        self.comment(row.paragraph);
+        self.line(title);
     }
 
     fn sub_table(
@@ -63,11 +64,9 @@ impl Page {
         default: Option<&Value>,
     ) {
         let none = Values::new();
-        let default = default.and_then(Value::as_table).unwrap_or(&none);
+        let defaults = default.and_then(Value::as_table).unwrap_or(&none);
         match (shape, value) {
-            (Shape::Optional(inner), Some(_)) => {
-                self.sub_table(row, inner, at, value, Some(&Value::Table(default.clone())))
-            }
+            (Shape::Optional(inner), Some(_)) => self.sub_table(row, inner, at, value, default),
             (Shape::List(Shape::Table(table)), Some(Value::Array(list))) => {
                 for (n, values) in list.iter().filter_map(Value::as_table).enumerate() {
                     self.line("");
@@ -79,51 +78,27 @@ impl Page {
                 }
             }
             (Shape::Table(table), Some(Value::Table(values))) => {
-                self.table(row, table, at, values, default)
+                self.heading(row, &format!("[{at}]"));
+                self.rows(table, at, values, defaults);
             }
             (Shape::Tagged(tag, alternatives), Some(Value::Table(values))) => {
                 let word = values.get(*tag).and_then(Value::as_str);
-                if let Some((word, table)) =
-                    alternatives.iter().find(|(name, _)| Some(*name) == word)
-                {
-                    self.line("");
-                    self.comment(row.paragraph);
-                    self.line(&format!("[{at}]"));
+                let chosen = alternatives.iter().find(|(name, _)| Some(*name) == word);
+                if let Some((word, table)) = chosen {
+                    self.heading(row, &format!("[{at}]"));
                     let words: Vec<&str> = alternatives.iter().map(|(name, _)| *name).collect();
                     self.line(&format!("# One of: {}.", words.join(", ")));
                     self.line(&format!("{tag} = \"{word}\""));
-                    self.rows(table, at, values, default);
+                    self.rows(table, at, values, defaults);
                 }
             }
             (Shape::Opaque, Some(Value::Table(values))) if !values.is_empty() => {
-                self.line("");
-                self.comment(row.paragraph);
                 let nested = Values::from_iter([(at.to_owned(), Value::Table(values.clone()))]);
-                let text = toml::to_string(&nested)
-                    .unwrap_or_default()
-                    .replace(&format!("\"{at}\""), at);
-                self.0.push_str(&text);
+                let text = toml::to_string(&nested).unwrap_or_default();
+                self.heading(row, text.replace(&format!("\"{at}\""), at).trim_end());
             }
-            _ => {
-                self.line("");
-                self.comment(row.paragraph);
-                self.line(&format!("# [{at}] is left out."));
-            }
+            _ => self.heading(row, &format!("# [{at}] is left out.")),
         }
-    }
-
-    fn table(
-        &mut self,
-        row: &Parameter,
-        table: &Table,
-        at: &str,
-        values: &Values,
-        defaults: &Values,
-    ) {
-        self.line("");
-        self.comment(row.paragraph);
-        self.line(&format!("[{at}]"));
-        self.rows(table, at, values, defaults);
     }
 }
 
@@ -137,10 +112,9 @@ fn is_table(shape: &Shape) -> bool {
 
 /// Default and accepted values, as a sentence: `Default 0.1 s; 0.01 to 10.`
 fn limits(row: &Parameter, default: Option<&Value>) -> String {
-    let unit = if row.unit.is_empty() || row.unit == OCTAL {
-        String::new()
-    } else {
-        format!(" {}", row.unit)
+    let unit = match row.unit {
+        "" | OCTAL => String::new(),
+        unit => format!(" {unit}"),
     };
     let default = match default {
         _ if row.required => "Required".to_owned(),
@@ -151,10 +125,8 @@ fn limits(row: &Parameter, default: Option<&Value>) -> String {
         (Shape::Choice(words), _) => format!("{default}; one of {}.", words.join(", ")),
         (_, Allowed::Any) => format!("{default}."),
         (_, Allowed::Range(..)) if row.unit == OCTAL => format!("{default}."),
-        (_, allowed) => format!(
-            "{default}; {allowed}{}.",
-            if row.required { unit } else { String::new() }
-        ),
+        (_, allowed) if row.required => format!("{default}; {allowed}{unit}."),
+        (_, allowed) => format!("{default}; {allowed}."),
     }
 }
 

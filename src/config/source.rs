@@ -9,7 +9,7 @@
 )]
 
 use crate::config::message::plain;
-use crate::config::place::{key_at, span_of};
+use crate::config::place::{key_at, span_of, value_of};
 use crate::config::shipped;
 use crate::log::error::why_unreadable;
 use crate::log::table::text;
@@ -90,27 +90,21 @@ pub fn parse<T: DeserializeOwned + Check>(name: &str, text: &str) -> Result<T, C
     // what is wrong only in the whole is shown where it is written: in the file, else in its base
     let own = &layers[0];
     let refused = |e: Invalid| {
-        layers
-            .iter()
-            .find(|l| states(&l.values, &e.key))
-            .unwrap_or(own)
-            .refused(&e)
+        let stating = layers.iter().find(|l| value_of(&l.text, &e.key).is_some());
+        stating.unwrap_or(own).refused(&e)
     };
     let mut values = Table::new();
-    layers
-        .iter()
-        .for_each(|layer| fill(&mut values, &layer.values));
+    for layer in &layers {
+        fill(&mut values, &layer.values);
+    }
     let mut checker = Checker::default();
     if let Some(table) = T::TABLE {
         table.check(&values, "", true, &mut checker);
     }
     checker.done().map_err(refused)?;
     let value = T::deserialize(values).map_err(|e| {
-        own.wrong(
-            0..0,
-            plain(e.message(), "", None),
-            "the file and its base contradict each other",
-        )
+        let hint = "the file and its base contradict each other";
+        own.wrong(0..0, plain(e.message(), "", None), hint)
     })?;
     let mut checker = Checker::default();
     value.check(&mut checker);
@@ -133,11 +127,9 @@ impl Layer {
             values: Table::new(),
         };
         layer.values = toml::from_str(text).map_err(|e| {
-            layer.wrong(
-                e.span().unwrap_or(0..0),
-                plain(e.message(), "", None),
-                "see https://toml.io for the form of a TOML file",
-            )
+            let span = e.span().unwrap_or(0..0);
+            let hint = "see https://toml.io for the form of a TOML file";
+            layer.wrong(span, plain(e.message(), "", None), hint)
         })?;
         Ok(layer)
     }
@@ -145,16 +137,13 @@ impl Layer {
     /// A key that is not known, or a value that its type does not accept.
     fn mistyped<T: Check>(&self, e: &toml::de::Error) -> ConfigError {
         let span = e.span().unwrap_or(0..0);
-        let key = if span.is_empty() {
-            String::new()
-        } else {
-            key_at(&self.text, &span)
+        let key = match span.is_empty() {
+            true => String::new(),
+            false => key_at(&self.text, &span),
         };
         let row = T::TABLE.and_then(|table| table.row(&key));
-        let hint = row
-            .map(|r| r.hint)
-            .filter(|h| !h.is_empty())
-            .unwrap_or(T::REMEDY);
+        let hint = row.map(|r| r.hint).filter(|h| !h.is_empty());
+        let hint = hint.unwrap_or(T::REMEDY);
         self.wrong(span, plain(e.message(), &shown(&key), row), hint)
     }
 
@@ -164,10 +153,8 @@ impl Layer {
     }
 
     fn wrong(&self, span: Range<usize>, problem: String, hint: &str) -> ConfigError {
-        let line = self.text[..span.start.min(self.text.len())]
-            .matches('\n')
-            .count()
-            + 1;
+        let before = &self.text[..span.start.min(self.text.len())];
+        let line = before.matches('\n').count() + 1;
         ConfigError::Wrong {
             path: self.name.clone(),
             line,
@@ -194,10 +181,9 @@ fn layers(name: &str, text: &str) -> Result<Vec<Layer>, ConfigError> {
             layer.wrong(span_of(&layer.text, "base").unwrap_or(0..0), problem, hint)
         };
         if layers.len() > BASES_MAX {
-            return Err(wrong(
-                format!("base: `{base}` builds on itself"),
-                "a base must not name a file that builds on it",
-            ));
+            let problem = format!("base: `{base}` builds on itself");
+            let hint = "a base must not name a file that builds on it";
+            return Err(wrong(problem, hint));
         }
         let next = match shipped::board(base) {
             Some(text) => Layer::new(&format!("boards/{base}.toml"), text)?,
@@ -206,10 +192,8 @@ fn layers(name: &str, text: &str) -> Result<Vec<Layer>, ConfigError> {
                 Layer::new(&path.display().to_string(), &text_of(&path)?)?
             }
             None => {
-                return Err(wrong(
-                    format!("base: there is no board `{base}`"),
-                    &format!("write a file name or one of {}", shipped::names()),
-                ));
+                let hint = format!("write a file name or one of {}", shipped::names());
+                return Err(wrong(format!("base: there is no board `{base}`"), &hint));
             }
         };
         layers.push(next);
@@ -226,20 +210,6 @@ fn fill(values: &mut Table, base: &Table) {
             (Some(_), _) => {}
         }
     }
-}
-
-/// Whether a dotted key is written in the values.
-fn states(values: &Table, key: &str) -> bool {
-    let mut parts = key.split('.');
-    let first = parts.next().and_then(|k| values.get(k));
-    parts
-        .try_fold(first, |at, part| match at? {
-            Value::Table(t) => Some(t.get(part)),
-            Value::Array(a) => Some(part.parse::<usize>().ok().and_then(|i| a.get(i))),
-            _ => None,
-        })
-        .flatten()
-        .is_some()
 }
 
 #[cfg(test)]

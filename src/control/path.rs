@@ -286,7 +286,7 @@ mod tests {
                 k_lambda_mm: 0.9,
             }; 3],
         );
-        let motion = MotionLimits::of_checked(&crate::motion::config::MotionConfig::default());
+        let motion = MotionLimits::default();
         let demand = circle().demand(&geometry, &lines, &motion);
         assert!(
             (circle().slowed(2.0).demand(&geometry, &lines, &motion) - demand / 2.0).abs()

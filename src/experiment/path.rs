@@ -59,7 +59,7 @@ impl PathFile {
     /// Refuses a path with a bend that these lines cannot hold.
     ///
     /// # Errors
-    /// [`ReadError::Field`] for the first row out of reach, with the largest bend in its direction.
+    /// [`ReadError`] for the first row out of reach, with the largest bend in its direction.
     pub fn within(
         &self,
         limits: &ActuatorLimits,

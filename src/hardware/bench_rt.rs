@@ -11,14 +11,13 @@ use crate::hardware::stepper::{StartError, Stepper, Summary};
 use crate::motion::Motion;
 use crate::motion::queue::SyncStatus;
 use crate::motion::{
-    EmergencyStop, Histogram, Inputs, Levels, MotionConfig, MotionLimits, StepGenerator,
-    StepperConfig, StepperMode,
+    EmergencyStop, Histogram, Inputs, Levels, MotionLimits, StepGenerator, StepperConfig,
+    StepperMode,
 };
 use crate::report::chart::{Axis, Chart, Series, Stroke, sheet};
 use crate::report::{Ink, table};
 use std::fmt::Write;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// What to measure.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,8 +26,6 @@ pub struct RtBenchConfig {
     pub rate_hz: f64,
     /// Duration at that rate, s.
     pub duration_s: f64,
-    /// Length of a control tick, s.
-    pub tick_s: f64,
     /// Number of threads that load the processors meanwhile.
     pub load_threads: usize,
     /// Configuration of the step thread.
@@ -40,7 +37,6 @@ impl Default for RtBenchConfig {
         Self {
             rate_hz: 4000.0,
             duration_s: 10.0,
-            tick_s: 2e-3,
             load_threads: 0,
             stepper: StepperConfig {
                 step_interval_min_us: 50.0,
@@ -89,30 +85,27 @@ const QUANTILES: [(&str, f64); 4] = [
     ("99.99 %", 0.9999),
 ];
 
+/// Length of a control tick, s.
+const TICK_S: f64 = 2e-3;
 /// Microstep of the bench, mm. Only the step rate matters, so the value is arbitrary.
 const STEP_MM: f64 = 0.01;
 
-/// Runs the bench on the given pins and returns them with the result.
+/// Runs the bench on the given pins.
 ///
 /// # Errors
 /// [`StartError`]: a rate that the configuration forbids, or no thread.
-pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBench, P), StartError> {
+pub fn run(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench, StartError> {
     let speed = config.rate_hz * STEP_MM;
-    let motion_config = MotionConfig {
+    let limits = MotionLimits {
         speed_max_mm_s: speed,
         acceleration_max_mm_s2: speed * 10.0,
         jerk_max_mm_s3: speed * 200.0,
         travel_max_mm: (speed * (config.duration_s + 2.0)).min(1000.0),
         retarget_min_mm: 0.0,
     };
-    let load = Load::start(config.load_threads);
-    let mut stepper = Stepper::start(
-        pins,
-        &config.stepper,
-        &motion_config,
-        STEP_MM,
-        EmergencyStop::Release,
-    )?;
+    let load = load_processors(config.load_threads);
+    let stop = EmergencyStop::Release;
+    let mut stepper = Stepper::start(pins, &config.stepper, &limits, STEP_MM, stop)?;
     let status = stepper.status.clone();
     let start_ns = monotonic_ns();
     // The loop runs at a lower priority than the step thread, as in the service.
@@ -123,34 +116,31 @@ pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBenc
     let tick = std::thread::scope(|scope| {
         let control = scope.spawn(|| {
             let (_status, _guard) = rt::enter(&request);
-            drive(config, &motion_config, &mut stepper)
+            drive(config, &limits, &mut stepper)
         });
-        control.join().unwrap_or(Err(StartError::Died))
+        control.join().map_err(|_| StartError::Died)
     })?;
     let elapsed_s = (monotonic_ns() - start_ns) as f64 * 1e-9;
-    let (steps, pins) = stepper.finish().ok_or(StartError::Died)?;
+    let (steps, _) = stepper.finish().ok_or(StartError::Died)?;
     drop(load);
-    Ok((
-        RtBench {
-            config: *config,
-            status,
-            elapsed_s,
-            steps,
-            tick,
-        },
-        pins,
-    ))
+    Ok(RtBench {
+        config: *config,
+        status,
+        elapsed_s,
+        steps,
+        tick,
+    })
 }
 
 /// The loop's part: moves between the ends of travel, one tick at a time, at absolute times.
-fn drive<P: Pins + 'static>(
+fn drive(
     config: &RtBenchConfig,
-    motion_config: &MotionConfig,
-    stepper: &mut Stepper<P>,
-) -> Result<Histogram, StartError> {
-    let mut motion = Motion::new(&MotionLimits::try_from(motion_config)?);
+    limits: &MotionLimits,
+    stepper: &mut impl StepGenerator,
+) -> Histogram {
+    let mut motion = Motion::new(limits);
     let mut times = Histogram::default();
-    let tick_ns = (config.tick_s * 1e9) as u64;
+    let tick_ns = (TICK_S * 1e9) as u64;
     let mut next_ns = monotonic_ns();
     let end_ns = next_ns + (config.duration_s * 1e9) as u64;
     let mut side = 1.0;
@@ -166,53 +156,35 @@ fn drive<P: Pins + 'static>(
                 continue;
             }
         }
-        if motion.state()[0].is_rest()
-            && motion.state()[0].position_mm.abs() > 0.5 * motion_config.travel_max_mm
-        {
+        let first = motion.state()[0];
+        if first.is_rest() && first.position_mm.abs() > 0.5 * limits.travel_max_mm {
             side = -side;
         }
-        let segment = motion.tick([side * motion_config.travel_max_mm; 3], config.tick_s);
+        let segment = motion.tick([side * limits.travel_max_mm; 3], TICK_S);
         // A refused segment appears as an underrun in the result.
         let _ = stepper.feed(&segment, now_ns);
         times.record(monotonic_ns() - now_ns);
         rt::sleep_until_ns(next_ns);
     }
-    Ok(times)
+    times
 }
 
-/// Threads that load the processors until they are dropped.
-pub(crate) struct Load {
-    stop: Arc<AtomicBool>,
-    threads: Vec<std::thread::JoinHandle<()>>,
-}
-
-impl Load {
-    pub(crate) fn start(threads: usize) -> Self {
-        let stop = Arc::new(AtomicBool::new(false));
-        let spawn = |_| {
-            let stop = stop.clone();
-            std::thread::spawn(move || {
-                let mut block = vec![1.0_f64; 1 << 16];
-                while !stop.load(Ordering::Relaxed) {
-                    block
-                        .iter_mut()
-                        .for_each(|x| *x = (*x * 1.000_001).sin() + 1.0);
-                    std::hint::black_box(&block);
+/// Loads the processors with threads until the handle is dropped.
+fn load_processors(threads: usize) -> Arc<()> {
+    let handle = Arc::new(());
+    for _ in 0..threads {
+        let alive = Arc::downgrade(&handle);
+        std::thread::spawn(move || {
+            let mut block = vec![1.0_f64; 1 << 16];
+            while alive.strong_count() > 0 {
+                for x in &mut block {
+                    *x = (*x * 1.000_001).sin() + 1.0;
                 }
-            })
-        };
-        let threads = (0..threads).map(spawn).collect();
-        Self { stop, threads }
+                std::hint::black_box(&block);
+            }
+        });
     }
-}
-
-impl Drop for Load {
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-        for thread in self.threads.drain(..) {
-            let _ = thread.join();
-        }
-    }
+    handle
 }
 
 impl RtBench {
@@ -245,10 +217,8 @@ impl RtBench {
         });
         let table = table(&header.join("|"), 1..header.len(), rows);
         let report = &self.steps.report;
-        let (steps, rate) = (
-            report.lateness.count(),
-            report.lateness.count() as f64 / self.elapsed_s,
-        );
+        let steps = report.lateness.count();
+        let rate = steps as f64 / self.elapsed_s;
         let mut text = format!(
             "{table}\n{steps} steps in {:.1} s on three channels ({rate:.0} per second), {} load threads, {} underruns",
             self.elapsed_s, self.config.load_threads, report.underruns
@@ -265,10 +235,9 @@ impl RtBench {
     /// Histograms of wake-up lateness, step lateness and interval error as one SVG drawing with
     /// logarithmic axes.
     pub fn svg(&self) -> String {
-        let charts: Vec<Chart> = self.rows()[..3]
-            .iter()
-            .map(|(name, h)| histogram(name, h, self.config.stepper.late_max_us))
-            .collect();
+        let [wake, steps, intervals, _] = self.rows();
+        let chart = |(name, h)| histogram(name, h, self.config.stepper.late_max_us);
+        let charts = [wake, steps, intervals].map(chart);
         sheet("Lateness of the step thread", &charts, 3)
     }
 }
@@ -278,28 +247,28 @@ fn histogram(name: &str, h: &Histogram, late_max_us: f64) -> Chart {
     let x = |ns: f64| (ns.max(100.0) * 1e-3).log10();
     let y = |n: u32| (f64::from(n) + 1.0).log10();
     let most = h.filled().map(|b| b.2).max().unwrap_or(1).max(10);
-    let outline: Vec<(f64, f64)> = h
-        .filled()
-        .flat_map(|(from, until, n)| {
-            [(from, 0), (from, n), (until, n), (until, 0)].map(|(ns, n)| (x(ns as f64), y(n)))
-        })
-        .collect();
+    let corners = |(from, until, n)| {
+        [(from, 0), (from, n), (until, n), (until, 0)].map(|(ns, n)| (x(ns as f64), y(n)))
+    };
+    let outline: Vec<(f64, f64)> = h.filled().flat_map(corners).collect();
+    let area = outline.iter().map(|&(x, y)| (x, 0.0, y)).collect();
     let times = [
         "0.1 µs", "1 µs", "10 µs", "100 µs", "1 ms", "10 ms", "100 ms",
     ];
+    let times = times
+        .iter()
+        .zip(-1..)
+        .map(|(t, k)| (f64::from(k), (*t).to_owned()));
     let counts = (0..9).map(|k| 10u32.pow(k)).take_while(|n| *n <= most);
     let limit = x(late_max_us * 1e3);
+    let limit = vec![(limit, 0.0), (limit, y(most))];
     Chart {
         title: format!("{name}, {} times", h.count()),
         x: Axis {
             label: "time".to_owned(),
             low: -1.0,
             high: 5.0,
-            ticks: times
-                .iter()
-                .enumerate()
-                .map(|(k, t)| (k as f64 - 1.0, (*t).to_owned()))
-                .collect(),
+            ticks: times.collect(),
         },
         y: Axis {
             label: "count".to_owned(),
@@ -308,20 +277,12 @@ fn histogram(name: &str, h: &Histogram, late_max_us: f64) -> Chart {
             ticks: counts.map(|n| (y(n), n.to_string())).collect(),
         },
         series: vec![
-            Series::band(
-                Ink::BLUE,
-                outline.iter().map(|&(x, y)| (x, 0.0, y)).collect(),
-            ),
+            Series::band(Ink::BLUE, area),
             Series {
                 name: None,
                 ..Series::line("", Ink::BLUE, Stroke::Solid, outline)
             },
-            Series::line(
-                "limit of a fault",
-                Ink::RED,
-                Stroke::Dashed,
-                vec![(limit, 0.0), (limit, y(most))],
-            ),
+            Series::line("limit of a fault", Ink::RED, Stroke::Dashed, limit),
         ],
     }
 }
@@ -329,14 +290,16 @@ fn histogram(name: &str, h: &Histogram, late_max_us: f64) -> Chart {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::atomic::{AtomicU64, Ordering};
 
     /// Pins that count the edges of the step lines.
-    #[derive(Default)]
-    struct Counting(Levels, u64);
+    #[derive(Clone, Default)]
+    struct Counting(Levels, Arc<AtomicU64>);
 
     impl Pins for Counting {
         fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
-            self.1 += (0..3).filter(|&c| levels.step[c] != self.0.step[c]).count() as u64;
+            let edges = (0..3).filter(|&c| levels.step[c] != self.0.step[c]).count();
+            self.1.fetch_add(edges as u64, Ordering::Relaxed);
             self.0 = *levels;
             Ok(())
         }
@@ -360,14 +323,15 @@ mod tests {
             stepper,
             ..RtBenchConfig::default()
         };
-        let (bench, pins) = run(&config, Counting::default()).unwrap();
+        let pins = Counting::default();
+        let bench = run(&config, pins.clone()).unwrap();
         let steps = bench.steps.report.lateness.count();
         assert!(
             steps > 300 && !matches!(bench.steps.report.mode, StepperMode::Faulted(_)),
             "{}",
             bench.table()
         );
-        assert_eq!(pins.1, 2 * steps);
+        assert_eq!(pins.1.load(Ordering::Relaxed), 2 * steps);
         let table = bench.table();
         for words in [
             "step lateness",

@@ -2,8 +2,7 @@
 //! opened by whatever drives pins. The kernel releases it when the process ends, however that happens.
 
 use std::fs::File;
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Names of the device files through which pins can be reached, by either library.
 const DEVICES: [&str; 2] = ["gpiochip", "gpiomem"];
@@ -33,16 +32,12 @@ impl HardwareLock {
     /// # Errors
     /// The path of a file that another process has locked.
     pub fn of(paths: impl IntoIterator<Item = PathBuf>) -> Result<Self, PathBuf> {
-        let lock = |path: &Path| -> io::Result<Option<File>> {
-            let Ok(file) = File::open(path) else {
-                return Ok(None);
-            };
-            file.try_lock()?;
-            Ok(Some(file))
-        };
         let mut files = Vec::new();
         for path in paths {
-            files.extend(lock(&path).map_err(|_| path)?);
+            if let Ok(file) = File::open(&path) {
+                file.try_lock().map_err(|_| path)?;
+                files.push(file);
+            }
         }
         Ok(Self { _files: files })
     }

@@ -71,9 +71,8 @@ impl<I: I2c> PressureSensor<I> {
     /// # Errors
     /// [`PressureError::Bus`].
     pub fn start(&mut self) -> Result<(), PressureError> {
-        self.bus
-            .write(self.address, &MEASURE)
-            .map_err(|_| PressureError::Bus(self.address))
+        let sent = self.bus.write(self.address, &MEASURE);
+        sent.map_err(|_| PressureError::Bus(self.address))
     }
 
     /// Reads the result of the conversion, kPa, [`CONVERSION_MS`] after its start.
@@ -82,9 +81,8 @@ impl<I: I2c> PressureSensor<I> {
     /// [`PressureError`]; a conversion that is not complete is an invalid status.
     pub fn fetch(&mut self) -> Result<f64, PressureError> {
         let mut answer = [0; 4];
-        self.bus
-            .read(self.address, &mut answer)
-            .map_err(|_| PressureError::Bus(self.address))?;
+        let read = self.bus.read(self.address, &mut answer);
+        read.map_err(|_| PressureError::Bus(self.address))?;
         let [status, high, middle, low] = answer;
         if status & STATUS != POWERED {
             return Err(PressureError::Status(self.address, status));

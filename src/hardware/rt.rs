@@ -52,21 +52,10 @@ pub fn sleep_until_ns(deadline_ns: u64) {
         tv_sec: (deadline_ns / 1_000_000_000) as libc::time_t,
         tv_nsec: (deadline_ns % 1_000_000_000) as libc::c_long,
     };
-    loop {
-        // SAFETY: `deadline` is a valid timespec; with TIMER_ABSTIME the remainder pointer is not used
-        // and may be null.
-        let result = unsafe {
-            libc::clock_nanosleep(
-                libc::CLOCK_MONOTONIC,
-                libc::TIMER_ABSTIME,
-                &deadline,
-                std::ptr::null_mut(),
-            )
-        };
-        if result != libc::EINTR {
-            return;
-        }
-    }
+    let (clock, flags) = (libc::CLOCK_MONOTONIC, libc::TIMER_ABSTIME);
+    // SAFETY: `deadline` is a valid timespec; with TIMER_ABSTIME the remainder pointer is not used and may be null.
+    let sleep = || unsafe { libc::clock_nanosleep(clock, flags, &deadline, std::ptr::null_mut()) };
+    while sleep() == libc::EINTR {}
 }
 
 /// Waits until a reading of CLOCK_MONOTONIC: sleeps, then polls the clock for the last `spin_ns`.
@@ -113,18 +102,29 @@ impl fmt::Display for Grant {
     }
 }
 
-impl Grant {
-    /// From the result of a system call that returns 0 or sets errno.
-    fn from_call(result: i32, request: &'static str, remedy: &'static str) -> Self {
-        if result == 0 {
-            return Self::Granted;
-        }
-        let errno = io::Error::last_os_error().raw_os_error().unwrap_or(0);
-        Self::Denied(Denial {
+/// The answer to a request, if it was made, with its name.
+fn grant(
+    asked: Option<io::Result<()>>,
+    request: &'static str,
+    remedy: &'static str,
+) -> (&'static str, Grant) {
+    let grant = match asked {
+        None => Grant::NotRequested,
+        Some(Ok(())) => Grant::Granted,
+        Some(Err(e)) => Grant::Denied(Denial {
             request,
-            errno,
+            errno: e.raw_os_error().unwrap_or(0),
             remedy,
-        })
+        }),
+    };
+    (request, grant)
+}
+
+/// The result of a system call that returns 0 or sets errno.
+fn checked(result: i32) -> io::Result<()> {
+    match result {
+        0 => Ok(()),
+        _ => Err(io::Error::last_os_error()),
     }
 }
 
@@ -149,106 +149,78 @@ pub struct IdleGuard {
 /// Applies the real-time settings to the calling thread as far as the kernel grants them.
 pub fn enter(request: &RtRequest) -> (RtStatus, IdleGuard) {
     let real_time = request.priority > 0;
-    let if_real_time = |apply: &dyn Fn() -> Grant| {
-        if real_time {
-            apply()
-        } else {
-            Grant::NotRequested
-        }
-    };
-    let (idle_states, guard) = if real_time {
-        limit_idle_states()
-    } else {
-        (Grant::NotRequested, IdleGuard { _open: None })
+    let (idle, open) = match real_time.then(shallow_idle) {
+        Some(Ok(open)) => (Some(Ok(())), Some(open)),
+        Some(Err(e)) => (Some(Err(e)), None),
+        None => (None, None),
     };
     let status = [
-        (
+        grant(
+            real_time.then(|| schedule_fifo(request.priority)),
             "SCHED_FIFO",
-            if_real_time(&|| schedule_fifo(request.priority)),
+            "needs CAP_SYS_NICE or an rtprio limit (`@realtime - rtprio 90` in /etc/security/limits.d, or LimitRTPRIO=90 in the unit)",
         ),
-        ("locked memory", if_real_time(&lock_memory)),
-        (
+        grant(
+            real_time.then(lock_memory),
+            "locked memory",
+            "needs CAP_IPC_LOCK or a memlock limit (`@realtime - memlock unlimited`, or LimitMEMLOCK=infinity in the unit)",
+        ),
+        grant(
+            request.cpu.map(set_affinity),
             "own processor",
-            request.cpu.map_or(Grant::NotRequested, set_affinity),
+            "name a processor that exists and is allowed (`nproc`, AllowedCPUs= in the unit)",
         ),
-        ("exact timers", exact_timers()),
-        ("shallow idle", idle_states),
+        grant(
+            Some(exact_timers()),
+            "exact timers",
+            "needs Linux 2.6.28 or newer",
+        ),
+        grant(
+            idle,
+            "shallow idle",
+            "needs write permission for /dev/cpu_dma_latency (a udev rule, or DeviceAllow= in the unit)",
+        ),
     ];
     touch_stack();
-    (status, guard)
+    (status, IdleGuard { _open: open })
 }
 
-fn schedule_fifo(priority: i32) -> Grant {
+fn schedule_fifo(priority: i32) -> io::Result<()> {
     let parameter = libc::sched_param {
         sched_priority: priority,
     };
     // SAFETY: 0 means the calling thread; `parameter` is a live sched_param that is only read.
-    let result = unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &parameter) };
-    Grant::from_call(
-        result,
-        "SCHED_FIFO",
-        "needs CAP_SYS_NICE or an rtprio limit (`@realtime - rtprio 90` in /etc/security/limits.d, or LimitRTPRIO=90 in the unit)",
-    )
+    checked(unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &parameter) })
 }
 
-fn lock_memory() -> Grant {
+fn lock_memory() -> io::Result<()> {
     // SAFETY: no pointers are passed; locking pages does not change their content.
-    let result = unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) };
-    Grant::from_call(
-        result,
-        "locked memory",
-        "needs CAP_IPC_LOCK or a memlock limit (`@realtime - memlock unlimited`, or LimitMEMLOCK=infinity in the unit)",
-    )
+    checked(unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) })
 }
 
-fn set_affinity(cpu: usize) -> Grant {
-    const REQUEST: &str = "own processor";
-    const REMEDY: &str =
-        "name a processor that exists and is allowed (`nproc`, AllowedCPUs= in the unit)";
+fn set_affinity(cpu: usize) -> io::Result<()> {
     if cpu >= libc::CPU_SETSIZE as usize {
-        return Grant::Denied(Denial {
-            request: REQUEST,
-            errno: libc::EINVAL,
-            remedy: REMEDY,
-        });
+        return Err(io::Error::from_raw_os_error(libc::EINVAL));
     }
     // SAFETY: all zeros is the empty set.
     let mut set: libc::cpu_set_t = unsafe { std::mem::zeroed() };
     // SAFETY: `cpu` is below CPU_SETSIZE, so the bit lies within the set.
     unsafe { libc::CPU_SET(cpu, &mut set) };
     // SAFETY: 0 means the calling thread; `set` is live, only read, and its true size is given.
-    let result = unsafe { libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &set) };
-    Grant::from_call(result, REQUEST, REMEDY)
+    checked(unsafe { libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &set) })
 }
 
 /// Sets the timer slack to 1 ns; the default is 50 µs.
-fn exact_timers() -> Grant {
+fn exact_timers() -> io::Result<()> {
     // SAFETY: PR_SET_TIMERSLACK takes one integer, 1 ns, and no pointers.
-    let result = unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1 as libc::c_ulong) };
-    Grant::from_call(result, "exact timers", "needs Linux 2.6.28 or newer")
+    checked(unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1 as libc::c_ulong) })
 }
 
-/// Requests a wake-up latency of zero for as long as the guard lives.
-fn limit_idle_states() -> (Grant, IdleGuard) {
-    let opened = File::options()
-        .write(true)
-        .open("/dev/cpu_dma_latency")
-        .and_then(|mut f| {
-            f.write_all(&0_i32.to_ne_bytes())?;
-            Ok(f)
-        });
-    match opened {
-        Ok(f) => (Grant::Granted, IdleGuard { _open: Some(f) }),
-        Err(e) => {
-            let remedy = "needs write permission for /dev/cpu_dma_latency (a udev rule, or DeviceAllow= in the unit)";
-            let denial = Denial {
-                request: "shallow idle",
-                errno: e.raw_os_error().unwrap_or(0),
-                remedy,
-            };
-            (Grant::Denied(denial), IdleGuard { _open: None })
-        }
-    }
+/// Requests a wake-up latency of zero for as long as the file is open.
+fn shallow_idle() -> io::Result<File> {
+    let mut file = File::options().write(true).open("/dev/cpu_dma_latency")?;
+    file.write_all(&0_i32.to_ne_bytes())?;
+    Ok(file)
 }
 
 /// Touches 64 KiB of the stack, so that no page fault occurs in the middle of a step.
@@ -280,7 +252,9 @@ mod tests {
     #[test]
     fn a_processor_that_does_not_exist_is_denied_with_a_remedy() {
         for cpu in [1000, 100_000] {
-            let text = set_affinity(cpu).to_string();
+            let (priority, cpu) = (0, Some(cpu));
+            let (status, _guard) = enter(&RtRequest { priority, cpu });
+            let text = status[2].1.to_string();
             assert!(
                 text.contains("own processor denied")
                     && text.contains("name a processor that exists"),

@@ -13,10 +13,10 @@
 
 use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt::{self, RtRequest, RtStatus, monotonic_ns};
-use crate::motion::queue::{self, FeedError, Feeder, SyncStatus, TimedSegment};
+use crate::motion::queue::{self, Feeder, SyncStatus, TimedSegment};
 use crate::motion::{
-    EmergencyStop, Histogram, Levels, MotionConfig, MotionLimits, PulseAction, PulseTiming,
-    Segment, StepCore, StepGenerator, StepperConfig, StepperOrder, StepperReport,
+    EmergencyStop, Histogram, Levels, MotionLimits, PulseAction, Segment, StepCore, StepGenerator,
+    StepperConfig, StepperOrder, StepperReport,
 };
 use crate::primitives::Invalid;
 use std::sync::{Arc, OnceLock};
@@ -83,16 +83,12 @@ impl<P: Pins> Shell<P> {
     /// Repeats [`Shell::run_once`] until the core has finished; returns the summary and the pins.
     fn run(mut self) -> (Summary, P) {
         while self.run_once() {}
-        let report = self.core.report(monotonic_ns());
-        let interval_error = self.core.interval_error;
-        (
-            Summary {
-                report,
-                wake: self.wake,
-                interval_error,
-            },
-            self.pins,
-        )
+        let summary = Summary {
+            report: self.core.report(monotonic_ns()),
+            wake: self.wake,
+            interval_error: self.core.interval_error,
+        };
+        (summary, self.pins)
     }
 
     /// One cycle: orders, inputs and one action of the core. Returns false when the core has finished.
@@ -155,18 +151,13 @@ impl<P: Pins> Shell<P> {
 
     /// Sends a report if one is due. If the ring is full, the report is lost; the next one replaces it.
     fn report(&mut self, now_ns: u64) {
-        let age_ns = self
-            .last_report
-            .as_ref()
-            .map_or(u64::MAX, |last| now_ns.saturating_sub(last.t_ns));
+        let last = self.last_report.as_ref();
+        let age_ns = last.map_or(u64::MAX, |last| now_ns.saturating_sub(last.t_ns));
         if age_ns < REPORT_NS {
             return;
         }
         let report = self.core.report(now_ns);
-        let changed = self
-            .last_report
-            .as_ref()
-            .is_none_or(|last| report.differs_from(last));
+        let changed = last.is_none_or(|last| report.differs_from(last));
         if (changed || age_ns >= HEARTBEAT_NS) && self.reports.push(report).is_ok() {
             self.last_report = Some(report);
         }
@@ -196,28 +187,24 @@ impl<P: Pins + 'static> Stepper<P> {
     pub fn start(
         pins: P,
         config: &StepperConfig,
-        motion: &MotionConfig,
+        motion: &MotionLimits,
         step_mm: f64,
         emergency_stop: EmergencyStop,
     ) -> Result<Self, StartError> {
-        let timing = PulseTiming {
-            emergency_stop,
-            ..PulseTiming::try_from(config)?
-        };
+        let timing = config.timing(emergency_stop)?;
         config.validate_rate(motion, step_mm)?;
-        let limits = MotionLimits::try_from(motion)?;
+        motion.validate()?;
         let (feeder, segments) = queue::ring(SEGMENTS, (config.lead_ms * 1e6) as u64);
         let (orders, orders_out) = rtrb::RingBuffer::new(ORDERS);
         let (reports_in, reports) = rtrb::RingBuffer::new(REPORTS);
         let pin_error_text = Arc::new(OnceLock::new());
         let energised = pins.found_energised();
-        let core = StepCore::new(timing, &limits, step_mm);
+        let mut core = StepCore::new(timing, motion, step_mm);
+        if energised {
+            core = core.found_energised(monotonic_ns());
+        }
         let shell = Shell {
-            core: if energised {
-                core.found_energised(monotonic_ns())
-            } else {
-                core
-            },
+            core,
             pins,
             spin_ns: (config.spin_us * 1e3) as u64,
             segments,
@@ -272,19 +259,15 @@ impl<P> StepGenerator for Stepper<P> {
         if self.reports.is_abandoned() {
             return SyncStatus::Dead;
         }
-        let heard_ns = self
-            .latest
-            .as_ref()
-            .map_or(self.started_ns, |report| report.t_ns);
+        let latest = self.latest.as_ref();
+        let heard_ns = latest.map_or(self.started_ns, |report| report.t_ns);
         if now_ns.saturating_sub(heard_ns) > SILENT_NS {
             return SyncStatus::Silent;
         }
-        self.latest
-            .as_ref()
-            .map_or(SyncStatus::Busy, |report| self.feeder.sync(report, now_ns))
+        latest.map_or(SyncStatus::Busy, |report| self.feeder.sync(report, now_ns))
     }
 
-    fn feed(&mut self, segment: &Segment, now_ns: u64) -> Result<(), FeedError> {
+    fn feed(&mut self, segment: &Segment, now_ns: u64) -> bool {
         self.feeder.push(segment, now_ns)
     }
 

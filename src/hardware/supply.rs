@@ -45,12 +45,8 @@ pub fn troubles(root: &Path) -> Option<Vec<&'static str>> {
 
 fn parse(text: &str) -> Option<Vec<&'static str>> {
     let bits = u32::from_str_radix(text.trim().trim_start_matches("0x"), 16).ok()?;
-    Some(
-        BITS.iter()
-            .filter(|(bit, _)| bits >> bit & 1 == 1)
-            .map(|(_, name)| *name)
-            .collect(),
-    )
+    let set = BITS.iter().filter(|(bit, _)| bits >> bit & 1 == 1);
+    Some(set.map(|(_, name)| *name).collect())
 }
 
 #[cfg(test)]

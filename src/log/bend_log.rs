@@ -78,12 +78,10 @@ const SCHEMA: Schema<'_> = Schema {
 
 fn known(name: &str) -> bool {
     let imu = name.strip_prefix("base_").unwrap_or(name);
-    let all = REQUIRED
-        .iter()
-        .chain(&OPTIONAL)
-        .chain(&PRESSURE)
-        .chain(&REFERENCE);
-    all.into_iter().any(|n| *n == name) || [ACC, GYR, MAG].iter().flatten().any(|n| *n == imu)
+    let columns = [REQUIRED, OPTIONAL, REFERENCE];
+    columns.as_flattened().contains(&name)
+        || PRESSURE.contains(&name)
+        || [ACC, GYR, MAG].as_flattened().contains(&imu)
 }
 
 /// Reads a log from a CSV or gzip CSV file.
@@ -103,31 +101,27 @@ pub fn parse(file: &str, text: impl Read) -> Result<BendLog, ReadError> {
 }
 
 fn from_table(file: String, table: &Table) -> Result<BendLog, ReadError> {
-    let piston = [
-        table.complete(REQUIRED[1])?,
-        table.complete(REQUIRED[2])?,
-        table.complete(REQUIRED[3])?,
-    ];
-    let command =
-        |k: usize| Vector3::from_fn(|i, _| table.column(OPTIONAL[i]).map_or(f64::NAN, |c| c[k]));
+    for name in &REQUIRED[1..] {
+        table.complete(name)?;
+    }
+    let rows = |columns: [Option<&[f64]>; 3]| {
+        let row = |k: usize| Vector3::from(columns.map(|c| c.map_or(f64::NAN, |c| c[k])));
+        (0..table.rows()).map(row).collect()
+    };
+    let columns = |names: &[&str]| std::array::from_fn(|i| table.column(names[i]));
+    let of_loop = |name: &str| OF_LOOP.iter().any(|start| name.starts_with(start));
+    let ignored = |name: &&String| !known(name) && !of_loop(name);
     Ok(BendLog {
         file,
         t_s: table.clock(REQUIRED[0])?.to_vec(),
-        command: (0..table.rows()).map(command).collect(),
-        piston_mm: (0..table.rows())
-            .map(|k| Vector3::from(piston.map(|c| c[k])))
-            .collect(),
+        command: rows(columns(&OPTIONAL[..3])),
+        piston_mm: rows(columns(&REQUIRED[1..])),
         imu: imu(table, "")?,
         base: imu(table, "base_")?,
         reference: table.quaternions(REFERENCE)?,
         pressure_kpa: table.vectors(PRESSURE)?,
         temp_c: table.column(OPTIONAL[3]).map(<[f64]>::to_vec),
-        ignored: table
-            .header()
-            .iter()
-            .filter(|h| !known(h) && !OF_LOOP.iter().any(|of_loop| h.starts_with(of_loop)))
-            .cloned()
-            .collect(),
+        ignored: table.header().iter().filter(ignored).cloned().collect(),
     })
 }
 
@@ -137,17 +131,10 @@ fn imu(table: &Table, prefix: &str) -> Result<Option<ImuColumns>, ReadError> {
         table.vectors([&names[0], &names[1], &names[2]])
     };
     let (acc, gyr, mag) = (vectors(ACC)?, vectors(GYR)?, vectors(MAG)?);
-    if acc.is_none() && gyr.is_none() && mag.is_none() {
-        return Ok(None);
-    }
-    let or_missing = |v: Option<Vec<Vector3<f64>>>| {
-        v.unwrap_or_else(|| vec![Vector3::repeat(f64::NAN); table.rows()])
-    };
-    Ok(Some(ImuColumns {
-        acc: or_missing(acc),
-        gyr: or_missing(gyr),
-        mag: or_missing(mag),
-    }))
+    let is_logged = acc.is_some() || gyr.is_some() || mag.is_some();
+    let missing = || vec![Vector3::repeat(f64::NAN); table.rows()];
+    let [acc, gyr, mag] = [acc, gyr, mag].map(|v| v.unwrap_or_else(missing));
+    Ok(is_logged.then_some(ImuColumns { acc, gyr, mag }))
 }
 
 #[cfg(test)]

@@ -34,10 +34,8 @@ pub fn write<N: AsRef<str>>(table: &[(N, Column)], metadata: &[(&str, String)]) 
         Column::Numbers(_) => format!("optional double {};", name.as_ref()),
         Column::Texts(_) => format!("required binary {} (STRING);", name.as_ref()),
     };
-    let schema = parse_message_type(&format!(
-        "message log {{ {} }}",
-        table.iter().map(field).collect::<String>()
-    ))?;
+    let fields: String = table.iter().map(field).collect();
+    let schema = parse_message_type(&format!("message log {{ {fields} }}"))?;
     let zstd = Compression::ZSTD(ZstdLevel::default());
     let entry = |(name, value): &(&str, String)| KeyValue::new((*name).to_owned(), value.clone());
     let properties = WriterProperties::builder()
@@ -61,18 +59,14 @@ pub fn write<N: AsRef<str>>(table: &[(N, Column)], metadata: &[(&str, String)]) 
                     let mut values = all[part.clone()].to_vec();
                     let present: Vec<i16> = values.iter().map(|x| x.is_finite().into()).collect();
                     values.retain(|x| x.is_finite());
-                    writer
-                        .typed::<DoubleType>()
-                        .write_batch(&values, Some(&present), None)?;
+                    let writer = writer.typed::<DoubleType>();
+                    writer.write_batch(&values, Some(&present), None)?;
                 }
                 Column::Texts(all) => {
-                    let values: Vec<ByteArray> = all[part.clone()]
-                        .iter()
-                        .map(|text| text.as_str().into())
-                        .collect();
-                    writer
-                        .typed::<ByteArrayType>()
-                        .write_batch(&values, None, None)?;
+                    let values = all[part.clone()].iter().map(|text| text.as_str().into());
+                    let values: Vec<ByteArray> = values.collect();
+                    let writer = writer.typed::<ByteArrayType>();
+                    writer.write_batch(&values, None, None)?;
                 }
             }
             writer.close()?;
@@ -92,14 +86,8 @@ pub fn read(file: File) -> Result<Vec<(String, Column)>> {
         Type::BYTE_ARRAY => (of.name().to_owned(), Column::Texts(Vec::new())),
         _ => (of.name().to_owned(), Column::Numbers(Vec::new())),
     };
-    let mut table: Vec<(String, Column)> = reader
-        .metadata()
-        .file_metadata()
-        .schema_descr()
-        .columns()
-        .iter()
-        .map(column)
-        .collect();
+    let columns = reader.metadata().file_metadata().schema_descr().columns();
+    let mut table: Vec<(String, Column)> = columns.iter().map(column).collect();
     for row in reader.get_row_iter(None)? {
         for ((_, column), (_, field)) in table.iter_mut().zip(row?.get_column_iter()) {
             match (column, field) {

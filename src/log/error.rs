@@ -1,5 +1,6 @@
 //! Why a table is refused. Every message names the file and, where there is one, the line and the column.
 
+use std::fmt::Display;
 use std::io::ErrorKind;
 use std::path::Path;
 
@@ -32,113 +33,61 @@ pub(super) fn short(field: &str) -> String {
     }
 }
 
-impl ReadError {
-    /// A file of which `rows` are below its header, where `least` are needed.
-    pub(super) fn too_short(file: &str, rows: usize, least: usize) -> Self {
-        let (file, some) = (file.to_owned(), rows.to_string());
-        let rows = if rows == 0 { "no".to_owned() } else { some };
-        Self::TooShort { file, rows, least }
-    }
-}
-
 /// Why a table cannot be read.
 #[derive(Debug, thiserror::Error)]
-pub enum ReadError {
-    /// The file does not exist or cannot be opened.
-    #[error("{file}: {problem}")]
-    Open {
-        /// File.
-        file: String,
-        /// The reason, with the mend.
-        problem: String,
-    },
-    /// The file ends early, or its contents contradict its compression or encoding.
-    #[error(
-        "{file}, line {line}: cannot be read: {reason}; the file is cut short or damaged, copy it again"
-    )]
-    Broken {
-        /// File.
-        file: String,
-        /// Line reached, counted from 1.
-        line: u64,
-        /// Reason given by the decoder.
-        reason: String,
-    },
-    /// The file is a table in another notation, or too large.
-    #[error("{file}, line {line}: {problem}")]
-    Notation {
-        /// File.
-        file: String,
-        /// Line, counted from 1.
-        line: u64,
-        /// What it is, with the mend.
-        problem: &'static str,
-    },
-    /// The file has too few rows.
-    #[error("{file}: has {rows} rows below its header line; at least {least} needed")]
-    TooShort {
-        /// File.
-        file: String,
-        /// `no`, or the number of rows.
-        rows: String,
-        /// Rows needed.
-        least: usize,
-    },
-    /// The header lacks a required column.
-    #[error("{file}, line 1, column {column}: is missing; the header names {header}")]
-    Missing {
-        /// File.
-        file: String,
-        /// Missing column.
-        column: String,
-        /// Columns that are present.
-        header: String,
-    },
-    /// A line has a different number of fields than the header.
-    #[error(
-        "{file}, line {line}, column {column}: the line has {found} fields where the header has {expected}; it is cut short or has stray commas"
-    )]
-    Fields {
-        /// File.
-        file: String,
-        /// Line, counted from 1.
-        line: u64,
-        /// First column without a field, or the last column.
-        column: String,
-        /// Fields found.
-        found: usize,
-        /// Fields in the header.
-        expected: usize,
-    },
-    /// A field does not hold what its column requires.
-    #[error("{file}, line {line}, column {column}: `{value}` is not {expected}")]
-    Field {
-        /// File.
-        file: String,
-        /// Line, counted from 1.
-        line: u64,
-        /// Column.
-        column: String,
-        /// Field as read.
-        value: String,
-        /// What the column requires.
-        expected: String,
-    },
-    /// Time does not increase.
-    #[error(
-        "{file}, line {line}, column {column}: {} s does not come after {} s; time must strictly increase",
-        short(&.now_s.to_string()), short(&.before_s.to_string())
-    )]
-    Clock {
-        /// File.
-        file: String,
-        /// Line, counted from 1.
-        line: u64,
-        /// Column.
-        column: String,
-        /// Time of this line, s.
-        now_s: f64,
-        /// Time of the line before, s.
-        before_s: f64,
-    },
+#[error("{place}: {problem}")]
+pub struct ReadError {
+    /// The file and, where there is one, the line, counted from 1, and the column.
+    place: String,
+    /// What is wrong, with the mend.
+    problem: String,
+    /// The header lacks a required column, so the file may be a table of another kind.
+    pub is_other_table: bool,
+}
+
+impl ReadError {
+    /// A problem of a whole file.
+    pub(super) fn of_file(file: &str, problem: String) -> Self {
+        Self {
+            place: file.to_owned(),
+            problem,
+            is_other_table: false,
+        }
+    }
+
+    /// A problem of a line.
+    pub(super) fn of_line(file: &str, line: u64, problem: &str) -> Self {
+        Self::of_file(&format!("{file}, line {line}"), problem.to_owned())
+    }
+
+    /// A problem of a column in a line.
+    pub(super) fn of_column(file: &str, line: u64, column: &str, problem: String) -> Self {
+        Self::of_file(&format!("{file}, line {line}, column {column}"), problem)
+    }
+
+    /// A required column that the header lacks.
+    pub(super) fn lacking(file: &str, column: &str, header: &str) -> Self {
+        let problem = format!("is missing; the header names {header}");
+        Self {
+            is_other_table: true,
+            ..Self::of_column(file, 1, column, problem)
+        }
+    }
+
+    /// A file that ends early, or whose contents contradict its compression or encoding, as a decoder says.
+    pub(super) fn broken(file: &str, line: u64, reason: impl Display) -> Self {
+        let mend = "the file is cut short or damaged, copy it again";
+        Self::of_line(file, line, &format!("cannot be read: {reason}; {mend}"))
+    }
+
+    /// A file of which `rows` are below its header, where `least` are needed.
+    pub(super) fn too_short(file: &str, rows: usize, least: usize) -> Self {
+        let have = if rows == 0 {
+            "no".to_owned()
+        } else {
+            rows.to_string()
+        };
+        let problem = format!("has {have} rows below its header line; at least {least} needed");
+        Self::of_file(file, problem)
+    }
 }

@@ -55,12 +55,8 @@ const SCHEMA: Schema<'_> = Schema {
 const ROWS_MIN: usize = 2;
 
 fn known(name: &str) -> bool {
-    name == MOVING
-        || REQUIRED
-            .iter()
-            .chain(&MAG)
-            .chain(&REFERENCE)
-            .any(|n| *n == name)
+    let mut vectors = REQUIRED.iter().chain(&MAG).chain(&REFERENCE);
+    name == MOVING || vectors.any(|n| *n == name)
 }
 
 /// Reads a recording from a CSV or gzip CSV file.
@@ -76,10 +72,8 @@ pub fn read(path: &Path) -> Result<Recording, ReadError> {
 /// # Errors
 /// [`ReadError`] with file, line and column.
 pub fn parse(path: &Path, text: impl Read) -> Result<Recording, ReadError> {
-    from_table(
-        path,
-        &Table::parse(&path.display().to_string(), text, &SCHEMA)?,
-    )
+    let file = path.display().to_string();
+    from_table(path, &Table::parse(&file, text, &SCHEMA)?)
 }
 
 fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
@@ -102,24 +96,16 @@ fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
         reference: reference.as_ref().and_then(|r| r[k]).map(world_from_enu),
         moving: moving.is_none_or(|m| m[k] == 1.0),
     };
-    let name = path
-        .file_name()
-        .unwrap_or(path.as_os_str())
-        .to_string_lossy()
-        .into_owned();
-    let rows: Vec<RecordingRow> = ImuColumns { acc, gyr, mag }
-        .samples(t)
-        .enumerate()
-        .map(row)
-        .collect();
-    if rows.len() < ROWS_MIN {
-        return Err(ReadError::too_short(
-            &path.display().to_string(),
-            rows.len(),
-            ROWS_MIN,
-        ));
+    if table.rows() < ROWS_MIN {
+        let file = path.display().to_string();
+        return Err(ReadError::too_short(&file, table.rows(), ROWS_MIN));
     }
-    Ok(Recording { name, rows })
+    let imu = ImuColumns { acc, gyr, mag };
+    let name = path.file_name().unwrap_or(path.as_os_str());
+    Ok(Recording {
+        name: name.to_string_lossy().into_owned(),
+        rows: imu.samples(t).enumerate().map(row).collect(),
+    })
 }
 
 /// Turns a reference from east-north-up to the world frame (north-west-up).
@@ -131,11 +117,8 @@ fn world_from_enu(r_enu_sensor: UnitQuaternion<f64>) -> Rotation<World, Sensor> 
 impl Recording {
     /// Median time between rows, s; gaps do not affect it.
     pub fn period_s(&self) -> f64 {
-        let steps = self
-            .rows
-            .windows(2)
-            .map(|w| w[1].sample.t.0 - w[0].sample.t.0);
-        let mut steps: Vec<f64> = steps.collect();
+        let step = |w: &[RecordingRow]| w[1].sample.t.0 - w[0].sample.t.0;
+        let mut steps: Vec<f64> = self.rows.windows(2).map(step).collect();
         steps.sort_by(f64::total_cmp);
         steps.get(steps.len() / 2).copied().unwrap_or(0.0)
     }

@@ -33,17 +33,14 @@ const TEXT_MAX: u64 = 1 << 20;
 /// # Errors
 /// The operating system's, or [`io::ErrorKind::FileTooLarge`] above 1 MiB.
 pub fn text(path: &Path) -> io::Result<String> {
-    let mut bytes = Vec::new();
-    match File::open(path)?
-        .take(TEXT_MAX + 1)
-        .read_to_end(&mut bytes)? as u64
-    {
-        0..=TEXT_MAX => match encoding(&bytes) {
-            Some(problem) => Err(io::Error::new(io::ErrorKind::InvalidData, problem)),
-            None => String::from_utf8(bytes).map_err(|_| io::ErrorKind::InvalidData.into()),
-        },
-        _ => Err(io::ErrorKind::FileTooLarge.into()),
+    let (mut bytes, mut start) = (Vec::new(), File::open(path)?.take(TEXT_MAX + 1));
+    if start.read_to_end(&mut bytes)? as u64 > TEXT_MAX {
+        return Err(io::ErrorKind::FileTooLarge.into());
     }
+    if let Some(problem) = encoding(&bytes) {
+        return Err(io::Error::new(io::ErrorKind::InvalidData, problem));
+    }
+    String::from_utf8(bytes).map_err(|_| io::ErrorKind::InvalidData.into())
 }
 
 /// What is wrong with the encoding of a text that begins with these bytes.
@@ -52,11 +49,8 @@ fn encoding(start: &[u8]) -> Option<&'static str> {
         |byte: u8| byte == b'\t' || byte == b'\n' || byte == b'\r' || (b' '..0x7f).contains(&byte);
     // without a mark: every other byte of a text is zero
     let wide = |zero: usize| {
-        let pairs = start[..start.len().min(64)].chunks_exact(2);
-        pairs.len() > 2
-            && pairs
-                .into_iter()
-                .all(|pair| pair[zero] == 0 && is_text(pair[1 - zero]))
+        let mut pairs = start[..start.len().min(64)].chunks_exact(2);
+        pairs.len() > 2 && pairs.all(|pair| pair[zero] == 0 && is_text(pair[1 - zero]))
     };
     if start.starts_with(&[0xff, 0xfe]) || start.starts_with(&[0xfe, 0xff]) || wide(0) || wide(1) {
         return Some("this is UTF-16 text, as some Windows programs write it; save it as UTF-8");
@@ -92,19 +86,15 @@ impl<R: Read> Read for Bounded<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let n = self.text.read(buffer)?;
         self.all += n as u64;
-        self.line = buffer[..n]
-            .iter()
-            .rev()
-            .position(|b| *b == b'\n')
-            .map_or(self.line + n as u64, |k| k as u64);
+        let since_end = buffer[..n].iter().rev().position(|b| *b == b'\n');
+        self.line = since_end.map_or(self.line + n as u64, |k| k as u64);
         if self.line > BYTES_MAX[0] {
             return Err(io::Error::other("a line is longer than 64 KiB"));
         }
         if self.all > BYTES_MAX[1] {
-            Err(io::Error::other("the table is larger than 4 GiB"))
-        } else {
-            Ok(n)
+            return Err(io::Error::other("the table is larger than 4 GiB"));
         }
+        Ok(n)
     }
 }
 
@@ -115,10 +105,9 @@ impl<R: Read> Read for Bounded<R> {
 fn reader(path: &Path) -> io::Result<Box<dyn Read>> {
     let mut file = BufReader::new(File::open(path)?);
     let gzip = file.fill_buf()?.starts_with(&GZIP_MAGIC);
-    Ok(if gzip {
-        Box::new(MultiGzDecoder::new(file))
-    } else {
-        Box::new(file)
+    Ok(match gzip {
+        true => Box::new(MultiGzDecoder::new(file)),
+        false => Box::new(file),
     })
 }
 
@@ -149,10 +138,7 @@ impl Table {
     /// [`ReadError`] with file and, where there is one, line and column.
     pub fn open(path: &Path, schema: &Schema<'_>) -> Result<Self, ReadError> {
         let file = path.display().to_string();
-        let text = reader(path).map_err(|e| {
-            let (file, problem) = (file.clone(), why_unreadable(path, &e));
-            ReadError::Open { file, problem }
-        })?;
+        let text = reader(path).map_err(|e| ReadError::of_file(&file, why_unreadable(path, &e)))?;
         Self::parse(&file, text, schema)
     }
 
@@ -166,59 +152,43 @@ impl Table {
             line: 0,
             all: 0,
         });
-        let notation = |problem| {
-            let file = file.to_owned();
-            ReadError::Notation {
-                file,
-                line: 1,
-                problem,
-            }
-        };
-        match text.fill_buf().map(encoding) {
-            Ok(Some(problem)) => return Err(notation(problem)),
-            Ok(None) => (),
-            // a decoder says it once
-            Err(e) => {
-                let (file, reason) = (file.to_owned(), e.to_string());
-                return Err(ReadError::Broken {
-                    file,
-                    line: 1,
-                    reason,
-                });
-            }
+        let notation = |problem| ReadError::of_line(file, 1, problem);
+        // a decoder says it once
+        let start = text.fill_buf().map_err(|e| ReadError::broken(file, 1, e))?;
+        if let Some(problem) = encoding(start) {
+            return Err(notation(problem));
         }
+
         let mut options = csv::ReaderBuilder::new();
-        let mut reader = options
-            .flexible(true)
-            .trim(csv::Trim::All)
-            .from_reader(text);
-        let broken = |line, e: &csv::Error| {
-            let (file, reason) = (file.to_owned(), e.to_string());
-            ReadError::Broken { file, line, reason }
-        };
-        let header = reader.headers().map_err(|e| broken(1, &e))?;
+        let options = options.flexible(true).trim(csv::Trim::All);
+        let mut reader = options.from_reader(text);
+        let header = reader.headers();
+        let header = header.map_err(|e| ReadError::broken(file, 1, e))?;
         if let Some(problem) = separation(header) {
             return Err(notation(problem));
         }
         let header: Vec<String> = header.iter().map(str::to_owned).collect();
-        let (columns, lines) = (vec![vec![]; header.len()], vec![]);
         let mut table = Self {
             file: file.to_owned(),
+            columns: vec![vec![]; header.len()],
             header,
-            columns,
-            lines,
+            lines: vec![],
         };
         if !table.header.is_empty() {
             let mut names = schema.required.iter();
             names.try_for_each(|name| table.position(name).map(drop))?;
         }
-        let known = table.header.iter().map(|name| (schema.known)(name));
-        let known: Vec<bool> = known.collect();
+
+        let known: Vec<bool> = table
+            .header
+            .iter()
+            .map(|name| (schema.known)(name))
+            .collect();
         let mut record = csv::StringRecord::new();
         let mut line = 1;
         while reader
             .read_record(&mut record)
-            .map_err(|e| broken(line + 1, &e))?
+            .map_err(|e| ReadError::broken(file, line + 1, e))?
         {
             line = record.position().map_or(line + 1, csv::Position::line);
             table.push(line, &record, &known)?;
@@ -237,15 +207,13 @@ impl Table {
     ) -> Result<(), ReadError> {
         let (found, expected) = (record.len(), self.header.len());
         if found != expected {
+            // the first column without a field, or the last one
             let column = self.header.get(found).or(self.header.last());
-            let (file, column) = (self.file.clone(), column.cloned().unwrap_or_default());
-            return Err(ReadError::Fields {
-                file,
-                line,
-                column,
-                found,
-                expected,
-            });
+            let problem = format!(
+                "the line has {found} fields where the header has {expected}; it is cut short or has stray commas"
+            );
+            let column = column.map_or("", String::as_str);
+            return Err(ReadError::of_column(&self.file, line, column, problem));
         }
         if record.iter().all(str::is_empty) {
             let (row, column) = (self.rows(), self.header[0].clone());
@@ -253,33 +221,23 @@ impl Table {
             return Err(self.refuse(row, &column, "", "a row with values"));
         }
         if (self.rows() + 1) * known.iter().filter(|known| **known).count() > VALUES_MAX {
-            return Err(ReadError::Notation {
-                file: self.file.clone(),
-                line,
-                problem: "the table has more than 90 million values; split it",
-            });
+            let problem = "the table has more than 90 million values; split it";
+            return Err(ReadError::of_line(&self.file, line, problem));
         }
         self.lines.push(line);
         for (k, field) in record.iter().enumerate().filter(|(k, _)| known[*k]) {
-            match if field.is_empty() {
-                Ok(f64::NAN)
-            } else {
-                field.parse()
-            } {
+            let (row, column) = (self.rows() - 1, &self.header[k]);
+            let value = match field.parse::<f64>() {
+                _ if field.is_empty() => f64::NAN.copysign(1.0),
                 // the sign tells a field that says `nan` from an empty one
-                Ok(value) if value.is_nan() => {
-                    self.columns[k].push(value.copysign(if field.is_empty() { 1.0 } else { -1.0 }))
-                }
-                Ok(value) if value.abs() <= VALUE_MAX => self.columns[k].push(value),
+                Ok(value) if value.is_nan() => value.copysign(-1.0),
+                Ok(value) if value.abs() <= VALUE_MAX => value,
                 Ok(value) if value.is_finite() => {
-                    let (row, column) = (self.rows() - 1, &self.header[k]);
                     return Err(self.refuse(row, column, field, "a number from -1e19 to 1e19"));
                 }
-                _ => {
-                    let (row, column) = (self.rows() - 1, &self.header[k]);
-                    return Err(self.refuse(row, column, field, "a finite number"));
-                }
-            }
+                _ => return Err(self.refuse(row, column, field, "a finite number")),
+            };
+            self.columns[k].push(value);
         }
         Ok(())
     }
@@ -295,14 +253,8 @@ impl Table {
     }
 
     fn position(&self, name: &str) -> Result<usize, ReadError> {
-        self.header.iter().position(|h| h == name).ok_or_else(|| {
-            let (file, column) = (self.file.clone(), name.to_owned());
-            ReadError::Missing {
-                file,
-                column,
-                header: self.header.join(", "),
-            }
-        })
+        let found = self.header.iter().position(|h| h == name);
+        found.ok_or_else(|| ReadError::lacking(&self.file, name, &self.header.join(", ")))
     }
 
     /// A column, if the header names it.
@@ -313,7 +265,7 @@ impl Table {
     /// A column that the header must name.
     ///
     /// # Errors
-    /// [`ReadError::Missing`].
+    /// [`ReadError`].
     pub fn required(&self, name: &str) -> Result<&[f64], ReadError> {
         self.position(name).map(|k| self.columns[k].as_slice())
     }
@@ -321,7 +273,7 @@ impl Table {
     /// Several columns; `None` if the header names none of them.
     ///
     /// # Errors
-    /// [`ReadError::Missing`] if the header names only some of them.
+    /// [`ReadError`] if the header names only some of them.
     pub fn group<const N: usize>(
         &self,
         names: [&str; N],
@@ -340,26 +292,22 @@ impl Table {
     /// components are NaN.
     ///
     /// # Errors
-    /// [`ReadError::Missing`] if the header names only some of them.
+    /// [`ReadError`] if the header names only some of them.
     pub fn vectors(&self, names: [&str; 3]) -> Result<Option<Vec<Vector3<f64>>>, ReadError> {
         let Some([x, y, z]) = self.group(names)? else {
             return Ok(None);
         };
-        let row = |k: usize| {
-            Some(Vector3::new(x[k], y[k], z[k])).filter(|v| !v.iter().any(|x| x.is_nan()))
+        let row = |k: usize| match Vector3::new(x[k], y[k], z[k]) {
+            v if v.iter().any(|x| x.is_nan()) => Vector3::repeat(f64::NAN),
+            v => v,
         };
-        let missing = Vector3::repeat(f64::NAN);
-        Ok(Some(
-            (0..self.rows())
-                .map(|k| row(k).unwrap_or(missing))
-                .collect(),
-        ))
+        Ok(Some((0..self.rows()).map(row).collect()))
     }
 
     /// Four columns `w`, `x`, `y`, `z` as unit quaternions; an element is `None` where a value is missing.
     ///
     /// # Errors
-    /// [`ReadError::Missing`] as for [`Table::vectors`], [`ReadError::Field`] if a norm is not one.
+    /// [`ReadError`] as for [`Table::vectors`], and if a norm is not one.
     pub fn quaternions(
         &self,
         names: [&str; 4],
@@ -386,26 +334,21 @@ impl Table {
     /// Refuses a column in which a value is missing.
     ///
     /// # Errors
-    /// [`ReadError::Field`] for the first missing value, [`ReadError::Missing`].
+    /// [`ReadError`] for the first missing value, and if the header does not name the column.
     pub fn complete(&self, name: &str) -> Result<&[f64], ReadError> {
         let values = self.required(name)?;
-        match values.iter().position(|v| v.is_nan()) {
-            Some(row) => {
-                let text = if values[row].is_sign_negative() {
-                    "nan"
-                } else {
-                    ""
-                };
-                Err(self.refuse(row, name, text, "a number; this column must not have gaps"))
-            }
-            None => Ok(values),
-        }
+        let Some(row) = values.iter().position(|v| v.is_nan()) else {
+            return Ok(values);
+        };
+        let says_nan = values[row].is_sign_negative();
+        let text = if says_nan { "nan" } else { "" };
+        Err(self.refuse(row, name, text, "a number; this column must not have gaps"))
     }
 
     /// A complete column of strictly increasing times, s.
     ///
     /// # Errors
-    /// [`ReadError::Clock`] at the first row that is not later than the one before; as for [`Table::complete`].
+    /// [`ReadError`] at the first row that is not later than the one before, and as for [`Table::complete`].
     pub fn clock(&self, name: &str) -> Result<&[f64], ReadError> {
         let t = self.complete(name)?;
         self.increasing(name, 0..self.rows())?;
@@ -415,7 +358,7 @@ impl Table {
     /// Refuses a column of times that does not strictly increase over `rows`, in which no value is missing.
     ///
     /// # Errors
-    /// [`ReadError::Clock`], [`ReadError::Missing`].
+    /// [`ReadError`] at the first row that is not later than the one before.
     pub fn increasing(
         &self,
         name: &str,
@@ -440,15 +383,11 @@ impl Table {
                 return Err(self.refuse(row, name, &t[row].to_string(), &expected));
             }
             if t[row] - before_s <= STEP_MIN_PERIODS * usual_s.max(0.0) {
-                let (file, line, now_s) = (self.file.clone(), self.lines[row], t[row]);
-                let column = name.to_owned();
-                return Err(ReadError::Clock {
-                    file,
-                    line,
-                    column,
-                    now_s,
-                    before_s,
-                });
+                let [now, before] = [t[row], before_s].map(|s| short(&s.to_string()));
+                let problem =
+                    format!("{now} s does not come after {before} s; time must strictly increase");
+                let line = self.lines[row];
+                return Err(ReadError::of_column(&self.file, line, name, problem));
             }
             before_s = t[row];
         }
@@ -457,15 +396,8 @@ impl Table {
 
     /// The error for a value that its column does not allow; `row` counts from 0.
     pub fn refuse(&self, row: usize, column: &str, value: &str, expected: &str) -> ReadError {
-        let (file, line) = (self.file.clone(), self.lines[row]);
-        let [column, value, expected] = [column.to_owned(), short(value), expected.to_owned()];
-        ReadError::Field {
-            file,
-            line,
-            column,
-            value,
-            expected,
-        }
+        let problem = format!("`{}` is not {expected}", short(value));
+        ReadError::of_column(&self.file, self.lines[row], column, problem)
     }
 }
 
@@ -677,9 +609,7 @@ mod tests {
             message.contains("cut short") && message.contains("line "),
             "{message}"
         );
-        assert!(matches!(
-            Table::open(&folder.path().join("none.csv"), &SCHEMA),
-            Err(ReadError::Open { .. })
-        ));
+        let none = Table::open(&folder.path().join("none.csv"), &SCHEMA);
+        assert!(none.is_err_and(|e| e.to_string().contains("there is no such file")));
     }
 }

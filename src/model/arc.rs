@@ -82,12 +82,8 @@ impl Geometry {
     pub fn position(&self, shape: &Shape) -> Vector3<f64> {
         let beta = shape.bend.beta();
         let l = shape.length.0;
-        let across = l * versine_over(beta);
-        Vector3::new(
-            across * shape.bend.0.x,
-            -across * shape.bend.0.y,
-            l * sinc(beta),
-        )
+        let (b, across) = (shape.bend.0, l * versine_over(beta));
+        Vector3::new(across * b.x, -across * b.y, l * sinc(beta))
     }
 
     /// ∂x/∂(b_x, b_y, l) of Eq. 6, mm per rad and mm per mm.

@@ -48,12 +48,8 @@ impl Bend {
     /// has twisted as well, half of the twist goes into the direction. Of a quaternion (w, x, y, z) that
     /// direction is (y, x).
     pub fn nearest(r: &Rotation<Base, Tip>) -> Self {
-        let q = r.quat();
-        let q = if q.w < 0.0 {
-            -q.into_inner()
-        } else {
-            q.into_inner()
-        };
+        let q = r.quat().into_inner();
+        let q = if q.w < 0.0 { -q } else { q };
         let across = q.i.hypot(q.j);
         let beta = 2.0 * across.atan2(q.w.hypot(q.k));
         let scale = if across > 1e-9 { beta / across } else { 2.0 };
@@ -65,11 +61,8 @@ impl Bend {
         let sin_beta = axis.x.hypot(axis.y);
         let beta = sin_beta.atan2(axis.z);
         // β / sin β → 1 at rest; straight back (β = π) has no direction and keeps the last digits'
-        let scale = if sin_beta > 1e-9 {
-            beta / sin_beta
-        } else {
-            1.0
-        };
+        let bent = sin_beta > 1e-9;
+        let scale = if bent { beta / sin_beta } else { 1.0 };
         Self(Vector2::new(axis.x * scale, -axis.y * scale))
     }
 }

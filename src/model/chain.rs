@@ -63,11 +63,9 @@ impl<'a, E: Deref<Target: Effect>> Chain<'a, E> {
 
     /// Effects with their parameters.
     pub fn each(&self) -> impl Iterator<Item = (&'a E::Target, &'a [f64])> + use<'a, E> {
-        let (effects, at, theta) = (self.effects, self.at, self.theta);
-        effects
-            .iter()
-            .enumerate()
-            .map(move |(i, e)| (&**e, &theta[at[i]..at[i + 1]]))
+        let (at, theta) = (self.at, self.theta);
+        let effects = self.effects.iter().enumerate();
+        effects.map(move |(i, e)| (&**e, &theta[at[i]..at[i + 1]]))
     }
 
     /// An instant at rest, `dt_s` after the start.
@@ -91,9 +89,9 @@ impl<'a, E: Deref<Target: Effect>> Chain<'a, E> {
         counted_mm: &Vector3<f64>,
     ) -> Vector3<f64> {
         let mut u = *counted_mm;
-        self.each()
-            .zip(memory)
-            .for_each(|((e, p), m)| e.pistons(p, m, at, &mut u));
+        for ((e, p), m) in self.each().zip(memory) {
+            e.pistons(p, m, at, &mut u);
+        }
         u
     }
 
@@ -110,13 +108,13 @@ impl<'a, E: Deref<Target: Effect>> Chain<'a, E> {
         play_output_mm: &Vector3<f64>,
     ) -> Vector3<f64> {
         let mut w = *play_output_mm;
-        self.each()
-            .zip(&mut *memory)
-            .for_each(|((e, p), m)| e.play_output(p, m, at, &mut w));
+        for ((e, p), m) in self.each().zip(&mut *memory) {
+            e.play_output(p, m, at, &mut w);
+        }
         let mut q = Vector3::from_fn(|c, _| self.lines[c].bellow_mm(w[c]));
-        self.each()
-            .zip(memory)
-            .for_each(|((e, p), m)| e.bellows(p, m, at, &mut q));
+        for ((e, p), m) in self.each().zip(memory) {
+            e.bellows(p, m, at, &mut q);
+        }
         q
     }
 
@@ -127,9 +125,9 @@ impl<'a, E: Deref<Target: Effect>> Chain<'a, E> {
             twist: 0.0,
             bellow_mm: *bellow_mm,
         };
-        self.each()
-            .zip(memory)
-            .for_each(|((e, p), m)| e.shape(p, m, at, &mut pose));
+        for ((e, p), m) in self.each().zip(memory) {
+            e.shape(p, m, at, &mut pose);
+        }
         pose
     }
 }

@@ -73,11 +73,9 @@ impl DescribedMachine {
     pub fn foreseeable(mut self) -> Self {
         let kept = |e: &Arc<dyn Effect>| !e.info().is_event();
         let mut theta = self.theta[..NOMINAL].to_vec();
-        self.chain()
-            .each()
-            .zip(&self.effects)
-            .filter(|(_, e)| kept(e))
-            .for_each(|((_, p), _)| theta.extend(p));
+        for ((_, p), e) in self.chain().each().zip(&self.effects) {
+            theta.extend(p.iter().filter(|_| kept(e)));
+        }
         self.effects.retain(kept);
         (self.at, self.theta) = (places(&self.effects), theta);
         self

@@ -1,31 +1,9 @@
-//! Parameters of motion and of the step thread, as a board file states them.
-//!
-//! [`crate::motion::MotionLimits`] and [`crate::motion::lines::PulseTiming`] are what the rest computes with.
+//! Parameters of the step thread, as a board file states them. [`crate::motion::lines::PulseTiming`] is what the step core
+//! computes with.
 
+use crate::motion::MotionLimits;
 use crate::parameters;
 use crate::primitives::{Checker, Invalid, Parameters};
-
-parameters! {
-    /// Speed of the pistons: one set for all three channels.
-    pub struct MotionConfig: Copy {
-        /// Largest piston speed; the default is about 1,000 microsteps a second. A larger value settles sooner, until the
-        /// motor loses steps.
-        speed_max_mm_s: f64 = 30.0, "mm/s", 0.01..=1000.0, "30 is the paper's motor at about 1,000 microsteps a second";
-        /// Largest piston acceleration. A larger value crosses the backlash sooner, until the motor loses steps.
-        acceleration_max_mm_s2: f64 = 600.0, "mm/s²", 0.1..=100_000.0, "600 is gentle on a small stepper";
-        /// Largest change of the acceleration; the default reaches full acceleration after 20 ms. A larger value responds
-        /// faster; a smaller one shakes rack, tube and tip less.
-        jerk_max_mm_s3: f64 = 30_000.0, "mm/s³", 1.0..=10_000_000.0, "fifty times the acceleration reaches it within 20 ms";
-        /// A target nearer than this to the present target counts as the same. A larger value plans less often and leaves the
-        /// piston that much beside the last target; 0 follows every change.
-        retarget_min_mm: f64 = 0.0, "mm", 0.0..=1.0, "leave it out to follow every change";
-    }
-    set in code {
-        /// Travel either side of rest, mm: `limits.travel_mm`. Targets beyond it are clamped; no motion, braking included,
-        /// goes beyond.
-        travel_max_mm: f64 = 30.0;
-    }
-}
 
 parameters! {
     /// Pulses, deadlines and the thread that makes them.
@@ -68,6 +46,9 @@ parameters! {
     }
 }
 
+/// Key of the shortest time between two steps.
+const INTERVAL: &str = "stepper.step_interval_min_us";
+
 impl StepperConfig {
     /// Checks every range, and that a step fits into the shortest interval.
     ///
@@ -75,13 +56,12 @@ impl StepperConfig {
     /// The first value that is refused.
     pub fn validate(&self) -> Result<(), Invalid> {
         self.checked("stepper")?;
+        let least_us = self.pulse_high_us + self.pulse_low_us;
         let mut checker = Checker::default();
-        let least = self.pulse_high_us + self.pulse_low_us;
-        let hint = "a step takes at least stepper.pulse_high_us + stepper.pulse_low_us";
         checker
-            .at("stepper.step_interval_min_us")
-            .range(self.step_interval_min_us, least..=100_000.0, "µs")
-            .hint(hint);
+            .at(INTERVAL)
+            .range(self.step_interval_min_us, least_us..=100_000.0, "µs")
+            .hint("a step takes at least stepper.pulse_high_us + stepper.pulse_low_us");
         checker.done()
     }
 
@@ -89,19 +69,19 @@ impl StepperConfig {
     ///
     /// # Errors
     /// Steps at `speed_max_mm_s` come closer than `step_interval_min_us` allows.
-    pub fn validate_rate(&self, motion: &MotionConfig, step_mm: f64) -> Result<(), Invalid> {
-        let most_us = 0.9e6 * step_mm / motion.speed_max_mm_s;
+    pub fn validate_rate(&self, motion: &MotionLimits, step_mm: f64) -> Result<(), Invalid> {
         let (interval, speed) = (self.step_interval_min_us, motion.speed_max_mm_s);
-        let problem = format!(
-            "{interval} must be at most {most_us:.1} µs, 90 % of the interval at motion.speed_max_mm_s = {speed}"
-        );
-        let mut checker = Checker::default();
-        let hint = "lower it, or lower motion.speed_max_mm_s";
-        checker
-            .at("stepper.step_interval_min_us")
-            .holds(interval <= most_us, &problem)
-            .hint(hint);
-        checker.done()
+        let most_us = 0.9e6 * step_mm / speed;
+        if interval <= most_us {
+            return Ok(());
+        }
+        Err(Invalid {
+            key: INTERVAL.to_owned(),
+            problem: format!(
+                "{interval} must be at most {most_us:.1} µs, 90 % of the interval at motion.speed_max_mm_s = {speed}"
+            ),
+            hint: "lower it, or lower motion.speed_max_mm_s".to_owned(),
+        })
     }
 }
 
@@ -111,26 +91,26 @@ mod tests {
 
     #[test]
     fn defaults_are_accepted_together() {
-        MotionConfig::default().checked("motion").unwrap();
+        MotionLimits::default().checked("motion").unwrap();
         StepperConfig::default().validate().unwrap();
         StepperConfig::default()
-            .validate_rate(&MotionConfig::default(), 0.029_452)
+            .validate_rate(&MotionLimits::default(), 0.029_452)
             .unwrap();
     }
 
     #[test]
     fn an_error_names_key_value_range_and_hint() {
-        let c = MotionConfig {
+        let c = MotionLimits {
             speed_max_mm_s: -3.0,
-            ..MotionConfig::default()
+            ..MotionLimits::default()
         };
         let message = c.checked("motion").unwrap_err().to_string();
         for part in ["motion.speed_max_mm_s", "-3", "0.01 to 1000 mm/s", "30 is"] {
             assert!(message.contains(part), "{message}");
         }
-        let nan = MotionConfig {
+        let nan = MotionLimits {
             jerk_max_mm_s3: f64::NAN,
-            ..MotionConfig::default()
+            ..MotionLimits::default()
         };
         assert_eq!(
             nan.checked("motion").unwrap_err().key,
@@ -157,9 +137,9 @@ mod tests {
 
     #[test]
     fn a_speed_that_the_step_interval_forbids_is_refused() {
-        let fast = MotionConfig {
+        let fast = MotionLimits {
             speed_max_mm_s: 200.0,
-            ..MotionConfig::default()
+            ..MotionLimits::default()
         };
         let e = StepperConfig::default()
             .validate_rate(&fast, 0.029_452)

@@ -4,7 +4,7 @@
 //! stopped leaves the step generator to brake. Hardware and simulation run the same drive: there the step generator is a
 //! thread with pins, here the step core alone in simulated time.
 
-use crate::motion::queue::{FeedError, SyncStatus};
+use crate::motion::queue::SyncStatus;
 use crate::motion::stop::longest_stop_mm;
 use crate::motion::{
     Motion, MotionLimits, MotionState, Segment, StepperFault, StepperMode, StepperOrder,
@@ -44,13 +44,9 @@ impl DriveLimits {
     /// Longest time for which a motion towards a count of the present shows in no step of `step_mm`, s: the queued motion, and
     /// half a step to and fro, each from rest by the limit of the jerk (d = j t³/6) and then of the acceleration (d = a t²/2).
     pub fn rest_s(&self, step_mm: f64) -> f64 {
-        let MotionLimits {
-            acceleration_max_mm_s2,
-            jerk_max_mm_s3,
-            ..
-        } = self.limits;
-        let half_step_s =
-            (3.0 * step_mm / jerk_max_mm_s3).cbrt() + (step_mm / acceleration_max_mm_s2).sqrt();
+        let l = &self.limits;
+        let (a, j) = (l.acceleration_max_mm_s2, l.jerk_max_mm_s3);
+        let half_step_s = (3.0 * step_mm / j).cbrt() + (step_mm / a).sqrt();
         self.lead_s + 2.0 * half_step_s
     }
 }
@@ -60,11 +56,8 @@ pub trait StepGenerator {
     /// Reads the reports and returns what the drive must do.
     fn sync(&mut self, now_ns: u64) -> SyncStatus;
 
-    /// Queues the next segment.
-    ///
-    /// # Errors
-    /// [`FeedError`]; nothing was queued.
-    fn feed(&mut self, segment: &Segment, now_ns: u64) -> Result<(), FeedError>;
+    /// Queues the next segment. Returns false if nothing was queued: the queue is full, or no epoch has begun.
+    fn feed(&mut self, segment: &Segment, now_ns: u64) -> bool;
 
     /// Time by which the queued motion extends past `now_ns`, ns.
     fn lead_ns(&self, now_ns: u64) -> i64;
@@ -169,54 +162,45 @@ impl<G: StepGenerator> Drive<G> {
             if self.generator.lead_ns(now_ns) >= self.lead_ns {
                 break;
             }
-            let segment = if pausing {
-                self.motion.brake(self.period_s)
-            } else {
-                self.motion.tick(target_mm, self.period_s)
+
+            let segment = match pausing {
+                true => self.motion.brake(self.period_s),
+                false => self.motion.tick(target_mm, self.period_s),
             };
-            if self.generator.feed(&segment, now_ns).is_err() {
+            if !self.generator.feed(&segment, now_ns) {
                 // A full ring means that the thread is stuck; its lateness will be a fault.
                 return DriveState::Busy;
             }
         }
-        if pausing {
-            DriveState::Busy
-        } else {
-            DriveState::Ready
+
+        match pausing {
+            true => DriveState::Busy,
+            false => DriveState::Ready,
         }
     }
 
     /// Sends the orders that are valid only at rest.
     fn pause(&mut self) -> DriveState {
-        let Some(&StepperReport {
-            mode: StepperMode::Resting,
-            epoch,
-            energised,
-            ..
-        }) = self.generator.latest()
-        else {
+        let resting = |r: &&StepperReport| r.mode == StepperMode::Resting;
+        let report = self.generator.latest().filter(resting);
+        let Some((epoch, energised)) = report.map(|r| (r.epoch, r.energised)) else {
             return DriveState::Busy;
         };
         match self.rebase {
             Some((position_mm, None)) => {
-                if self.generator.order(StepperOrder::Rebase(position_mm)) {
-                    self.rebase = Some((position_mm, Some(epoch)));
-                }
-                DriveState::Busy
+                let ordered = self.generator.order(StepperOrder::Rebase(position_mm));
+                self.rebase = Some((position_mm, ordered.then_some(epoch)));
             }
-            Some((_, Some(before))) => {
-                if before != epoch {
-                    self.rebase = None;
-                }
-                DriveState::Busy
+            Some((_, Some(before))) if before != epoch => self.rebase = None,
+            Some(_) => {}
+            // If the ring of orders is full, the next update tries again.
+            None if energised && !self.keeps => {
+                let _ = self.generator.order(StepperOrder::Release);
             }
-            None if energised => {
-                // If the ring of orders is full, the next update tries again.
-                let _ = !self.keeps && self.generator.order(StepperOrder::Release);
-                DriveState::Busy
-            }
-            None => DriveState::Off,
+            None if energised => {}
+            None => return DriveState::Off,
         }
+        DriveState::Busy
     }
 
     /// Raises the alarm when underruns follow one another closely.

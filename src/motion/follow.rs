@@ -7,7 +7,7 @@
 //! Only change costs time. At rest at an unchanged target nothing is computed, on the way to an
 //! unchanged target the present plan is followed, and only a new target is planned for.
 
-use crate::motion::plan::{Plan, PlanError, PlanFault};
+use crate::motion::plan::{Plan, PlanFault};
 use crate::motion::solver::{Ruckig, Solver};
 use crate::motion::stop::{longest_stop_mm, stops_within_travel};
 use crate::motion::{MotionLimits, MotionState, Segment};
@@ -26,9 +26,9 @@ pub enum MoveStatus {
     /// A new plan begins.
     Replanned,
     /// A new plan was needed but failed; the present one is followed.
-    Kept(PlanError),
+    Kept(PlanFault),
     /// The pistons brake within the limits, on request or for this reason.
-    Braking(Option<PlanError>),
+    Braking(Option<PlanFault>),
 }
 
 /// Jerk-limited motion of the three pistons.
@@ -90,12 +90,10 @@ impl<S: Solver> Motion<S> {
     /// `dt_s` may vary from tick to tick. If it is not a positive finite number, nothing moves.
     pub fn tick(&mut self, target_mm: [f64; 3], dt_s: f64) -> Segment {
         let travel_mm = self.limits.travel_max_mm;
-        match target_mm.iter().position(|t| !t.is_finite()) {
-            Some(channel) => self.keep(PlanError {
-                channel,
-                reason: PlanFault::TargetNotFinite,
-            }),
-            None => self.follow(target_mm.map(|t| t.clamp(-travel_mm, travel_mm))),
+        if target_mm.iter().all(|t| t.is_finite()) {
+            self.follow(target_mm.map(|t| t.clamp(-travel_mm, travel_mm)));
+        } else {
+            self.keep(PlanFault::TargetNotFinite);
         }
         self.advance(dt_s)
     }
@@ -124,18 +122,14 @@ impl<S: Solver> Motion<S> {
     fn follow(&mut self, target_mm: [f64; 3]) {
         let least_mm = self.limits.retarget_min_mm;
         let planned = self.target_mm.is_some_and(|planned| {
-            planned == target_mm
-                || planned
-                    .iter()
-                    .zip(target_mm)
-                    .all(|(p, t)| (p - t).abs() < least_mm)
+            let mut both = planned.iter().zip(target_mm);
+            planned == target_mm || both.all(|(p, t)| (p - t).abs() < least_mm)
         });
         if planned {
             self.kept = 0;
-            self.status = if self.resting {
-                MoveStatus::Resting
-            } else {
-                MoveStatus::Following
+            self.status = match self.resting {
+                true => MoveStatus::Resting,
+                false => MoveStatus::Following,
             };
         } else if let Err(error) = self.replan(target_mm) {
             self.keep(error);
@@ -143,7 +137,7 @@ impl<S: Solver> Motion<S> {
     }
 
     /// Makes a plan from the present state and takes it up if it is valid.
-    fn replan(&mut self, target_mm: [f64; 3]) -> Result<(), PlanError> {
+    fn replan(&mut self, target_mm: [f64; 3]) -> Result<(), PlanFault> {
         self.solver
             .solve(&self.limits, &self.state, &target_mm, &mut self.candidate)?;
         self.candidate.verify(&self.state, &self.limits)?;
@@ -157,7 +151,7 @@ impl<S: Solver> Motion<S> {
     }
 
     /// Keeps the plan for a few ticks, then brakes.
-    fn keep(&mut self, error: PlanError) {
+    fn keep(&mut self, error: PlanFault) {
         self.kept += 1;
         if self.resting || (self.target_mm.is_some() && self.kept <= KEEP_TICKS_MAX) {
             self.status = MoveStatus::Kept(error);
@@ -169,7 +163,7 @@ impl<S: Solver> Motion<S> {
     }
 
     /// Replaces the plan by the shortest stop.
-    fn begin_stop(&mut self, reason: Option<PlanError>) {
+    fn begin_stop(&mut self, reason: Option<PlanFault>) {
         *self.plan = Plan::stopping(&self.state, &self.limits);
         self.target_mm = None;
         self.plan_time_s = 0.0;
@@ -182,21 +176,12 @@ impl<S: Solver> Motion<S> {
         if self.resting {
             return Segment::holding(self.state.map(|s| s.position_mm), dt_s);
         }
-        if self.target_mm.is_some() {
-            let to_s = self.plan_time_s + dt_s;
-            let stoppable =
-                |at: &MotionState| stops_within_travel(at, &self.limits, self.longest_stop_mm);
-            if let Some(channel) = self
-                .plan
-                .channels
-                .iter()
-                .position(|c| !stoppable(&c.at(to_s)))
-            {
-                self.begin_stop(Some(PlanError {
-                    channel,
-                    reason: PlanFault::NoStop,
-                }));
-            }
+        let to_s = self.plan_time_s + dt_s;
+        let stoppable =
+            |at: &MotionState| stops_within_travel(at, &self.limits, self.longest_stop_mm);
+        let mut channels = self.plan.channels.iter();
+        if self.target_mm.is_some() && !channels.all(|c| stoppable(&c.at(to_s))) {
+            self.begin_stop(Some(PlanFault::NoStop));
         }
         let segment = self.plan.cut(&self.state, self.plan_time_s, dt_s);
         self.state = segment.end();

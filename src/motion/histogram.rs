@@ -52,11 +52,8 @@ impl Histogram {
 
     /// The exact mean, ns; 0 if the histogram is empty.
     pub fn mean_ns(&self) -> f64 {
-        if self.count == 0 {
-            0.0
-        } else {
-            self.sum_ns as f64 / self.count as f64
-        }
+        // the sum of an empty histogram is 0
+        self.sum_ns as f64 / self.count.max(1) as f64
     }
 
     /// The duration that a share `q` (0 to 1) of all durations does not exceed, ns: the upper edge of
@@ -75,11 +72,8 @@ impl Histogram {
 
     /// Lower edge, ns, upper edge, ns, and count of every bucket that is not empty, in order.
     pub fn filled(&self) -> impl Iterator<Item = (u64, u64, u32)> + '_ {
-        self.buckets
-            .iter()
-            .enumerate()
-            .filter(|(_, n)| **n > 0)
-            .map(|(i, &n)| (edge_ns(i), edge_ns(i + 1), n))
+        let filled = self.buckets.iter().enumerate().filter(|(_, n)| **n > 0);
+        filled.map(|(i, &n)| (edge_ns(i), edge_ns(i + 1), n))
     }
 }
 

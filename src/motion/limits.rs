@@ -4,7 +4,8 @@
 //! tolerance of [`TOLERANCE`] for rounding in a chain of cubics, a thousandth of the 1e-6 that
 //! [`crate::motion`] guarantees.
 
-use crate::motion::{MotionConfig, MotionState};
+use crate::motion::MotionState;
+use crate::parameters;
 use crate::primitives::{Checker, Invalid, Parameters};
 
 /// Relative tolerance of every comparison with a limit.
@@ -12,46 +13,41 @@ pub const TOLERANCE: f64 = 1e-9;
 /// Tolerance of a comparison of positions, mm. The planner closes its position equation to 1e-8 mm.
 pub const POSITION_TOLERANCE_MM: f64 = 1e-7;
 
-/// Limits of motion of one channel, from a valid [`MotionConfig`].
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct MotionLimits {
-    /// Largest speed, mm/s.
-    pub speed_max_mm_s: f64,
-    /// Largest acceleration of either sign, mm/s².
-    pub acceleration_max_mm_s2: f64,
-    /// Largest jerk of either sign, mm/s³.
-    pub jerk_max_mm_s3: f64,
-    /// Travel either side of rest, mm.
-    pub travel_max_mm: f64,
-    /// Targets nearer than this to the planned one count as the same target, mm.
-    pub retarget_min_mm: f64,
-}
-
-impl TryFrom<&MotionConfig> for MotionLimits {
-    type Error = Invalid;
-
-    fn try_from(c: &MotionConfig) -> Result<Self, Invalid> {
-        c.checked("motion")?;
-        let mut checker = Checker::default();
-        checker
-            .at("limits.travel_mm")
-            .range(c.travel_max_mm, 0.1..=1000.0, "mm")
-            .hint("what rack and syringe allow either side of rest");
-        checker.done()?;
-        Ok(Self::of_checked(c))
+parameters! {
+    /// Limits of motion of the pistons: one set for all three channels.
+    pub struct MotionLimits: Copy {
+        /// Largest piston speed; the default is about 1,000 microsteps a second. A larger value settles sooner, until the
+        /// motor loses steps.
+        speed_max_mm_s: f64 = 30.0, "mm/s", 0.01..=1000.0, "30 is the paper's motor at about 1,000 microsteps a second";
+        /// Largest piston acceleration. A larger value crosses the backlash sooner, until the motor loses steps.
+        acceleration_max_mm_s2: f64 = 600.0, "mm/s²", 0.1..=100_000.0, "600 is gentle on a small stepper";
+        /// Largest change of the acceleration; the default reaches full acceleration after 20 ms. A larger value responds
+        /// faster; a smaller one shakes rack, tube and tip less.
+        jerk_max_mm_s3: f64 = 30_000.0, "mm/s³", 1.0..=10_000_000.0, "fifty times the acceleration reaches it within 20 ms";
+        /// A target nearer than this to the present target counts as the same. A larger value plans less often and leaves the
+        /// piston that much beside the last target; 0 follows every change.
+        retarget_min_mm: f64 = 0.0, "mm", 0.0..=1.0, "leave it out to follow every change";
+    }
+    set in code {
+        /// Travel either side of rest, mm: `limits.travel_mm`. Targets beyond it are clamped; no motion, braking included,
+        /// goes beyond.
+        travel_max_mm: f64 = 30.0;
     }
 }
 
 impl MotionLimits {
-    /// The limits of a configuration that is valid, as that of every board is once it has been read.
-    pub fn of_checked(c: &MotionConfig) -> Self {
-        Self {
-            speed_max_mm_s: c.speed_max_mm_s,
-            acceleration_max_mm_s2: c.acceleration_max_mm_s2,
-            jerk_max_mm_s3: c.jerk_max_mm_s3,
-            travel_max_mm: c.travel_max_mm,
-            retarget_min_mm: c.retarget_min_mm,
-        }
+    /// Checks every range.
+    ///
+    /// # Errors
+    /// The first value that is refused.
+    pub fn validate(&self) -> Result<(), Invalid> {
+        self.checked("motion")?;
+        let mut checker = Checker::default();
+        checker
+            .at("limits.travel_mm")
+            .range(self.travel_max_mm, 0.1..=1000.0, "mm")
+            .hint("what rack and syringe allow either side of rest");
+        checker.done()
     }
 
     /// Whether a position is within travel.

@@ -73,22 +73,24 @@ pub struct PulseTiming {
     pub emergency_stop: EmergencyStop,
 }
 
-impl TryFrom<&StepperConfig> for PulseTiming {
-    type Error = Invalid;
-
-    fn try_from(c: &StepperConfig) -> Result<Self, Invalid> {
-        c.validate()?;
+impl StepperConfig {
+    /// The valid configuration in nanoseconds, with the reaction to the emergency stop.
+    ///
+    /// # Errors
+    /// As [`StepperConfig::validate`].
+    pub fn timing(&self, emergency_stop: EmergencyStop) -> Result<PulseTiming, Invalid> {
+        self.validate()?;
         let ns = |value: f64, unit_ns: f64| (value * unit_ns).ceil() as u64;
-        Ok(Self {
-            high_ns: ns(c.pulse_high_us, 1e3),
-            low_ns: ns(c.pulse_low_us, 1e3),
-            dir_ns: ns(c.dir_setup_us, 1e3),
-            interval_ns: ns(c.step_interval_min_us, 1e3),
-            late_ns: ns(c.late_max_us, 1e3),
-            wake_ns: ns(c.wake_delay_ms, 1e6),
-            idle_ns: c.idle_release_s.map(|s| ns(s, 1e9)),
-            poll_ns: ns(c.poll_period_us, 1e3),
-            emergency_stop: EmergencyStop::default(),
+        Ok(PulseTiming {
+            high_ns: ns(self.pulse_high_us, 1e3),
+            low_ns: ns(self.pulse_low_us, 1e3),
+            dir_ns: ns(self.dir_setup_us, 1e3),
+            interval_ns: ns(self.step_interval_min_us, 1e3),
+            late_ns: ns(self.late_max_us, 1e3),
+            wake_ns: ns(self.wake_delay_ms, 1e6),
+            idle_ns: self.idle_release_s.map(|s| ns(s, 1e9)),
+            poll_ns: ns(self.poll_period_us, 1e3),
+            emergency_stop,
         })
     }
 }
@@ -136,7 +138,9 @@ mod tests {
 
     #[test]
     fn intervals_count_from_the_end_of_the_earlier_write() {
-        let t = PulseTiming::try_from(&StepperConfig::default()).unwrap();
+        let t = StepperConfig::default()
+            .timing(EmergencyStop::Release)
+            .unwrap();
         let mut line = OutputLine::default();
         line.dir_changed(true, 1_000, &t);
         assert_eq!(line.rise_ns, 1_000 + t.dir_ns);

@@ -47,7 +47,7 @@ pub use pulse::{PulseAction, StepCore};
 pub use report::{StepperFault, StepperMode, StepperOrder, StepperReport};
 pub use stop::Stop;
 
-pub use config::{MotionConfig, StepperConfig};
+pub use config::StepperConfig;
 pub use drive::{Drive, DriveLimits, DriveState, StepGenerator};
 pub use follow::{Motion, MoveStatus};
 pub use limits::MotionLimits;

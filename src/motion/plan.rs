@@ -10,29 +10,15 @@ use crate::motion::{ChannelSegment, MotionLimits, MotionState, Segment, Stop};
 pub const PHASES_MAX: usize = 9;
 
 /// Why there is no new plan.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("channel {}: {reason}", .channel + 1)]
-pub struct PlanError {
-    /// Channel, from 0.
-    pub channel: usize,
-    /// What is wrong.
-    pub reason: PlanFault,
-}
-
-/// What is wrong with a channel's target or plan.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PlanFault {
-    /// The target is infinite or not a number.
-    #[error("the target is not a finite number")]
+    /// A target is infinite or not a number.
     TargetNotFinite,
-    /// There is no time-optimal profile.
-    #[error("no profile to the target was found")]
+    /// There is no time-optimal profile to a target.
     NoProfile,
-    /// The profile exceeds a limit, leaves travel, is discontinuous or misses the target.
-    #[error("the profile exceeds a limit or misses the target")]
+    /// A profile exceeds a limit, leaves travel, is discontinuous or misses the target.
     Invalid,
     /// From the end of the tick no stop stays within travel.
-    #[error("no stop within travel would remain possible")]
     NoStop,
 }
 
@@ -103,13 +89,11 @@ impl ChannelPlan {
 
     /// The state at a time.
     pub fn at(&self, t_s: f64) -> MotionState {
-        match self.phases().iter().find(|phase| t_s < phase.end_s) {
-            Some(phase) => phase.start.after(
-                phase.jerk_mm_s3,
-                (t_s - (phase.end_s - phase.duration_s)).max(0.0),
-            ),
-            None => MotionState::rest(self.end_mm),
-        }
+        let Some(phase) = self.phases().iter().find(|phase| t_s < phase.end_s) else {
+            return MotionState::rest(self.end_mm);
+        };
+        let since_s = (t_s - (phase.end_s - phase.duration_s)).max(0.0);
+        phase.start.after(phase.jerk_mm_s3, since_s)
     }
 
     /// The part from `from_s` on that lasts `duration_s`, given the state at its start.
@@ -163,11 +147,9 @@ fn keeps_limits(phase: &Phase, end: &MotionState, limits: &MotionLimits) -> bool
         return false;
     }
     if start.acceleration_mm_s2 * end.acceleration_mm_s2 < 0.0 {
-        let fastest = start.after(j, -start.acceleration_mm_s2 / j);
-        if !limits.contains_rates(&MotionState {
-            acceleration_mm_s2: 0.0,
-            ..fastest
-        }) {
+        let mut fastest = start.after(j, -start.acceleration_mm_s2 / j);
+        fastest.acceleration_mm_s2 = 0.0;
+        if !limits.contains_rates(&fastest) {
             return false;
         }
     }
@@ -203,10 +185,8 @@ impl Plan {
 
     /// Time from the start until all channels are at rest, s.
     pub fn duration_s(&self) -> f64 {
-        self.channels
-            .iter()
-            .map(ChannelPlan::duration_s)
-            .fold(0.0, f64::max)
+        let durations_s = self.channels.iter().map(ChannelPlan::duration_s);
+        durations_s.fold(0.0, f64::max)
     }
 
     /// The part from `from_s` on that lasts `duration_s`, given the states at its start.
@@ -220,58 +200,43 @@ impl Plan {
     /// Checks every phase of every channel.
     ///
     /// # Errors
-    /// [`PlanFault::Invalid`] with the first channel that fails.
-    pub fn verify(&self, from: &[MotionState; 3], limits: &MotionLimits) -> Result<(), PlanError> {
-        match self
-            .channels
-            .iter()
-            .zip(from)
-            .position(|(plan, from)| !plan.is_valid(from, limits))
-        {
-            Some(channel) => Err(PlanError {
-                channel,
-                reason: PlanFault::Invalid,
-            }),
-            None => Ok(()),
-        }
+    /// [`PlanFault::Invalid`].
+    pub fn verify(&self, from: &[MotionState; 3], limits: &MotionLimits) -> Result<(), PlanFault> {
+        let mut channels = self.channels.iter().zip(from);
+        let valid = channels.all(|(plan, from)| plan.is_valid(from, limits));
+        valid.then_some(()).ok_or(PlanFault::Invalid)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::config::MotionConfig;
     use crate::motion::solver::{Ruckig, Solver};
 
     #[test]
     fn a_plan_that_exceeds_a_limit_is_invalid() {
-        let l = MotionLimits::try_from(&MotionConfig::default()).unwrap();
+        let l = MotionLimits::default();
         let from = [MotionState::rest(0.0); 3];
         let mut plan = Plan::default();
         Ruckig::default()
             .solve(&l, &from, &[5.0, -3.0, 1.0], &mut plan)
             .unwrap();
         assert_eq!(plan.verify(&from, &l), Ok(()));
-        let invalid = |channel| {
-            Err(PlanError {
-                channel,
-                reason: PlanFault::Invalid,
-            })
-        };
+        let invalid = Err(PlanFault::Invalid);
         let with = |change: fn(&mut MotionLimits)| {
             let mut tight = l;
             change(&mut tight);
             plan.verify(&from, &tight)
         };
-        assert_eq!(with(|l| l.speed_max_mm_s *= 0.3), invalid(0));
-        assert_eq!(with(|l| l.acceleration_max_mm_s2 *= 0.3), invalid(0));
-        assert_eq!(with(|l| l.jerk_max_mm_s3 *= 0.9), invalid(0));
-        assert_eq!(with(|l| l.travel_max_mm = 2.0), invalid(0));
+        assert_eq!(with(|l| l.speed_max_mm_s *= 0.3), invalid);
+        assert_eq!(with(|l| l.acceleration_max_mm_s2 *= 0.3), invalid);
+        assert_eq!(with(|l| l.jerk_max_mm_s3 *= 0.9), invalid);
+        assert_eq!(with(|l| l.travel_max_mm = 2.0), invalid);
         let mut discontinuous = plan;
         discontinuous.channels[1].phases[2].start.position_mm += 1e-3;
-        assert_eq!(discontinuous.verify(&from, &l), invalid(1));
+        assert_eq!(discontinuous.verify(&from, &l), invalid);
         let mut missing = plan;
         missing.channels[2].end_mm = 0.9;
-        assert_eq!(missing.verify(&from, &l), invalid(2));
+        assert_eq!(missing.verify(&from, &l), invalid);
     }
 }

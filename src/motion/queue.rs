@@ -28,17 +28,6 @@ impl TimedSegment {
     }
 }
 
-/// Why a segment was not queued.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum FeedError {
-    /// The ring is full.
-    #[error("the step queue is full: the step thread no longer takes segments")]
-    Full,
-    /// No epoch has begun.
-    #[error("the step queue has no epoch: wait for the first report of the step thread")]
-    NotBegun,
-}
-
 /// What the loop must do before it plans the next tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum SyncStatus {
@@ -68,15 +57,13 @@ pub struct Feeder {
 /// A ring for `capacity` segments. The first segment of an epoch starts `lead_ns` ahead of the clock.
 pub fn ring(capacity: usize, lead_ns: u64) -> (Feeder, rtrb::Consumer<TimedSegment>) {
     let (ring, consumer) = rtrb::RingBuffer::new(capacity);
-    (
-        Feeder {
-            ring,
-            lead_ns,
-            epoch: None,
-            next_start_ns: 0,
-        },
-        consumer,
-    )
+    let feeder = Feeder {
+        ring,
+        lead_ns,
+        epoch: None,
+        next_start_ns: 0,
+    };
+    (feeder, consumer)
 }
 
 impl Feeder {
@@ -109,10 +96,12 @@ impl Feeder {
     /// A segment that starts at rest need not join the previous one. If less than half the lead
     /// remains, it is moved to a full lead, so a loop that paused at rest can start again.
     ///
-    /// # Errors
-    /// [`FeedError`]; the segment was not queued and the start time of the next one is unchanged.
-    pub fn push(&mut self, segment: &Segment, now_ns: u64) -> Result<(), FeedError> {
-        let epoch = self.epoch.ok_or(FeedError::NotBegun)?;
+    /// Returns false if the ring is full or no epoch has begun; then the segment was not queued and the start time of the next
+    /// one is unchanged.
+    pub fn push(&mut self, segment: &Segment, now_ns: u64) -> bool {
+        let Some(epoch) = self.epoch else {
+            return false;
+        };
         let from_rest = segment.channels.iter().all(|c| c.start.is_rest());
         if from_rest && self.next_start_ns < now_ns + self.lead_ns / 2 {
             self.next_start_ns = now_ns + self.lead_ns;
@@ -124,9 +113,9 @@ impl Feeder {
             duration_ns,
             segment: *segment,
         };
-        self.ring.push(timed).map_err(|_| FeedError::Full)?;
-        self.next_start_ns += duration_ns;
-        Ok(())
+        let queued = self.ring.push(timed).is_ok();
+        self.next_start_ns += if queued { duration_ns } else { 0 };
+        queued
     }
 }
 
@@ -152,7 +141,7 @@ mod tests {
         let (mut feeder, mut ring) = ring(8, 4_000_000);
         feeder.begin(7, 100);
         for _ in 0..3 {
-            feeder.push(&moving(), 100).unwrap();
+            assert!(feeder.push(&moving(), 100));
         }
         let starts: Vec<_> = std::iter::from_fn(|| ring.pop().ok())
             .map(|s| (s.epoch, s.start_ns))
@@ -165,11 +154,9 @@ mod tests {
     fn a_segment_from_rest_moves_to_a_full_lead_and_a_moving_one_does_not() {
         let (mut feeder, mut ring) = ring(8, 4_000_000);
         feeder.begin(0, 0);
-        feeder.push(&Segment::holding([0.0; 3], 1e-3), 0).unwrap();
-        feeder.push(&moving(), 50_000_000).unwrap();
-        feeder
-            .push(&Segment::holding([0.0; 3], 1e-3), 50_000_000)
-            .unwrap();
+        assert!(feeder.push(&Segment::holding([0.0; 3], 1e-3), 0));
+        assert!(feeder.push(&moving(), 50_000_000));
+        assert!(feeder.push(&Segment::holding([0.0; 3], 1e-3), 50_000_000));
         let starts: Vec<_> = std::iter::from_fn(|| ring.pop().ok())
             .map(|s| s.start_ns)
             .collect();
@@ -179,10 +166,10 @@ mod tests {
     #[test]
     fn a_full_ring_refuses_a_segment_and_keeps_its_time() {
         let (mut feeder, _ring) = ring(1, 0);
-        assert_eq!(feeder.push(&moving(), 0), Err(FeedError::NotBegun));
+        assert!(!feeder.push(&moving(), 0), "no epoch has begun");
         feeder.begin(0, 0);
-        feeder.push(&moving(), 0).unwrap();
-        assert_eq!(feeder.push(&moving(), 0), Err(FeedError::Full));
+        assert!(feeder.push(&moving(), 0));
+        assert!(!feeder.push(&moving(), 0), "the ring is full");
         assert_eq!(feeder.lead_ns(0), 1_000_000);
     }
 }

@@ -11,14 +11,14 @@
 //!
 //! `rsruckig::calculate` does the same and allocates nothing when it succeeds, but formats a long error
 //! string when it fails, whatever the error handler. The control path must not allocate in either
-//! case, so this file calls the published building blocks directly and reports a [`PlanError`].
+//! case, so this file calls the published building blocks directly and reports a [`PlanFault`].
 //!
 //! `rsruckig` compares with fixed tolerances (1e-8 for position and speed, 1e-10 for acceleration),
 //! which presume numbers near one. This file therefore scales time to a unit τ = √(mm / A), in which
 //! the largest acceleration is 1 mm/τ². In seconds, with accelerations of 10⁴ mm/s², `rsruckig` refuses
 //! one plan in a thousand.
 
-use crate::motion::plan::{ChannelPlan, Plan, PlanError, PlanFault};
+use crate::motion::plan::{ChannelPlan, Plan, PlanFault};
 use crate::motion::{MotionLimits, MotionState};
 use rsruckig::block::Block;
 use rsruckig::position_third_step1::PositionThirdOrderStep1;
@@ -29,14 +29,14 @@ pub trait Solver {
     /// Writes the plan to `out`; after an error the content of `out` is unspecified.
     ///
     /// # Errors
-    /// [`PlanError`] when there is no plan. The caller checks the validity of a plan.
+    /// [`PlanFault`] when there is no plan. The caller checks the validity of a plan.
     fn solve(
         &mut self,
         limits: &MotionLimits,
         from: &[MotionState; 3],
         target_mm: &[f64; 3],
         out: &mut Plan,
-    ) -> Result<(), PlanError>;
+    ) -> Result<(), PlanFault>;
 }
 
 /// The solver built from the parts of `rsruckig`. It owns their scratch space and allocates it once.
@@ -62,16 +62,15 @@ impl Solver for Ruckig {
         from: &[MotionState; 3],
         target_mm: &[f64; 3],
         out: &mut Plan,
-    ) -> Result<(), PlanError> {
+    ) -> Result<(), PlanFault> {
         let scratch = &mut *self.scratch;
         scratch.choose_unit(limits);
-        for (channel, (from, &to)) in from.iter().zip(target_mm).enumerate() {
+        for (plan, (from, &to)) in out.channels.iter_mut().zip(from.iter().zip(target_mm)) {
             // A channel at rest on its target needs no profile.
             let rests = from.is_rest() && from.position_mm == to;
-            out.channels[channel] = if rests {
-                ChannelPlan::resting(to)
-            } else {
-                scratch.fastest(from, to, channel)?
+            *plan = match rests {
+                true => ChannelPlan::resting(to),
+                false => scratch.fastest(from, to).ok_or(PlanFault::NoProfile)?,
             };
         }
         Ok(())
@@ -88,17 +87,10 @@ impl Scratch {
     }
 
     /// Brake and step 1: the time-optimal plan of one channel.
-    fn fastest(
-        &mut self,
-        from: &MotionState,
-        target_mm: f64,
-        channel: usize,
-    ) -> Result<ChannelPlan, PlanError> {
-        let (v, j) = (self.speed_max, self.jerk_max);
-        let (v0, a0) = (
-            from.velocity_mm_s * self.unit_s,
-            from.acceleration_mm_s2 * self.unit_s * self.unit_s,
-        );
+    fn fastest(&mut self, from: &MotionState, target_mm: f64) -> Option<ChannelPlan> {
+        let (v, j, unit_s) = (self.speed_max, self.jerk_max, self.unit_s);
+        let v0 = from.velocity_mm_s * unit_s;
+        let a0 = from.acceleration_mm_s2 * unit_s * unit_s;
         let p = &mut self.profile;
         p.brake
             .get_position_brake_trajectory(v0, a0, v, -v, 1.0, -1.0, j);
@@ -107,14 +99,8 @@ impl Scratch {
         self.step1.reset(
             p.p[0], p.v[0], p.a[0], target_mm, 0.0, 0.0, v, -v, 1.0, -1.0, j,
         );
-        if self.step1.get_profile(p, &mut self.block) && self.block.t_min.is_finite() {
-            Ok(transcribe(&self.block.p_min, self.unit_s, target_mm))
-        } else {
-            Err(PlanError {
-                channel,
-                reason: PlanFault::NoProfile,
-            })
-        }
+        let found = self.step1.get_profile(p, &mut self.block) && self.block.t_min.is_finite();
+        found.then(|| transcribe(&self.block.p_min, self.unit_s, target_mm))
     }
 }
 
@@ -131,32 +117,22 @@ fn transcribe(p: &Profile, unit_s: f64, end_mm: f64) -> ChannelPlan {
         out.push(start, j * rate * rate * rate, t * unit_s);
     };
     if p.brake.duration > 0.0 {
-        for i in 0..2 {
-            push(
-                p.brake.p[i],
-                p.brake.v[i],
-                p.brake.a[i],
-                p.brake.j[i],
-                p.brake.t[i],
-            );
-        }
+        let b = &p.brake;
+        (0..2).for_each(|i| push(b.p[i], b.v[i], b.a[i], b.j[i], b.t[i]));
     }
-    for i in 0..7 {
-        push(p.p[i], p.v[i], p.a[i], p.j[i], p.t[i]);
-    }
+    (0..7).for_each(|i| push(p.p[i], p.v[i], p.a[i], p.j[i], p.t[i]));
     out
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::config::MotionConfig;
     use proptest::prelude::*;
 
     fn limits() -> MotionLimits {
         MotionLimits {
             travel_max_mm: 60.0,
-            ..MotionLimits::try_from(&MotionConfig::default()).unwrap()
+            ..MotionLimits::default()
         }
     }
 

@@ -47,17 +47,15 @@ pub struct ChannelSteps {
 impl ChannelSteps {
     /// At rest at a count.
     pub fn new(step_mm: f64, count: i32) -> Self {
-        let segment = ChannelSegment::starting(MotionState::rest(f64::from(count) * step_mm));
+        let at = MotionState::rest(f64::from(count) * step_mm);
         Self {
             step_mm,
             count,
-            segment,
-            piece: 0,
-            at: segment.start,
-            at_s: 0.0,
-            part: (0.0, 0.0),
+            segment: ChannelSegment::starting(at),
+            at,
             part_count: count,
             done: true,
+            ..Self::default()
         }
     }
 
@@ -116,19 +114,15 @@ impl ChannelSteps {
             return;
         }
         let from = self.part.1;
-        let until = self
-            .at
-            .reversals(jerk, duration_s)
-            .find(|&t| t > from)
-            .unwrap_or(duration_s);
+        let mut reversals = self.at.reversals(jerk, duration_s);
+        let until = reversals.find(|&t| t > from).unwrap_or(duration_s);
         let is_last = until >= duration_s && self.piece + 1 == self.segment.pieces().len();
-        let end_mm = if is_last {
-            self.segment.end.position_mm
-        } else {
-            self.at.after(jerk, until).position_mm
+        let end = match is_last {
+            true => self.segment.end,
+            false => self.at.after(jerk, until),
         };
         self.part = (from, until);
-        self.part_count = count(end_mm, self.step_mm);
+        self.part_count = count(end.position_mm, self.step_mm);
     }
 }
 
@@ -141,11 +135,8 @@ fn crossing_s(at: &MotionState, jerk: f64, part: (f64, f64), position_mm: f64) -
     let gap_mm = |t: f64| at.after(jerk, t).position_mm - position_mm;
     let (gap_low, gap_high) = (gap_mm(low), gap_mm(high));
     if gap_low * gap_high >= 0.0 {
-        return if gap_low.abs() < gap_high.abs() {
-            low
-        } else {
-            high
-        };
+        let low_is_nearer = gap_low.abs() < gap_high.abs();
+        return if low_is_nearer { low } else { high };
     }
     let rising = gap_high > 0.0;
     let mut t = low + (high - low) * (gap_low / (gap_low - gap_high));
@@ -186,8 +177,7 @@ impl StepStream {
         Self {
             step_mm,
             channels: counts.map(|c| ChannelSteps::new(step_mm, c)),
-            pending: [None; 3],
-            start_ns: 0,
+            ..Self::default()
         }
     }
 

@@ -28,31 +28,25 @@ impl Stop {
     pub fn from(state: MotionState, limits: &MotionLimits) -> Self {
         let (j, a_max) = (limits.jerk_max_mm_s3, limits.acceleration_max_mm_s2);
         let (v, a) = (state.velocity_mm_s, state.acceleration_mm_s2);
-        let s = if v + a * a.abs() / (2.0 * j) < 0.0 {
-            -1.0
-        } else {
-            1.0
-        };
+        let v_z = v + a * a.abs() / (2.0 * j);
+        let s = if v_z < 0.0 { -1.0 } else { 1.0 };
         let (v, a) = (v * s, a * s);
         let impulse = (v + a * a / (2.0 * j)).max(0.0);
         let peak = (j * impulse).sqrt();
-        let (brake, hold_s) = if peak <= a_max {
-            (peak, 0.0)
-        } else {
-            (a_max, impulse / a_max - a_max / j)
+        let (brake, hold_s) = match peak <= a_max {
+            true => (peak, 0.0),
+            false => (a_max, impulse / a_max - a_max / j),
         };
         let phases = [
             (((a + brake) / j).max(0.0), -s * j),
             (hold_s.max(0.0), 0.0),
             (brake / j, s * j),
         ];
-        let end = phases
-            .iter()
-            .fold(state, |at, &(t, jerk)| at.after(jerk, t));
+        let after = |at: MotionState, (t, jerk)| at.after(jerk, t);
         Self {
             from: state,
             phases,
-            end_mm: end.position_mm,
+            end_mm: phases.into_iter().fold(state, after).position_mm,
         }
     }
 
@@ -74,17 +68,12 @@ impl Stop {
 /// The stopping distance grows with speed and with acceleration, so this is the stop from the state in
 /// which both are at their limits.
 pub fn longest_stop_mm(limits: &MotionLimits) -> f64 {
-    let (velocity_mm_s, acceleration_mm_s2) =
-        (limits.speed_max_mm_s, limits.acceleration_max_mm_s2);
-    Stop::from(
-        MotionState {
-            position_mm: 0.0,
-            velocity_mm_s,
-            acceleration_mm_s2,
-        },
-        limits,
-    )
-    .end_mm
+    let fastest = MotionState {
+        position_mm: 0.0,
+        velocity_mm_s: limits.speed_max_mm_s,
+        acceleration_mm_s2: limits.acceleration_max_mm_s2,
+    };
+    Stop::from(fastest, limits).end_mm
 }
 
 /// Whether the shortest stop from a state stays within travel. `longest_mm` is [`longest_stop_mm`]; it
@@ -100,11 +89,10 @@ pub fn stops_within_travel(state: &MotionState, limits: &MotionLimits, longest_m
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::config::MotionConfig;
     use proptest::prelude::*;
 
     fn limits() -> MotionLimits {
-        MotionLimits::try_from(&MotionConfig::default()).unwrap()
+        MotionLimits::default()
     }
 
     fn duration_s(stop: &Stop) -> f64 {

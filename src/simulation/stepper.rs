@@ -1,6 +1,6 @@
 //! The step core in simulated time: its pulses take no time and are never late.
 
-use crate::motion::queue::{self, FeedError, Feeder, SyncStatus, TimedSegment};
+use crate::motion::queue::{self, Feeder, SyncStatus, TimedSegment};
 use crate::motion::{DriveLimits, Segment, StepGenerator};
 use crate::motion::{Inputs, PulseAction, PulseTiming, StepCore, StepperOrder, StepperReport};
 
@@ -64,7 +64,7 @@ impl StepGenerator for SimulatedStepper {
         self.feeder.sync(&self.report, now_ns)
     }
 
-    fn feed(&mut self, segment: &Segment, now_ns: u64) -> Result<(), FeedError> {
+    fn feed(&mut self, segment: &Segment, now_ns: u64) -> bool {
         self.feeder.push(segment, now_ns)
     }
 

@@ -8,18 +8,17 @@ use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use retroflex::motion::drive::DriveLimits;
 use retroflex::motion::follow::KEEP_TICKS_MAX;
-use retroflex::motion::plan::{ChannelPlan, Plan, PlanError, PlanFault};
+use retroflex::motion::plan::{ChannelPlan, Plan, PlanFault};
 use retroflex::motion::solver::{Ruckig, Solver};
 use retroflex::motion::steps::ChannelSteps;
-use retroflex::motion::{
-    ChannelSegment, Motion, MotionConfig, MotionLimits, MotionState, MoveStatus, Segment,
-};
+use retroflex::motion::{ChannelSegment, Motion, MotionLimits, MotionState, MoveStatus, Segment};
 
 /// Guaranteed bound on the relative excess over a limit.
 const TOLERANCE: f64 = 1e-6;
 
-fn limits(c: &MotionConfig) -> MotionLimits {
-    MotionLimits::try_from(c).unwrap()
+fn limits(c: &MotionLimits) -> MotionLimits {
+    c.validate().unwrap();
+    *c
 }
 
 /// A pattern of targets.
@@ -132,9 +131,9 @@ fn check_channel(c: &ChannelSegment, l: &MotionLimits) -> Result<(), TestCaseErr
     Ok(())
 }
 
-fn config() -> impl Strategy<Value = MotionConfig> {
+fn config() -> impl Strategy<Value = MotionLimits> {
     (1.0..200.0f64, 0.02..1.0f64, 0.01..0.3f64, 2.0..40.0f64).prop_map(
-        |(speed, ramp_s, rise_s, travel)| MotionConfig {
+        |(speed, ramp_s, rise_s, travel)| MotionLimits {
             speed_max_mm_s: speed,
             acceleration_max_mm_s2: speed / ramp_s,
             jerk_max_mm_s3: speed / ramp_s / rise_s,
@@ -236,7 +235,7 @@ proptest! {
     /// Targets within the retarget threshold cause neither a plan nor motion.
     #[test]
     fn a_target_within_the_threshold_is_not_planned_for(seed in any::<u64>()) {
-        let c = MotionConfig { retarget_min_mm: 0.01, ..MotionConfig::default() };
+        let c = MotionLimits { retarget_min_mm: 0.01, ..MotionLimits::default() };
         let mut motion = Motion::new(&limits(&c));
         let mut r = SmallRng::seed_from_u64(seed);
         for _ in 0..1000 {
@@ -289,7 +288,7 @@ fn position_mm(c: &ChannelSegment, t_s: f64) -> f64 {
 /// Every step of ten million is checked.
 #[test]
 fn no_step_is_lost_or_doubled_in_ten_million() {
-    let c = MotionConfig {
+    let c = MotionLimits {
         speed_max_mm_s: 200.0,
         acceleration_max_mm_s2: 4000.0,
         jerk_max_mm_s3: 200_000.0,
@@ -330,7 +329,7 @@ fn no_step_is_lost_or_doubled_in_ten_million() {
 /// The same motion cut into other ticks makes the same steps at the same times.
 #[test]
 fn steps_do_not_depend_on_the_length_of_a_tick() {
-    let l = limits(&MotionConfig::default());
+    let l = limits(&MotionLimits::default());
     let step_mm = 0.029_452;
     let times = |dt: f64| {
         let mut motion = Motion::new(&l);
@@ -391,7 +390,7 @@ static COUNTING: counting::Counting = counting::Counting;
 /// After construction, planning, failing to plan, braking and stepping do not allocate.
 #[test]
 fn the_control_path_allocates_nothing() {
-    let l = limits(&MotionConfig::default());
+    let l = limits(&MotionLimits::default());
     let mut motion = Motion::new(&l);
     let mut steps: [ChannelSteps; 3] = std::array::from_fn(|_| ChannelSteps::new(0.029_452, 0));
     let mut targets = Targets::new(Pattern::Wild, 3, 25.0);
@@ -422,7 +421,7 @@ fn the_control_path_allocates_nothing() {
 }
 
 fn default_motion() -> Motion {
-    Motion::new(&limits(&MotionConfig::default()))
+    Motion::new(&limits(&MotionLimits::default()))
 }
 
 /// Advances by `ticks` ticks of 1 ms.
@@ -448,7 +447,7 @@ fn an_unchanged_target_is_planned_once() {
 fn a_target_beyond_travel_is_clamped() {
     let mut m = default_motion();
     run(&mut m, [80.0, 0.0, -80.0], 4000);
-    let travel_mm = MotionConfig::default().travel_max_mm;
+    let travel_mm = MotionLimits::default().travel_max_mm;
     assert_eq!(
         m.state(),
         &[travel_mm, 0.0, -travel_mm].map(MotionState::rest)
@@ -461,13 +460,7 @@ fn after_a_target_that_is_not_a_number_the_plan_is_kept_and_then_braked() {
     run(&mut m, [10.0; 3], 100);
     for _ in 0..KEEP_TICKS_MAX {
         m.tick([10.0, 10.0, f64::NAN], 1e-3);
-        assert_eq!(
-            m.status(),
-            MoveStatus::Kept(PlanError {
-                channel: 2,
-                reason: PlanFault::TargetNotFinite
-            })
-        );
+        assert_eq!(m.status(), MoveStatus::Kept(PlanFault::TargetNotFinite));
     }
     assert!(m.state()[0].velocity_mm_s > 5.0);
     run(&mut m, [10.0, 10.0, f64::NAN], 500);
@@ -486,12 +479,9 @@ impl Solver for Failing {
         from: &[MotionState; 3],
         to: &[f64; 3],
         out: &mut Plan,
-    ) -> Result<(), PlanError> {
+    ) -> Result<(), PlanFault> {
         if self.0.get() {
-            Err(PlanError {
-                channel: 1,
-                reason: PlanFault::NoProfile,
-            })
+            Err(PlanFault::NoProfile)
         } else {
             self.1.solve(l, from, to, out)
         }
@@ -502,7 +492,7 @@ impl Solver for Failing {
 fn a_failing_solver_ends_at_rest_and_motion_recovers() {
     let fails = std::rc::Rc::default();
     let mut m = Motion::with_solver(
-        &limits(&MotionConfig::default()),
+        &limits(&MotionLimits::default()),
         Failing(std::rc::Rc::clone(&fails), Ruckig::default()),
     );
     for k in 0..300 {
@@ -559,7 +549,7 @@ impl Solver for EndOfTravel {
         from: &[MotionState; 3],
         _: &[f64; 3],
         out: &mut Plan,
-    ) -> Result<(), PlanError> {
+    ) -> Result<(), PlanFault> {
         *out = Plan::resting([0.0; 3]);
         let (mut at, mut plan) = (from[0], ChannelPlan::default());
         for (d, sign) in self.phases() {
@@ -575,7 +565,7 @@ impl Solver for EndOfTravel {
 #[test]
 fn a_plan_that_leaves_no_room_for_a_stop_is_braked_in_time() {
     let (t, start_mm) = (0.03, 20.0);
-    let c = MotionConfig {
+    let c = MotionLimits {
         speed_max_mm_s: 30.0,
         acceleration_max_mm_s2: 1e4,
         jerk_max_mm_s3: 6000.0,
@@ -586,7 +576,7 @@ fn a_plan_that_leaves_no_room_for_a_stop_is_braked_in_time() {
         .after(c.jerk_max_mm_s3, t)
         .position_range(-c.jerk_max_mm_s3, 3.0 * t)
         .1;
-    let l = limits(&MotionConfig {
+    let l = limits(&MotionLimits {
         travel_max_mm: start_mm + farthest_mm + 1e-6,
         ..c
     });
@@ -599,11 +589,7 @@ fn a_plan_that_leaves_no_room_for_a_stop_is_braked_in_time() {
         } else {
             m.tick([19.0, 0.0, 0.0], 1e-3)
         };
-        cornered |= m.status()
-            == MoveStatus::Braking(Some(PlanError {
-                channel: 0,
-                reason: PlanFault::NoStop,
-            }));
+        cornered |= m.status() == MoveStatus::Braking(Some(PlanFault::NoStop));
         let mut s = segment.channels[0].start;
         for &(d, j) in segment.channels[0].pieces() {
             highest_mm = highest_mm.max(s.position_range(j, d).1);

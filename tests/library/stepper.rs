@@ -13,8 +13,7 @@ use retroflex::motion::pulse::{PulseAction, StepCore};
 use retroflex::motion::queue::{SyncStatus, TimedSegment};
 use retroflex::motion::report::{StepperFault, StepperMode, StepperOrder};
 use retroflex::motion::{
-    ChannelSegment, Motion, MotionConfig, MotionLimits, MotionState, Segment, StepGenerator,
-    StepperConfig,
+    ChannelSegment, Motion, MotionLimits, MotionState, Segment, StepGenerator, StepperConfig,
 };
 use retroflex::primitives::units::Steps;
 use std::collections::VecDeque;
@@ -26,11 +25,11 @@ const TICK_NS: u64 = 2_000_000;
 const START_NS: u64 = 1_000_000_000;
 
 fn limits() -> MotionLimits {
-    MotionLimits::try_from(&MotionConfig::default()).unwrap()
+    MotionLimits::default()
 }
 
 fn timing(config: &StepperConfig) -> PulseTiming {
-    PulseTiming::try_from(config).unwrap()
+    config.timing(EmergencyStop::default()).unwrap()
 }
 
 /// Largest delays of the machine, ns.
@@ -766,7 +765,7 @@ fn the_thread_pulses_what_the_loop_feeds() {
     let mut stepper = Stepper::start(
         mock(None),
         &c,
-        &MotionConfig::default(),
+        &MotionLimits::default(),
         STEP_MM,
         EmergencyStop::Release,
     )
@@ -804,7 +803,7 @@ fn drivers_found_energised_stay_so_until_they_are_told() {
     let mut stepper = Stepper::start(
         mock(None).energised(),
         &c,
-        &MotionConfig::default(),
+        &MotionLimits::default(),
         STEP_MM,
         EmergencyStop::Release,
     )
@@ -843,7 +842,7 @@ fn the_thread_stops_for_the_emergency_stop_and_reports_it() {
     let mut stepper = Stepper::start(
         pins,
         &patient(),
-        &MotionConfig::default(),
+        &MotionLimits::default(),
         STEP_MM,
         EmergencyStop::Release,
     )
@@ -890,7 +889,7 @@ fn a_thread_that_hangs_in_a_pin_is_silent_until_it_goes_on() {
     let mut stepper = Stepper::start(
         pins,
         &patient(),
-        &MotionConfig::default(),
+        &MotionLimits::default(),
         STEP_MM,
         EmergencyStop::Release,
     )
@@ -918,7 +917,7 @@ fn the_thread_survives_failing_pins_and_reports_the_reason() {
     let mut stepper = Stepper::start(
         pins,
         &patient(),
-        &MotionConfig::default(),
+        &MotionLimits::default(),
         STEP_MM,
         EmergencyStop::Release,
     )
@@ -933,9 +932,9 @@ fn the_thread_survives_failing_pins_and_reports_the_reason() {
 
 #[test]
 fn a_rate_the_chip_is_not_allowed_is_refused_at_the_start() {
-    let fast = MotionConfig {
+    let fast = MotionLimits {
         speed_max_mm_s: 300.0,
-        ..MotionConfig::default()
+        ..MotionLimits::default()
     };
     let error = Stepper::start(
         mock(None),

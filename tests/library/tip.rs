@@ -12,7 +12,7 @@ use retroflex::model::bend::Bend;
 use retroflex::model::drive::Drive;
 use retroflex::model::transmission::Line;
 use retroflex::motion::steps::count;
-use retroflex::motion::{Motion as Pistons, MotionConfig, MotionLimits};
+use retroflex::motion::{Motion as Pistons, MotionLimits};
 use retroflex::primitives::frames::{Base, Rotation, Tip};
 use retroflex::primitives::sample::ImuSample;
 use retroflex::primitives::units::{Seconds, Steps};
@@ -121,7 +121,7 @@ impl TipPlant {
             before: base,
             positions: [position(&Bend::STRAIGHT); 3],
             steps: Steps::default(),
-            pistons: Pistons::new(&MotionLimits::of_checked(&MotionConfig::default())),
+            pistons: Pistons::new(&MotionLimits::default()),
             n: 0,
             rng,
         }

@@ -95,11 +95,11 @@ fn boards_state_the_defaults_except_where_they_say_so() {
             imu.bus_lines, expected,
             "{name}: only a Raspberry Pi can return the lines to the bus"
         );
-        let bare = retroflex::config::sections::ImuSection::default();
+        let bare = retroflex::hardware::machine::ImuSection::default();
         let another_part = name.ends_with("lsm6dsv16x");
         assert_eq!(imu.chip != bare.chip, another_part, "{name}");
         assert_eq!(
-            retroflex::config::sections::ImuSection {
+            retroflex::hardware::machine::ImuSection {
                 bus_lines: None,
                 chip: bare.chip.clone(),
                 ..imu

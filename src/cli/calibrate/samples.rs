@@ -4,7 +4,6 @@ use crate::cli::output;
 use crate::estimation::imu_calibration::from_log;
 use crate::hardware::imu::Imu;
 use crate::log::bend_log;
-use crate::log::error::ReadError;
 use crate::log::recording;
 use crate::primitives::{ImuSample, Seconds};
 use embedded_hal::delay::DelayNs;
@@ -19,7 +18,7 @@ pub fn from_file(file: &Path) -> Result<Vec<ImuSample>> {
     let all = match bend_log::read(file) {
         Ok(log) => from_log::samples(&log),
         // without bend-log columns the file may be an IMU recording
-        Err(ReadError::Missing { .. }) => {
+        Err(e) if e.is_other_table => {
             let recording = recording::read(file).into_diagnostic()?;
             recording.rows.iter().map(|r| r.sample).collect()
         }

@@ -60,11 +60,10 @@ pub(super) fn invert(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::config::MotionConfig;
 
     #[test]
     fn a_piston_crosses_its_backlash_before_the_play_output_turns_and_does_not_chatter() {
-        let limits = MotionLimits::of_checked(&MotionConfig::default());
+        let limits = MotionLimits::default();
         let (dt_s, rate) = (0.001, 2.0 * std::f64::consts::PI * 0.2);
         let (mut side, mut turned) = (SideState::default(), Vec::new());
         for k in 0..10_000 {
@@ -92,7 +91,7 @@ mod tests {
 
     #[test]
     fn a_piston_that_passes_is_sent_to_where_it_would_stop() {
-        let limits = MotionLimits::of_checked(&MotionConfig::default());
+        let limits = MotionLimits::default();
         let passing = Passing {
             w_mm: 3.0,
             speed: 15.0,

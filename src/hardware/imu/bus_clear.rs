@@ -6,6 +6,8 @@
 //! registers of a Raspberry Pi allow both; the kernel's GPIO device would leave the lines as inputs.
 
 use embedded_hal::delay::DelayNs;
+#[cfg(feature = "hw")]
+use rppal::gpio::{Gpio, IoPin, Level, Mode, Pin};
 
 /// Half a clock period, µs: 50 kHz.
 const HALF_US: u32 = 10;
@@ -66,24 +68,20 @@ pub fn clear<L: OpenDrainLine>(sda: &mut L, scl: &mut L, delay: &mut dyn DelayNs
 /// A line on the header of a Raspberry Pi. It returns to the bus controller when it is dropped.
 #[cfg(feature = "hw")]
 struct HeaderLine {
-    watched: Option<rppal::gpio::Pin>,
-    taken: Option<rppal::gpio::IoPin>,
+    watched: Option<Pin>,
+    taken: Option<IoPin>,
 }
 
 #[cfg(feature = "hw")]
 impl OpenDrainLine for HeaderLine {
     fn is_high(&self) -> bool {
-        let watched = self
-            .watched
-            .as_ref()
-            .map(|pin| pin.read() == rppal::gpio::Level::High);
-        watched
-            .or(self.taken.as_ref().map(rppal::gpio::IoPin::is_high))
-            .unwrap_or(true)
+        match (&self.watched, &self.taken) {
+            (Some(pin), _) => pin.read() == Level::High,
+            (None, taken) => taken.as_ref().is_none_or(IoPin::is_high),
+        }
     }
 
     fn pull(&mut self, low: bool) {
-        use rppal::gpio::Mode;
         if let Some(pin) = self.watched.take() {
             self.taken = Some(pin.into_io(Mode::Input));
         }
@@ -98,12 +96,10 @@ impl OpenDrainLine for HeaderLine {
 #[cfg(feature = "hw")]
 pub fn clear_header(lines: [u32; 2], delay: &mut dyn DelayNs) -> BusState {
     let open = |line: u32| {
-        let pin = rppal::gpio::Gpio::new()
-            .ok()?
-            .get(u8::try_from(line).ok()?)
-            .ok()?;
+        let number = u8::try_from(line).ok()?;
+        let watched = Some(Gpio::new().ok()?.get(number).ok()?);
         Some(HeaderLine {
-            watched: Some(pin),
+            watched,
             taken: None,
         })
     };

@@ -1,7 +1,16 @@
 //! The trait that every sensor driver implements.
 
-use super::{Identity, ImuError, RawImu, Scale};
+use super::{Chip, ImuError, RawImu, Scale};
 use embedded_hal::delay::DelayNs;
+
+/// What `init` found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Identity {
+    /// Gyroscope and accelerometer.
+    pub inertial: Chip,
+    /// Conversions per second of gyroscope and accelerometer.
+    pub rate_hz: f64,
+}
 
 /// A nine-axis sensor.
 pub trait Imu {

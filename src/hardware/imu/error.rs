@@ -1,6 +1,6 @@
 //! Errors between the bus and a sample, each with a remedy.
 
-use super::Part;
+use super::{Chip, Part};
 use crate::estimation::fusion::health::ReadFault;
 use embedded_hal::i2c::ErrorKind;
 
@@ -8,42 +8,29 @@ use embedded_hal::i2c::ErrorKind;
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ImuError {
     /// The address was not acknowledged.
-    #[error("{part} at {address:#04x} does not answer (no acknowledge): {}", self.advice())]
-    Nack {
-        /// The chip addressed.
-        part: Part,
-        /// Its 7-bit address.
-        address: u8,
-    },
+    #[error("{0} does not answer (no acknowledge): {advice}", advice = self.advice())]
+    Nack(Chip),
     /// The transfer ended early: too few bytes, or a tail of 0xFF from an undriven bus.
-    #[error("{part} at {address:#04x} sent {have} of {want} bytes: {}", self.advice())]
+    #[error("{chip} sent {have} of {want} bytes: {}", self.advice())]
     ShortRead {
         /// The chip addressed.
-        part: Part,
-        /// Its 7-bit address.
-        address: u8,
+        chip: Chip,
         /// Valid bytes.
         have: usize,
         /// Bytes requested.
         want: usize,
     },
-    /// The bus failed: arbitration lost, timeout, a line held down.
-    #[error("bus fault ({kind:?}) in a transfer with {part} at {address:#04x}: {}", self.advice())]
-    Bus {
-        /// The chip addressed.
-        part: Part,
-        /// Its 7-bit address.
-        address: u8,
-        /// The error of the bus driver.
-        kind: ErrorKind,
-    },
+    /// The bus failed, with the error of its driver: arbitration lost, timeout, a line held down.
+    #[error("bus fault ({1:?}) in a transfer with {0}: {advice}", advice = self.advice())]
+    Bus(Chip, ErrorKind),
     /// Another part answers at this address.
-    #[error("WHO_AM_I at {address:#04x} is {have:#04x}, that of the {part} is {want:#04x}: {}", self.advice())]
+    #[error(
+        "WHO_AM_I at {:#04x} is {have:#04x}, that of the {} is {want:#04x}: {}",
+        .chip.address, .chip.part, self.advice()
+    )]
     WrongId {
-        /// The expected part.
-        part: Part,
-        /// The 7-bit address.
-        address: u8,
+        /// The expected chip.
+        chip: Chip,
         /// Identity that was read.
         have: u8,
         /// Identity of the part.
@@ -72,38 +59,30 @@ pub enum ImuError {
         limit_ms: u32,
     },
     /// `read` was called before a successful `init`, or after a restart.
-    #[error("{part} is not initialised: {}", self.advice())]
-    NotReady {
-        /// The chip.
-        part: Part,
-    },
+    #[error("{0} is not initialised: {advice}", advice = self.advice())]
+    NotReady(Part),
 }
 
 impl ImuError {
     /// The remedy.
     pub fn advice(&self) -> &'static str {
+        const AK: Part = Part::Ak09916;
         match self {
-            Self::Nack {
-                part: Part::Ak09916,
-                ..
-            }
-            | Self::Timeout {
-                part: Part::Ak09916,
-                ..
-            }
+            Self::Nack(Chip { part: AK, .. })
+            | Self::Timeout { part: AK, .. }
             | Self::WrongId {
-                part: Part::Ak09916,
+                chip: Chip { part: AK, .. },
                 ..
             } => {
                 "the magnetometer inside the chip is dead, or the chip is a copy without one: fit another"
             }
-            Self::Nack { .. } => {
+            Self::Nack(_) => {
                 "check the plug, the 3.3 V supply and `imu.chip.address` (`i2cdetect -y 1` lists the addresses that answer)"
             }
             Self::ShortRead { .. } => {
                 "look for a loose contact, or a cable longer than 1.2 m at 400 kHz"
             }
-            Self::Bus { .. } => {
+            Self::Bus(..) => {
                 "cycle the power of the IMU, then look for a short or a missing pull-up on SDA and SCL"
             }
             Self::WrongId { have: 0x00, .. } => {
@@ -125,18 +104,18 @@ impl ImuError {
                 "its supply dipped, and it is set up again: check the 3.3 V supply under motor load"
             }
             Self::Timeout { .. } => "cycle the power of the IMU; if the error persists, replace it",
-            Self::NotReady { .. } => "it is set up again: if that does not help, cycle its power",
+            Self::NotReady(_) => "it is set up again: if that does not help, cycle its power",
         }
     }
 
     /// The corresponding fault of the health monitor.
     pub fn fault(&self) -> ReadFault {
         match self {
-            Self::Nack { .. } | Self::Timeout { .. } => ReadFault::Nack,
+            Self::Nack(_) | Self::Timeout { .. } => ReadFault::Nack,
             Self::ShortRead { .. } => ReadFault::ShortRead,
-            Self::Bus { .. } => ReadFault::Bus,
+            Self::Bus(..) => ReadFault::Bus,
             Self::WrongId { .. } => ReadFault::WrongId,
-            Self::ResetToDefaults { .. } | Self::NotReady { .. } => ReadFault::BrownOut,
+            Self::ResetToDefaults { .. } | Self::NotReady(_) => ReadFault::BrownOut,
         }
     }
 }

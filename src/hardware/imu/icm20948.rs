@@ -25,8 +25,7 @@ pub mod reg;
 
 pub use config::{BASE_RATE_HZ, IcmConfig, Settings, scale};
 
-use super::port::Port;
-use super::{ChipId, Identity, Imu, ImuError, Part, RawImu, Scale};
+use super::{Chip, Identity, Imu, ImuError, Part, RawImu, Scale};
 use crate::primitives::Invalid;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
@@ -37,6 +36,10 @@ pub const WHO_AM_I: u8 = 0xEA;
 pub const AK_WHO_AM_I: u8 = 0x09;
 /// Address of the AK09916 on the internal bus (and outside, in bypass).
 pub const AK_ADDRESS: u8 = 0x0C;
+const AK: Chip = Chip {
+    part: Part::Ak09916,
+    address: AK_ADDRESS,
+};
 const BURST: usize = 23;
 const SLV4_LIMIT_MS: u32 = 20;
 const RESET_LIMIT_MS: u32 = 100;
@@ -46,7 +49,7 @@ const MAG_TRIES: u32 = 5;
 #[derive(Debug)]
 pub struct Icm20948<I> {
     bus: I,
-    port: Port,
+    chip: Chip,
     settings: Settings,
     ready: bool,
     bank: Option<u8>,
@@ -65,28 +68,30 @@ impl<I: I2c> Icm20948<I> {
     /// # Errors
     /// [`Invalid`] for a setting that the part does not support.
     pub fn new(bus: I, config: &IcmConfig) -> Result<Self, Invalid> {
-        let settings = config.settings()?;
-        let port = Port {
+        let chip = Chip {
             part: Part::Icm20948,
-            address: settings.address,
+            address: config.address,
         };
-        let (last, last_mag) = (None, None);
         Ok(Self {
             bus,
-            port,
-            settings,
+            chip,
+            settings: config.settings()?,
             ready: false,
             bank: None,
             reads: 0,
             check: 0,
             mode_asked: false,
-            last,
-            last_mag,
+            last: None,
+            last_mag: None,
         })
     }
 
+    fn get(&mut self, register: u8) -> Result<u8, ImuError> {
+        self.chip.get(&mut self.bus, register)
+    }
+
     fn set(&mut self, register: u8, value: u8) -> Result<(), ImuError> {
-        self.port.set(&mut self.bus, register, value)
+        self.chip.set(&mut self.bus, register, value)
     }
 
     /// Selects a bank. After a failure the selected bank is unknown.
@@ -100,9 +105,8 @@ impl<I: I2c> Icm20948<I> {
     fn reset(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
         self.set(reg::PWR_MGMT_1, 0x80)?;
         delay.delay_ms(10);
-        let busy = (reg::PWR_MGMT_1, 0x80);
-        self.port
-            .wait_clear(&mut self.bus, delay, busy, "its reset", RESET_LIMIT_MS)?;
+        let (chip, bus) = (self.chip, &mut self.bus);
+        chip.wait_for_reset(bus, delay, reg::PWR_MGMT_1, 0x80, RESET_LIMIT_MS)?;
         self.set(reg::PWR_MGMT_1, 0x01)?; // awake, best clock
         delay.delay_ms(35); // gyroscope start-up (DS-000189, table 1)
         self.set(reg::PWR_MGMT_2, 0x00)?;
@@ -135,10 +139,8 @@ impl<I: I2c> Icm20948<I> {
     /// Begins a transfer of [`Self::aux`].
     fn ask(&mut self, register: u8, write: Option<u8>) -> Result<(), ImuError> {
         self.bank(3)?;
-        self.set(
-            reg::I2C_SLV4_ADDR,
-            AK_ADDRESS | if write.is_some() { 0 } else { 0x80 },
-        )?;
+        let direction = if write.is_some() { 0 } else { 0x80 };
+        self.set(reg::I2C_SLV4_ADDR, AK_ADDRESS | direction)?;
         self.set(reg::I2C_SLV4_REG, register)?;
         self.set(reg::I2C_SLV4_DO, write.unwrap_or(0))?;
         self.set(reg::I2C_SLV4_CTRL, 0x80)?;
@@ -152,20 +154,17 @@ impl<I: I2c> Icm20948<I> {
         register: u8,
         write: Option<u8>,
     ) -> Result<u8, ImuError> {
-        self.port.get(&mut self.bus, reg::I2C_MST_STATUS)?; // reading clears it
+        self.get(reg::I2C_MST_STATUS)?; // reading clears it
         self.ask(register, write)?;
         for _ in 0..SLV4_LIMIT_MS {
             delay.delay_ms(1);
-            let status = self.port.get(&mut self.bus, reg::I2C_MST_STATUS)?;
+            let status = self.get(reg::I2C_MST_STATUS)?;
             if status & 0x10 != 0 {
-                return Err(ImuError::Nack {
-                    part: Part::Ak09916,
-                    address: AK_ADDRESS,
-                });
+                return Err(ImuError::Nack(AK));
             }
             if status & 0x40 != 0 {
                 self.bank(3)?;
-                let value = self.port.get(&mut self.bus, reg::I2C_SLV4_DI)?;
+                let value = self.get(reg::I2C_SLV4_DI)?;
                 self.bank(0)?;
                 return Ok(value);
             }
@@ -184,21 +183,7 @@ impl<I: I2c> Icm20948<I> {
         self.mode_asked = false;
         for _ in 0..tries {
             self.start_master(delay)?;
-            last = self.aux(delay, reg::AK_CNTL3, Some(0x01)).and_then(|_| {
-                delay.delay_ms(2);
-                match self.aux(delay, reg::AK_WIA2, None)? {
-                    AK_WHO_AM_I => Ok(()),
-                    have => {
-                        let (part, address, want) = (Part::Ak09916, AK_ADDRESS, AK_WHO_AM_I);
-                        Err(ImuError::WrongId {
-                            part,
-                            address,
-                            have,
-                            want,
-                        })
-                    }
-                }
-            });
+            last = self.identify_mag(delay);
             if last.is_ok() {
                 break;
             }
@@ -207,13 +192,17 @@ impl<I: I2c> Icm20948<I> {
         last
     }
 
+    fn identify_mag(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
+        self.aux(delay, reg::AK_CNTL3, Some(0x01))?;
+        delay.delay_ms(2);
+        AK.identify(self.aux(delay, reg::AK_WIA2, None)?, AK_WHO_AM_I)
+    }
+
     fn start_mag(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
         let want = self.settings.mag_mode;
         self.aux(delay, reg::AK_CNTL2, Some(want))?;
         let have = self.aux(delay, reg::AK_CNTL2, None)?;
-        if let Some(lost) = mode_lost(have, want) {
-            return Err(lost);
-        }
+        mode_lost(have, want).map_or(Ok(()), Err)?;
         self.bank(3)?;
         self.set(reg::I2C_SLV0_ADDR, 0x80 | AK_ADDRESS)?;
         self.set(reg::I2C_SLV0_REG, reg::AK_ST1)?;
@@ -223,11 +212,11 @@ impl<I: I2c> Icm20948<I> {
 
     /// Whether the magnetometer has lost its mode, by the answer to the check before: the answer to this one is not waited for.
     fn check_mode(&mut self) -> Result<Option<ImuError>, ImuError> {
-        let status = self.port.get(&mut self.bus, reg::I2C_MST_STATUS)?;
+        let status = self.get(reg::I2C_MST_STATUS)?;
         let mut lost = None;
         if self.mode_asked && status & 0x50 == 0x40 {
             self.bank(3)?;
-            let have = self.port.get(&mut self.bus, reg::I2C_SLV4_DI)?;
+            let have = self.get(reg::I2C_SLV4_DI)?;
             lost = mode_lost(have, self.settings.mag_mode);
         }
         self.mode_asked = true;
@@ -253,20 +242,17 @@ impl<I: I2c> Icm20948<I> {
                 (0x01, 0xEF),
                 (0x00, 0x3F),
             ];
-            self.port.check(&mut self.bus, reg::USER_CTRL, &want)
+            self.chip.check(&mut self.bus, reg::USER_CTRL, &want)
         } else if due && self.check == 0 {
             raw.mag_fault = self.check_mode()?;
             Ok(())
         } else if due {
             let s = self.settings;
             self.bank(2)?;
-            self.port.check(
-                &mut self.bus,
-                reg::GYRO_SMPLRT_DIV,
-                &[(s.divider, 0xFF), (s.gyro_config, 0x3F)],
-            )?;
-            self.port
-                .check(&mut self.bus, reg::ACCEL_CONFIG, &[(s.acc_config, 0x3F)])?;
+            let gyro = [(s.divider, 0xFF), (s.gyro_config, 0x3F)];
+            let (chip, bus) = (self.chip, &mut self.bus);
+            chip.check(bus, reg::GYRO_SMPLRT_DIV, &gyro)?;
+            chip.check(bus, reg::ACCEL_CONFIG, &[(s.acc_config, 0x3F)])?;
             self.bank(0)
         } else {
             Ok(())
@@ -278,10 +264,10 @@ impl<I: I2c> Icm20948<I> {
             self.bank(0)?; // a transfer failed while another bank was selected
         }
         let mut b = [0_u8; BURST];
-        self.port.read(&mut self.bus, reg::ACCEL_XOUT_H, &mut b)?;
+        self.chip.read(&mut self.bus, reg::ACCEL_XOUT_H, &mut b)?;
         // TMPS and ST2 have bits that are always 0; all ones means that the chip does not drive the line.
         if b[BURST - 2..] == [0xFF, 0xFF] {
-            return Err(self.port.short(&b));
+            return Err(self.chip.short(&b));
         }
         Ok(decode(&b, &mut self.last_mag))
     }
@@ -289,9 +275,8 @@ impl<I: I2c> Icm20948<I> {
     fn read_checked(&mut self) -> Result<RawImu, ImuError> {
         let mut raw = self.burst()?;
         self.canary(&mut raw)?;
-        raw.fresh = self
-            .last
-            .is_none_or(|l| (l.gyro, l.acc) != (raw.gyro, raw.acc));
+        let inertial = |raw: &RawImu| (raw.gyro, raw.acc);
+        raw.fresh = self.last.as_ref().map(inertial) != Some(inertial(&raw));
         self.last = Some(raw);
         Ok(raw)
     }
@@ -299,12 +284,7 @@ impl<I: I2c> Icm20948<I> {
 
 /// A magnetometer in another mode than it was given has restarted.
 fn mode_lost(have: u8, want: u8) -> Option<ImuError> {
-    (have != want).then_some(ImuError::ResetToDefaults {
-        part: Part::Ak09916,
-        register: reg::AK_CNTL2,
-        have,
-        want,
-    })
+    (have != want).then(|| AK.part.reset_to_defaults(reg::AK_CNTL2, have, want))
 }
 
 /// Decodes the burst. A magnetometer value is new if its data-ready bit is set or if it has changed (after
@@ -335,7 +315,7 @@ impl<I: I2c> Imu for Icm20948<I> {
         self.ready = false;
         (self.last, self.last_mag, self.reads) = (None, None, 0);
         self.bank(0)?;
-        let inertial = self.port.identify(&mut self.bus, reg::WHO_AM_I, WHO_AM_I)?;
+        self.chip.identify(self.get(reg::WHO_AM_I)?, WHO_AM_I)?;
         self.reset(delay)?;
         self.ranges()?;
         self.find_mag(delay, MAG_TRIES)?;
@@ -343,22 +323,14 @@ impl<I: I2c> Imu for Icm20948<I> {
         delay.delay_ms(10); // first magnetometer measurement
         self.ready = true;
         Ok(Identity {
-            inertial,
-            magnetic: ChipId {
-                part: Part::Ak09916,
-                address: AK_ADDRESS,
-                id: AK_WHO_AM_I,
-            },
+            inertial: self.chip,
             rate_hz: BASE_RATE_HZ / (1.0 + f64::from(self.settings.divider)),
-            mag_rate_hz: self.settings.mag_rate_hz,
         })
     }
 
     fn read(&mut self) -> Result<RawImu, ImuError> {
         if !self.ready {
-            return Err(ImuError::NotReady {
-                part: Part::Icm20948,
-            });
+            return Err(ImuError::NotReady(self.chip.part));
         }
         let result = self.read_checked();
         self.ready &= !matches!(result, Err(ImuError::ResetToDefaults { .. }));

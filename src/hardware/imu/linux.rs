@@ -43,10 +43,9 @@ pub trait Errno {
 
 impl Errno for rppal::i2c::Error {
     fn errno(&self) -> Option<i32> {
-        if let Self::Io(e) = self {
-            e.raw_os_error()
-        } else {
-            None
+        match self {
+            Self::Io(e) => e.raw_os_error(),
+            _ => None,
         }
     }
 }
@@ -65,21 +64,6 @@ impl Errno for linux_embedded_hal::I2CError {
 #[derive(Debug)]
 pub struct Classified<I>(pub I);
 
-/// A classified bus error.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct BusError {
-    /// The class.
-    pub kind: ErrorKind,
-    /// The kernel's error number, if there is one.
-    pub errno: Option<i32>,
-}
-
-impl Error for BusError {
-    fn kind(&self) -> ErrorKind {
-        self.kind
-    }
-}
-
 /// The class of an error number of an I²C transfer; `None` for an unspecific one.
 fn class_of(errno: i32) -> Option<ErrorKind> {
     match errno {
@@ -97,7 +81,7 @@ impl<I: I2c> ErrorType for Classified<I>
 where
     I::Error: Errno,
 {
-    type Error = BusError;
+    type Error = ErrorKind;
 }
 
 impl<I: I2c> I2c for Classified<I>
@@ -108,14 +92,10 @@ where
         &mut self,
         address: u8,
         operations: &mut [Operation<'_>],
-    ) -> Result<(), BusError> {
-        self.0.transaction(address, operations).map_err(|e| {
-            let errno = e.errno();
-            BusError {
-                kind: errno.and_then(class_of).unwrap_or(e.kind()),
-                errno,
-            }
-        })
+    ) -> Result<(), ErrorKind> {
+        self.0
+            .transaction(address, operations)
+            .map_err(|e| e.errno().and_then(class_of).unwrap_or(e.kind()))
     }
 }
 

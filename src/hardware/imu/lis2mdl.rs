@@ -4,8 +4,7 @@
 //! data update. The address counter wraps from OUTZ_H (0x6D) to OUTX_L (0x68), so a burst cannot reach
 //! the temperature at 0x6E. Status and data (0x67 … 0x6D) are one burst of seven bytes.
 
-use super::port::Port;
-use super::{ChipId, ImuError, Part};
+use super::{Chip, ImuError, Part};
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 
@@ -29,57 +28,47 @@ pub const WHO_AM_I: u8 = 0x40;
 pub const ADDRESS: u8 = 0x1E;
 /// µT per count (1.5 mG).
 pub const UT_PER_LSB: f64 = 0.15;
+const SOFT_RST: u8 = 0x20; // CFG_REG_A
 const CFG_B: u8 = 0x02; // OFF_CANC: set/reset pulses cancel the bridge offset
 const CFG_C: u8 = 0x10; // BDU
 const RESET_LIMIT_MS: u32 = 20;
+const CHIP: Chip = Chip {
+    part: Part::Lis2mdl,
+    address: ADDRESS,
+};
 
 /// The chip's part of the two-chip driver. The caller owns the bus.
 #[derive(Debug)]
 pub struct Lis2mdl {
-    port: Port,
     cfg_a: u8,
     last: Option<[i16; 3]>,
 }
 
 impl Lis2mdl {
-    /// A driver for 10, 20, 50 or 100 Hz; `None` for any other rate.
-    pub fn new(rate_hz: u16) -> Option<Self> {
-        let rate = [10, 20, 50, 100].into_iter().position(|r| r == rate_hz)? as u8;
-        let port = Port {
-            part: Part::Lis2mdl,
-            address: ADDRESS,
-        };
-        Some(Self {
-            port,
-            cfg_a: 0x80 | rate << 2,
+    /// A driver for 10, 20, 50 or 100 Hz, temperature-compensated and continuous.
+    pub fn new(rate_hz: u16) -> Self {
+        // every valid rate is in the list
+        let rate = [10, 20, 50, 100].iter().position(|r| *r == rate_hz);
+        Self {
+            cfg_a: 0x80 | (rate.unwrap_or(0) as u8) << 2,
             last: None,
-        }) // temperature-compensated, continuous
+        }
     }
 
     /// Identifies, resets and configures the chip.
     ///
     /// # Errors
     /// [`ImuError`] when it is absent, is another part, or does not start.
-    pub fn init<I: I2c>(
-        &mut self,
-        bus: &mut I,
-        delay: &mut dyn DelayNs,
-    ) -> Result<ChipId, ImuError> {
+    pub fn init<I: I2c>(&mut self, bus: &mut I, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
         self.last = None;
-        let id = self.port.identify(bus, reg::WHO_AM_I, WHO_AM_I)?;
-        self.port.set(bus, reg::CFG_REG_A, 0x20)?; // SOFT_RST
-        self.port.wait_clear(
-            bus,
-            delay,
-            (reg::CFG_REG_A, 0x20),
-            "its reset",
-            RESET_LIMIT_MS,
-        )?;
-        self.port.set(bus, reg::CFG_REG_C, CFG_C)?;
-        self.port.set(bus, reg::CFG_REG_B, CFG_B)?;
-        self.port.set(bus, reg::CFG_REG_A, self.cfg_a)?;
+        CHIP.identify(CHIP.get(bus, reg::WHO_AM_I)?, WHO_AM_I)?;
+        CHIP.set(bus, reg::CFG_REG_A, SOFT_RST)?;
+        CHIP.wait_for_reset(bus, delay, reg::CFG_REG_A, SOFT_RST, RESET_LIMIT_MS)?;
+        CHIP.set(bus, reg::CFG_REG_C, CFG_C)?;
+        CHIP.set(bus, reg::CFG_REG_B, CFG_B)?;
+        CHIP.set(bus, reg::CFG_REG_A, self.cfg_a)?;
         delay.delay_ms(10); // turn-on time
-        Ok(id)
+        Ok(())
     }
 
     /// A new value in the chip's axes, if there is one.
@@ -88,11 +77,11 @@ impl Lis2mdl {
     /// [`ImuError`] when the transfer fails.
     pub fn read<I: I2c>(&mut self, bus: &mut I) -> Result<Option<[i16; 3]>, ImuError> {
         let mut b = [0_u8; 7];
-        self.port.read(bus, reg::STATUS, &mut b)?;
+        CHIP.read(bus, reg::STATUS, &mut b)?;
         let le = |i: usize| i16::from_le_bytes([b[i], b[i + 1]]);
         let value = [le(1), le(3), le(5)];
         if value == [-1; 3] {
-            return Err(self.port.short(&b)); // −1 on all three axes means an undriven line
+            return Err(CHIP.short(&b)); // −1 on all three axes means an undriven line
         }
         let new = b[0] & 0x08 != 0 || self.last.is_some_and(|last| last != value);
         if new {
@@ -106,10 +95,7 @@ impl Lis2mdl {
     /// # Errors
     /// [`ImuError::ResetToDefaults`] after a restart.
     pub fn check<I: I2c>(&self, bus: &mut I) -> Result<(), ImuError> {
-        self.port.check(
-            bus,
-            reg::CFG_REG_A,
-            &[(self.cfg_a, 0xFF), (CFG_B, 0x1F), (CFG_C, 0x38)],
-        )
+        let want = [(self.cfg_a, 0xFF), (CFG_B, 0x1F), (CFG_C, 0x38)];
+        CHIP.check(bus, reg::CFG_REG_A, &want)
     }
 }

@@ -13,8 +13,7 @@ pub mod reg;
 pub use config::{LsmConfig, RATES_HZ, Settings, Variant, scale};
 
 use super::lis2mdl::Lis2mdl;
-use super::port::Port;
-use super::{Identity, Imu, ImuError, RawImu, Scale};
+use super::{Chip, Identity, Imu, ImuError, RawImu, Scale};
 use crate::primitives::Invalid;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
@@ -28,49 +27,29 @@ const MAG_OVERFLOW: u16 = 32_700;
 #[derive(Debug)]
 pub struct Lsm6dsoLis2mdl<I> {
     bus: I,
-    port: Port,
+    chip: Chip,
+    who_am_i: u8,
     mag: Lis2mdl,
     settings: Settings,
-    who_am_i: u8,
-    mag_rate_hz: f64,
     ready: bool,
     reads: u16,
     since_mag: u16,
 }
 
 impl<I: I2c> Lsm6dsoLis2mdl<I> {
-    /// A driver of an LSM6DSO that has not accessed its chips yet.
-    ///
-    /// # Errors
-    /// [`Invalid`] for a setting that the parts do not support.
-    pub fn new(bus: I, config: &LsmConfig) -> Result<Self, Invalid> {
-        Self::of(bus, config, Variant::Dso)
-    }
-
     /// A driver of one of the parts that has not accessed its chips yet.
     ///
     /// # Errors
-    /// As for [`new`](Self::new).
-    pub fn of(bus: I, config: &LsmConfig, variant: Variant) -> Result<Self, Invalid> {
-        let settings = config.settings(variant)?;
+    /// [`Invalid`] for a setting that the parts do not support.
+    pub fn new(bus: I, config: &LsmConfig, variant: Variant) -> Result<Self, Invalid> {
         let (part, who_am_i, _) = variant.part();
-        let mag = Lis2mdl::new(config.mag_rate_hz).ok_or(Invalid {
-            key: "imu.chip.mag_rate_hz".to_owned(),
-            problem: format!("the LIS2MDL does not measure at {} Hz", config.mag_rate_hz),
-            hint: "write 10, 20, 50 or 100".to_owned(),
-        })?;
-        let port = Port {
-            part,
-            address: settings.address,
-        };
-        let mag_rate_hz = f64::from(config.mag_rate_hz);
+        let address = config.address;
         Ok(Self {
             bus,
-            port,
-            mag,
-            settings,
+            chip: Chip { part, address },
             who_am_i,
-            mag_rate_hz,
+            mag: Lis2mdl::new(config.mag_rate_hz),
+            settings: config.settings(variant)?,
             ready: false,
             reads: 0,
             since_mag: 0,
@@ -78,16 +57,12 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
     }
 
     fn configure(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
-        self.port.set(&mut self.bus, reg::CTRL3, 0x05)?; // IF_INC, SW_RESET
-        self.port.wait_clear(
-            &mut self.bus,
-            delay,
-            (reg::CTRL3, 0x01),
-            "its reset",
-            RESET_LIMIT_MS,
-        )?;
+        let bus = &mut self.bus;
+        self.chip.set(bus, reg::CTRL3, 0x05)?; // IF_INC, SW_RESET
+        self.chip
+            .wait_for_reset(bus, delay, reg::CTRL3, 0x01, RESET_LIMIT_MS)?;
         for (register, value) in self.settings.writes {
-            self.port.set(&mut self.bus, register, value)?;
+            self.chip.set(bus, register, value)?;
         }
         delay.delay_ms(80); // gyroscope turn-on
         Ok(())
@@ -99,20 +74,20 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
             return Ok(());
         }
         self.reads = 0;
-        self.port
-            .check(&mut self.bus, reg::CTRL1, &self.settings.canary)?;
-        raw.mag_fault = raw.mag_fault.or(self.mag.check(&mut self.bus).err());
+        let bus = &mut self.bus;
+        self.chip.check(bus, reg::CTRL1, &self.settings.canary)?;
+        raw.mag_fault = raw.mag_fault.or(self.mag.check(bus).err());
         Ok(())
     }
 
     fn burst(&mut self) -> Result<RawImu, ImuError> {
         let mut b = [0_u8; BURST];
-        self.port.read(&mut self.bus, reg::STATUS_REG, &mut b)?;
+        self.chip.read(&mut self.bus, reg::STATUS_REG, &mut b)?;
         let le = |i: usize| i16::from_le_bytes([b[i], b[i + 1]]);
         let acc = [le(10), le(12), le(14)];
         // Status bits 7:3 are never all 1, and −1 on all axes would be free fall: the line is not driven.
         if b[0] & 0xF8 == 0xF8 || acc == [-1; 3] {
-            return Err(self.port.short(&b));
+            return Err(self.chip.short(&b));
         }
         Ok(RawImu {
             gyro: [le(4), le(6), le(8)],
@@ -134,9 +109,8 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
                 Ok(value) => raw.mag = value,
                 Err(error) => raw.mag_fault = Some(error),
             }
-            raw.mag_overflow = raw
-                .mag
-                .is_some_and(|m| m.iter().any(|c| c.unsigned_abs() >= MAG_OVERFLOW));
+            let overflows = |m: [i16; 3]| m.iter().any(|c| c.unsigned_abs() >= MAG_OVERFLOW);
+            raw.mag_overflow = raw.mag.is_some_and(overflows);
         }
     }
 }
@@ -145,24 +119,20 @@ impl<I: I2c> Imu for Lsm6dsoLis2mdl<I> {
     fn init(&mut self, delay: &mut dyn DelayNs) -> Result<Identity, ImuError> {
         self.ready = false;
         (self.reads, self.since_mag) = (0, 0);
-        let inertial = self
-            .port
-            .identify(&mut self.bus, reg::WHO_AM_I, self.who_am_i)?;
+        let have = self.chip.get(&mut self.bus, reg::WHO_AM_I)?;
+        self.chip.identify(have, self.who_am_i)?;
         self.configure(delay)?;
-        let magnetic = self.mag.init(&mut self.bus, delay)?;
+        self.mag.init(&mut self.bus, delay)?;
         self.ready = true;
         Ok(Identity {
-            inertial,
-            magnetic,
+            inertial: self.chip,
             rate_hz: self.settings.rate_hz,
-            mag_rate_hz: self.mag_rate_hz,
         })
     }
 
     fn read(&mut self) -> Result<RawImu, ImuError> {
         if !self.ready {
-            let part = self.port.part;
-            return Err(ImuError::NotReady { part });
+            return Err(ImuError::NotReady(self.chip.part));
         }
         let mut raw = self.burst()?;
         self.read_mag(&mut raw);
@@ -174,7 +144,7 @@ impl<I: I2c> Imu for Lsm6dsoLis2mdl<I> {
     }
 
     fn restart_mag(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
-        self.mag.init(&mut self.bus, delay).map(|_| ())
+        self.mag.init(&mut self.bus, delay)
     }
 
     fn scale(&self) -> Scale {

@@ -16,10 +16,10 @@
 //! supply dip still answers, but with its power-on ranges, which only this check detects
 //! ([`ImuError::ResetToDefaults`]).
 //!
-//! A new part needs a driver file, and in this file its `mod` line, its [`Part`] and its variant of
-//! [`ChipConfig`].
+//! A new part needs a driver file, its [`Part`], and in this file its `mod` line and its variant of [`ChipConfig`].
 
 pub mod bus_clear;
+mod chip;
 mod driver;
 mod error;
 #[cfg(test)]
@@ -31,19 +31,18 @@ pub mod linux;
 pub mod lis2mdl;
 pub mod lsm6dso;
 mod part;
-mod port;
 mod raw;
 mod recovery;
 
-pub use driver::Imu;
+pub use driver::{Identity, Imu};
 pub use error::ImuError;
-pub use part::{ChipId, Identity, Part};
+pub use part::{Chip, Part};
 pub use raw::{Axes, Axis, RawImu, STANDARD_GRAVITY_M_S2, Scale};
 pub use recovery::{ImuRecovery, POLL_SHARE};
 
 use crate::primitives::{Invalid, Parameters, Setting, Shape};
 use embedded_hal::i2c::I2c;
-use lsm6dso::Variant;
+use lsm6dso::{Lsm6dsoLis2mdl, Variant};
 use serde::{Deserialize, Serialize};
 
 /// The `chip` table of a sensor: `part = "icm20948"`, `"lsm6dso_lis2mdl"` or `"lsm6dsv16x_lis2mdl"`, and the settings of that part.
@@ -64,12 +63,9 @@ impl Setting for ChipConfig {
     const SHAPE: Shape = Shape::Tagged(
         "part",
         &[
-            ("icm20948", <icm20948::IcmConfig as Parameters>::TABLE),
-            ("lsm6dso_lis2mdl", <lsm6dso::LsmConfig as Parameters>::TABLE),
-            (
-                "lsm6dsv16x_lis2mdl",
-                <lsm6dso::LsmConfig as Parameters>::TABLE,
-            ),
+            ("icm20948", icm20948::IcmConfig::TABLE),
+            ("lsm6dso_lis2mdl", lsm6dso::LsmConfig::TABLE),
+            ("lsm6dsv16x_lis2mdl", lsm6dso::LsmConfig::TABLE),
         ],
     );
 }
@@ -112,9 +108,7 @@ pub fn open<I: I2c + Send + 'static>(
 ) -> Result<Box<dyn Imu + Send>, Invalid> {
     Ok(match config {
         ChipConfig::Icm20948(c) => Box::new(icm20948::Icm20948::new(bus, c)?),
-        ChipConfig::Lsm6dsoLis2mdl(c) => Box::new(lsm6dso::Lsm6dsoLis2mdl::new(bus, c)?),
-        ChipConfig::Lsm6dsv16xLis2mdl(c) => {
-            Box::new(lsm6dso::Lsm6dsoLis2mdl::of(bus, c, Variant::Dsv16x)?)
-        }
+        ChipConfig::Lsm6dsoLis2mdl(c) => Box::new(Lsm6dsoLis2mdl::new(bus, c, Variant::Dso)?),
+        ChipConfig::Lsm6dsv16xLis2mdl(c) => Box::new(Lsm6dsoLis2mdl::new(bus, c, Variant::Dsv16x)?),
     })
 }

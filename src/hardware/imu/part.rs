@@ -1,9 +1,10 @@
-//! The supported chips, and what a driver found on the bus.
+//! The supported chips.
 
 use crate::named;
+use std::fmt;
 
 named! {
-    /// A chip.
+    /// A part.
     #[derive(Debug, Clone, Copy, PartialEq, Eq)]
     pub enum Part {
         /// TDK InvenSense ICM-20948: gyroscope and accelerometer.
@@ -19,26 +20,17 @@ named! {
     }
 }
 
-/// A chip that answered with the expected identity.
+/// A part at a 7-bit address of a bus.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ChipId {
+pub struct Chip {
     /// The part.
     pub part: Part,
     /// 7-bit address.
     pub address: u8,
-    /// Content of its identity register.
-    pub id: u8,
 }
 
-/// The chips that `init` found, and their rates.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Identity {
-    /// Gyroscope and accelerometer.
-    pub inertial: ChipId,
-    /// Magnetometer.
-    pub magnetic: ChipId,
-    /// Conversions per second of gyroscope and accelerometer.
-    pub rate_hz: f64,
-    /// Conversions per second of the magnetometer.
-    pub mag_rate_hz: f64,
+impl fmt::Display for Chip {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} at {:#04x}", self.part, self.address)
+    }
 }

@@ -1,6 +1,7 @@
 //! Raw counts of a chip, and the scale that converts them to SI units.
 
 use super::ImuError;
+use crate::choices;
 use crate::estimation::fusion::health::Quality;
 use crate::primitives::{ImuSample, Seconds, Setting, Shape};
 use nalgebra::Vector3;
@@ -30,11 +31,8 @@ pub struct RawImu {
 
 /// Largest count as a share of the full scale.
 fn load(counts: &[i16; 3]) -> f64 {
-    counts
-        .iter()
-        .map(|c| f64::from(c.unsigned_abs()))
-        .fold(0.0, f64::max)
-        / f64::from(i16::MAX)
+    let sizes = counts.iter().map(|c| f64::from(c.unsigned_abs()));
+    sizes.fold(0.0, f64::max) / f64::from(i16::MAX)
 }
 
 impl RawImu {
@@ -49,40 +47,29 @@ impl RawImu {
     }
 }
 
-/// A signed axis of a chip.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Axis {
-    /// +x.
-    #[serde(rename = "+x")]
-    PlusX,
-    /// −x.
-    #[serde(rename = "-x")]
-    MinusX,
-    /// +y.
-    #[serde(rename = "+y")]
-    PlusY,
-    /// −y.
-    #[serde(rename = "-y")]
-    MinusY,
-    /// +z.
-    #[serde(rename = "+z")]
-    PlusZ,
-    /// −z.
-    #[serde(rename = "-z")]
-    MinusZ,
+choices! {
+    /// A signed axis of a chip.
+    pub enum Axis {
+        /// +x.
+        PlusX = "+x",
+        /// −x.
+        MinusX = "-x",
+        /// +y.
+        PlusY = "+y",
+        /// −y.
+        MinusY = "-y",
+        /// +z.
+        PlusZ = "+z",
+        /// −z.
+        MinusZ = "-z",
+    }
 }
 
 impl Axis {
     /// Index of the component, and its sign.
     fn parts(self) -> (usize, f64) {
-        (
-            self as usize / 2,
-            if (self as usize).is_multiple_of(2) {
-                1.0
-            } else {
-                -1.0
-            },
-        )
+        let (index, negative) = (self as usize / 2, self as usize % 2);
+        (index, [1.0, -1.0][negative])
     }
 }
 
@@ -115,11 +102,10 @@ impl Axes {
     }
     /// Converts from chip axes to the accelerometer's frame.
     pub fn to_frame(&self, chip: &Vector3<f64>) -> Vector3<f64> {
-        let pick = |axis: Axis| {
+        Vector3::from(self.0.map(|axis| {
             let (i, sign) = axis.parts();
             sign * chip[i]
-        };
-        Vector3::new(pick(self.0[0]), pick(self.0[1]), pick(self.0[2]))
+        }))
     }
 }
 
@@ -141,11 +127,7 @@ pub struct Scale {
 }
 
 fn scaled(counts: &[i16; 3], unit: f64) -> Vector3<f64> {
-    Vector3::new(
-        f64::from(counts[0]),
-        f64::from(counts[1]),
-        f64::from(counts[2]),
-    ) * unit
+    Vector3::from(counts.map(f64::from)) * unit
 }
 
 impl Scale {

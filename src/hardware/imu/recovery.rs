@@ -51,20 +51,18 @@ struct Repetition<const N: usize> {
 
 impl<const N: usize> Repetition<N> {
     fn new(patience_s: f64) -> Self {
-        let (last, wait_s, next_s) = (None, patience_s, 0.0);
         Self {
-            last,
+            last: None,
             patience_s,
-            wait_s,
-            next_s,
+            wait_s: patience_s,
+            next_s: 0.0,
         }
     }
 
     /// Takes the counts of a reading, if it has new ones; true if the part has to be set up again, at once if it is `lost`.
     fn is_due(&mut self, counts: Option<[i16; N]>, lost: bool, now_s: f64) -> bool {
-        let (last, changed_s) = self
-            .last
-            .get_or_insert((counts.unwrap_or([0; N]), [now_s; N]));
+        let first = (counts.unwrap_or([0; N]), [now_s; N]);
+        let (last, changed_s) = self.last.get_or_insert(first);
         for (i, count) in counts.iter().flatten().enumerate() {
             if *count != last[i] {
                 (last[i], changed_s[i]) = (*count, now_s);
@@ -147,10 +145,9 @@ impl<S: Imu + ?Sized> ImuRecovery<S> {
                 if let Some(reading) = self.thaw(&raw, delay, now.0) {
                     return reading;
                 }
-                self.stale = if raw.fresh {
-                    0
-                } else {
-                    self.stale.saturating_add(1)
+                self.stale = match raw.fresh {
+                    true => 0,
+                    false => self.stale.saturating_add(1),
                 };
                 if (1..=STALE_MAX).contains(&self.stale) {
                     return ImuReading::Nothing;
@@ -364,7 +361,9 @@ mod tests {
             bus.machine().attach(FakeLsm6dso::new(0x6A, seed));
             bus.machine().attach(FakeLis2mdl::new(seed));
             let config = lsm6dso::LsmConfig::default();
-            Box::new(lsm6dso::Lsm6dsoLis2mdl::new(bus.clone(), &config).unwrap())
+            Box::new(
+                lsm6dso::Lsm6dsoLis2mdl::new(bus.clone(), &config, lsm6dso::Variant::Dso).unwrap(),
+            )
         } else {
             bus.machine().attach(FakeIcm20948::new(0x68, seed));
             let config = icm20948::IcmConfig::default();

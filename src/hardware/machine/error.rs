@@ -1,7 +1,7 @@
 //! Errors of opening the hardware, each with a remedy.
 
 use crate::hardware::imu::ImuError;
-use crate::hardware::pins::OpenError;
+use crate::hardware::pins::PinError;
 use crate::hardware::stepper::StartError;
 use crate::primitives::Invalid;
 use std::path::PathBuf;
@@ -14,7 +14,7 @@ pub enum HardwareError {
     InUse(PathBuf),
     /// The pins.
     #[error(transparent)]
-    Pins(#[from] OpenError),
+    Pins(#[from] PinError),
     /// The step thread.
     #[error(transparent)]
     Stepper(#[from] StartError),
@@ -36,14 +36,9 @@ pub enum HardwareError {
         "{0} hangs: no answer within {1} s; cycle the power of the IMU, then look for a short on SDA or SCL"
     )]
     BusHangs(String, f64),
-    /// The sensor.
-    #[error("IMU on {path}: {source}")]
-    Imu {
-        /// Path of the bus.
-        path: String,
-        /// The error of the driver.
-        source: ImuError,
-    },
+    /// The sensor: path of its bus, and the error of its driver.
+    #[error("IMU on {0}: {1}")]
+    Imu(String, #[source] ImuError),
     /// The part does not support a setting.
     #[error(transparent)]
     Setting(#[from] Invalid),
@@ -60,7 +55,7 @@ impl HardwareError {
     pub fn is_config(&self) -> bool {
         matches!(
             self,
-            Self::Pins(OpenError::Config(_))
+            Self::Pins(PinError::Config(_))
                 | Self::Stepper(StartError::Config(_))
                 | Self::Setting(_)
         )

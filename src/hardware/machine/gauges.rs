@@ -1,13 +1,12 @@
 //! Pressure sensors and the temperature of the tip: limits that do not depend on the counted position.
 
 use crate::hardware::machine::error::HardwareError;
-#[cfg(feature = "hw")]
-use crate::hardware::machine::sensor::open_bus;
+use crate::hardware::machine::reading;
 use crate::hardware::pressure::{CONVERSION_MS, PressureError, PressureSection, PressureSensor};
 use crate::hardware::rt::monotonic_ns;
 use crate::supervisor::{Alarm, Gauges};
 use embedded_hal::i2c::I2c;
-use std::sync::mpsc::{Sender, channel};
+use std::sync::mpsc::Sender;
 use std::time::Duration;
 
 /// Age at which a pressure counts as unknown, ns.
@@ -36,11 +35,13 @@ pub struct GaugeConfig {
 
 /// Pressures of all lines, kPa, and the time of the reading.
 type Pressures = ([f64; 3], u64);
+/// The readings of the thread, and the last one.
+type Watched = (rtrb::Consumer<Pressures>, Pressures);
 
 /// The loop's side of all gauges.
 pub(super) struct GaugeWatch {
     config: GaugeConfig,
-    pressures: Option<(rtrb::Consumer<Pressures>, Pressures)>,
+    pressures: Option<Watched>,
     tip_c: Option<(f64, u64)>,
 }
 
@@ -64,10 +65,9 @@ impl GaugeWatch {
             while let Ok(newer) = ring.pop() {
                 *last = newer;
             }
-            if now_ns.saturating_sub(last.1) > STALE_NS {
-                [f64::NAN; 3]
-            } else {
-                last.0
+            match now_ns.saturating_sub(last.1) {
+                0..=STALE_NS => last.0,
+                _ => [f64::NAN; 3],
             }
         });
         if let Some(die_c) = die_c {
@@ -90,10 +90,8 @@ impl GaugeWatch {
     /// The limit that is exceeded. A pressure that is unknown exceeds it.
     fn alarm(&self, gauges: &Gauges) -> Option<Alarm> {
         let limit_kpa = self.config.pressure_max_kpa;
-        let over = gauges.pressure_kpa.and_then(|all| {
-            all.into_iter()
-                .find(|kpa| kpa.is_nan() || kpa.abs() > limit_kpa)
-        });
+        let exceeds = |kpa: &f64| kpa.is_nan() || kpa.abs() > limit_kpa;
+        let over = gauges.pressure_kpa.into_iter().flatten().find(exceeds);
         let hot = gauges.tip_c.filter(|c| *c > self.config.tip_max_c);
         over.map(|kpa| Alarm::Pressure { kpa })
             .or(hot.map(|temp_c| Alarm::Hot { temp_c }))
@@ -113,65 +111,45 @@ fn read_all<I: I2c>(sensors: &mut [PressureSensor<I>; 3]) -> Result<[f64; 3], Pr
     Ok(kpa)
 }
 
-/// The thread: reports the first result, then reads until the ring is dropped. A failed reading is left out, and its age
-/// tells.
-fn run<I: I2c>(
-    mut sensors: [PressureSensor<I>; 3],
-    mut output: rtrb::Producer<Pressures>,
-    first: &Sender<Result<Pressures, PressureError>>,
-) {
-    let result = read_all(&mut sensors).map(|kpa| (kpa, monotonic_ns()));
-    if first.send(result).is_err() || result.is_err() {
-        return;
-    }
-    while !output.is_abandoned() {
-        std::thread::sleep(PAUSE);
-        if let Ok(kpa) = read_all(&mut sensors) {
-            // a full ring means that the loop is stuck
-            let _ = output.push((kpa, monotonic_ns()));
-        }
-    }
-}
-
 #[cfg(feature = "hw")]
-fn start_pressures(
-    config: &PressureSection,
-) -> Result<(rtrb::Consumer<Pressures>, Pressures), HardwareError> {
+fn start_pressures(config: &PressureSection) -> Result<Watched, HardwareError> {
+    use crate::hardware::{imu::linux::bound_transfers, machine::sensor::open_bus};
     // if the bus refuses a limit, the age of the readings is one
-    let _ = crate::hardware::imu::linux::bound_transfers(&open_bus(&config.bus)?);
-    let path = || config.bus.clone();
-    let open = |channel| -> Result<_, HardwareError> {
-        let bus = linux_embedded_hal::I2cdev::new(&config.bus)
-            .map_err(|e| HardwareError::Bus(path(), e.to_string()))?;
-        Ok(PressureSensor::new(bus, config, channel))
+    let _ = bound_transfers(&open_bus(&config.bus)?);
+    let open = |channel| match linux_embedded_hal::I2cdev::new(&config.bus) {
+        Ok(bus) => Ok(PressureSensor::new(bus, config, channel)),
+        Err(e) => Err(HardwareError::Bus(config.bus.clone(), e.to_string())),
     };
     watch([open(0)?, open(1)?, open(2)?], &config.bus)
 }
 
 #[cfg(not(feature = "hw"))]
-fn start_pressures(
-    _: &PressureSection,
-) -> Result<(rtrb::Consumer<Pressures>, Pressures), HardwareError> {
+fn start_pressures(_: &PressureSection) -> Result<Watched, HardwareError> {
     Err(HardwareError::NotBuilt)
 }
 
-/// Starts the thread and waits for its first reading.
+/// Starts the thread and waits for its first reading. A later one that fails is left out, and its age tells.
 fn watch<I: I2c + Send + 'static>(
-    sensors: [PressureSensor<I>; 3],
+    mut sensors: [PressureSensor<I>; 3],
     bus: &str,
-) -> Result<(rtrb::Consumer<Pressures>, Pressures), HardwareError> {
-    let (output, ring) = rtrb::RingBuffer::new(16);
-    let (sender, first) = channel();
-    std::thread::Builder::new()
-        .name("pressure".into())
-        .spawn(move || run(sensors, output, &sender))?;
-    let path = || bus.to_owned();
-    let hangs = |_| HardwareError::BusHangs(path(), SETUP_MAX.as_secs_f64());
-    let last = first.recv_timeout(SETUP_MAX).map_err(hangs)?;
-    Ok((
-        ring,
-        last.map_err(|e| HardwareError::Bus(path(), e.to_string()))?,
-    ))
+) -> Result<Watched, HardwareError> {
+    let path = bus.to_owned();
+    let run = move |mut output: rtrb::Producer<Pressures>, first: Sender<_>| {
+        let mut read = || read_all(&mut sensors).map(|kpa| (kpa, monotonic_ns()));
+        let result = read().map_err(|e| HardwareError::Bus(path, e.to_string()));
+        let failed = result.is_err();
+        if first.send(result).is_err() || failed {
+            return;
+        }
+        while !output.is_abandoned() {
+            std::thread::sleep(PAUSE);
+            if let Ok(pressures) = read() {
+                // a full ring means that the loop is stuck
+                let _ = output.push(pressures);
+            }
+        }
+    };
+    reading::start("pressure", bus, SETUP_MAX, 16, run)
 }
 
 #[cfg(test)]

@@ -4,13 +4,13 @@ use crate::estimation::fusion::health::ImuReading;
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::error::HardwareError;
 use crate::hardware::machine::gauges::{GaugeConfig, GaugeWatch};
-use crate::hardware::machine::sensor::{self, Sensor, SensorConfig};
-use crate::hardware::pins::{self, Pins, PinsConfig};
+use crate::hardware::machine::sensor::{ImuSection, Sensor, slowness};
+use crate::hardware::pins::{self, BoardPins, PinsConfig};
 use crate::hardware::rt::monotonic_ns;
-use crate::hardware::stepper::{StartError, Stepper};
+use crate::hardware::stepper::Stepper;
 use crate::motion::EmergencyStop;
-use crate::motion::{Drive, DriveLimits, MotionConfig, MotionLimits, StepGenerator, StepperConfig};
-use crate::primitives::{ImuSample, Seconds, Steps};
+use crate::motion::{Drive, DriveLimits, MotionLimits, StepGenerator, StepperConfig};
+use crate::primitives::{Seconds, Steps};
 use crate::supervisor::{Machine, MachineError, MachineInfo, Sensed};
 
 /// Configuration of a machine made of hardware.
@@ -27,18 +27,20 @@ pub struct MachineConfig {
     /// Reaction of the step thread to the emergency stop.
     pub emergency_stop: EmergencyStop,
     /// Limits of motion.
-    pub motion: MotionConfig,
+    pub motion: MotionLimits,
     /// IMU of the tip.
-    pub imu: Option<SensorConfig>,
+    pub imu: Option<ImuSection>,
     /// IMU of the base.
-    pub base_imu: Option<SensorConfig>,
+    pub base_imu: Option<ImuSection>,
+    /// SCHED_FIFO priority of the threads that read them; 0 requests none.
+    pub imu_priority: i32,
     /// Pressure sensors, and limits of pressure and temperature.
     pub gauges: GaugeConfig,
 }
 
 /// A machine with drivers that are pulsed and sensors that are read.
 pub struct Hardware {
-    drive: Drive<Stepper<Box<dyn Pins>>>,
+    drive: Drive<Stepper<BoardPins>>,
     imu: Option<Sensor>,
     base_imu: Option<Sensor>,
     gauges: GaugeWatch,
@@ -56,11 +58,11 @@ impl Hardware {
     /// [`HardwareError`]. The sensors are opened first, so that nothing moves without them.
     pub fn open(config: &MachineConfig) -> Result<Self, HardwareError> {
         let lock = HardwareLock::take().map_err(HardwareError::InUse)?;
-        let imu = config.imu.as_ref().map(Sensor::start).transpose()?;
-        let base_imu = config.base_imu.as_ref().map(Sensor::start).transpose()?;
+        let start = |section: &ImuSection| Sensor::start(section, config.imu_priority);
+        let imu = config.imu.as_ref().map(start).transpose()?;
+        let base_imu = config.base_imu.as_ref().map(start).transpose()?;
         let gauges = GaugeWatch::start(&config.gauges)?;
         let pins = pins::open(&config.pins, config.microsteps)?;
-        let limits = MotionLimits::try_from(&config.motion).map_err(StartError::from)?;
         let stepper = Stepper::start(
             pins,
             &config.stepper,
@@ -69,7 +71,7 @@ impl Hardware {
             config.emergency_stop,
         )?;
         let motion = DriveLimits {
-            limits,
+            limits: config.motion,
             lead_s: config.stepper.lead_ms * 1e-3,
         };
         let drive = Drive::new(stepper, &motion, config.info.step_mm, config.info.period_s);
@@ -88,18 +90,14 @@ impl Hardware {
 /// The newest reading of a sensor with its time on the loop's clock, and its temperature; readings from before the loop's
 /// zero are at zero.
 fn newest(sensor: &mut Option<Sensor>, zero_ns: u64) -> (ImuReading, Option<f64>) {
-    let Some(reading) = sensor.as_mut().and_then(Sensor::newest) else {
-        return (ImuReading::Nothing, None);
-    };
-    match reading.reading {
-        ImuReading::Sample(sample, quality) => {
-            let t = Seconds(reading.t_ns.saturating_sub(zero_ns) as f64 * 1e-9);
-            (
-                ImuReading::Sample(ImuSample { t, ..sample }, quality),
-                reading.temp_c,
-            )
+    let newest = sensor.as_mut().and_then(Sensor::newest);
+    match newest.map(|read| (read.reading, read)) {
+        Some((ImuReading::Sample(mut sample, quality), read)) => {
+            sample.t = Seconds(read.t_ns.saturating_sub(zero_ns) as f64 * 1e-9);
+            (ImuReading::Sample(sample, quality), read.temp_c)
         }
-        other => (other, None),
+        Some((failed, _)) => (failed, None),
+        None => (ImuReading::Nothing, None),
     }
 }
 
@@ -110,9 +108,10 @@ impl Machine for Hardware {
 
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         let now_ns = monotonic_ns();
+        let since_zero_ns = (now.0 * 1e9) as u64;
         let zero_ns = *self
             .zero_ns
-            .get_or_insert_with(|| now_ns.saturating_sub((now.0 * 1e9) as u64));
+            .get_or_insert(now_ns.saturating_sub(since_zero_ns));
         self.drive.update(now_ns, wanted);
         let base_imu = match newest(&mut self.base_imu, zero_ns) {
             (ImuReading::Sample(sample, _), _) => Some(sample),
@@ -120,7 +119,7 @@ impl Machine for Hardware {
         };
         let (imu, die_c) = newest(&mut self.imu, zero_ns);
         let (gauges, limit) = self.gauges.turn(now_ns, die_c);
-        let steps = Sensed::of_drive(now, zero_ns + (now.0 * 1e9) as u64, &self.drive);
+        let steps = Sensed::of_drive(now, zero_ns + since_zero_ns, &self.drive);
         Ok(Sensed {
             imu,
             base_imu,
@@ -149,31 +148,22 @@ impl Machine for Hardware {
     fn remarks(&self) -> Vec<String> {
         let mut remarks = Vec::new();
         for (place, sensor) in [("tip", &self.imu), ("base", &self.base_imu)] {
-            if let Some(s) = sensor {
-                let i = &s.identity;
-                let (chip, limit) = (
-                    i.inertial,
-                    if s.bounded {
-                        ""
-                    } else {
-                        "; the bus driver accepts no time limit"
-                    },
-                );
-                let slow = sensor::slowness(s.read_s, i.rate_hz);
-                remarks.extend(slow.map(|slow| format!("{place} IMU: {slow}")));
-                remarks.push(format!(
-                    "{place} IMU: {} at {:#04x} on {}, {:.1} Hz{limit}",
-                    chip.part, chip.address, s.bus, i.rate_hz
-                ));
-            }
+            let Some(s) = sensor else { continue };
+            let (chip, rate_hz) = (s.found.identity.inertial, s.found.identity.rate_hz);
+            let slow = slowness(s.found.read_s, rate_hz);
+            remarks.extend(slow.map(|slow| format!("{place} IMU: {slow}")));
+            let limit = match s.found.bounded {
+                true => "",
+                false => "; the bus driver accepts no time limit",
+            };
+            let bus = &s.bus;
+            remarks.push(format!(
+                "{place} IMU: {chip} on {bus}, {rate_hz:.1} Hz{limit}"
+            ));
         }
         let stepper = self.drive.generator();
-        remarks.extend(
-            stepper
-                .status
-                .iter()
-                .map(|(name, grant)| format!("step thread, {name}: {grant}")),
-        );
+        let grants = stepper.status.iter();
+        remarks.extend(grants.map(|(name, grant)| format!("step thread, {name}: {grant}")));
         if let Some(r) = stepper.latest() {
             if r.underruns > 0 {
                 remarks.push(format!(
@@ -181,10 +171,8 @@ impl Machine for Hardware {
                     r.underruns
                 ));
             }
-            let (p999_us, max_us) = (
-                r.lateness.quantile_ns(0.999) as f64 * 1e-3,
-                r.lateness.max_ns() as f64 * 1e-3,
-            );
+            let [p999_us, max_us] =
+                [r.lateness.quantile_ns(0.999), r.lateness.max_ns()].map(|ns| ns as f64 * 1e-3);
             remarks.push(format!(
                 "step lateness {p999_us:.0} µs at p99.9, {max_us:.0} µs at most"
             ));

@@ -14,9 +14,10 @@
 mod error;
 mod gauges;
 mod hardware;
+mod reading;
 mod sensor;
 
 pub use error::HardwareError;
 pub use gauges::GaugeConfig;
 pub use hardware::{Hardware, MachineConfig};
-pub use sensor::{Sensor, SensorConfig, slowness};
+pub use sensor::{ImuSection, Sensor, slowness};

@@ -7,35 +7,58 @@
 use crate::estimation::fusion::health::ImuReading;
 use crate::hardware::imu::{self, ChipConfig, Identity, Imu, ImuRecovery, POLL_SHARE};
 use crate::hardware::machine::error::HardwareError;
+use crate::hardware::machine::reading;
 use crate::hardware::rt::{self, RtRequest, monotonic_ns};
 use crate::primitives::Seconds;
+use crate::{choices, parameters};
 use embedded_hal::delay::DelayNs;
-use nalgebra::UnitQuaternion;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use nalgebra::{UnitQuaternion, Vector3};
+use std::sync::mpsc::Sender;
 use std::time::Duration;
 
-/// Longest time from opening the bus to a configured chip, s. The slowest part takes half a second.
-const SETUP_MAX_S: f64 = 5.0;
+/// Longest time from opening the bus to a configured chip. The slowest part takes half a second.
+const SETUP_MAX: Duration = Duration::from_secs(5);
 /// Capacity of the ring: an eighth of a second at 500 Hz.
 const READINGS: usize = 64;
 
-/// Configuration of a sensor.
-#[derive(Debug, Clone)]
-pub struct SensorConfig {
-    /// Device file of the bus.
-    pub bus: String,
-    /// Use `rppal` instead of `linux-embedded-hal`.
-    pub rppal: bool,
-    /// Rotation from sensor to tip (or base).
-    pub mount: UnitQuaternion<f64>,
-    /// The part and its settings.
-    pub chip: ChipConfig,
-    /// SDA and SCL as GPIO numbers, for freeing a stuck bus.
-    pub bus_lines: Option<[u32; 2]>,
-    /// SCHED_FIFO priority of the thread; 0 requests none.
-    pub priority: i32,
+choices! {
+    /// How the bus is reached.
+    pub enum BusBackend {
+        /// The kernel's bus file, through `linux-embedded-hal`.
+        Linux = "linux",
+        /// The same file, through `rppal`.
+        Rppal = "rppal",
+    }
+}
+
+parameters! {
+    /// An IMU and its mounting.
+    pub struct ImuSection {
+        /// Device file of the bus. On a Raspberry Pi it is on pins 3 and 5 of the header and needs
+        /// `dtparam=i2c_arm_baudrate=400000` in config.txt.
+        bus: String = "/dev/i2c-1".to_owned();
+        /// How the bus is reached: `linux`, the kernel's file with a repeated start in every reading; `rppal`, the same file
+        /// with a stop between register and data.
+        backend: BusBackend = BusBackend::Linux;
+        /// GPIO numbers of SDA and SCL on the header of a Raspberry Pi. With them the driver frees a bus whose SDA a chip holds
+        /// low, by up to nine clock pulses; it needs access to the registers (/dev/gpiomem). Leave it out on other computers.
+        bus_lines: Option<[u32; 2]> = None;
+        /// What the die reads above the surface of the tip: the offset of the part, up to 15 °C, and its own heat. Measure it with
+        /// a thermometer while the tip rests. A larger value shows a colder tip.
+        temp_offset_c: f64 = 0.0, "°C", -30.0..=30.0, "reading of the die minus that of a thermometer";
+        /// Rotation from the sensor to the tip (or base) as a rotation vector: axis times angle. With the default, z points out
+        /// of the tip and x towards bellow 1. `retroflex commission` measures it; an error turns every bend plane.
+        mount_deg: [f64; 3] = [0.0; 3], "deg", -360.0..=360.0, "a rotation vector: axis times angle";
+        /// The part and its settings.
+        chip: ChipConfig;
+    }
+}
+
+impl ImuSection {
+    /// The mount as a rotation.
+    pub fn mount(&self) -> UnitQuaternion<f64> {
+        UnitQuaternion::from_scaled_axis(Vector3::from(self.mount_deg).map(f64::to_radians))
+    }
 }
 
 /// A reading with the start of its transfer, ns of the monotonic clock.
@@ -49,17 +72,23 @@ pub struct StampedReading {
     pub temp_c: Option<f64>,
 }
 
-/// The loop's handle on the thread.
+/// The loop's handle on the thread. Dropping it ends the thread without waiting for it, because its bus may hang.
 #[derive(Debug)]
 pub struct Sensor {
     readings: rtrb::Consumer<StampedReading>,
-    stop: Arc<AtomicBool>,
-    /// The chips that were found and their rates.
+    /// Device file of the bus.
+    pub bus: String,
+    /// What the set-up found.
+    pub found: Found,
+}
+
+/// What the set-up of a sensor found.
+#[derive(Debug)]
+pub struct Found {
+    /// The inertial chip and its rate.
     pub identity: Identity,
     /// True if the driver of the bus accepted a time limit for its transfers.
     pub bounded: bool,
-    /// Device file of the bus.
-    pub bus: String,
     /// Duration of a reading, s.
     pub read_s: f64,
 }
@@ -71,13 +100,6 @@ const TIMED: u32 = 16;
 pub fn slowness(read_s: f64, rate_hz: f64) -> Option<String> {
     let (read_ms, period_ms) = (read_s * 1e3, 1e3 / rate_hz);
     (read_ms > period_ms).then(|| format!("slow bus: a reading takes {read_ms:.1} ms and the chip converts every {period_ms:.1} ms, so conversions are lost: set `dtparam=i2c_arm_baudrate=400000` in config.txt, or a smaller imu.chip.rate_hz"))
-}
-
-/// What the thread reports once the chip is set up.
-struct Ready {
-    identity: Identity,
-    bounded: bool,
-    read_s: f64,
 }
 
 /// Delays by sleeping.
@@ -95,48 +117,22 @@ impl Sensor {
     /// # Errors
     /// [`HardwareError`]: no bus, no permission, or a chip that does not answer, is another part or does
     /// not start.
-    pub fn start(config: &SensorConfig) -> Result<Self, HardwareError> {
-        let (output, readings) = rtrb::RingBuffer::new(READINGS);
-        let stop = Arc::new(AtomicBool::new(false));
-        let (sender, receiver) = channel();
-        let (own, end) = (config.clone(), stop.clone());
-        std::thread::Builder::new()
-            .name("imu".into())
-            .spawn(move || run(&own, output, &end, &sender))?;
-        let path = config.bus.clone();
-        match receiver.recv_timeout(Duration::from_secs_f64(SETUP_MAX_S)) {
-            Ok(result) => {
-                let Ready {
-                    identity,
-                    bounded,
-                    read_s,
-                } = result?;
-                Ok(Self {
-                    read_s,
-                    readings,
-                    stop,
-                    identity,
-                    bounded,
-                    bus: path,
-                })
-            }
-            Err(RecvTimeoutError::Timeout) => {
-                stop.store(true, Ordering::Relaxed);
-                Err(HardwareError::BusHangs(path, SETUP_MAX_S))
-            }
-            Err(RecvTimeoutError::Disconnected) => Err(HardwareError::Bus(
-                path,
-                "the IMU thread ended as it started".to_owned(),
-            )),
-        }
+    pub fn start(config: &ImuSection, priority: i32) -> Result<Self, HardwareError> {
+        let (own, bus) = (config.clone(), config.bus.clone());
+        let run = move |output, started| run(&own, priority, output, &started);
+        let (readings, found) = reading::start("IMU", &bus, SETUP_MAX, READINGS, run)?;
+        Ok(Self {
+            readings,
+            bus,
+            found,
+        })
     }
 
     /// The readings since the last call as one: the newest failure, or the mean of the samples after it at the time of the
     /// newest. The mean over the interval keeps the angle that the gyroscope has measured.
     pub fn newest(&mut self) -> Option<StampedReading> {
-        std::iter::from_fn(|| self.readings.pop().ok())
-            .fold((None, 0.0), merge)
-            .0
+        let readings = std::iter::from_fn(|| self.readings.pop().ok());
+        readings.fold((None, 0.0), merge).0
     }
 }
 
@@ -145,13 +141,9 @@ fn merge(
     (mean, n): (Option<StampedReading>, f64),
     next: StampedReading,
 ) -> (Option<StampedReading>, f64) {
-    let (
-        Some(StampedReading {
-            reading: ImuReading::Sample(old, q),
-            ..
-        }),
-        ImuReading::Sample(mut new, mut quality),
-    ) = (mean, next.reading)
+    let old = mean.map(|mean| mean.reading);
+    let (Some(ImuReading::Sample(old, q)), ImuReading::Sample(mut new, mut quality)) =
+        (old, next.reading)
     else {
         return (Some(next), 1.0);
     };
@@ -163,35 +155,21 @@ fn merge(
     quality.gyro_load = quality.gyro_load.max(q.gyro_load);
     quality.acc_load = quality.acc_load.max(q.acc_load);
     quality.mag_overflow |= q.mag_overflow;
-    (
-        Some(StampedReading {
-            reading: ImuReading::Sample(new, quality),
-            ..next
-        }),
-        n,
-    )
+    let reading = ImuReading::Sample(new, quality);
+    (Some(StampedReading { reading, ..next }), n)
 }
 
-impl Drop for Sensor {
-    /// Tells the thread to end without waiting for it, because its bus may hang.
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-    }
-}
-
-/// The thread: reports the result of the set-up, then reads until `stop` or until the handle is dropped.
+/// The thread: reports the result of the set-up, then reads until the handle is dropped.
 fn run(
-    config: &SensorConfig,
+    config: &ImuSection,
+    priority: i32,
     mut output: rtrb::Producer<StampedReading>,
-    stop: &AtomicBool,
-    started: &Sender<Result<Ready, HardwareError>>,
+    started: &Sender<Result<Found, HardwareError>>,
 ) {
     let set_up = open(config).and_then(|(driver, bounded)| {
         let mut imu = recovery(config, driver);
-        let identity = imu.start(&mut Sleep).map_err(|source| HardwareError::Imu {
-            path: config.bus.clone(),
-            source,
-        })?;
+        let failed = |error| HardwareError::Imu(config.bus.clone(), error);
+        let identity = imu.start(&mut Sleep).map_err(failed)?;
         Ok((imu, identity, bounded))
     });
     let (mut imu, identity, bounded) = match set_up {
@@ -202,7 +180,7 @@ fn run(
         }
     };
     let _guard = rt::enter(&RtRequest {
-        priority: config.priority,
+        priority,
         cpu: None,
     });
     let since_ns = monotonic_ns();
@@ -210,21 +188,22 @@ fn run(
         imu.read(&mut Sleep, Seconds(monotonic_ns() as f64 * 1e-9));
     }
     let read_s = (monotonic_ns() - since_ns) as f64 * 1e-9 / f64::from(TIMED);
-    // The receiver may have timed out; then `stop` is set.
-    let _ = started.send(Ok(Ready {
+    // The receiver may have timed out; then the ring is abandoned.
+    let _ = started.send(Ok(Found {
         identity,
         bounded,
         read_s,
     }));
     let period_ns = (1e9 / (POLL_SHARE * identity.rate_hz)) as u64;
+    let mount = config.mount();
     let mut next_ns = monotonic_ns();
-    while !stop.load(Ordering::Relaxed) && !output.is_abandoned() {
+    while !output.is_abandoned() {
         let t_ns = monotonic_ns();
         let mut reading = imu.read(&mut Sleep, Seconds(t_ns as f64 * 1e-9));
         if let ImuReading::Sample(sample, _) = &mut reading {
-            sample.gyro_rad_s = config.mount * sample.gyro_rad_s;
-            sample.acc_m_s2 = config.mount * sample.acc_m_s2;
-            sample.mag_ut = sample.mag_ut.map(|m| config.mount * m);
+            sample.gyro_rad_s = mount * sample.gyro_rad_s;
+            sample.acc_m_s2 = mount * sample.acc_m_s2;
+            sample.mag_ut = sample.mag_ut.map(|m| mount * m);
         }
         if reading != ImuReading::Nothing {
             // A full ring means that the loop is stuck, and this reading will be outdated when it resumes.
@@ -241,7 +220,7 @@ fn run(
 }
 
 /// A driver that is recovered, with its bus if the board states the lines.
-fn recovery(config: &SensorConfig, driver: Box<dyn Imu + Send>) -> ImuRecovery<dyn Imu + Send> {
+fn recovery(config: &ImuSection, driver: Box<dyn Imu + Send>) -> ImuRecovery<dyn Imu + Send> {
     let imu = ImuRecovery::new(driver);
     #[cfg(feature = "hw")]
     if let Some(lines) = config.bus_lines {
@@ -253,42 +232,40 @@ fn recovery(config: &SensorConfig, driver: Box<dyn Imu + Send>) -> ImuRecovery<d
 /// The file of a bus. The libraries merge the causes of a failure; opening the file here distinguishes them.
 #[cfg(feature = "hw")]
 pub(super) fn open_bus(path: &str) -> Result<std::fs::File, HardwareError> {
+    let opened = std::fs::File::options().read(true).write(true).open(path);
     let path = path.to_owned();
-    std::fs::File::options()
-        .read(true)
-        .write(true)
-        .open(&path)
-        .map_err(|e| match e.kind() {
-            std::io::ErrorKind::NotFound => HardwareError::NoBus(path),
-            std::io::ErrorKind::PermissionDenied => HardwareError::BusPermission(path),
-            _ => HardwareError::Bus(path, e.to_string()),
-        })
+    opened.map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound => HardwareError::NoBus(path),
+        std::io::ErrorKind::PermissionDenied => HardwareError::BusPermission(path),
+        _ => HardwareError::Bus(path, e.to_string()),
+    })
 }
 
 /// The driver on its bus, and whether transfers have a time limit.
 #[cfg(feature = "hw")]
-fn open(config: &SensorConfig) -> Result<(Box<dyn Imu + Send>, bool), HardwareError> {
+fn open(config: &ImuSection) -> Result<(Box<dyn Imu + Send>, bool), HardwareError> {
     use crate::hardware::imu::linux::{Classified, bound_transfers};
-    let path = config.bus.clone();
-    let bounded = bound_transfers(&open_bus(&path)?).is_ok();
-    if config.rppal {
-        let Some(number) = path.strip_prefix("/dev/i2c-").and_then(|n| n.parse().ok()) else {
-            return Err(HardwareError::Bus(
-                path,
-                "rppal requires a path of the form /dev/i2c-N".to_owned(),
-            ));
-        };
-        let bus = rppal::i2c::I2c::with_bus(number)
-            .map_err(|e| HardwareError::Bus(path, e.to_string()))?;
-        return Ok((imu::open(&config.chip, Classified(bus))?, bounded));
-    }
-    let bus = linux_embedded_hal::I2cdev::new(&path)
-        .map_err(|e| HardwareError::Bus(path, e.to_string()))?;
-    Ok((imu::open(&config.chip, Classified(bus))?, bounded))
+    let path = &config.bus;
+    let failed = |problem: String| HardwareError::Bus(path.clone(), problem);
+    let bounded = bound_transfers(&open_bus(path)?).is_ok();
+    let driver = match config.backend {
+        BusBackend::Linux => {
+            let bus = linux_embedded_hal::I2cdev::new(path).map_err(|e| failed(e.to_string()))?;
+            imu::open(&config.chip, Classified(bus))
+        }
+        BusBackend::Rppal => {
+            let number = path.strip_prefix("/dev/i2c-").and_then(|n| n.parse().ok());
+            let form = || failed("rppal requires a path of the form /dev/i2c-N".to_owned());
+            let bus = rppal::i2c::I2c::with_bus(number.ok_or_else(form)?);
+            let bus = bus.map_err(|e| failed(e.to_string()))?;
+            imu::open(&config.chip, Classified(bus))
+        }
+    };
+    Ok((driver?, bounded))
 }
 
 #[cfg(not(feature = "hw"))]
-fn open(_: &SensorConfig) -> Result<(Box<dyn Imu + Send>, bool), HardwareError> {
+fn open(_: &ImuSection) -> Result<(Box<dyn Imu + Send>, bool), HardwareError> {
     Err(HardwareError::NotBuilt)
 }
 
@@ -297,7 +274,6 @@ mod tests {
     use super::*;
     use crate::estimation::fusion::health::{Quality, ReadFault};
     use crate::primitives::sample::ImuSample;
-    use nalgebra::Vector3;
 
     fn sample(rate: f64, mag: Option<f64>, load: f64) -> StampedReading {
         let v = |x: f64| Vector3::new(x, 0.0, 0.0);

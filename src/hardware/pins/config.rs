@@ -97,40 +97,35 @@ impl PinsConfig {
     /// Every line with its use, in the order of the file.
     pub fn uses(&self) -> Vec<Use> {
         let mut uses = Vec::new();
+        let mut add = |key: String, name, pin, shared| {
+            uses.push(Use {
+                key,
+                name,
+                pin,
+                shared,
+            })
+        };
         for (i, c) in self.channels.iter().enumerate() {
-            let mut add = |key: &str, name, pin, shared| {
-                uses.push(Use {
-                    key: format!("channels.{i}.{key}"),
-                    name,
-                    pin,
-                    shared,
-                })
-            };
-            add("step", "step", c.step, false);
-            add("dir", "dir", c.dir, false);
+            let at = |key: &str| format!("channels.{i}.{key}");
+            add(at("step"), "step", c.step, false);
+            add(at("dir"), "dir", c.dir, false);
             if let Some(pin) = c.enable {
-                add("enable", "enable", pin, true);
+                add(at("enable"), "enable", pin, true);
             }
             for (n, (pin, name)) in c.ms.iter().flatten().zip(["ms1", "ms2", "ms3"]).enumerate() {
-                add(&format!("ms.{n}"), name, *pin, true);
+                add(at(&format!("ms.{n}")), name, *pin, true);
             }
             if let Some(home) = c.home {
-                add("home.pin", "home", home.pin, false);
+                add(at("home.pin"), "home", home.pin, false);
             }
         }
         if let Some(stop) = self.emergency_stop {
-            uses.push(Use {
-                key: "emergency_stop.pin".to_owned(),
-                name: "emergency_stop",
-                pin: stop.pin,
-                shared: false,
-            });
+            let key = "emergency_stop.pin".to_owned();
+            add(key, "emergency_stop", stop.pin, false);
         }
         uses
     }
-}
 
-impl PinsConfig {
     /// Checks that every signal has a line of its own.
     ///
     /// # Errors
@@ -138,9 +133,8 @@ impl PinsConfig {
     pub fn validate(&self) -> Result<(), Invalid> {
         let uses = self.uses();
         for (n, u) in uses.iter().enumerate() {
-            let clash = uses[..n]
-                .iter()
-                .find(|o| o.pin == u.pin && !(u.shared && o.shared && o.name == u.name));
+            let may_share = |o: &Use| u.shared && o.shared && o.name == u.name;
+            let clash = uses[..n].iter().find(|o| o.pin == u.pin && !may_share(o));
             if let Some(other) = clash {
                 return Err(Invalid {
                     key: format!("pins.{}", u.key),

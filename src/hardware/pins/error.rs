@@ -1,8 +1,13 @@
 //! Why pins cannot be opened or used.
 
-/// Why the pins cannot be opened or used. Every variant leads to exit code 3.
+use crate::primitives::Invalid;
+
+/// Why the pins cannot be opened or used: an invalid board file (exit code 2) or the hardware (exit code 3).
 #[derive(Debug, thiserror::Error)]
 pub enum PinError {
+    /// The configuration.
+    #[error(transparent)]
+    Config(#[from] Invalid),
     /// There is no such device file: its path.
     #[error(
         "no GPIO chip at {0}: list the chips with `ls /dev/gpiochip*` and set pins.chip (or pins.backend = \"rppal\" on a Raspberry Pi)"

@@ -1,107 +1,74 @@
 //! A backend of `embedded-hal` pins.
 
-use crate::hardware::pins::map::LineMap;
-use crate::hardware::pins::{PinError, Pins};
-use crate::motion::{Inputs, Levels};
+use crate::hardware::pins::PinError;
+use crate::hardware::pins::interface::{BoardPins, Lines};
+use crate::hardware::pins::map::{LineMap, word};
 use embedded_hal::digital::{InputPin, OutputPin, PinState};
 
 /// One `embedded-hal` pin per line, in the order of the [`LineMap`].
-#[derive(Debug)]
-pub struct HalPins<O, I> {
+struct HalLines<O, I> {
+    outputs: Vec<O>,
+    inputs: Vec<I>,
+    level: Option<fn(&O) -> bool>,
+}
+
+/// Takes the pins, which must match the map in number and order, and writes all outputs once: STEP at its resting level, microstep
+/// levels set, and the drivers energised or released as given. EN is read back through `level`, which returns whether an output
+/// line is high.
+///
+/// # Errors
+/// [`PinError::Pin`] when that write fails.
+pub fn open<O, I>(
     map: LineMap,
     outputs: Vec<O>,
     inputs: Vec<I>,
-    bits: u64,
     level: Option<fn(&O) -> bool>,
-    found_energised: bool,
+    energised: bool,
+) -> Result<BoardPins, PinError>
+where
+    O: OutputPin + Send + 'static,
+    I: InputPin + Send + 'static,
+{
+    let mut lines = HalLines {
+        outputs,
+        inputs,
+        level,
+    };
+    lines.set(u64::MAX, map.first_bits(energised))?;
+    Ok(BoardPins::new(map, lines, energised))
 }
 
-impl<O: OutputPin, I: InputPin> HalPins<O, I> {
-    /// Takes the pins, which must match the map in number and order, and writes all outputs once: STEP at
-    /// its resting level, microstep levels set, and the drivers energised or released as given.
-    ///
-    /// # Errors
-    /// [`PinError::Pin`] when that write fails.
-    pub fn new(
-        map: LineMap,
-        outputs: Vec<O>,
-        inputs: Vec<I>,
-        energised: bool,
-    ) -> Result<Self, PinError> {
-        let bits = map.output_bits(&Levels::without_step(energised));
-        let mut pins = Self {
-            map,
-            outputs,
-            inputs,
-            bits,
-            level: None,
-            found_energised: energised,
-        };
-        pins.apply(bits, u64::MAX)?;
-        Ok(pins)
+impl<O: OutputPin + Send, I: InputPin + Send> Lines for HalLines<O, I> {
+    fn set(&mut self, mask: u64, bits: u64) -> Result<(), PinError> {
+        let mut pins = self.outputs.iter_mut().enumerate();
+        pins.try_for_each(|(i, pin)| match mask >> i & 1 {
+            0 => Ok(()),
+            _ => pin.set_state(PinState::from(bits >> i & 1 == 1)),
+        })
+        .map_err(|e| PinError::Pin("write", format!("{e:?}")))
     }
 
-    /// Reads EN back through `level`, which returns whether an output line is high.
-    #[must_use]
-    pub fn reading_back(mut self, level: fn(&O) -> bool) -> Self {
-        self.level = Some(level);
-        self
+    fn outputs(&mut self, mask: u64) -> Result<Option<u64>, PinError> {
+        let levels = |level| word(self.outputs.iter().map(level));
+        Ok(self.level.map(|level| mask & levels(level)))
     }
 
-    fn apply(&mut self, bits: u64, changed: u64) -> Result<(), PinError> {
-        for (i, pin) in self
-            .outputs
-            .iter_mut()
-            .enumerate()
-            .filter(|(i, _)| changed >> i & 1 == 1)
-        {
-            let state = PinState::from(bits >> i & 1 == 1);
-            pin.set_state(state)
-                .map_err(|e| PinError::Pin("write", format!("{e:?}")))?;
-        }
-        self.bits = bits;
-        Ok(())
-    }
-}
-
-impl<O: OutputPin + Send, I: InputPin + Send> Pins for HalPins<O, I> {
-    fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
-        let bits = self.map.output_bits(levels);
-        self.apply(bits, bits ^ self.bits)
-    }
-
-    fn found_energised(&self) -> bool {
-        self.found_energised
-    }
-
-    fn check_enable(&mut self) -> Result<(), PinError> {
-        let Some(level) = self.level else {
-            return Ok(());
-        };
-        let found = self
-            .outputs
-            .iter()
-            .enumerate()
-            .fold(0, |bits, (i, pin)| bits | u64::from(level(pin)) << i);
-        self.map.compare_enable(self.bits, found)
-    }
-
-    fn read(&mut self) -> Result<Inputs, PinError> {
-        let mut bits = 0;
-        for (i, pin) in self.inputs.iter_mut().enumerate() {
-            let high = pin
-                .is_high()
-                .map_err(|e| PinError::Pin("read", format!("{e:?}")))?;
-            bits |= u64::from(high) << i;
-        }
-        Ok(self.map.inputs_from(bits))
+    fn inputs(&mut self) -> Result<u64, PinError> {
+        let mut pins = self.inputs.iter_mut().enumerate();
+        pins.try_fold(
+            0,
+            |bits, (i, pin)| Ok(bits | u64::from(pin.is_high()?) << i),
+        )
+        .map_err(|e: I::Error| PinError::Pin("read", format!("{e:?}")))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::hardware::pins::Pins;
     use crate::hardware::pins::config::{InputPin as Input, PinsConfig, Pull};
+    use crate::motion::Levels;
     use embedded_hal_mock::eh1::MockError;
     use embedded_hal_mock::eh1::digital::{Mock, State, Transaction};
 
@@ -133,7 +100,7 @@ mod tests {
             &[Low],
         ]);
         let mut checks = outputs.clone();
-        let mut p = HalPins::<Mock, Mock>::new(map, outputs, vec![], false).unwrap();
+        let mut p = open::<Mock, Mock>(map, outputs, vec![], None, false).unwrap();
         let mut l = Levels {
             enable: true,
             dir: [true, false, false],
@@ -177,7 +144,7 @@ mod tests {
             &[State::Low],
         ]);
         let mut checks = quiet.clone();
-        let mut p = HalPins::new(map, quiet, vec![stop], false).unwrap();
+        let mut p = open(map, quiet, vec![stop], None, false).unwrap();
         assert!(p.read().unwrap().emergency_stop);
         assert!(!p.read().unwrap().emergency_stop);
         assert!(

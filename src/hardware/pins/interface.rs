@@ -1,6 +1,7 @@
-//! The trait that every backend implements.
+//! The pins that the step thread drives, and the lines that a backend gives them.
 
 use super::PinError;
+use super::map::LineMap;
 use crate::motion::{Inputs, Levels};
 
 /// Output and input lines of the three drivers.
@@ -34,17 +35,87 @@ pub trait Pins: Send {
     fn read(&mut self) -> Result<Inputs, PinError>;
 }
 
-impl Pins for Box<dyn Pins> {
+/// The lines of a backend as words of voltages: bit i is line i of the [`LineMap`], 1 is high.
+pub trait Lines: Send {
+    /// Sets the outputs of `mask` to `bits`. Does not allocate unless it fails.
+    ///
+    /// # Errors
+    /// [`PinError::Io`] or [`PinError::Pin`].
+    fn set(&mut self, mask: u64, bits: u64) -> Result<(), PinError>;
+
+    /// Reads the outputs of `mask` back; `None` where that is not possible.
+    ///
+    /// # Errors
+    /// [`PinError::Io`].
+    fn outputs(&mut self, mask: u64) -> Result<Option<u64>, PinError>;
+
+    /// Reads the inputs.
+    ///
+    /// # Errors
+    /// [`PinError::Io`] or [`PinError::Pin`].
+    fn inputs(&mut self) -> Result<u64, PinError>;
+}
+
+/// Lines without hardware: they take every write, and every input is low.
+pub(super) struct NoLines;
+
+impl Lines for NoLines {
+    fn set(&mut self, _: u64, _: u64) -> Result<(), PinError> {
+        Ok(())
+    }
+    fn outputs(&mut self, _: u64) -> Result<Option<u64>, PinError> {
+        Ok(None)
+    }
+    fn inputs(&mut self) -> Result<u64, PinError> {
+        Ok(0)
+    }
+}
+
+/// The lines of a board on any backend.
+pub struct BoardPins {
+    map: LineMap,
+    lines: Box<dyn Lines>,
+    /// Voltages of the last write.
+    bits: u64,
+    found_energised: bool,
+}
+
+impl BoardPins {
+    /// Takes lines with all outputs at [`LineMap::first_bits`].
+    pub(super) fn new(map: LineMap, lines: impl Lines + 'static, energised: bool) -> Self {
+        Self {
+            bits: map.first_bits(energised),
+            map,
+            lines: Box::new(lines),
+            found_energised: energised,
+        }
+    }
+}
+
+impl Pins for BoardPins {
     fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
-        (**self).write(levels)
+        let bits = self.map.output_bits(levels);
+        let mask = bits ^ self.bits;
+        if mask != 0 {
+            self.lines.set(mask, bits)?;
+            self.bits = bits;
+        }
+        Ok(())
     }
+
     fn found_energised(&self) -> bool {
-        (**self).found_energised()
+        self.found_energised
     }
+
     fn check_enable(&mut self) -> Result<(), PinError> {
-        (**self).check_enable()
+        if self.map.enable == 0 {
+            return Ok(());
+        }
+        let found = self.lines.outputs(self.map.enable)?;
+        found.map_or(Ok(()), |found| self.map.compare_enable(self.bits, found))
     }
+
     fn read(&mut self) -> Result<Inputs, PinError> {
-        (**self).read()
+        Ok(self.map.inputs_from(self.lines.inputs()?))
     }
 }

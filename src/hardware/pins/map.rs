@@ -9,11 +9,19 @@ use crate::hardware::pins::config::{InputPin, PinsConfig, Pull};
 use crate::motion::{Inputs, Levels};
 use crate::primitives::Invalid;
 
+/// A word with bit i set where the i-th level is high.
+pub fn word(levels: impl Iterator<Item = bool>) -> u64 {
+    let bits = levels.enumerate().map(|(i, high)| u64::from(high) << i);
+    bits.fold(0, |word, bit| word | bit)
+}
+
 /// The lines of a board and their functions.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct LineMap {
-    outputs: Vec<u32>,
-    inputs: Vec<(u32, Pull)>,
+    /// Line numbers of the outputs in the order of the bits.
+    pub outputs: Vec<u32>,
+    /// Line numbers and pull resistors of the inputs in the order of the bits.
+    pub inputs: Vec<(u32, Pull)>,
     step: [u64; 3],
     dir: [u64; 3],
     /// Bits of the EN lines.
@@ -52,15 +60,11 @@ impl LineMap {
 
     /// The bit of an output line, which several signals may share.
     fn output(&mut self, pin: u32, inverted: bool) -> u64 {
-        let index = self
-            .outputs
-            .iter()
-            .position(|p| *p == pin)
-            .unwrap_or_else(|| {
-                self.outputs.push(pin);
-                self.outputs.len() - 1
-            });
-        let bit = 1 << index;
+        let known = self.outputs.iter().position(|p| *p == pin);
+        let bit = 1 << known.unwrap_or(self.outputs.len());
+        if known.is_none() {
+            self.outputs.push(pin);
+        }
         self.inverted |= if inverted { bit } else { 0 };
         bit
     }
@@ -72,38 +76,24 @@ impl LineMap {
         bit
     }
 
-    /// Line numbers of the outputs in the order of the bits.
-    pub fn outputs(&self) -> &[u32] {
-        &self.outputs
-    }
-
-    /// Line numbers and pull resistors of the inputs in the order of the bits.
-    pub fn inputs(&self) -> &[(u32, Pull)] {
-        &self.inputs
-    }
-
     /// Voltages of all outputs for logical levels.
     pub fn output_bits(&self, levels: &Levels) -> u64 {
-        let mut active = if levels.enable { self.enable } else { 0 };
-        for channel in 0..3 {
-            active |= if levels.step[channel] {
-                self.step[channel]
-            } else {
-                0
-            };
-            active |= if levels.dir[channel] {
-                self.dir[channel]
-            } else {
-                0
-            };
-        }
+        let lines = |on: bool, bits: u64| if on { bits } else { 0 };
+        let active = (0..3).fold(lines(levels.enable, self.enable), |active, i| {
+            active | lines(levels.step[i], self.step[i]) | lines(levels.dir[i], self.dir[i])
+        });
         (active ^ self.inverted) | self.fixed
+    }
+
+    /// Voltages of all outputs when the lines are taken: no step, with the drivers energised or not.
+    pub fn first_bits(&self, energised: bool) -> u64 {
+        self.output_bits(&Levels::without_step(energised))
     }
 
     /// Whether lines found in this state energise the drivers. Bit i of `driven` tells whether line i is an
     /// output, bit i of `high` whether it is high. Without an EN line the drivers count as released.
     pub fn is_energised(&self, driven: u64, high: u64) -> bool {
-        let on = self.output_bits(&Levels::without_step(true));
+        let on = self.first_bits(true);
         self.enable != 0 && driven & self.enable == self.enable && (high ^ on) & self.enable == 0
     }
 
@@ -142,15 +132,12 @@ fn ms_levels(microsteps: u32) -> Result<[bool; 3], Invalid> {
         (8, [true, true, false]),
         (16, [true, true, true]),
     ];
-    TABLE
-        .into_iter()
-        .find(|row| row.0 == microsteps)
-        .map(|row| row.1)
-        .ok_or_else(|| Invalid {
-            key: "drive.microsteps".to_owned(),
-            problem: format!("{microsteps} must be 1, 2, 4, 8 or 16, since the MS lines are wired"),
-            hint: "leave pins.channels[].ms out if they are hard-wired".to_owned(),
-        })
+    let row = TABLE.into_iter().find(|row| row.0 == microsteps);
+    row.map(|row| row.1).ok_or_else(|| Invalid {
+        key: "drive.microsteps".to_owned(),
+        problem: format!("{microsteps} must be 1, 2, 4, 8 or 16, since the MS lines are wired"),
+        hint: "leave pins.channels[].ms out if they are hard-wired".to_owned(),
+    })
 }
 
 #[cfg(test)]
@@ -185,11 +172,11 @@ mod tests {
     fn outputs_apply_polarity_and_share_lines() {
         let map = LineMap::new(&config(), 8).unwrap();
         assert_eq!(
-            map.outputs(),
+            map.outputs,
             [17, 23, 5, 27, 24, 6, 13, 19, 22, 25],
             "the shared EN once"
         );
-        let bit = |pin| 1_u64 << map.outputs().iter().position(|p| *p == pin).unwrap();
+        let bit = |pin| 1_u64 << map.outputs.iter().position(|p| *p == pin).unwrap();
         let idle = map.output_bits(&Levels::default());
         assert_eq!(
             idle,
@@ -207,7 +194,7 @@ mod tests {
     #[test]
     fn only_an_output_at_the_active_level_energises_the_drivers() {
         let map = LineMap::new(&config(), 8).unwrap();
-        let en = 1 << map.outputs().iter().position(|p| *p == 5).unwrap();
+        let en = 1 << map.outputs.iter().position(|p| *p == 5).unwrap();
         assert!(map.is_energised(u64::MAX, !en), "EN is active low");
         assert!(map.is_energised(en, 0));
         assert!(!map.is_energised(en, en), "high is released");
@@ -229,7 +216,7 @@ mod tests {
     #[test]
     fn inputs_apply_polarity() {
         let map = LineMap::new(&config(), 16).unwrap();
-        assert_eq!(map.inputs(), [(16, Pull::Up), (26, Pull::Down)]);
+        assert_eq!(map.inputs, [(16, Pull::Up), (26, Pull::Down)]);
         assert_eq!(map.inputs_from(0b01), Inputs::default());
         assert_eq!(
             map.inputs_from(0b10),

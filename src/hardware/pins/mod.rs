@@ -4,12 +4,12 @@
 //! |---|---|---|
 //! | [`rppal`] | mapped registers of a Raspberry Pi | one store per line |
 //! | [`cdev`] | GPIO character device of any Linux board | one ioctl for all lines |
-//! | [`mock`] | none; records every edge with its time | one push |
+//! | mock | none | none |
 //!
 //! The first two are equal: both take the drivers over as they find them, read EN back, and pass the same tests.
 //! docs/hardware.md says when to choose which.
 //!
-//! [`hal::HalPins`] makes a backend of any set of `embedded-hal` pins; the `rppal` backend uses it.
+//! [`hal`] makes a backend of any set of `embedded-hal` pins; the `rppal` backend uses it.
 //! [`map`] applies polarity: above it levels are logical, below it they are voltages.
 
 pub mod cdev;
@@ -18,7 +18,6 @@ mod error;
 pub mod hal;
 mod interface;
 pub mod map;
-pub mod mock;
 #[cfg(feature = "hw")]
 pub mod rppal;
 #[cfg(test)]
@@ -27,37 +26,29 @@ mod uapi;
 
 pub use config::{Backend, ChannelPins, InputPin, PinsConfig, Pull};
 pub use error::PinError;
-pub use interface::Pins;
-pub use mock::MockPins;
+pub use interface::{BoardPins, Pins};
 
 /// Opens the configured backend and requests all lines: STEP at its resting level, microstep levels set
 /// for `microsteps` (1, 2, 4, 8 or 16), and the drivers released, unless they were found energised.
 ///
 /// # Errors
-/// [`OpenError`].
-pub fn open(config: &PinsConfig, microsteps: u32) -> Result<Box<dyn Pins>, OpenError> {
+/// [`PinError`].
+pub fn open(config: &PinsConfig, microsteps: u32) -> Result<BoardPins, PinError> {
     config.validate()?;
     let map = map::LineMap::new(config, microsteps)?;
-    match config.backend {
-        Backend::Mock => Ok(Box::new(MockPins(map))),
-        Backend::Cdev => Ok(Box::new(cdev::CdevPins::open(
-            &config.chip,
-            &config.chip_label,
-            map,
-        )?)),
-        #[cfg(feature = "hw")]
-        Backend::Rppal => {
-            // without the device, rppal may still reach the registers through /dev/mem
-            let opened = rppal::open(map);
-            Ok(Box::new(opened.map_err(|e| match (e, probe(config)) {
-                (e @ PinError::UnknownModel, _) => e,
-                (_, Err(missing @ PinError::NoRegisters(_))) => missing,
-                (e, _) => e,
-            })?))
-        }
+    Ok(match config.backend {
+        Backend::Mock => BoardPins::new(map, interface::NoLines, false),
+        Backend::Cdev => cdev::open(&config.chip, &config.chip_label, map)?,
         #[cfg(not(feature = "hw"))]
-        Backend::Rppal => Err(OpenError::Pin(PinError::NotBuilt)),
-    }
+        Backend::Rppal => return Err(PinError::NotBuilt),
+        // without the device, rppal may still reach the registers through /dev/mem
+        #[cfg(feature = "hw")]
+        Backend::Rppal => rppal::open(map).map_err(|e| match (e, probe(config)) {
+            (e @ PinError::UnknownModel, _) => e,
+            (_, Err(missing @ PinError::NoRegisters(_))) => missing,
+            (e, _) => e,
+        })?,
+    })
 }
 
 /// Opens the device that the configured backend opens, and touches no line. Returns its path, if there is one.
@@ -85,15 +76,4 @@ pub fn probe(config: &PinsConfig) -> Result<Option<&str>, PinError> {
         _ => PinError::io("open")(e),
     })?;
     Ok(Some(path))
-}
-
-/// Why [`open`] failed: an invalid board file (exit code 2) or the hardware (exit code 3).
-#[derive(Debug, thiserror::Error)]
-pub enum OpenError {
-    /// The configuration.
-    #[error(transparent)]
-    Config(#[from] crate::primitives::check::Invalid),
-    /// The hardware.
-    #[error(transparent)]
-    Pin(#[from] PinError),
 }

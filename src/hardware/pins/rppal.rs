@@ -4,11 +4,9 @@
 //! instead of floating to "energised" on boards that pull it down. After a program was killed, EN stays
 //! as it was; drivers found energised stay so, because a bent tip would otherwise lose its pressure.
 
-use crate::hardware::pins::PinError;
 use crate::hardware::pins::config::Pull;
-use crate::hardware::pins::hal::HalPins;
-use crate::hardware::pins::map::LineMap;
-use crate::motion::Levels;
+use crate::hardware::pins::map::{LineMap, word};
+use crate::hardware::pins::{BoardPins, PinError, hal};
 use rppal::gpio::{Error, Gpio, InputPin, Level, Mode, OutputPin, Pin};
 
 /// Device file through which `rppal` maps the registers.
@@ -18,54 +16,41 @@ const DEVICE: &str = "/dev/gpiomem";
 ///
 /// # Errors
 /// [`PinError`]: not a Raspberry Pi, no permission, no such line, or a line in use by this program.
-pub fn open(map: LineMap) -> Result<HalPins<OutputPin, InputPin>, PinError> {
+pub fn open(map: LineMap) -> Result<BoardPins, PinError> {
     let gpio = Gpio::new().map_err(|e| pin_error(e, 0))?;
-    let lines = map
-        .outputs()
-        .iter()
-        .map(|&pin| get(&gpio, pin))
-        .collect::<Result<Vec<Pin>, PinError>>()?;
-    let bits = |is: fn(&Pin) -> bool| {
-        lines
-            .iter()
-            .enumerate()
-            .fold(0, |bits, (i, line)| bits | u64::from(is(line)) << i)
-    };
-    let energised = map.is_energised(
-        bits(|line| line.mode() == Mode::Output),
-        bits(|line| line.read() == Level::High),
-    );
-    let idle = map.output_bits(&Levels::without_step(energised));
-    let mut outputs = Vec::with_capacity(lines.len());
-    for (i, line) in lines.into_iter().enumerate() {
-        // The line becomes an output and receives its level in one step, without a wrong level between.
-        let mut line = if idle >> i & 1 == 1 {
-            line.into_output_high()
-        } else {
-            line.into_output_low()
+    let lines = map.outputs.iter().map(|&pin| get(&gpio, pin));
+    let lines: Vec<Pin> = lines.collect::<Result<_, _>>()?;
+    let driven = word(lines.iter().map(|line| line.mode() == Mode::Output));
+    let high = word(lines.iter().map(|line| line.read() == Level::High));
+    let energised = map.is_energised(driven, high);
+    let first = map.first_bits(energised);
+    // a line becomes an output and receives its level in one step, without a wrong level between
+    let output = |(i, line): (usize, Pin)| {
+        let mut line = match first >> i & 1 {
+            0 => line.into_output_low(),
+            _ => line.into_output_high(),
         };
         line.set_reset_on_drop(false);
-        outputs.push(line);
-    }
-    let mut inputs = Vec::with_capacity(map.inputs().len());
-    for &(pin, pull) in map.inputs() {
+        line
+    };
+    let outputs = lines.into_iter().enumerate().map(output).collect();
+    let input = |&(pin, pull): &(u32, Pull)| -> Result<InputPin, PinError> {
         let line = get(&gpio, pin)?;
-        inputs.push(match pull {
+        Ok(match pull {
             Pull::Up => line.into_input_pullup(),
             Pull::Down => line.into_input_pulldown(),
             Pull::Off => line.into_input(),
-        });
-    }
-    Ok(HalPins::new(map, outputs, inputs, energised)?.reading_back(OutputPin::is_set_high))
+        })
+    };
+    let inputs: Vec<InputPin> = map.inputs.iter().map(input).collect::<Result<_, _>>()?;
+    let level: fn(&OutputPin) -> bool = OutputPin::is_set_high;
+    hal::open(map, outputs, inputs, Some(level), energised)
 }
 
 /// One line of the header.
 fn get(gpio: &Gpio, pin: u32) -> Result<Pin, PinError> {
-    let number = u8::try_from(pin).map_err(|_| PinError::NoLine {
-        chip: "this board".into(),
-        pin,
-        lines: 54,
-    })?;
+    // the library refuses 255
+    let number = u8::try_from(pin).unwrap_or(u8::MAX);
     gpio.get(number).map_err(|e| pin_error(e, pin))
 }
 

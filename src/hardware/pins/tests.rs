@@ -1,14 +1,14 @@
 //! The requirements that the backends share. Every test runs on the GPIO character device, behind a kernel made of wires,
 //! and on `embedded-hal` pins of the same wires, which is what the `rppal` backend consists of.
 
-use crate::hardware::pins::cdev::CdevPins;
 use crate::hardware::pins::config::{InputPin, PinsConfig, Pull};
-use crate::hardware::pins::hal::HalPins;
-use crate::hardware::pins::map::LineMap;
-use crate::hardware::pins::uapi::{ChipInfo, Kernel, LineState, Request, RequestKind};
-use crate::hardware::pins::{PinError, Pins};
+use crate::hardware::pins::map::{LineMap, word};
+use crate::hardware::pins::uapi::Kernel;
+use crate::hardware::pins::{BoardPins, PinError, Pins, cdev, hal};
 use crate::motion::{Inputs, Levels};
 use embedded_hal::digital;
+use gpiocdev_uapi::v2::ChipInfo;
+use gpiocdev_uapi::v2::{LineAttributeValue, LineFlags, LineInfo, LineRequest};
 use std::collections::BTreeMap;
 use std::io;
 use std::sync::{Arc, Mutex};
@@ -61,19 +61,29 @@ impl Kernel for WireKernel {
     type Chip = ();
     type Lines = Vec<u32>;
     fn open(&self, _: &str) -> io::Result<((), ChipInfo)> {
-        let (lines, label) = (54, String::new());
-        Ok(((), ChipInfo { lines, label }))
+        let chip = ChipInfo {
+            num_lines: 54,
+            ..ChipInfo::default()
+        };
+        Ok(((), chip))
     }
-    fn request(&self, (): &(), request: &Request) -> io::Result<Vec<u32>> {
-        if let RequestKind::Outputs(bits) = request.kind {
-            self.set(&request.offsets, u64::MAX, bits)?;
+    fn request(&self, (): &(), request: LineRequest) -> io::Result<Vec<u32>> {
+        let offsets = request.offsets.0[..request.num_lines as usize].to_vec();
+        let first = request.config.attr(0).attr.to_value();
+        if let Some(LineAttributeValue::Values(bits)) = first {
+            self.set(&offsets, u64::MAX, bits)?;
         }
-        Ok(request.offsets.clone())
+        Ok(offsets)
     }
-    fn state(&self, (): &(), offset: u32) -> io::Result<LineState> {
-        Ok(LineState {
-            consumer: None,
-            output: self.0.lock().unwrap().driven.contains_key(&offset),
+    fn state(&self, (): &(), offset: u32) -> io::Result<LineInfo> {
+        let driven = self.0.lock().unwrap().driven.contains_key(&offset);
+        Ok(LineInfo {
+            flags: if driven {
+                LineFlags::OUTPUT
+            } else {
+                LineFlags::INPUT
+            },
+            ..LineInfo::default()
         })
     }
     fn set(&self, lines: &Vec<u32>, mask: u64, bits: u64) -> io::Result<()> {
@@ -134,7 +144,7 @@ impl digital::InputPin for WirePin {
 }
 
 /// Opens both backends, each on wires of its own that `prepare` has set up.
-fn both(prepare: impl Fn(&mut Wires)) -> [(&'static str, Box<dyn Pins>, Shared); 2] {
+fn both(prepare: impl Fn(&mut Wires)) -> [(&'static str, BoardPins, Shared); 2] {
     let emergency_stop = Some(InputPin {
         pin: STOP,
         active_low: true,
@@ -154,31 +164,20 @@ fn both(prepare: impl Fn(&mut Wires)) -> [(&'static str, Box<dyn Pins>, Shared);
         wires
     };
     let kernel = wires();
-    let cdev = CdevPins::open_with(WireKernel(kernel.clone()), "chip", "", map.clone()).unwrap();
+    let cdev = cdev::open_with(WireKernel(kernel.clone()), "chip", "", map.clone()).unwrap();
 
     let pins = wires();
     let bits = |is: fn(&Wires, u32) -> bool| {
         let wires = pins.lock().unwrap();
-        map.outputs()
-            .iter()
-            .enumerate()
-            .fold(0_u64, |bits, (i, line)| {
-                bits | u64::from(is(&wires, *line)) << i
-            })
+        word(map.outputs.iter().map(|line| is(&wires, *line)))
     };
     let driven = bits(|wires, line| wires.driven.contains_key(&line));
     let energised = map.is_energised(driven, bits(|wires, line| wires.level(line).unwrap()));
-    let outputs = map
-        .outputs()
-        .iter()
-        .map(|line| WirePin(pins.clone(), *line))
-        .collect();
-    let hal = HalPins::new(map, outputs, vec![WirePin(pins.clone(), STOP)], energised).unwrap();
-    let hal = hal.reading_back(|pin| pin.0.lock().unwrap().level(pin.1).unwrap_or(false));
-    [
-        ("cdev", Box::new(cdev), kernel),
-        ("rppal", Box::new(hal), pins),
-    ]
+    let wire = |line: &u32| WirePin(pins.clone(), *line);
+    let (outputs, inputs) = (map.outputs.iter().map(wire).collect(), vec![wire(&STOP)]);
+    let level = |pin: &WirePin| pin.0.lock().unwrap().level(pin.1).unwrap_or(false);
+    let hal = hal::open(map, outputs, inputs, Some(level), energised).unwrap();
+    [("cdev", cdev, kernel), ("rppal", hal, pins)]
 }
 
 #[test]

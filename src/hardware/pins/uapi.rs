@@ -1,54 +1,57 @@
 //! The GPIO character device, version 2 (`linux/gpio.h`), through the crate `gpiocdev-uapi`.
 
 use crate::hardware::pins::config::Pull;
+use crate::hardware::pins::map::word;
 use gpiocdev_uapi::v2::{
-    self, LineConfig, LineFlags, LineRequest, LineValues, Offsets, get_chip_info,
+    self, ChipInfo, LineFlags, LineInfo, LineRequest, LineValues, Offsets, get_chip_info,
 };
-use gpiocdev_uapi::{Errno, Error, NUM_LINES_MAX};
-use std::fs::{File, OpenOptions};
+use gpiocdev_uapi::{Errno, Error, Name};
+use std::fs::File;
 use std::io;
 
-/// Most lines in one request.
-pub const LINES_MAX: usize = NUM_LINES_MAX;
 /// Consumer name that `gpioinfo` shows for the lines.
 const CONSUMER: &str = "retroflex";
 
-/// A request for lines.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Request {
-    /// Line offsets; line i is bit i.
-    pub offsets: Vec<u32>,
-    /// Direction.
-    pub kind: RequestKind,
+/// The text of a name in the layout of the kernel.
+pub fn text(name: &Name) -> String {
+    name.as_os_str().to_string_lossy().into_owned()
 }
 
-/// Direction of the lines of a request.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum RequestKind {
-    /// Outputs with their initial voltages; bit i is line i, 1 is high.
-    Outputs(u64),
-    /// Inputs with the pull resistor of each line.
-    Inputs(Vec<Pull>),
-    /// Whatever they are: only to read them.
-    AsIs,
+/// A request to read lines whatever they are.
+pub fn as_is(offsets: &[u32]) -> LineRequest {
+    LineRequest {
+        offsets: Offsets::from_slice(offsets),
+        num_lines: offsets.len() as u32,
+        consumer: CONSUMER.into(),
+        ..LineRequest::default()
+    }
 }
 
-/// State of a line.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct LineState {
-    /// Name of the consumer that holds it; `None` if it is free or the consumer has no name.
-    pub consumer: Option<String>,
-    /// It is an output.
-    pub output: bool,
+/// A request for outputs with their initial voltages: bit i is line i, 1 is high.
+pub fn outputs(offsets: &[u32], bits: u64) -> LineRequest {
+    let mut request = as_is(offsets);
+    request.config.flags = LineFlags::OUTPUT;
+    let mask = word(offsets.iter().map(|_| true));
+    request.config.add_values(&LineValues { bits, mask });
+    request
 }
 
-/// What a chip says of itself.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ChipInfo {
-    /// Number of lines.
-    pub lines: u32,
-    /// Name of the hardware: unlike the number of the device file, it does not depend on the kernel.
-    pub label: String,
+/// A request for inputs, each with its pull resistor.
+pub fn inputs(lines: &[(u32, Pull)]) -> LineRequest {
+    let (offsets, pulls): (Vec<u32>, Vec<Pull>) = lines.iter().copied().unzip();
+    let mut request = as_is(&offsets);
+    request.config.flags = LineFlags::INPUT;
+    for (pull, bias) in [
+        (Pull::Up, LineFlags::BIAS_PULL_UP),
+        (Pull::Down, LineFlags::BIAS_PULL_DOWN),
+        (Pull::Off, LineFlags::BIAS_DISABLED),
+    ] {
+        let mask = word(pulls.iter().map(|p| *p == pull));
+        if mask != 0 {
+            request.config.add_flags(LineFlags::INPUT | bias, mask);
+        }
+    }
+    request
 }
 
 /// The kernel interface; a trait, so that tests can do without a chip.
@@ -68,13 +71,13 @@ pub trait Kernel: Send {
     ///
     /// # Errors
     /// The error of the system call.
-    fn request(&self, chip: &Self::Chip, request: &Request) -> io::Result<Self::Lines>;
+    fn request(&self, chip: &Self::Chip, request: LineRequest) -> io::Result<Self::Lines>;
 
     /// The state of a line.
     ///
     /// # Errors
     /// The error of the system call.
-    fn state(&self, chip: &Self::Chip, offset: u32) -> io::Result<LineState>;
+    fn state(&self, chip: &Self::Chip, offset: u32) -> io::Result<LineInfo>;
 
     /// Sets the lines of `mask` to `bits`.
     ///
@@ -98,25 +101,17 @@ impl Kernel for Uapi {
     type Lines = File;
 
     fn open(&self, path: &str) -> io::Result<(File, ChipInfo)> {
-        let chip = OpenOptions::new().read(true).write(true).open(path)?;
+        let chip = File::options().read(true).write(true).open(path)?;
         let info = get_chip_info(&chip).map_err(cause)?;
-        let label = info.label.as_os_str().to_string_lossy().into_owned();
-        let lines = info.num_lines;
-        Ok((chip, ChipInfo { lines, label }))
+        Ok((chip, info))
     }
 
-    fn request(&self, chip: &File, request: &Request) -> io::Result<File> {
-        v2::get_line(chip, line_request(request)).map_err(cause)
+    fn request(&self, chip: &File, request: LineRequest) -> io::Result<File> {
+        v2::get_line(chip, request).map_err(cause)
     }
 
-    fn state(&self, chip: &File, offset: u32) -> io::Result<LineState> {
-        let info = v2::get_line_info(chip, offset).map_err(cause)?;
-        let consumer = (!info.consumer.is_empty())
-            .then(|| info.consumer.as_os_str().to_string_lossy().into_owned());
-        Ok(LineState {
-            consumer,
-            output: info.flags.contains(LineFlags::OUTPUT),
-        })
+    fn state(&self, chip: &File, offset: u32) -> io::Result<LineInfo> {
+        v2::get_line_info(chip, offset).map_err(cause)
     }
 
     fn set(&self, lines: &File, mask: u64, bits: u64) -> io::Result<()> {
@@ -138,49 +133,6 @@ fn cause(error: Error) -> io::Error {
     }
 }
 
-/// The request in the layout of the kernel.
-fn line_request(request: &Request) -> LineRequest {
-    let mut config = LineConfig::default();
-    match &request.kind {
-        RequestKind::Outputs(bits) => {
-            config.flags = LineFlags::OUTPUT;
-            config.add_values(&LineValues {
-                bits: *bits,
-                mask: u64::MAX >> (LINES_MAX - request.offsets.len()),
-            });
-        }
-        RequestKind::Inputs(pulls) => {
-            config.flags = LineFlags::INPUT;
-            for (pull, bias) in [
-                (Pull::Up, LineFlags::BIAS_PULL_UP),
-                (Pull::Down, LineFlags::BIAS_PULL_DOWN),
-                (Pull::Off, LineFlags::BIAS_DISABLED),
-            ] {
-                let mask = pulls
-                    .iter()
-                    .enumerate()
-                    .filter(|(_, p)| **p == pull)
-                    .fold(0, |m, (i, _)| m | 1 << i);
-                if mask != 0 {
-                    config.add_flags(LineFlags::INPUT | bias, mask);
-                }
-            }
-        }
-        RequestKind::AsIs => {}
-    }
-    let (offsets, num_lines) = (
-        Offsets::from_slice(&request.offsets),
-        request.offsets.len() as u32,
-    );
-    LineRequest {
-        offsets,
-        num_lines,
-        config,
-        consumer: CONSUMER.into(),
-        ..LineRequest::default()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -188,10 +140,7 @@ mod tests {
 
     #[test]
     fn outputs_have_their_levels_from_the_request_on() {
-        let raw = line_request(&Request {
-            offsets: vec![17, 5, 26],
-            kind: RequestKind::Outputs(0b010),
-        });
+        let raw = outputs(&[17, 5, 26], 0b010);
         assert_eq!(
             (raw.num_lines, &raw.offsets.0[..3], raw.config.flags),
             (3, &[17, 5, 26][..], LineFlags::OUTPUT)
@@ -206,11 +155,12 @@ mod tests {
 
     #[test]
     fn a_request_for_inputs_contains_their_pull_resistors() {
-        let pulls = vec![Pull::Up, Pull::Off, Pull::Up, Pull::Down];
-        let raw = line_request(&Request {
-            offsets: vec![1, 2, 3, 4],
-            kind: RequestKind::Inputs(pulls),
-        });
+        let raw = inputs(&[
+            (1, Pull::Up),
+            (2, Pull::Off),
+            (3, Pull::Up),
+            (4, Pull::Down),
+        ]);
         let got: Vec<_> = (0..3)
             .map(|i| (raw.config.attr(i).attr.to_value(), raw.config.attr(i).mask))
             .collect();

@@ -1,9 +1,10 @@
 //! Wiring of the pistons and units that only show in motion: rotations of the tip, measured and predicted.
 
-use super::values::{Finding, finding, finite};
+use super::values::{finding, finite};
 use crate::log::bend_log::BendLog;
 use crate::model::{Geometry, Line};
 use nalgebra::{UnitQuaternion, Vector3};
+use std::ops::Range;
 
 /// Longest window over which rotations are compared, s: much longer than the lag of a line, short against gyroscope drift.
 const WINDOW_S: f64 = 2.0;
@@ -53,7 +54,7 @@ impl Motion {
                     let back = |k: usize| bellow_mm[row_at(log.t_s[k] - shift_s)];
                     pairs.push((back(from), back(to)));
                 }
-                motion.add_path(log, from, to, &bellow_mm, &bias);
+                motion.add_path(log, from..to, &bellow_mm, &bias);
             }
             from = to.max(from + 1);
         }
@@ -63,19 +64,18 @@ impl Motion {
     fn add_path(
         &mut self,
         log: &BendLog,
-        from: usize,
-        to: usize,
+        rows: Range<usize>,
         bellow_mm: &[Vector3<f64>],
         bias: &Vector3<f64>,
     ) {
         let bend = |k: usize| self.geometry.shape(&bellow_mm[k]).bend.0;
-        let predicted: f64 = (from..to).map(|k| (bend(k + 1) - bend(k)).norm()).sum();
+        let predicted: f64 = rows.clone().map(|k| (bend(k + 1) - bend(k)).norm()).sum();
         let Some(imu) = &log.imu else { return };
         let rate = |k: usize| Some((imu.gyr[k] - bias).norm()).filter(|_| imu.gyr[k].x.is_finite());
         let turned = |k: usize| rate(k).unwrap_or(0.0) * (log.t_s[k + 1] - log.t_s[k]);
         if predicted > MOTION_RAD {
             self.path_rad.0 += predicted;
-            self.path_rad.1 += (from..to).map(turned).sum::<f64>();
+            self.path_rad.1 += rows.map(turned).sum::<f64>();
         }
     }
 
@@ -99,16 +99,54 @@ impl Motion {
         };
         self.bellows.iter().filter_map(over).max_by(f64::total_cmp)
     }
+
+    /// Pistons in metres: numbers below a tenth while the tip tilts.
+    pub(super) fn piston_unit(&self, log: &BendLog) -> Option<String> {
+        let most = log.piston_mm.iter().map(|p| p.amax()).fold(0.0, f64::max);
+        if !(most > 0.0 && most < 0.1 && self.tilt_rad > 0.14) {
+            return None;
+        }
+        let tilt_deg = self.tilt_rad.to_degrees();
+        let text = format!(
+            "piston*_mm looks like m: the tip tilts by {tilt_deg:.0}° and the largest piston position is {most:.4}"
+        );
+        finding("columns piston*_mm", text, "write mm")
+    }
+
+    /// Rates in degrees per second: the gyroscope's path is 57 times the one that the pistons drive.
+    pub(super) fn rate_unit(&self) -> Option<String> {
+        let (predicted, measured) = self.path_rad;
+        if predicted < 4.0 * MOTION_RAD || measured < 12.0 * predicted {
+            return None;
+        }
+        let ratio = measured / predicted;
+        let text = format!(
+            "gyr_* looks like °/s: the gyroscope turns {ratio:.0} times as far as the pistons drive the tip"
+        );
+        finding("columns gyr_*", text, "write rad/s")
+    }
+
+    /// Pistons wired otherwise than the model says: another wiring explains the tip's rotations, and this one does not. A single
+    /// reversed piston leaves a correlation of 0.45, an exchange 0 and all reversed −1.
+    pub(super) fn wiring(&self) -> Option<String> {
+        let as_wired = self.agreement(&AS_WIRED)?;
+        let scores = OTHERS.iter().filter_map(|w| Some((self.agreement(w)?, w)));
+        let (best, Wiring { says, mend, .. }) = scores.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        if best < 0.7 || best - as_wired < 0.25 {
+            return None;
+        }
+        let text = format!(
+            "{says}: the tip's rotations correlate with the pistons by {as_wired:.2}, and by {best:.2} if so"
+        );
+        finding("columns piston*_mm", text, mend)
+    }
 }
 
 /// Mean rate over the rows before the first piston moves, rad/s: the gyroscope's constant bias.
 fn rest_rate(log: &BendLog) -> Vector3<f64> {
     let gyr = log.imu.as_ref().map_or(&[][..], |imu| &imu.gyr);
-    let still = log
-        .piston_mm
-        .iter()
-        .zip(gyr)
-        .take_while(|(p, _)| **p == log.piston_mm[0]);
+    let rows = log.piston_mm.iter().zip(gyr);
+    let still = rows.take_while(|(p, _)| **p == log.piston_mm[0]);
     let rates: Vec<_> = still.map(|(_, rate)| rate).filter(|r| finite(r)).collect();
     rates.iter().fold(Vector3::zeros(), |sum, r| sum + **r) / rates.len().max(1) as f64
 }
@@ -155,54 +193,13 @@ fn tilt_rad(log: &BendLog) -> f64 {
     largest(&mut { tracker }).max(largest(&mut { gravity }))
 }
 
-impl Motion {
-    /// Pistons in metres: numbers below a tenth while the tip tilts.
-    pub(super) fn piston_unit(&self, log: &BendLog) -> Option<Finding> {
-        let most = log.piston_mm.iter().map(|p| p.amax()).fold(0.0, f64::max);
-        if !(most > 0.0 && most < 0.1 && self.tilt_rad > 0.14) {
-            return None;
-        }
-        let tilt_deg = self.tilt_rad.to_degrees();
-        let text = format!(
-            "piston*_mm looks like m: the tip tilts by {tilt_deg:.0}° and the largest piston position is {most:.4}"
-        );
-        finding("columns piston*_mm", text, "write mm")
-    }
-
-    /// Rates in degrees per second: the gyroscope's path is 57 times the one that the pistons drive.
-    pub(super) fn rate_unit(&self) -> Option<Finding> {
-        let (predicted, measured) = self.path_rad;
-        if predicted < 4.0 * MOTION_RAD || measured < 12.0 * predicted {
-            return None;
-        }
-        let ratio = measured / predicted;
-        let text = format!(
-            "gyr_* looks like °/s: the gyroscope turns {ratio:.0} times as far as the pistons drive the tip"
-        );
-        finding("columns gyr_*", text, "write rad/s")
-    }
-
-    /// Pistons wired otherwise than the model says: another wiring explains the tip's rotations, and this one does not. A single
-    /// reversed piston leaves a correlation of 0.45, an exchange 0 and all reversed −1.
-    pub(super) fn wiring(&self) -> Option<Finding> {
-        let as_wired = self.agreement(&exchanged(AS_WIRED, ""))?;
-        let scores = WIRINGS.iter().filter_map(|w| Some((self.agreement(w)?, w)));
-        let (best, other) = scores.max_by(|a, b| a.0.total_cmp(&b.0))?;
-        if best < 0.7 || best - as_wired < 0.25 {
-            return None;
-        }
-        let Wiring { says, mend, .. } = other;
-        let text = format!(
-            "{says}: the tip's rotations correlate with the pistons by {as_wired:.2}, and by {best:.2} if so"
-        );
-        finding("columns piston*_mm", text, mend)
-    }
-}
-
-/// A way in which pistons may be wired: which counted piston drives each bellow, and with which sign.
+/// A way in which pistons may be wired.
+#[derive(Clone, Copy)]
 struct Wiring {
+    /// Counted piston that drives each bellow, and its sign.
     from: [usize; 3],
     sign: [f64; 3],
+    /// What is said about it.
     says: &'static str,
     mend: &'static str,
 }
@@ -213,12 +210,16 @@ impl Wiring {
     }
 }
 
-const AS_WIRED: [usize; 3] = [0, 1, 2];
-const PLUS: [f64; 3] = [1.0; 3];
 const EXCHANGE: &str = "exchange the columns, or the lines, so that piston i drives bellow i";
 const REVERSE: &str = "change the sign: positive elongates the bellow";
 const SHIFTED: &str = "piston1_mm, piston2_mm and piston3_mm look shifted by one";
-const WIRINGS: [Wiring; 9] = [
+const AS_WIRED: Wiring = Wiring {
+    from: [0, 1, 2],
+    sign: [1.0; 3],
+    says: "",
+    mend: EXCHANGE,
+};
+const OTHERS: [Wiring; 9] = [
     exchanged([1, 0, 2], "piston1_mm and piston2_mm look exchanged"),
     exchanged([2, 1, 0], "piston1_mm and piston3_mm look exchanged"),
     exchanged([0, 2, 1], "piston2_mm and piston3_mm look exchanged"),
@@ -240,21 +241,13 @@ const WIRINGS: [Wiring; 9] = [
 ];
 
 const fn exchanged(from: [usize; 3], says: &'static str) -> Wiring {
-    let (sign, mend) = (PLUS, EXCHANGE);
-    Wiring {
-        from,
-        sign,
-        says,
-        mend,
-    }
+    let mut wiring = AS_WIRED;
+    (wiring.from, wiring.says) = (from, says);
+    wiring
 }
 
 const fn reversed(sign: [f64; 3], says: &'static str) -> Wiring {
-    let (from, mend) = (AS_WIRED, REVERSE);
-    Wiring {
-        from,
-        sign,
-        says,
-        mend,
-    }
+    let mut wiring = AS_WIRED;
+    (wiring.sign, wiring.says, wiring.mend) = (sign, says, REVERSE);
+    wiring
 }

@@ -3,11 +3,9 @@
 use crate::log::bend_log::{BendLog, ImuColumns};
 use nalgebra::Vector3;
 
-/// Place, finding, mend.
-pub(super) type Finding = (String, String, String);
-
-pub(super) fn finding(place: &str, finding: String, mend: &str) -> Option<Finding> {
-    Some((place.to_owned(), finding, mend.to_owned()))
+/// The columns, and perhaps the line, at fault, what the values look like, and how to mend the log.
+pub(super) fn finding(place: &str, finding: String, mend: &str) -> Option<String> {
+    Some(format!("{place}: {finding}; {mend}"))
 }
 
 /// How to mend a single value.
@@ -29,12 +27,11 @@ fn periods(log: &BendLog) -> impl Iterator<Item = f64> {
 }
 
 /// A clock in milliseconds or microseconds: rows far apart, and pistons that creep where they should run.
-pub(super) fn clock_unit(log: &BendLog) -> Option<Finding> {
+pub(super) fn clock_unit(log: &BendLog) -> Option<String> {
     let period_s = median(periods(log))?;
     let steps = log.piston_mm.windows(2).zip(periods(log));
-    let speed_mm_s = steps
-        .map(|(p, dt)| (p[1] - p[0]).amax() / dt)
-        .fold(0.0, f64::max);
+    let speeds_mm_s = steps.map(|(p, dt)| (p[1] - p[0]).amax() / dt);
+    let speed_mm_s = speeds_mm_s.fold(0.0, f64::max);
     // at 2 kHz and 1 mm/s a clock in milliseconds gives 0.5 and 0.001
     if period_s < 0.4 || speed_mm_s == 0.0 || speed_mm_s > 0.3 {
         return None;
@@ -47,7 +44,7 @@ pub(super) fn clock_unit(log: &BendLog) -> Option<Finding> {
 }
 
 /// Accelerometer and magnetometer by the magnitude that they have most of the time.
-pub(super) fn sensor_units(imu: &ImuColumns, prefix: &str) -> Option<Finding> {
+pub(super) fn sensor_units(imu: &ImuColumns, prefix: &str) -> Option<String> {
     if let Some(a) = median(imu.acc.iter().map(|v| v.norm())) {
         let unit = match a {
             // a clipped or very noisy sensor has another magnitude, but the right unit
@@ -77,7 +74,7 @@ pub(super) fn sensor_units(imu: &ImuColumns, prefix: &str) -> Option<Finding> {
 }
 
 /// Largest magnitude of a value that the machine or its sensors can produce.
-pub(super) fn single_values(log: &BendLog) -> Option<Finding> {
+pub(super) fn single_values(log: &BendLog) -> Option<String> {
     let beyond = |column: &str, row: usize, value: f64, most: f64, unit: &str| {
         let place = format!("line {}, column {column}", row + 2);
         let text =
@@ -87,42 +84,29 @@ pub(super) fn single_values(log: &BendLog) -> Option<Finding> {
     // `*` stands for the three names
     let scan = |columns: &str, names: [&str; 3], values: &[Vector3<f64>], most: f64, unit: &str| {
         let mut rows = values.iter().enumerate();
-        let (row, v) = rows.find(|(_, v)| v.iter().any(|x| x.abs() > most))?;
-        let i = (0..3).find(|&i| v[i].abs() > most)?;
-        beyond(&columns.replace('*', names[i]), row, v[i], most, unit)
+        let (row, i) = rows.find_map(|(k, v)| Some((k, v.iter().position(|x| x.abs() > most)?)))?;
+        let column = columns.replace('*', names[i]);
+        beyond(&column, row, values[row][i], most, unit)
     };
+    let (lines, axes) = (["1", "2", "3"], ["x", "y", "z"]);
+    let pose = ["bend_deg", "dir_deg", "len_mm"];
     let imu = |imu: &Option<ImuColumns>, prefix: &str| {
         let imu = imu.as_ref()?;
-        let scan = |columns: &str, values: &[Vector3<f64>], most: f64, unit: &str| {
-            scan(
-                &format!("{prefix}{columns}"),
-                ["x", "y", "z"],
-                values,
-                most,
-                unit,
-            )
-        };
+        let [acc, mag, gyr] =
+            ["acc_*_m_s2", "mag_*_ut", "gyr_*_rad_s"].map(|c| format!("{prefix}{c}"));
         // ±32 g, ±4000 °/s, ±4.9 mT: the widest ranges of the parts in use
-        scan("acc_*_m_s2", &imu.acc, 320.0, "m/s²")
-            .or_else(|| scan("mag_*_ut", &imu.mag, 4900.0, "µT"))
-            .or_else(|| scan("gyr_*_rad_s", &imu.gyr, 4000.0, "rad/s"))
+        scan(&acc, axes, &imu.acc, 320.0, "m/s²")
+            .or_else(|| scan(&mag, axes, &imu.mag, 4900.0, "µT"))
+            .or_else(|| scan(&gyr, axes, &imu.gyr, 4000.0, "rad/s"))
     };
-    let (lines, pose) = (["1", "2", "3"], ["bend_deg", "dir_deg", "len_mm"]);
+    let pressures = log.pressure_kpa.as_deref().unwrap_or_default();
     let mut temperatures = log.temp_c.iter().flatten().enumerate();
     scan("piston*_mm", lines, &log.piston_mm, 60.0, "mm")
         .or_else(|| jump(log))
         .or_else(|| scan("cmd_*", pose, &log.command, 3600.0, "deg or mm"))
         .or_else(|| imu(&log.imu, ""))
         .or_else(|| imu(&log.base, "base_"))
-        .or_else(|| {
-            scan(
-                "pressure*_kpa",
-                lines,
-                log.pressure_kpa.as_ref()?,
-                300.0,
-                "kPa",
-            )
-        })
+        .or_else(|| scan("pressure*_kpa", lines, pressures, 300.0, "kPa"))
         .or_else(|| {
             let (row, t) = temperatures.find(|(_, t)| t.abs() > 150.0)?;
             beyond("temp_c", row, *t, 150.0, "°C")
@@ -130,7 +114,7 @@ pub(super) fn single_values(log: &BendLog) -> Option<Finding> {
 }
 
 /// A piston that is elsewhere from one row to the next: no motor here exceeds 200 mm/s.
-fn jump(log: &BendLog) -> Option<Finding> {
+fn jump(log: &BendLog) -> Option<String> {
     let far = |(k, w): (usize, &[Vector3<f64>])| {
         let most_mm = 5.0 + 200.0 * (log.t_s[k + 1] - log.t_s[k]);
         let step: Vector3<f64> = w[1] - w[0];

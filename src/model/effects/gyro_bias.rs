@@ -49,19 +49,15 @@ impl Effect for GyroBias {
         let (from, to, share) = match next {
             None => (KNOTS_S.len(), KNOTS_S.len(), 0.0),
             Some(0) => (0, 1, at.t_s / KNOTS_S[0]),
-            Some(k) => (
-                k,
-                k + 1,
-                (at.t_s - KNOTS_S[k - 1]) / (KNOTS_S[k] - KNOTS_S[k - 1]),
-            ),
+            Some(k) => {
+                let (last_s, next_s) = (KNOTS_S[k - 1], KNOTS_S[k]);
+                (k, k + 1, (at.t_s - last_s) / (next_s - last_s))
+            }
         };
         // the bias is zero at knot 0 by definition
-        let value = |axis: usize, knot: usize| {
-            if knot == 0 {
-                0.0
-            } else {
-                p[axis * KNOTS_S.len() + knot - 1]
-            }
+        let value = |axis: usize, knot: usize| match knot {
+            0 => 0.0,
+            _ => p[axis * KNOTS_S.len() + knot - 1],
         };
         reading.gyro_rad_s += Vector3::from_fn(|axis, _| {
             value(axis, from) + (value(axis, to) - value(axis, from)) * share

@@ -30,6 +30,9 @@ const RADII_MM: [f64; 6] = [0.15, 0.4, 0.8, 1.4, 2.4, 4.0];
 /// Length change over which the two sides of a loop differ, mm.
 const SIDE_MM: f64 = 3.0;
 
+/// Width of a channel's loops beyond that of the first.
+const EXCESS: Param = Param::new("excess", "", 0.0, 0.2, (-0.9, 1.5));
+
 /// Loops of the wall, similar for each bellow.
 pub struct Hysteresis;
 
@@ -47,10 +50,7 @@ const INFO: EffectInfo = EffectInfo {
             Param::new("skew", "", 0.0, 0.2, (-0.7, 0.7)),
             Param::new("waist", "", 0.0, 0.2, (-0.9, 0.9)),
         ],
-        &[
-            Param::new("excess", "", 0.0, 0.2, (-0.9, 1.5)).on(2),
-            Param::new("excess", "", 0.0, 0.2, (-0.9, 1.5)).on(3),
-        ],
+        &[EXCESS.on(2), EXCESS.on(3)],
     ]),
     starts: &[&[0.05, 0.05, 0.05, 0.0, 0.0, 0.0, 0.0]],
 };

@@ -183,13 +183,9 @@ pub trait Effect: Send + Sync {
     }
     /// Starting points of a fit.
     fn starts(&self) -> Starts {
+        let half_a_scale = |p: &Param| (p.start + 0.5 * p.scale).clamp(p.low, p.high);
         match self.info().starts {
-            [] => vec![
-                self.params()
-                    .iter()
-                    .map(|p| (p.start + 0.5 * p.scale).clamp(p.low, p.high))
-                    .collect(),
-            ],
+            [] => vec![self.params().iter().map(half_a_scale).collect()],
             starts => starts.iter().map(|start| start.to_vec()).collect(),
         }
     }

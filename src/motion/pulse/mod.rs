@@ -165,12 +165,11 @@ impl StepCore {
 
     /// Takes a reading of the input lines.
     pub fn observe(&mut self, inputs: Inputs) {
-        self.pressed = if inputs.emergency_stop {
-            self.pressed.saturating_add(1)
-        } else {
-            0
-        };
         self.inputs = inputs;
+        self.pressed = match inputs.emergency_stop {
+            true => self.pressed.saturating_add(1),
+            false => 0,
+        };
         if self.pressed < PRESSED_READINGS {
             return;
         }
@@ -245,10 +244,8 @@ impl StepCore {
         self.counted[channel] += direction;
         self.lateness.record(done_ns.saturating_sub(due_ns));
         let (last_due_ns, last_done_ns) = self.last_step_ns[channel];
-        let (planned, actual) = (
-            due_ns.saturating_sub(last_due_ns),
-            done_ns.saturating_sub(last_done_ns),
-        );
+        let planned = due_ns.saturating_sub(last_due_ns);
+        let actual = done_ns.saturating_sub(last_done_ns);
         if planned < INTERVAL_LONGEST_NS {
             self.interval_error.record(planned.abs_diff(actual));
         }
@@ -270,17 +267,10 @@ impl StepCore {
 
     /// Releases the drivers after the configured time at rest.
     fn release_when_idle(&mut self, now_ns: u64) {
-        let over = self
-            .timing
-            .idle_ns
-            .is_some_and(|idle_ns| now_ns > self.moved_ns + idle_ns);
-        if over
-            && self.levels.enable
-            && self.mode != StepperMode::Stopping
-            && self.stream.is_empty()
-        {
-            self.enable = false;
-        }
+        let idle_ns = self.timing.idle_ns;
+        let over = idle_ns.is_some_and(|idle_ns| now_ns > self.moved_ns + idle_ns);
+        let moves = self.mode == StepperMode::Stopping || !self.stream.is_empty();
+        self.enable &= !(over && self.levels.enable && !moves);
     }
 
     /// The levels that the lines should have now. At most one line of a channel changes at a time.
@@ -295,11 +285,8 @@ impl StepCore {
             } else if let Some((due_ns, direction)) = self.stream.peek(channel) {
                 let up = direction > 0;
                 if up != line.dir_high {
-                    desired.dir[channel] = if now_ns >= line.dir_ns {
-                        up
-                    } else {
-                        line.dir_high
-                    };
+                    let may_change = now_ns >= line.dir_ns;
+                    desired.dir[channel] = if may_change { up } else { line.dir_high };
                 } else if self.levels.enable && self.enable {
                     desired.step[channel] = now_ns >= due_ns.max(line.rise_ns).max(self.awake_ns);
                 }
@@ -315,13 +302,10 @@ impl StepCore {
             if line.step_high {
                 next_ns = next_ns.min(line.fall_ns);
             } else if let Some((due_ns, direction)) = self.stream.peek(channel) {
-                let dir_set = (direction > 0) == line.dir_high;
-                let ready_ns = if dir_set {
-                    due_ns.max(line.rise_ns).max(self.awake_ns)
-                } else {
-                    line.dir_ns
-                };
-                next_ns = next_ns.min(ready_ns);
+                next_ns = next_ns.min(match (direction > 0) == line.dir_high {
+                    true => due_ns.max(line.rise_ns).max(self.awake_ns),
+                    false => line.dir_ns,
+                });
             }
         }
         match &self.current {

@@ -36,16 +36,14 @@ impl StepCore {
             }
             match end_ns {
                 Some(end_ns) if !self.is_at_rest() => self.brake(end_ns),
-                _ => {
-                    self.current = None;
-                    match self.mode {
-                        StepperMode::Stopping => self.finish_stop(),
-                        StepperMode::Following => self.mode = StepperMode::Resting,
-                        StepperMode::Resting | StepperMode::Faulted(_) => {}
-                    }
-                    return;
-                }
+                _ => break,
             }
+        }
+        self.current = None;
+        match self.mode {
+            StepperMode::Stopping => self.finish_stop(),
+            StepperMode::Following => self.mode = StepperMode::Resting,
+            StepperMode::Resting | StepperMode::Faulted(_) => {}
         }
     }
 
@@ -80,21 +78,15 @@ impl StepCore {
         // A thousandth covers the rounding of the duration to nanoseconds.
         let longest_mm =
             self.limits.speed_max_mm_s * segment.duration_s * 1.001 + JOINT_TOLERANCE_MM;
-        segment
-            .channels
-            .iter()
-            .zip(&self.at)
-            .enumerate()
-            .find_map(|(channel, (c, at))| {
-                let gap_mm = c.start.position_mm - at.position_mm;
-                let distance_mm = c.end.position_mm - c.start.position_mm;
-                let joins = gap_mm.abs() <= JOINT_TOLERANCE_MM;
-                let valid = joins && distance_mm.abs() <= longest_mm;
-                (!valid).then_some(StepperFault::Discontinuity {
-                    channel,
-                    jump_mm: if joins { distance_mm } else { gap_mm },
-                })
-            })
+        let mut channels = segment.channels.iter().zip(&self.at).enumerate();
+        channels.find_map(|(channel, (c, at))| {
+            let gap_mm = c.start.position_mm - at.position_mm;
+            let distance_mm = c.end.position_mm - c.start.position_mm;
+            let joins = gap_mm.abs() <= JOINT_TOLERANCE_MM;
+            let jump_mm = if joins { distance_mm } else { gap_mm };
+            let valid = joins && distance_mm.abs() <= longest_mm;
+            (!valid).then_some(StepperFault::Discontinuity { channel, jump_mm })
+        })
     }
 
     /// Loads a segment into the step stream.
@@ -160,9 +152,8 @@ impl StepCore {
         self.enable &= self.after_stop != AfterStop::Finish;
         self.current = None;
         self.stream.reset(self.counted);
-        self.at = self
-            .counted
-            .map(|n| MotionState::rest(f64::from(n) * self.step_mm));
+        let counted_mm = self.counted.map(|n| f64::from(n) * self.step_mm);
+        self.at = counted_mm.map(MotionState::rest);
     }
 
     /// Leaves a fault at rest at the present count.

@@ -43,26 +43,20 @@ parameters! {
 /// A configuration in the chip's own terms, compiled once by [`IcmConfig::settings`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    pub(super) address: u8,
     pub(super) divider: u8,
     pub(super) gyro_config: u8,
     pub(super) acc_config: u8,
     pub(super) mag_mode: u8,
-    pub(super) mag_rate_hz: f64,
     pub(super) canary_every: u16,
     pub(super) scale: Scale,
 }
 
 /// Position of the narrowest filter that is at least `wanted_hz` wide, which must not exceed the widest.
 fn filter(table: &[f64; 8], wanted_hz: f64) -> u8 {
-    (0..8_u8)
-        .filter(|i| table[usize::from(*i)] >= wanted_hz)
-        .min_by(|a, b| {
-            table[usize::from(*a)]
-                .total_cmp(&table[usize::from(*b)])
-                .then(b.cmp(a))
-        })
-        .unwrap_or(7)
+    let wide = (0..8_u8).zip(table).filter(|(_, hz)| **hz >= wanted_hz);
+    // of two that are alike the last
+    let narrowest = wide.min_by(|a, b| a.1.total_cmp(b.1).then(b.0.cmp(&a.0)));
+    narrowest.map_or(7, |(place, _)| place)
 }
 
 impl IcmConfig {
@@ -74,10 +68,8 @@ impl IcmConfig {
         self.checked("imu.chip")?;
         // every value is in its list: the search finds it
         let code = |list: &[u16], have: u16| {
-            (0_u8..)
-                .zip(list)
-                .find(|(_, x)| **x == have)
-                .map_or(0, |(i, _)| i)
+            let place = list.iter().position(|x| *x == have);
+            place.unwrap_or(0) as u8
         };
         let gyro_fs = code(&[250, 500, 1000, 2000], self.gyro_range_dps);
         let acc_fs = code(&[2, 4, 8, 16], u16::from(self.acc_range_g));
@@ -85,12 +77,10 @@ impl IcmConfig {
         let gyro_dlpf = filter(&GYRO_BANDWIDTH_HZ, self.gyro_bandwidth_hz);
         let acc_dlpf = filter(&ACC_BANDWIDTH_HZ, self.acc_bandwidth_hz);
         Ok(Settings {
-            address: self.address,
             divider: ((BASE_RATE_HZ / self.rate_hz).floor() - 1.0) as u8,
             gyro_config: gyro_dlpf << 3 | gyro_fs << 1 | 1,
             acc_config: acc_dlpf << 3 | acc_fs << 1 | 1,
             mag_mode: (mag_mode + 1) << 1,
-            mag_rate_hz: f64::from(self.mag_rate_hz),
             canary_every: self.canary_every,
             scale: scale(gyro_fs, acc_fs),
         })

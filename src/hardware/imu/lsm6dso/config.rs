@@ -3,7 +3,7 @@
 use super::reg;
 use crate::hardware::imu::{Axes, Part, STANDARD_GRAVITY_M_S2, Scale, lis2mdl};
 use crate::parameters;
-use crate::primitives::{Checker, Invalid, Parameters};
+use crate::primitives::{Invalid, Parameters};
 
 /// Conversion rates of the LSM6DSO by ODR code 1 to 10, Hz (p. 10).
 pub const RATES_HZ: [f64; 10] = [
@@ -70,7 +70,6 @@ pub type Writes = [(u8, u8); 7];
 /// A configuration in the chips' own terms.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
-    pub(super) address: u8,
     /// Registers with the values that are written after a reset, in this order.
     pub(super) writes: Writes,
     /// Values and masks from CTRL1 on by which a chip that has restarted is recognised.
@@ -81,21 +80,14 @@ pub struct Settings {
     pub(super) scale: Scale,
 }
 
-/// Gyroscope: range in °/s, FS_G and FS_125 bits of the LSM6DSO (CTRL2_G), FS_G of the LSM6DSV16X (CTRL6).
-const GYRO: [(u16, u8, u8); 5] = [
-    (125, 0b0010, 0),
-    (250, 0b0000, 1),
-    (500, 0b0100, 2),
-    (1000, 0b1000, 3),
-    (2000, 0b1100, 4),
-];
-/// Accelerometer: range in g, FS_XL bits of the LSM6DSO (CTRL1_XL; note that 16 g sits at code 1) and the LSM6DSV16X (CTRL8).
-const ACC: [(u8, u8, u8); 4] = [
-    (2, 0b0000, 0),
-    (4, 0b1000, 1),
-    (8, 0b1100, 2),
-    (16, 0b0100, 3),
-];
+/// Ranges of the gyroscope, °/s. Their place is FS_G of the LSM6DSV16X (CTRL6).
+const GYRO_DPS: [u16; 5] = [125, 250, 500, 1000, 2000];
+/// FS_G and FS_125 bits of the LSM6DSO (CTRL2_G) for each of them.
+const DSO_FS_G: [u8; 5] = [0b0010, 0b0000, 0b0100, 0b1000, 0b1100];
+/// Ranges of the accelerometer, g. Their place is FS_XL of the LSM6DSV16X (CTRL8).
+const ACC_G: [u8; 4] = [2, 4, 8, 16];
+/// FS_XL bits of the LSM6DSO (CTRL1_XL) for each of them; note that 16 g sits at code 1.
+const DSO_FS_XL: [u8; 4] = [0b0000, 0b1000, 0b1100, 0b0100];
 /// Accelerometer filter: divisor of the rate by HPCF_XL (CTRL8_XL); 2 is the first stage alone.
 const ACC_DIVISORS: [u16; 8] = [4, 10, 20, 45, 100, 200, 400, 800];
 
@@ -121,28 +113,25 @@ impl LsmConfig {
     /// The first setting that the parts do not have.
     pub fn settings(&self, variant: Variant) -> Result<Settings, Invalid> {
         self.checked("imu.chip")?;
-        let mut checker = Checker::default();
-        checker
-            .at("imu.chip.mag_axes")
-            .holds(self.mag_axes.is_permutation(), "an axis is used twice")
-            .hint("each of x, y and z once, with a sign");
-        checker.done()?;
+        if !self.mag_axes.is_permutation() {
+            return Err(Invalid {
+                key: "imu.chip.mag_axes".to_owned(),
+                problem: "an axis is used twice".to_owned(),
+                hint: "each of x, y and z once, with a sign".to_owned(),
+            });
+        }
         // every value is in its list: the searches find it
         let (_, _, rates_hz) = variant.part();
-        let (odr, rate_hz) = (1_u8..)
-            .zip(rates_hz.iter().copied())
-            .find(|(_, rate)| *rate >= self.rate_hz)
-            .unwrap_or((1, rates_hz[0]));
+        let mut rates = (1_u8..).zip(rates_hz.iter().copied());
+        let enough = rates.find(|(_, rate)| *rate >= self.rate_hz);
+        let (odr, rate_hz) = enough.unwrap_or((1, rates_hz[0]));
         let (writes, canary) = self.registers(variant, odr);
         Ok(Settings {
-            address: self.address,
             writes,
             canary,
             rate_hz,
             // a quarter faster than the magnetometer, so that none of its values is missed
-            mag_every: (self.rate_hz / (1.25 * f64::from(self.mag_rate_hz)))
-                .floor()
-                .max(1.0) as u16,
+            mag_every: (self.rate_hz / (1.25 * f64::from(self.mag_rate_hz))).max(1.0) as u16,
             canary_every: self.canary_every,
             scale: scale(self.gyro_range_dps, self.acc_range_g, self.mag_axes),
         })
@@ -150,22 +139,17 @@ impl LsmConfig {
 
     /// What is written after a reset, and what a chip that has restarted is recognised by, from CTRL1 on.
     fn registers(&self, variant: Variant, odr: u8) -> (Writes, Vec<(u8, u8)>) {
-        let is_gyro = |row: &&(u16, u8, u8)| row.0 == self.gyro_range_dps;
-        let is_acc = |row: &&(u8, u8, u8)| row.0 == self.acc_range_g;
-        let (_, fs_g, dsv_fs_g) = *GYRO.iter().find(is_gyro).unwrap_or(&GYRO[0]);
-        let (_, fs_xl, dsv_fs_xl) = *ACC.iter().find(is_acc).unwrap_or(&ACC[0]);
-        let divisor = ACC_DIVISORS
-            .into_iter()
-            .position(|d| d == self.acc_filter_divisor);
+        let gyro = GYRO_DPS.iter().position(|dps| *dps == self.gyro_range_dps);
+        let acc = ACC_G.iter().position(|g| *g == self.acc_range_g);
+        let (gyro, acc) = (gyro.unwrap_or(0), acc.unwrap_or(0));
+        let mut divisors = ACC_DIVISORS.iter();
+        let divisor = divisors.position(|d| *d == self.acc_filter_divisor);
         let (acc_bw, acc_on) = divisor.map_or((0, 0), |d| ((d as u8) << 5, 1));
         let (gyro_bw, gyro_on) = self.gyro_filter.map_or((0, 0), |code| (code, 1));
         match variant {
             Variant::Dso => {
-                let (ctrl1, ctrl2, ctrl4) = (
-                    odr << 4 | fs_xl | acc_on << 1,
-                    odr << 4 | fs_g,
-                    gyro_on << 1,
-                );
+                let ctrl1 = odr << 4 | DSO_FS_XL[acc] | acc_on << 1;
+                let (ctrl2, ctrl4) = (odr << 4 | DSO_FS_G[gyro], gyro_on << 1);
                 let writes = [
                     (reg::CTRL3, CTRL3),
                     (reg::CTRL9, DSO_CTRL9),
@@ -175,13 +159,11 @@ impl LsmConfig {
                     (reg::CTRL1, ctrl1),
                     (reg::CTRL2, ctrl2),
                 ];
-                (
-                    writes,
-                    vec![(ctrl1, 0xFE), (ctrl2, 0xFE), (CTRL3, 0xC5), (ctrl4, 0x42)],
-                )
+                let canary = vec![(ctrl1, 0xFE), (ctrl2, 0xFE), (CTRL3, 0xC5), (ctrl4, 0x42)];
+                (writes, canary)
             }
             Variant::Dsv16x => {
-                let (ctrl6, ctrl8) = (gyro_bw << 4 | dsv_fs_g, acc_bw | dsv_fs_xl);
+                let (ctrl6, ctrl8) = (gyro_bw << 4 | gyro as u8, acc_bw | acc as u8);
                 let writes = [
                     (reg::CTRL3, CTRL3),
                     (reg::CTRL6, ctrl6),
