@@ -53,7 +53,7 @@ fn said(model: &SavedModel, effects: &[Box<dyn Effect>], args: &Args) -> String 
     let verdict: Vec<String> = effects
         .iter()
         .filter(|e| model.effect.iter().any(|s| s.name == e.name()))
-        .map(|e| format!("{}: {}", plain(e.name()), Remedy::of(e.as_ref()).advice()))
+        .map(|e| format!("{}: {}", plain(e.name()), Remedy::of(e.as_ref()).name()))
         .collect();
     let mut out = vec![if verdict.is_empty() {
         "The verdict names no effect; the recalibrated gains are all there is to apply.".to_owned()
