@@ -32,28 +32,20 @@ impl<C: Scored> Candidates<C> {
     /// Adds larger sets; of those with the same effects the better one stays.
     pub fn add(&mut self, sets: impl IntoIterator<Item = C>) {
         for set in sets.into_iter().filter(|s| s.names().len() > 1) {
-            match self
-                .larger
-                .iter_mut()
-                .find(|known| known.names() == set.names())
-            {
+            let mut larger = self.larger.iter_mut();
+            match larger.find(|known| known.names() == set.names()) {
                 Some(known) if known.energy() <= set.energy() => {}
                 Some(known) => *known = set,
                 None => self.larger.push(set),
             }
         }
-        self.larger
-            .sort_by(|a, b| a.energy().total_cmp(&b.energy()));
+        let larger = &mut self.larger;
+        larger.sort_by(|a, b| a.energy().total_cmp(&b.energy()));
     }
 
     /// All sets of effects.
     pub fn sets(&self) -> impl Iterator<Item = &C> {
         self.singles.iter().chain(&self.larger)
-    }
-
-    /// The candidate of a single effect.
-    pub fn single(&self, name: &str) -> Option<&C> {
-        self.set(&[name])
     }
 
     /// The candidate of these effects, if it was fitted.
@@ -78,9 +70,8 @@ impl<C: Scored> Candidates<C> {
         if self.parts(c).all(|part| enough(c, part)) {
             return c;
         }
-        let best = self
-            .parts(c)
-            .min_by(|a, b| a.energy().total_cmp(&b.energy()));
+        let parts = self.parts(c);
+        let best = parts.min_by(|a, b| a.energy().total_cmp(&b.energy()));
         best.map_or(&self.nominal, |part| self.claimable(part, enough))
     }
 
@@ -88,10 +79,7 @@ impl<C: Scored> Candidates<C> {
     /// explains beyond the others.
     pub fn claims(&self, c: &C) -> [f64; 2] {
         let claim = |part: &C| c.gain(part).max(ALIKE).ln().min(0.0);
-        let least = match c.names().len() > 1 {
-            true => self.parts(c).map(claim).fold(0.0, f64::min),
-            false => 0.0,
-        };
-        [claim(&self.nominal), least]
+        let parts = self.parts(c).filter(|part| !part.names().is_empty());
+        [claim(&self.nominal), parts.map(claim).fold(0.0, f64::min)]
     }
 }

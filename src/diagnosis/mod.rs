@@ -18,6 +18,6 @@ pub mod tip;
 pub mod verdict;
 
 pub use candidates::{Candidates, Scored};
-pub use diagnose::diagnose;
+pub use diagnose::{diagnose, statements};
 pub use problem::{Judged, Problem};
-pub use search::search;
+pub use search::{Search, search};

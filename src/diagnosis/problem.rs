@@ -1,27 +1,12 @@
 //! What a diagnosis asks of a log, whatever the machine: [`crate::diagnosis::tip`] and [`crate::diagnosis::rig`] answer it.
 
 use crate::diagnosis::verdict::{Claim, Head, Posterior, Verdict};
-use crate::diagnosis::{Candidates, Scored};
+use crate::diagnosis::{Candidates, Search};
 
 /// A log with everything that sets of effects are fitted to it and judged by.
-pub trait Problem: Sized {
-    /// A fitted set of effects.
-    type Set: Scored + Clone;
-    /// What the fit of a single effect leaves, beside its set, for the choice of the pairs.
-    type Trace;
+pub trait Problem: Search {
     /// What is written of the log.
     type Document;
-
-    /// The nominal model, recalibrated.
-    fn nominal(&self) -> &Self::Set;
-    /// Every single effect.
-    fn singles(&self) -> Vec<(Self::Set, Self::Trace)>;
-    /// The promising pairs; the singles are sorted, the best first.
-    fn pairs(&self, singles: &[(Self::Set, Self::Trace)]) -> Vec<Self::Set>;
-    /// The promising extensions of the best pair by one effect; none if it leaves too little for another.
-    fn triples(&self, pair: &Self::Set) -> Vec<Self::Set>;
-    /// The pairs within triples, of which a triple is claimed for what each effect adds to the other two.
-    fn parts(&self, found: &Candidates<Self::Set>, triples: &[Self::Set]) -> Vec<Self::Set>;
 
     /// The features of a statement and their weights.
     fn head() -> &'static Head;
@@ -63,8 +48,7 @@ pub struct Judged<P: Problem> {
 impl<P: Problem> Judged<P> {
     /// The verdict's set.
     pub fn chosen(&self) -> &P::Set {
-        self.found
-            .set(&self.verdict.names)
-            .unwrap_or(&self.found.nominal)
+        let chosen = self.found.set(&self.verdict.names);
+        chosen.unwrap_or(&self.found.nominal)
     }
 }

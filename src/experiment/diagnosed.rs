@@ -1,7 +1,7 @@
 //! The arm `diagnosed`: a log of the standard schedule on a world of its own, and the machine that its diagnosis describes.
 
 use crate::control::LoopConfig;
-use crate::diagnosis::excite::{Machine, standard};
+use crate::diagnosis::excite::{Machine, rounded, standard};
 use crate::diagnosis::tip::fit::best_predicting;
 use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::Observed;
@@ -39,7 +39,7 @@ pub fn described(
     let nominal = recalibrated(&log, &config.lines);
     let found = best_predicting(&log, &catalogue, &nominal, &nominal);
     let model = Model::named(&catalogue, &found.names);
-    let theta = &found.fitted.theta;
+    let theta = &found.theta;
     let causes = model
         .each(theta)
         .filter_map(|(e, p)| Some((by_name(e.name())?, p.to_vec())));
@@ -61,7 +61,7 @@ pub fn record(
     rows.retain(|r| machine.reaches(r));
     let period_s = world.info().period_s;
     let of = |time_s: f64| ((time_s / period_s).round() as usize).max(1);
-    let path = machine.drive(&rows, period_s).rounded(of(ROUNDED_S));
+    let path = rounded(&machine.drive(&rows, period_s).piston_mm, of(ROUNDED_S));
     let nan = Vector3::repeat(f64::NAN);
     let mut log = BendLog::default();
     let (mut acc, mut gyr, mut mag) = (vec![], vec![], vec![]);

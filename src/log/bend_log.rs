@@ -11,7 +11,7 @@ use std::io::Read;
 use std::path::Path;
 
 /// Samples of one 9-DoF IMU; a missing sample is NaN in all components.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct ImuColumns {
     /// Specific force, m/s², sensor frame.
     pub acc: Vec<Vector3<f64>>,

@@ -3,11 +3,13 @@
 use crate::model::effects::{Effect, Memory, Pose};
 use crate::model::{Chain, Geometry, NOMINAL, places};
 use nalgebra::{UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::Arc;
 
 /// What the tip IMU reads at the initial rest, in the base frame, and the constant bias of its gyroscope.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct RestReadings {
     /// Direction of up, unit vector.
     pub up: Vector3<f64>,

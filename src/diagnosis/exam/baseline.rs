@@ -41,8 +41,7 @@ pub fn answer(
 fn bic(log: &Observed, found: &Candidates<Candidate>) -> Vec<&'static str> {
     let n = log.duration_s() / CORRELATED_S * 3.0 * log.quantities().count() as f64;
     let rows = log.bins.len() as f64 * n / (log.duration_s() / CORRELATED_S).max(1.0);
-    let value =
-        |c: &Candidate| n * (c.fitted.cost / rows).ln() + c.fitted.theta.len() as f64 * n.ln();
+    let value = |c: &Candidate| n * (c.cost / rows).ln() + c.theta.len() as f64 * n.ln();
     let all = found.sets().chain([&found.nominal]);
     let least = all.min_by(|a, b| value(a).total_cmp(&value(b)));
     least.map_or(vec![], |c| c.names.clone())
@@ -63,15 +62,16 @@ impl Library {
         let nominal = LeastSquares::new(log, Model::new(&[]));
         let mut base = fit(nominal, &nominal_theta(lines, log.rig.prior_lag_s), ROUNDS);
         base.tangent = Tangent::new(&base.problem, &base.point);
-        let (mut columns, mut at) = (base.tangent.clone(), vec![NOMINAL]);
+        let (mut all, mut at) = (base.tangent.clone(), vec![NOMINAL]);
         for e in catalogue {
             let problem = LeastSquares::new(log, Model::new(&[e.as_ref()]));
             let here = problem.at([base.point.theta.as_slice(), &e.starts()[0]].concat());
-            columns.append(Tangent::grown(&problem, &here, &base), NOMINAL);
-            at.push(columns.width());
+            let mut own = Tangent::grown(&problem, &here, &base).columns;
+            all.columns.extend(own.drain(NOMINAL..));
+            at.push(all.columns.len());
         }
-        let sums = columns.whole(&base.point, log.bins.len());
-        let (n, k) = (columns.width(), NOMINAL);
+        let sums = all.whole(&base.point, log.bins.len());
+        let (n, k) = (all.columns.len(), NOMINAL);
         let ridge = DMatrix::identity(k, k) * 1e-6;
         let inverse = (sums.normal.view((0, 0), (k, k)) + ridge).try_inverse();
         let inverse = inverse.unwrap_or_else(|| DMatrix::zeros(k, k));

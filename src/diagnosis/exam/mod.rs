@@ -8,12 +8,10 @@ pub mod baseline;
 pub mod question;
 pub mod record;
 pub mod run;
-pub mod schedule;
 pub mod score;
 
 pub use baseline::Answers;
 pub use question::{Content, Logs, Question, Recorded, difference_deg, questions};
 pub use record::{PERIOD_S, record};
 pub use run::Answer;
-pub use schedule::{DT_S, drive};
 pub use score::{Count, Counts, ExamScore, Method, ReliabilityBin, score};

@@ -240,11 +240,8 @@ pub fn difference_deg(a: &BendLog, b: &BendLog) -> f64 {
     };
     let mut out: f64 = 0.0;
     if let (Some(x), Some(y)) = (&a.imu, &b.imu) {
-        let field = y
-            .mag
-            .iter()
-            .find(|m| !m.x.is_nan())
-            .map_or(48.0, Vector3::norm);
+        let field = y.mag.iter().find(|m| !m.x.is_nan());
+        let field = field.map_or(48.0, Vector3::norm);
         // recalibration removes a constant difference of rates
         let rates = x.gyr.iter().zip(&y.gyr).map(|(x, y)| x - y);
         let rates: Vec<Vector3<f64>> = rates.filter(|d| !d.x.is_nan()).collect();
@@ -254,11 +251,9 @@ pub fn difference_deg(a: &BendLog, b: &BendLog) -> f64 {
         out = acc.max(mag).max(rate).to_degrees();
     }
     if let (Some(x), Some(y)) = (&a.reference, &b.reference) {
-        let angles = x
-            .iter()
-            .zip(y)
-            .filter_map(|(x, y)| Some(x.as_ref()?.angle_to(y.as_ref()?).powi(2)));
-        let mean = angles.sum::<f64>() / x.len().max(1) as f64;
+        let both = x.iter().zip(y).filter_map(|(x, y)| x.zip(*y));
+        let squares = both.map(|(x, y)| x.angle_to(&y).powi(2));
+        let mean = squares.sum::<f64>() / x.len().max(1) as f64;
         out = out.max(mean.sqrt().to_degrees());
     }
     out

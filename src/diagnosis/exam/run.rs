@@ -1,8 +1,7 @@
 //! Answers the questions of an exam.
 
 use crate::diagnosis::diagnose;
-use crate::diagnosis::exam::baseline;
-use crate::diagnosis::exam::{Answers, Content, Logs, Question};
+use crate::diagnosis::exam::{Answers, Content, Logs, Question, baseline};
 use crate::diagnosis::tip::observed::{ObserveError, Observed};
 use crate::diagnosis::tip::{Diagnosis, Rig, SavedModel, TipProblem, check};
 use crate::diagnosis::verdict::VerdictKind;
@@ -41,7 +40,7 @@ pub struct Answer {
 }
 
 /// Answers all questions in parallel from the logs that `draw` makes, [`Question::draw`] for the built-in plant; `done` is called after
-/// each.
+/// each. A question is answered from its logs and the calibration alone.
 ///
 /// # Errors
 /// [`ExamError`].
@@ -51,42 +50,31 @@ pub fn run(
     catalogue: &[Box<dyn Effect>],
     done: impl Fn() + Sync,
 ) -> Result<Vec<Answer>, ExamError> {
-    questions
-        .par_iter()
-        .enumerate()
-        .map(|(n, q)| {
-            let again = q.content == Content::Single && n % LEFT_OUT_EVERY == 0;
-            let answer = answer(n, &draw(q)?, catalogue, again.then(|| q.truth()[0]));
-            done();
-            answer
-        })
-        .collect()
-}
-
-/// Answers question `n` from its logs and the calibration alone.
-fn answer(
-    n: usize,
-    logs: &Logs,
-    catalogue: &[Box<dyn Effect>],
-    left_out: Option<&str>,
-) -> Result<Answer, ExamError> {
-    let observe = |log| Observed::new(log, &Rig::default()).map_err(|e| ExamError::Observe(n, e));
-    let (log, fresh) = (observe(&logs.log)?, observe(&logs.fresh)?);
-    let done = diagnose(&TipProblem::new(&log, catalogue, &logs.lines, n as u64));
-    let saved = SavedModel::new("exam", catalogue, &done);
-    let fresh_closed = check(&saved, &fresh, catalogue).closed;
-    let left_out = left_out.map(|name| {
-        let mut rest = effects::catalogue();
-        rest.retain(|e| e.name() != name);
-        let without = diagnose(&TipProblem::new(&log, &rest, &logs.lines, n as u64));
-        without.document.verdict.kind
-    });
-    let others = baseline::answer(&log, catalogue, &logs.lines, &done.found);
-    Ok(Answer {
-        diagnosis: done.document,
-        hidden: logs.hidden,
-        fresh_closed,
-        left_out,
-        others,
-    })
+    let answer = |(n, q): (usize, &Question)| {
+        let logs = draw(q)?;
+        let observe =
+            |log| Observed::new(log, &Rig::default()).map_err(|e| ExamError::Observe(n, e));
+        let (log, fresh) = (observe(&logs.log)?, observe(&logs.fresh)?);
+        let with = |effects: &[Box<dyn Effect>]| {
+            diagnose(&TipProblem::new(&log, effects, &logs.lines, n as u64))
+        };
+        let diagnosed = with(catalogue);
+        let saved = SavedModel::new("exam", catalogue, &diagnosed);
+        let again = q.content == Content::Single && n % LEFT_OUT_EVERY == 0;
+        let left_out = again.then(|| {
+            let mut rest = effects::catalogue();
+            rest.retain(|e| e.name() != q.truth()[0]);
+            with(&rest).document.verdict.kind
+        });
+        let answer = Answer {
+            fresh_closed: check(&saved, &fresh, catalogue).closed,
+            others: baseline::answer(&log, catalogue, &logs.lines, &diagnosed.found),
+            diagnosis: diagnosed.document,
+            hidden: logs.hidden,
+            left_out,
+        };
+        done();
+        Ok(answer)
+    };
+    questions.par_iter().enumerate().map(answer).collect()
 }

@@ -1,7 +1,7 @@
 //! Scores of an exam.
 
 use crate::diagnosis::exam::{Answer, Content, Question};
-use crate::diagnosis::verdict::VerdictKind;
+use crate::diagnosis::verdict::{Verdict, VerdictKind};
 use crate::model::effects::by_name;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -152,50 +152,23 @@ pub struct ExamScore {
     pub confusion: BTreeMap<String, BTreeMap<String, usize>>,
 }
 
-/// What a method reports of a log.
-struct Report {
-    kind: VerdictKind,
-    names: Vec<&'static str>,
-    equivalent: Vec<Vec<&'static str>>,
+/// The verdict of one of the other methods.
+fn other(a: &Answer, which: usize) -> Verdict {
+    let names = a.others[which].clone();
+    Verdict {
+        kind: VerdictKind::of(Some(&names)),
+        names,
+        ..Verdict::default()
+    }
 }
 
-impl Report {
-    /// The diagnosis' own verdict.
-    fn own(a: &Answer) -> Self {
-        let v = &a.diagnosis.verdict;
-        Self {
-            kind: v.kind,
-            names: v.names.clone(),
-            equivalent: v.equivalent.clone(),
-        }
-    }
-
-    /// The verdict of another method.
-    fn other(a: &Answer, which: usize) -> Self {
-        let names = a.others[which].clone();
-        Self {
-            kind: VerdictKind::new(names.is_empty(), false),
-            names,
-            equivalent: vec![],
-        }
-    }
-
-    /// Whether it names the true effects, and nothing else. An effect counts as named if it is in a stated group with the
-    /// given name.
-    fn names_all(&self, truth: &[&str]) -> bool {
-        let groups = |n: &str, t: &str| {
-            self.equivalent
-                .iter()
-                .any(|g| g.contains(&n) && g.contains(&t))
-        };
-        let named = |t: &&str| self.names.iter().any(|n| n == t || groups(n, t));
-        let as_many = self.names.len() == truth.len();
-        self.kind == VerdictKind::Effects && as_many && truth.iter().all(named)
-    }
-
-    fn class(self) -> String {
-        class(self.kind, &self.names)
-    }
+/// Whether a verdict names the true effects, and nothing else. An effect counts as named if it is in a stated group with the given name.
+fn names_all(v: &Verdict, truth: &[&str]) -> bool {
+    let groups = &v.equivalent;
+    let grouped = |n: &str, t: &str| groups.iter().any(|g| g.contains(&n) && g.contains(&t));
+    let named = |t: &&str| v.names.iter().any(|n| n == t || grouped(n, t));
+    let as_many = v.names.len() == truth.len();
+    v.kind == VerdictKind::Effects && as_many && truth.iter().all(named)
 }
 
 /// The names, or the kind of a statement without names.
@@ -226,7 +199,7 @@ type Answered<'a> = (&'a Question, &'a Answer);
 /// Scores all answers.
 pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore {
     let all: Vec<Answered<'_>> = questions.iter().zip(answers).collect();
-    let [bic, sparse, nearest] = [0, 1, 2].map(|which| method(&all, |a| Report::other(a, which)));
+    let [bic, sparse, nearest] = [0, 1, 2].map(|which| method(&all, |a| other(a, which)));
     let says_unknown = |a: &Answer| a.diagnosis.verdict.kind == VerdictKind::Unknown;
     let covered = |_: &Question, a: &Answer| {
         let first = a.diagnosis.effects.first();
@@ -254,7 +227,7 @@ pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore
     ExamScore {
         seed,
         logs: all.len(),
-        diagnosis: method(&all, Report::own),
+        diagnosis: method(&all, |a| a.diagnosis.verdict.clone()),
         stage: row(&all, Content::Single, stage),
         outside: row(&all, Content::Outside, |_, a| says_unknown(a)),
         outside_visible: counted(&all, visible),
@@ -286,34 +259,27 @@ fn said_of_effects<'a>((q, a): &Answered<'a>) -> impl Iterator<Item = (f64, bool
 
 /// Counts of the answers for which `right` tells whether they are right.
 fn counted(all: &[Answered<'_>], right: impl Fn(&Question, &Answer) -> Option<bool>) -> Counts {
-    let count = |lab: bool| {
+    let [lab, field] = [true, false].map(|lab| {
         let here = all.iter().filter(|(q, _)| q.lab == lab);
         Count::of(here.filter_map(|(q, a)| right(q, a)))
-    };
-    Counts {
-        lab: count(true),
-        field: count(false),
-    }
+    });
+    Counts { lab, field }
 }
 
-fn row(
-    all: &[Answered<'_>],
-    content: Content,
-    right: impl Fn(&Question, &Answer) -> bool,
-) -> Counts {
-    counted(all, |q, a| (q.content == content).then(|| right(q, a)))
+fn row(all: &[Answered<'_>], of: Content, right: impl Fn(&Question, &Answer) -> bool) -> Counts {
+    counted(all, |q, a| (q.content == of).then(|| right(q, a)))
 }
 
-fn method(all: &[Answered<'_>], report: impl Fn(&Answer) -> Report) -> Method {
-    let right = |q: &Question, a: &Answer| report(a).names_all(&q.truth());
+/// Counts of a method that says `verdict` of a log.
+fn method(all: &[Answered<'_>], verdict: impl Fn(&Answer) -> Verdict) -> Method {
+    let right = |q: &Question, a: &Answer| names_all(&verdict(a), &q.truth());
+    let claims = |_: &Question, a: &Answer| verdict(a).kind != VerdictKind::None;
     Method {
         single: row(all, Content::Single, right),
         pair: row(all, Content::Pair, right),
         triple: row(all, Content::Triple, right),
-        alarm: row(all, Content::None, |_, a| {
-            report(a).kind != VerdictKind::None
-        }),
-        macro_f1: macro_f1(all, |a| report(a).class()),
+        alarm: row(all, Content::None, claims),
+        macro_f1: macro_f1(all, &verdict),
     }
 }
 
@@ -324,14 +290,18 @@ fn confusion(all: &[Answered<'_>]) -> BTreeMap<String, BTreeMap<String, usize>> 
             Content::Outside => format!("unknown ({})", q.names[0]),
             _ => truth(q),
         };
-        let answers = out.entry(truth).or_default();
-        *answers.entry(Report::own(a).class()).or_default() += 1;
+        let (answers, v) = (out.entry(truth).or_default(), &a.diagnosis.verdict);
+        *answers.entry(class(v.kind, &v.names)).or_default() += 1;
     }
     out
 }
 
 /// Mean F1 over the classes of single effects, effect-free logs and outside effects.
-fn macro_f1(all: &[Answered<'_>], answer: impl Fn(&Answer) -> String) -> f64 {
+fn macro_f1(all: &[Answered<'_>], verdict: impl Fn(&Answer) -> Verdict) -> f64 {
+    let answer = |a: &Answer| {
+        let v = verdict(a);
+        class(v.kind, &v.names)
+    };
     let alone = |(q, _): &&Answered<'_>| !matches!(q.content, Content::Pair | Content::Triple);
     let asked = all.iter().filter(alone);
     let asked: Vec<(String, String)> = asked.map(|(q, a)| (truth(q), answer(a))).collect();

@@ -7,7 +7,7 @@
 //! Gelatt and Vecchi, *Science* 1983. Equal requests give equal schedules.
 
 use crate::diagnosis::excite::{
-    Distances, Machine, Manoeuvre, Rival, ScheduleRow, first_guess, information, schedule, standard,
+    Machine, Manoeuvre, Rival, ScheduleRow, first_guess, information, schedule, standard,
 };
 use crate::diagnosis::tip::{SavedModel, separable};
 use crate::model::effects::catalogue;
@@ -54,10 +54,12 @@ pub struct Design {
     pub names: Vec<&'static str>,
     /// Names in question: the effects of the saved diagnosis and those confusable with them, or all.
     pub focus: Vec<&'static str>,
-    /// Distances on the designed schedule.
-    pub distances: Distances,
-    /// Distances on the standard schedule.
-    pub standard: Distances,
+    /// Length of the schedule, s.
+    pub duration_s: f64,
+    /// Distances between effects on the designed schedule, standard deviations.
+    pub distances: DMatrix<f64>,
+    /// The same on the standard schedule.
+    pub standard: DMatrix<f64>,
 }
 
 /// Two effects with their distance on the designed and on the standard schedule.
@@ -69,7 +71,7 @@ impl Design {
         let place = |n: &&str| self.names.iter().position(|name| name == n);
         let focus: Vec<usize> = self.focus.iter().filter_map(place).collect();
         let pair = |(i, j): (usize, usize)| {
-            let [designed, standard] = [&self.distances, &self.standard].map(|d| d.of[(i, j)]);
+            let [designed, standard] = [&self.distances, &self.standard].map(|d| d[(i, j)]);
             (self.names[i], self.names[j], designed, standard)
         };
         let pairs = (0..focus.len()).flat_map(|a| focus[a + 1..].iter().map(move |&j| (a, j)));
@@ -83,14 +85,12 @@ impl Design {
 pub fn design(request: &Request, progress: &mut dyn FnMut(usize)) -> Design {
     let mut rng = StdRng::seed_from_u64(request.seed);
     let (machine, like) = (&request.machine, request.like.as_ref());
-    let rivals = catalogue()
-        .into_iter()
-        .map(|e| Rival::new(e, like, &mut rng));
-    let rivals: Vec<Rival> = rivals.collect();
+    let effects = catalogue().into_iter();
+    let rivals: Vec<Rival> = effects.map(|e| Rival::new(e, like, &mut rng)).collect();
     let names: Vec<&'static str> = rivals.iter().map(|r| r.effect.name()).collect();
     let focus = focus(like, &names);
-    let evaluate =
-        |rows: &[ScheduleRow]| information(machine, rows, &rivals, request.tracker, request.seed);
+    let (tracker, seed) = (request.tracker, request.seed);
+    let evaluate = |rows: &[ScheduleRow]| information(machine, rows, &rivals, tracker, seed);
     let standard = evaluate(&standard::rows(machine));
     let sizes = standard.as_ref().map(|i| i.sizes()).unwrap_or_default();
     let enlarged = |x: &f64| (SIZE / x.max(1e-9)).min(ENLARGED_MAX);
@@ -100,25 +100,18 @@ pub fn design(request: &Request, progress: &mut dyn FnMut(usize)) -> Design {
     let mut search = LocalSearch {
         machine,
         distances: &distances,
-        weight: weights(&names, &focus, request.tracker),
+        weight: weights(&names, &focus, tracker),
         enough: ENOUGH[usize::from(focus.len() < names.len())],
-        best: Evaluated {
-            list: first_guess(machine.rig.geometry.rest_length_mm),
-            cost: f64::INFINITY,
-            distances: None,
-        },
+        best: Evaluated::default(),
     };
-    search.best = search.evaluate(search.best.list.clone());
+    search.best = search.evaluate(first_guess(machine.rig.geometry.rest_length_mm));
     progress(1);
     for tried in 2..=request.rounds {
         search.step(&mut rng);
         progress(tried);
     }
     let rows = schedule(machine, &search.best.list);
-    let empty = || Distances {
-        of: DMatrix::zeros(names.len(), names.len()),
-        duration_s: machine.duration_s(&rows),
-    };
+    let empty = || DMatrix::zeros(names.len(), names.len());
     let distances = search.best.distances.clone().unwrap_or_else(empty);
     let standard = standard.map_or_else(empty, |i| i.distances(&scale));
     Design {
@@ -126,6 +119,7 @@ pub fn design(request: &Request, progress: &mut dyn FnMut(usize)) -> Design {
         focus,
         distances,
         standard,
+        duration_s: machine.duration_s(&rows),
         rows,
     }
 }
@@ -150,16 +144,17 @@ fn weights(names: &[&str], focus: &[&str], tracker: bool) -> DMatrix<f64> {
 }
 
 /// A list of manoeuvres with its cost.
+#[derive(Default)]
 struct Evaluated {
     list: Vec<Manoeuvre>,
     cost: f64,
-    distances: Option<Distances>,
+    distances: Option<DMatrix<f64>>,
 }
 
 /// The search.
 struct LocalSearch<'a> {
     machine: &'a Machine,
-    distances: &'a dyn Fn(&[ScheduleRow]) -> Option<Distances>,
+    distances: &'a dyn Fn(&[ScheduleRow]) -> Option<DMatrix<f64>>,
     weight: DMatrix<f64>,
     enough: f64,
     best: Evaluated,
@@ -169,14 +164,13 @@ impl LocalSearch<'_> {
     /// Cost `Σ w / (1 + min(D, enough)²)`, dominated by the nearest pairs; infinite for a schedule that is too long or
     /// cannot be diagnosed.
     fn evaluate(&self, list: Vec<Manoeuvre>) -> Evaluated {
-        let rows = schedule(self.machine, &list);
-        let short = self.is_short(&list);
-        let distances = short.then(|| (self.distances)(&rows)).flatten();
+        let short = self.is_short(&list).then(|| schedule(self.machine, &list));
+        let distances = short.and_then(|rows| (self.distances)(&rows));
         let cost = distances.as_ref().map_or(f64::INFINITY, |d| {
             let mut cost = 0.0;
-            for i in 0..d.of.nrows() {
+            for i in 0..d.nrows() {
                 for j in 0..=i {
-                    cost += self.weight[(i, j)] / (1.0 + d.of[(i, j)].min(self.enough).powi(2));
+                    cost += self.weight[(i, j)] / (1.0 + d[(i, j)].min(self.enough).powi(2));
                 }
             }
             cost
@@ -194,10 +188,10 @@ impl LocalSearch<'_> {
 
     /// Evaluates a neighbour that is short enough, and keeps it if it is better.
     fn step(&mut self, rng: &mut StdRng) {
-        let near = (0..ATTEMPTS)
-            .map(|_| neighbour(&self.best.list, self.machine, rng))
-            .find(|l| self.is_short(l));
-        let Some(list) = near else { return };
+        let mut near = (0..ATTEMPTS).map(|_| neighbour(&self.best.list, self.machine, rng));
+        let Some(list) = near.find(|l| self.is_short(l)) else {
+            return;
+        };
         let next = self.evaluate(list);
         if next.cost < self.best.cost {
             self.best = next;
@@ -259,14 +253,19 @@ mod tests {
     #[test]
     fn effects_lie_further_apart_per_second_than_on_the_standard_schedule() {
         let d = design(&request(6), &mut |_| ());
-        let nearest = |of: &Distances| {
+        let machine = request(6).machine;
+        let standard_s = machine.duration_s(&standard::rows(&machine));
+        let nearest = |of: &DMatrix<f64>, duration_s: f64| {
             let pairs = (0..d.names.len()).flat_map(|i| (0..i).map(move |j| (i, j)));
             let separable = pairs.filter(|&(i, j)| separable(d.names[i], d.names[j], false));
-            separable.map(|p| of.of[p]).fold(f64::INFINITY, f64::min) / of.duration_s.sqrt()
+            separable.map(|p| of[p]).fold(f64::INFINITY, f64::min) / duration_s.sqrt()
         };
-        let (here, there) = (nearest(&d.distances), nearest(&d.standard));
+        let (here, there) = (
+            nearest(&d.distances, d.duration_s),
+            nearest(&d.standard, standard_s),
+        );
         println!("nearest pair per root second: {here:.3} designed, {there:.3} standard");
-        assert!(here > there && d.distances.duration_s <= LONGEST_S);
+        assert!(here > there && d.duration_s <= LONGEST_S);
     }
 
     #[test]

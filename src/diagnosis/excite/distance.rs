@@ -6,11 +6,15 @@
 //! weighted residual differences. Imitation is linearised about the points of each effect (slopes at the first point,
 //! and the other points as directions).
 
-use crate::diagnosis::excite::{Machine, Rival, ScheduleRow, counted, synthetic};
+use crate::diagnosis::excite::{Machine, ScheduleRow, synthetic};
+use crate::diagnosis::tip::SavedModel;
 use crate::diagnosis::tip::model::{Model, residuals};
 use crate::diagnosis::tip::observed::{CORRELATED_S, Observed};
+use crate::model::effects::{Effect, Param};
 use crate::model::{NOMINAL, nominal_theta};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
+use rand::RngExt;
+use rand::rngs::StdRng;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -22,6 +26,55 @@ const STEP: f64 = 0.01;
 const NOMINAL_SCALE: [f64; 3] = [0.05, 0.1, 0.005];
 /// Weight of a parameter's prior, 1/σ² in units of its scale.
 const PRIOR: f64 = 1.0;
+/// Draws per effect.
+const DRAWS: usize = 2;
+/// A time with a wider prior than this is that of an event and is drawn within the log, s.
+const EVENT_SIGMA_S: f64 = 50.0;
+/// Events of an effect that a schedule is judged by. More would imitate everything.
+const EVENTS_MAX: usize = 2;
+/// Range of the times of events, s.
+const EVENTS_S: (f64, f64) = (20.0, 150.0);
+
+/// An effect with the points at which it is evaluated; slopes are taken at the first.
+pub struct Rival {
+    /// The effect.
+    pub effect: Box<dyn Effect>,
+    /// Parameter vectors.
+    pub points: Vec<Vec<f64>>,
+}
+
+impl Rival {
+    /// An effect at the values of a saved model or, if the model does not have it, at draws from its prior, of which events after the second
+    /// do not happen. The draws are taken in either case, so that they do not depend on the model. Distances grow with the sizes of the
+    /// effects; the draws determine the direction only, and the design gives all effects the same size, so that a wide prior does not make an
+    /// effect look easy to find.
+    pub fn new(effect: Box<dyn Effect>, model: Option<&SavedModel>, rng: &mut StdRng) -> Self {
+        let (params, counted) = (effect.params(), counted(effect.as_ref()));
+        let mut value = |(i, p): (usize, &Param)| if i < counted { draw(p, rng) } else { p.start };
+        let mut point = || params.iter().enumerate().map(&mut value).collect();
+        let drawn = (0..DRAWS).map(|_| point()).collect();
+        let saved = model.and_then(|m| m.params_of(effect.as_ref()));
+        let points = saved.map_or(drawn, |point| vec![point]);
+        Self { effect, points }
+    }
+}
+
+/// Number of parameters by which a schedule is judged.
+fn counted(effect: &dyn Effect) -> usize {
+    let (all, events) = (effect.params().len(), effect.info().events);
+    all / events.max(1) * events.clamp(1, EVENTS_MAX)
+}
+
+/// A value 0.3 to 1.2 prior σ from the value without effect, on either side if the limits allow both.
+fn draw(p: &Param, rng: &mut StdRng) -> f64 {
+    if p.unit == "s" && p.scale > EVENT_SIGMA_S {
+        return rng.random_range(EVENTS_S.0..EVENTS_S.1);
+    }
+    let two_sided = p.low < p.start - 0.1 * p.scale;
+    let mirrored = two_sided && rng.random_bool(0.5);
+    let sign = if mirrored { -1.0 } else { 1.0 };
+    (p.start + sign * p.scale * rng.random_range(0.3..1.2)).clamp(p.low, p.high)
+}
 
 /// Columns of one effect in the Gram matrix, from and to.
 struct Span {
@@ -33,8 +86,6 @@ struct Span {
 pub struct Information {
     gram: DMatrix<f64>,
     spans: Vec<Span>,
-    /// Length of the schedule, s.
-    pub duration_s: f64,
 }
 
 /// Runs every rival over a schedule; `None` if the schedule is too short or moves too little to be diagnosed.
@@ -56,9 +107,8 @@ pub fn information(
         difference(&residual(&log, &none, &theta), &base, STEP)
     };
     let mut columns: Vec<Vec<f64>> = (0..NOMINAL).map(slope).collect();
-    let each = rivals
-        .par_iter()
-        .map(|r| columns_of(&log, r, &start, &base));
+    let each = rivals.par_iter();
+    let each = each.map(|r| columns_of(&log, r, &start, &base));
     let each: Vec<Vec<Vec<f64>>> = each.collect();
     let mut spans = Vec::new();
     for (rival, own) in rivals.iter().zip(each) {
@@ -72,11 +122,8 @@ pub fn information(
     let matrix = DMatrix::from_iterator(base.len(), columns.len(), columns.into_iter().flatten());
     // a plain product is blocked for the cache, `tr_mul` is not
     let gram = matrix.transpose() * &matrix * (synthetic::PERIOD_S / CORRELATED_S);
-    Some(Information {
-        gram: clear_of_nominal(gram),
-        spans,
-        duration_s: driven.duration_s,
-    })
+    let gram = clear_of_nominal(gram);
+    Some(Information { gram, spans })
 }
 
 fn difference(to: &[f64], from: &[f64], by: f64) -> Vec<f64> {
@@ -138,16 +185,6 @@ fn clear_of_nominal(gram: DMatrix<f64>) -> DMatrix<f64> {
     }
 }
 
-/// Distances between effects, in standard deviations.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Distances {
-    /// `of[(i, j)]`: the smaller of what remains of effect i after imitation by j and of j after imitation by i; on the
-    /// diagonal what remains after a recalibration.
-    pub of: DMatrix<f64>,
-    /// Length of the schedule, s.
-    pub duration_s: f64,
-}
-
 impl Information {
     /// Size of every point of every effect after a recalibration, standard deviations.
     pub fn sizes(&self) -> Vec<Vec<f64>> {
@@ -156,17 +193,18 @@ impl Information {
         self.spans.iter().map(of).collect()
     }
 
-    /// Distances with each point scaled by `scale`.
-    pub fn distances(&self, scale: &[Vec<f64>]) -> Distances {
+    /// Distances between effects, in standard deviations, with each point scaled by `scale`. At `(i, j)` is the smaller of what remains of
+    /// effect i after imitation by j and of j after imitation by i, and on the diagonal what remains after a recalibration.
+    pub fn distances(&self, scale: &[Vec<f64>]) -> DMatrix<f64> {
         let n = self.spans.len();
         let mut of = DMatrix::from_element(n, n, f64::INFINITY);
         for j in 0..n {
-            let imitate = Imitation::new(self, &self.spans[j]);
+            let left_by = self.imitated(&self.spans[j]);
             for i in 0..n {
                 for (c, size) in self.spans[i].points.clone().zip(&scale[i]) {
                     let left = match i == j {
                         true => self.gram[(c, c)],
-                        false => imitate.left(self, c),
+                        false => left_by(c),
                     };
                     let d = size * left.max(0.0).sqrt();
                     of[(i, j)] = of[(i, j)].min(d);
@@ -174,37 +212,54 @@ impl Information {
                 }
             }
         }
-        Distances {
-            of,
-            duration_s: self.duration_s,
+        of
+    }
+
+    /// The square of what imitation by an effect leaves of a column.
+    fn imitated(&self, span: &Span) -> impl Fn(usize) -> f64 {
+        let columns = span.slopes.start..span.points.end;
+        let (from, n) = (columns.start, columns.len());
+        let own = self.gram.view((from, from), (n, n));
+        let solved = (own + DMatrix::identity(n, n) * PRIOR).cholesky();
+        move |c| {
+            let across = self.gram.column(c).rows(from, n).into_owned();
+            let solved = solved.as_ref().map(|s| s.solve(&across));
+            self.gram[(c, c)] - solved.map_or(0.0, |solved| across.dot(&solved))
         }
     }
 }
 
-/// The directions in which an effect can imitate others.
-struct Imitation {
-    columns: Vec<usize>,
-    solved: Option<nalgebra::Cholesky<f64, nalgebra::Dyn>>,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::effects::catalogue;
+    use rand::SeedableRng;
 
-impl Imitation {
-    fn new(info: &Information, span: &Span) -> Self {
-        let columns: Vec<usize> = (span.slopes.start..span.points.end).collect();
-        let n = columns.len();
-        let gram = DMatrix::from_fn(n, n, |a, b| {
-            info.gram[(columns[a], columns[b])] + if a == b { PRIOR } else { 0.0 }
-        });
-        Self {
-            solved: gram.cholesky(),
-            columns,
+    #[test]
+    fn draws_are_within_the_limits_and_away_from_zero_effect() {
+        let mut rng = StdRng::seed_from_u64(5);
+        for e in catalogue() {
+            let params = e.params();
+            let r = Rival::new(e, None, &mut rng);
+            assert_eq!(r.points.len(), DRAWS);
+            for point in &r.points {
+                assert!(
+                    point
+                        .iter()
+                        .zip(params)
+                        .all(|(v, p)| (p.low..=p.high).contains(v)),
+                    "{}",
+                    r.effect.name()
+                );
+                assert!(
+                    point
+                        .iter()
+                        .zip(params)
+                        .any(|(v, p)| (v - p.start).abs() > 0.2 * p.scale),
+                    "{}",
+                    r.effect.name()
+                );
+            }
         }
-    }
-
-    /// Square of what imitation leaves of column `c`.
-    fn left(&self, info: &Information, c: usize) -> f64 {
-        let across = |k: usize, _| info.gram[(self.columns[k], c)];
-        let across = DVector::from_fn(self.columns.len(), across);
-        let solved = self.solved.as_ref();
-        info.gram[(c, c)] - solved.map_or(0.0, |s| across.dot(&s.solve(&across)))
     }
 }

@@ -5,39 +5,31 @@
 //! and a rest a dependence on time.
 
 use crate::diagnosis::excite::{Machine, ScheduleRow};
+use crate::named;
 use rand::RngExt;
 use rand::rngs::StdRng;
 use std::f64::consts::TAU;
 
+named! {
 /// Kinds of manoeuvre.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ManoeuvreKind {
     /// `count` poses around a full circle of δ at one bend.
-    Circle,
+    Circle = "circle",
     /// Up to the bend in `count` rungs and down again.
-    Ladder,
+    Ladder = "ladder",
     /// From side to side with an amplitude that shrinks to zero in `count` swings.
-    Nested,
+    Nested = "nested loops",
     /// From side to side `count` times without a pause.
-    Reversals,
+    Reversals = "reversals",
     /// All bellows longer and shorter `count` times at constant bend.
-    Stroke,
+    Stroke = "stroke",
     /// Out for `hold_s`, then to rest for a third of it.
-    Hold,
+    Hold = "hold",
     /// One bellow after the other in and out, the other two at rest length.
-    Single,
+    Single = "single bellows",
 }
-
-/// All kinds.
-const KINDS: [ManoeuvreKind; 7] = [
-    ManoeuvreKind::Circle,
-    ManoeuvreKind::Ladder,
-    ManoeuvreKind::Nested,
-    ManoeuvreKind::Reversals,
-    ManoeuvreKind::Stroke,
-    ManoeuvreKind::Hold,
-    ManoeuvreKind::Single,
-];
+}
 
 /// One manoeuvre.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -64,52 +56,43 @@ impl Manoeuvre {
         let rest_mm = machine.rig.geometry.rest_length_mm;
         let pose = |bend_deg: f64, dir_deg: f64, len_mm: f64, hold_s: f64| {
             let turned_deg = if bend_deg < 0.0 { 180.0 } else { 0.0 };
-            ScheduleRow::new(
-                bend_deg,
-                dir_deg + turned_deg,
-                len_mm,
-                hold_s,
-                self.speed_mm_s,
-            )
+            let dir_deg = dir_deg + turned_deg;
+            ScheduleRow::new(bend_deg, dir_deg, len_mm, hold_s, self.speed_mm_s)
         };
         let here = |bend_deg: f64| pose(bend_deg, self.dir_deg, self.len_mm, self.hold_s);
         let n = self.count.max(1);
         let part = |k: usize| k as f64 / n as f64;
         let side = |k: usize| [1.0, -1.0][k % 2];
-        let mut rows: Vec<ScheduleRow> = match self.kind {
+        let rows: Vec<ScheduleRow> = match self.kind {
             ManoeuvreKind::Circle => {
                 let towards = |k: usize| self.dir_deg + 360.0 * part(k);
                 let round = |k: usize| pose(self.bend_deg, towards(k), self.len_mm, self.hold_s);
                 (0..n).map(round).collect()
             }
-            ManoeuvreKind::Ladder => (1..=n)
-                .chain((1..n).rev())
-                .map(|k| here(self.bend_deg * part(k)))
-                .collect(),
-            ManoeuvreKind::Nested => (0..n)
-                .map(|k| here(self.bend_deg * (1.0 - part(k)) * side(k)))
-                .collect(),
+            ManoeuvreKind::Ladder => {
+                let rungs = (1..=n).chain((1..n).rev());
+                rungs.map(|k| here(self.bend_deg * part(k))).collect()
+            }
+            ManoeuvreKind::Nested => {
+                let swing = |k: usize| here(self.bend_deg * (1.0 - part(k)) * side(k));
+                (0..n).map(swing).collect()
+            }
             ManoeuvreKind::Reversals => (0..2 * n).map(|k| here(self.bend_deg * side(k))).collect(),
             ManoeuvreKind::Stroke => {
                 let lengths = [self.len_mm, 2.0 * rest_mm - self.len_mm];
-                (0..2 * n)
-                    .map(|k| pose(self.bend_deg, self.dir_deg, lengths[k % 2], self.hold_s))
-                    .collect()
+                let end = |k: usize| pose(self.bend_deg, self.dir_deg, lengths[k % 2], self.hold_s);
+                (0..2 * n).map(end).collect()
             }
-            ManoeuvreKind::Hold => vec![
-                here(self.bend_deg),
-                pose(0.0, 0.0, rest_mm, self.hold_s / 3.0),
-            ],
-            ManoeuvreKind::Single => (0..3)
-                .flat_map(|i| {
-                    single(machine, i, self.bend_deg).map(|(b, d, l)| pose(b, d, l, self.hold_s))
-                })
-                .collect(),
+            ManoeuvreKind::Hold => {
+                let rest = pose(0.0, 0.0, rest_mm, self.hold_s / 3.0);
+                vec![here(self.bend_deg), rest]
+            }
+            ManoeuvreKind::Single => {
+                let poses = (0..3).flat_map(|i| single(machine, i, self.bend_deg));
+                poses.map(|(b, d, l)| pose(b, d, l, self.hold_s)).collect()
+            }
         };
-        for row in &mut rows {
-            *row = within(machine, row);
-        }
-        rows
+        rows.iter().map(|row| within(machine, row)).collect()
     }
 
     /// A manoeuvre of the same kind with one to three values changed.
@@ -134,7 +117,7 @@ impl Manoeuvre {
 
     /// A random manoeuvre.
     pub fn any(machine: &Machine, rng: &mut StdRng) -> Self {
-        let kind = KINDS[rng.random_range(0..KINDS.len())];
+        let kind = ManoeuvreKind::ALL[rng.random_range(0..ManoeuvreKind::ALL.len())];
         let hold = hold_range(kind);
         Self {
             kind,
@@ -163,10 +146,9 @@ fn random_length_mm(machine: &Machine, rng: &mut StdRng) -> f64 {
 
 /// Range of a hold, s.
 fn hold_range(kind: ManoeuvreKind) -> (f64, f64) {
-    if kind == ManoeuvreKind::Hold {
-        (6.0, 30.0)
-    } else {
-        (0.15, 2.5)
+    match kind {
+        ManoeuvreKind::Hold => (6.0, 30.0),
+        _ => (0.15, 2.5),
     }
 }
 
@@ -176,27 +158,21 @@ fn single(machine: &Machine, i: usize, bend_deg: f64) -> [(f64, f64, f64); 2] {
     let q_mm = 1.5 * machine.rig.geometry.r_mm * bend_deg.to_radians();
     let towards_deg = -(i as f64) * (TAU / 3.0).to_degrees();
     let l = machine.rig.geometry.rest_length_mm;
-    [
-        (bend_deg, towards_deg, l - q_mm / 3.0),
-        (bend_deg, towards_deg + 180.0, l + q_mm / 3.0),
-    ]
+    let (short_mm, long_mm) = (l - q_mm / 3.0, l + q_mm / 3.0);
+    [(towards_deg, short_mm), (towards_deg + 180.0, long_mm)].map(|(d, l)| (bend_deg, d, l))
 }
 
 /// The pose with its bend and its change of length scaled down until it is in reach.
 fn within(machine: &Machine, row: &ScheduleRow) -> ScheduleRow {
     let rest_mm = machine.rig.geometry.rest_length_mm;
     let scaled = |s: f64| {
-        ScheduleRow {
-            bend_deg: row.bend_deg.abs() * s,
-            len_mm: rest_mm + (row.len_mm - rest_mm) * s,
-            ..*row
-        }
-        .rounded()
+        let mut row = *row;
+        (row.bend_deg, row.len_mm) = (row.bend_deg.abs() * s, rest_mm + (row.len_mm - rest_mm) * s);
+        row.rounded()
     };
-    (0..40)
-        .map(|k| scaled(1.0 - 0.025 * f64::from(k)))
-        .find(|r| machine.reaches(r))
-        .unwrap_or_else(|| scaled(0.0))
+    let mut smaller = (0..40).map(|k| scaled(1.0 - 0.025 * f64::from(k)));
+    let reached = smaller.find(|r| machine.reaches(r));
+    reached.unwrap_or_else(|| scaled(0.0))
 }
 
 /// Rows of a whole schedule: rest, manoeuvres, rest.

@@ -3,13 +3,11 @@
 pub mod design;
 pub mod distance;
 pub mod manoeuvre;
-pub mod points;
 pub mod rows;
 pub mod standard;
 pub mod synthetic;
 
 pub use design::{APART, Design, LONGEST_S, Pair, Request, design};
-pub use distance::{Distances, information};
+pub use distance::{Rival, information};
 pub use manoeuvre::{Manoeuvre, first_guess, schedule};
-pub use points::{Rival, counted};
 pub use rows::{Driven, Machine, ScheduleRow, rounded};

@@ -114,11 +114,7 @@ impl Machine {
         let side = Side::Band { band_mm: BAND_MM };
         let mut states = [SideState::default(); 3];
         let (mut from, mut begun_s) = (Vector3::zeros(), 0.0);
-        let mut out = Driven {
-            t_s: vec![],
-            piston_mm: vec![],
-            duration_s: 0.0,
-        };
+        let mut out = Driven::default();
         for row in rows {
             let q = row.lengths(&self.rig.geometry);
             let to = Vector3::from_fn(|i, _| {
@@ -135,11 +131,8 @@ impl Machine {
                 if t > end_s {
                     break;
                 }
-                // a way of no length is done at once
-                let share = match move_s > 0.0 {
-                    true => ((t - begun_s) / move_s).min(1.0),
-                    false => 1.0,
-                };
+                // a way of no length is done at once: what is not a number is not less than one
+                let share = ((t - begun_s) / move_s).min(1.0);
                 out.t_s.push(t);
                 out.piston_mm.push(from + (to - from) * share);
             }
@@ -156,7 +149,7 @@ impl Machine {
 }
 
 /// Counted pistons of a schedule.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Driven {
     /// Time, s.
     pub t_s: Vec<f64>,
@@ -164,15 +157,6 @@ pub struct Driven {
     pub piston_mm: Vec<Vector3<f64>>,
     /// End of the last hold, s.
     pub duration_s: f64,
-}
-
-impl Driven {
-    /// The same with a moving average over `window` instants: corners become ramps of speed.
-    #[must_use]
-    pub fn rounded(mut self, window: usize) -> Self {
-        self.piston_mm = rounded(&self.piston_mm, window);
-        self
-    }
 }
 
 /// The moving average of a path over the last `window` instants.
@@ -190,11 +174,8 @@ pub fn csv(rows: &[ScheduleRow]) -> String {
     let mut out = String::from("bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n");
     for r in rows {
         // writing to a String cannot fail
-        let _ = writeln!(
-            out,
-            "{:.2},{:.1},{:.2},{:.2},{:.1}",
-            r.bend_deg, r.dir_deg, r.len_mm, r.hold_s, r.speed_mm_s
-        );
+        let _ = write!(out, "{:.2},{:.1},{:.2},", r.bend_deg, r.dir_deg, r.len_mm);
+        let _ = writeln!(out, "{:.2},{:.1}", r.hold_s, r.speed_mm_s);
     }
     out
 }
@@ -214,21 +195,15 @@ const COLUMNS: [(&str, std::ops::RangeInclusive<f64>); 5] = [
 /// [`ReadError`] with file, line and column.
 pub fn read(path: &Path) -> Result<Vec<ScheduleRow>, ReadError> {
     let names = COLUMNS.map(|c| c.0);
-    let table = Table::open(
-        path,
-        &Schema {
-            required: &names,
-            known: &|n| names.contains(&n),
-            rows_min: 1,
-        },
-    )?;
+    let schema = Schema {
+        required: &names,
+        known: &|n| names.contains(&n),
+        rows_min: 1,
+    };
+    let table = Table::open(path, &schema)?;
     for (name, allowed) in COLUMNS {
-        if let Some((k, value)) = table
-            .complete(name)?
-            .iter()
-            .enumerate()
-            .find(|(_, v)| !allowed.contains(v))
-        {
+        let mut values = table.complete(name)?.iter().enumerate();
+        if let Some((k, value)) = values.find(|(_, v)| !allowed.contains(v)) {
             let expected = format!("a number from {} to {}", allowed.start(), allowed.end());
             return Err(table.refuse(k, name, &value.to_string(), &expected));
         }

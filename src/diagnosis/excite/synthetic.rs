@@ -32,11 +32,7 @@ pub fn observed(
         Vector3::from_fn(|_, _| size * (0..12).map(|_| rng.random_range(-0.5..0.5)).sum::<f64>())
     };
     let up = UP.normalize() * G_M_S2;
-    let mut imu = ImuColumns {
-        acc: vec![],
-        gyr: vec![],
-        mag: vec![],
-    };
+    let mut imu = ImuColumns::default();
     let mut reference = Vec::new();
     for (k, r) in tips.iter().enumerate() {
         let turn = match k {

@@ -120,9 +120,7 @@ impl Quantity {
     /// Its value; `None` if the row does not tell.
     fn of(self, row: &FleetRow) -> Option<f64> {
         match self {
-            Self::Effect(name) => {
-                Some(f64::from(u8::from(row.names.split('+').any(|n| n == name))))
-            }
+            Self::Effect(name) => Some(f64::from(row.names.split('+').any(|n| n == name))),
             Self::Gain(_) if row.verdict != "none" => None,
             Self::Gain(name) => row.numbers.get(name).copied(),
         }
@@ -155,7 +153,7 @@ impl Quantity {
 }
 
 impl Lot {
-    fn new<'a>(name: &str, rows: impl Iterator<Item = &'a FleetRow>) -> Self {
+    fn new<'a>(name: &str, rows: impl Iterator<Item = &'a &'a FleetRow>) -> Self {
         let (mut logs, mut counts) = (0_usize, BTreeMap::new());
         for row in rows {
             logs += 1;
@@ -181,19 +179,15 @@ impl Survey {
     pub fn new(rows: &[FleetRow]) -> Self {
         let told: Vec<&FleetRow> = rows.iter().filter(|row| row.refused.is_empty()).collect();
         let names: BTreeSet<&str> = told.iter().map(|row| row.lot.as_str()).collect();
-        let mut lots = vec![Lot::new("all", told.iter().copied())];
-        for name in &names {
-            lots.push(Lot::new(
-                name,
-                told.iter().copied().filter(|row| row.lot == *name),
-            ));
-        }
+        let lot = |name: &&str| Lot::new(name, told.iter().filter(|row| row.lot == **name));
+        let lots = [Lot::new("all", told.iter())].into_iter();
+        let lots = lots.chain(names.iter().map(lot)).collect();
         let quantities = Quantity::all();
         // every lot beside the others, its drift, and the common drift, of every quantity (Bonferroni)
         let comparisons = (quantities.len() * (2 * names.len() + 1)) as f64;
         let mut findings = Vec::new();
         for q in quantities {
-            findings.extend(lots_apart(&told, q, &names, comparisons));
+            findings.extend(apart(&told, q, &names, comparisons));
             let drift = |lot: Option<&str>| drifts(&told, q, lot, comparisons);
             let before = findings.len();
             findings.extend(names.iter().filter_map(|lot| drift(Some(lot))));
@@ -218,17 +212,11 @@ impl Survey {
 
 /// The lots that differ, the clearest first. A lot that was found is left out of the comparisons of the others: beside it they
 /// would differ too.
-fn lots_apart(
-    rows: &[&FleetRow],
-    q: Quantity,
-    lots: &BTreeSet<&str>,
-    comparisons: f64,
-) -> Vec<Finding> {
+fn apart(rows: &[&FleetRow], q: Quantity, lots: &BTreeSet<&str>, comparisons: f64) -> Vec<Finding> {
     let (mut found, mut rows, mut left) = (Vec::new(), rows.to_vec(), lots.clone());
     while left.len() > 1 {
-        let apart = left
-            .iter()
-            .filter_map(|lot| differs(&rows, q, lot, comparisons));
+        let differ = |lot: &&str| differs(&rows, q, lot, comparisons);
+        let apart = left.iter().filter_map(differ);
         let Some(finding) = apart.min_by(|a, b| a.p.total_cmp(&b.p)) else {
             break;
         };
@@ -250,12 +238,8 @@ fn differs(rows: &[&FleetRow], q: Quantity, lot: &str, comparisons: f64) -> Opti
         Quantity::Effect(_) => {
             let [hits, others] =
                 [&here, &elsewhere].map(|side| side.iter().filter(|x| **x > 0.0).count());
-            at_least(
-                hits,
-                here.len(),
-                hits + others,
-                here.len() + elsewhere.len(),
-            )
+            let all = here.len() + elsewhere.len();
+            at_least(hits, here.len(), hits + others, all)
         }
         Quantity::Gain(_) => {
             let side = [vec![1.0; here.len()], vec![0.0; elsewhere.len()]].concat();

@@ -1,8 +1,7 @@
 //! One row per diagnosed log.
 
-use crate::diagnosis::tip::Diagnosed;
+use crate::diagnosis::tip::{Diagnosed, SavedGains};
 use crate::log::columns::Column;
-use crate::model::lines;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::collections::{BTreeMap, BTreeSet};
@@ -49,11 +48,9 @@ impl FleetRow {
     /// Takes over the result of another row of the same log.
     pub fn take_result(&mut self, other: &Self) {
         self.numbers.clone_from(&other.numbers);
-        (self.refused, self.verdict, self.names) = (
-            other.refused.clone(),
-            other.verdict.clone(),
-            other.names.clone(),
-        );
+        self.refused.clone_from(&other.refused);
+        self.verdict.clone_from(&other.verdict);
+        self.names.clone_from(&other.names);
     }
 
     /// Fills in the result of a diagnosis.
@@ -62,10 +59,9 @@ impl FleetRow {
         self.verdict = document.verdict.kind.name().to_owned();
         self.names = document.verdict.names.join("+");
         let gap = &document.gap;
-        let theta = &done.chosen.fitted.theta;
-        let lines = lines(theta);
-        let (k_epsilon, k_lambda_mm) = (lines.map(|l| l.k_epsilon), lines.map(|l| l.k_lambda_mm));
-        let gains = k_epsilon.into_iter().chain(k_lambda_mm).chain([theta[6]]);
+        let chosen = SavedGains::new(&done.chosen.theta);
+        let gains = chosen.k_epsilon.into_iter().chain(chosen.k_lambda_mm);
+        let gains = gains.chain([chosen.lag_s]);
         let named = [
             ("as_configured_deg", gap.as_configured_deg),
             ("recalibrated_deg", gap.recalibrated_deg),
@@ -73,14 +69,11 @@ impl FleetRow {
             ("noise_floor_deg", gap.noise_floor_deg),
             ("p_unknown", document.unknown.probability),
         ];
-        let effects = document
-            .effects
-            .iter()
-            .map(|e| (format!("p_{}", e.name), e.probability));
+        let effects = document.effects.iter();
+        let effects = effects.map(|e| (format!("p_{}", e.name), e.probability));
         let named = named.into_iter().chain(GAINS.into_iter().zip(gains));
-        let numbers = named
-            .map(|(name, value)| (name.to_owned(), value))
-            .chain(effects);
+        let named = named.map(|(name, value)| (name.to_owned(), value));
+        let numbers = named.chain(effects);
         self.numbers = numbers.filter(|(_, value)| value.is_finite()).collect();
     }
 }
@@ -90,9 +83,8 @@ pub fn table(rows: &[FleetRow]) -> Vec<(String, Column)> {
     let object = |row| serde_json::to_value(row).unwrap_or_default();
     let objects: Vec<Value> = rows.iter().map(object).collect();
     let cells = objects.iter().filter_map(Value::as_object).flatten();
-    let names: BTreeSet<(bool, &String)> = cells
-        .map(|(name, value)| (value.is_number(), name))
-        .collect();
+    let names = cells.map(|(name, value)| (value.is_number(), name));
+    let names: BTreeSet<(bool, &String)> = names.collect();
     let text = |cell: &Value| cell.as_str().unwrap_or_default().to_owned();
     let column = |(number, name): (bool, &String)| {
         let cells = objects.iter().map(|object| &object[name.as_str()]);

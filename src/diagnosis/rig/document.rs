@@ -119,11 +119,8 @@ impl RigProblem<'_> {
         let (chosen, mut notes) = (judged.chosen(), notes(self.log));
         let entry = |s: &Set| self.entry(judged, &self.nominal, s);
         let mut effects: Vec<Entry> = judged.found.singles.iter().map(entry).collect();
-        effects.sort_by(|a, b| {
-            b.probability
-                .total_cmp(&a.probability)
-                .then(b.closed.total_cmp(&a.closed))
-        });
+        effects.sort_by(|a, b| b.closed.total_cmp(&a.closed));
+        effects.sort_by(|a, b| b.probability.total_cmp(&a.probability));
         if self.coarse {
             notes.push("the rows are too far apart to tell noise from signal, so the parts that are closed include noise. Record more rows per second".to_owned());
         }
@@ -169,10 +166,8 @@ impl RigProblem<'_> {
         };
         let several = set.names.iter().filter(|_| set.names.len() > 1);
         let whole = (!set.names.is_empty()).then(|| self.entry(judged, &self.nominal, set));
-        whole
-            .into_iter()
-            .chain(several.filter_map(beside))
-            .collect()
+        let several = several.filter_map(beside);
+        whole.into_iter().chain(several).collect()
     }
 
     /// What a set closes beyond a part of it.
@@ -204,10 +199,7 @@ impl RigProblem<'_> {
 
     /// The fitted models on a fresh log; only the offset is set again.
     fn on_fresh(&self, chosen: &Set, name: &str, other: &Signals) -> Option<Fresh> {
-        let rmse = |set: &Set| {
-            self.base
-                .rmse_on(other, &set.members, &set.scores.coefficients)
-        };
+        let rmse = |s: &Set| self.base.rmse_on(other, &s.members, &s.scores.coefficients);
         Some(Fresh {
             log: name.to_owned(),
             before: rmse(&self.nominal)?,

@@ -43,18 +43,14 @@ impl Columns {
 #[serde(deny_unknown_fields)]
 pub struct MapFile {
     /// Column that drives the rig, or columns, whose best linear combination does; none for `still`.
-    #[serde(default)]
     pub input: Option<Columns>,
     /// Output column; of several columns the norm is used.
     pub output: Columns,
     /// Column whose speed friction depends on; default the first input.
-    #[serde(default)]
     pub motion: Option<String>,
     /// Column of time, s.
-    #[serde(default)]
     pub time: Option<String>,
     /// Rows per second, without a column of time.
-    #[serde(default)]
     pub rate_hz: Option<f64>,
     /// Unit of the input, for display.
     #[serde(default)]

@@ -2,7 +2,7 @@
 
 use crate::diagnosis::rig::regress::{Columns, left, variance};
 use crate::diagnosis::rig::{
-    DRIVEN, Drive, MapFile, Nominal, Operator, Regressed, STILL, Signals, Task, none, oscillator,
+    DRIVEN, Drive, MapFile, Nominal, Operator, STILL, Signals, Task, none, oscillator,
 };
 
 /// An operator at one value of η.
@@ -17,15 +17,7 @@ pub struct Member {
 }
 
 /// Effects whose answer replaces the immediate one of the nominal model.
-const TAKES_OVER: [&str; 7] = [
-    "play",
-    "hysteresis",
-    "bouc_wen",
-    "dead_band",
-    "rate_limit",
-    "lag",
-    "delay",
-];
+const TAKES_OVER: &str = "play hysteresis bouc_wen dead_band rate_limit lag delay";
 
 /// Largest nominal prediction on a fresh log, in half ranges of the fitted one.
 const OUTSIDE: f64 = 2.5;
@@ -53,22 +45,20 @@ pub struct MapBase {
 /// (Nayfeh 1973).
 pub const RESONANT: [Operator; 2] = [
     // Spring with a third power (Duffing). Separated by several amplitudes.
-    Operator::new("cubic", "", none, |d, _| spring(d, 3)),
+    Operator::new("cubic", 0, "", none, |d, _| spring(d, 3)),
     // Spring with a square: stiffer to one side. Separated by amplitudes to both sides.
-    Operator::new("asymmetry", "", none, |d, _| spring(d, 2)),
+    Operator::new("asymmetry", 0, "", none, |d, _| spring(d, 2)),
 ];
 
 /// Operators that apply to a rig; a period in time needs a clock.
 pub fn catalogue(nominal: Nominal, clocked: bool) -> Vec<Operator> {
-    match nominal {
+    let mut all = match nominal {
         Nominal::Still => STILL.to_vec(),
-        Nominal::Line => DRIVEN
-            .iter()
-            .filter(|o| clocked || o.name != "periodic_time")
-            .copied()
-            .collect(),
+        Nominal::Line => DRIVEN.to_vec(),
         Nominal::Resonance => RESONANT.to_vec(),
-    }
+    };
+    all.retain(|o| clocked || o.name != "periodic_time");
+    all
 }
 
 fn spring(d: &Drive, power: i32) -> Vec<Vec<f64>> {
@@ -90,25 +80,22 @@ impl MapBase {
         let columns = Columns::free(base.iter().map(Vec::as_slice).collect());
         let regressed = Task::new(&log.output).regress(&columns);
         let weights = regressed.map_or(vec![1.0; inputs.len()], |r| r.coefficients[1..].to_vec());
-        let mut scale = Scale {
+        let (low, high) = range(&combined(&inputs, &weights, log.output.len()));
+        let (m_low, m_high) = log.motion.as_deref().map_or((0.0, 1.0), range);
+        let scale = Scale {
             weights,
-            middle: 0.0,
-            half: 1.0,
-            m_low: 0.0,
-            m_range: 1.0,
+            middle: (low + high) / 2.0,
+            half: ((high - low) / 2.0).max(1e-12),
+            m_low,
+            m_range: (m_high - m_low).max(1e-12),
             swing,
         };
-        let (low, high) = range(&combined(&inputs, &scale.weights, log.output.len()));
-        (scale.middle, scale.half) = ((low + high) / 2.0, ((high - low) / 2.0).max(1e-12));
-        if let Some((low, high)) = log.motion.as_deref().map(range) {
-            (scale.m_low, scale.m_range) = (low, (high - low).max(1e-12));
-        }
         let drive = scale.drive(log, &inputs);
         Self { scale, drive, base }
     }
 
-    /// Columns of a set.
-    fn columns<'a>(&'a self, members: &'a [Member]) -> Columns<'a> {
+    /// Columns of a set, and the signs that their coefficients must have.
+    pub fn columns<'a>(&'a self, members: &'a [Member]) -> Columns<'a> {
         let (mut of, mut signs): (Vec<&[f64]>, _) =
             (self.base.iter().map(Vec::as_slice).collect(), vec![]);
         for m in members {
@@ -118,44 +105,28 @@ impl MapBase {
             of.extend(m.columns.iter().map(Vec::as_slice));
         }
         // what creeps has answered at once, the same way, and creeps on that way, unless another effect takes the answer over
-        let has = |names: &[&str]| members.iter().any(|m| names.contains(&m.operator.name));
-        let (creeps, taken) = (has(&["creep"]), has(&TAKES_OVER));
+        let has = |name: &str| members.iter().any(|m| m.operator.name == name);
+        let (creeps, taken) = (has("creep"), TAKES_OVER.split(' ').any(has));
         if let ([weight], true, false) = (self.scale.weights.as_slice(), creeps, taken) {
             signs.push((1, if *weight < 0.0 { -1 } else { 1 }));
         }
         Columns { of, signs }
     }
 
-    /// Sum of squares that a fit of a set leaves; `None` if a first coefficient does not have its sign.
-    pub fn cost(&self, task: &Task<'_>, members: &[Member]) -> Option<f64> {
-        task.cost(&self.columns(members))
-    }
-
-    /// Scores a set; `None` if a first coefficient does not have its sign.
-    pub fn scored(&self, task: &Task<'_>, members: &[Member]) -> Option<Regressed> {
-        task.regress(&self.columns(members))
-    }
-
-    /// RMSE of a fitted set on another log of the rig; only the offset is set again. `None` if that log is too far
+    /// RMSE on another log of the rig of a set with these fitted coefficients; only the offset is set again. `None` if that log is too far
     /// outside the fitted range for an extrapolation.
-    pub fn rmse_on(
-        &self,
-        other: &Signals,
-        members: &[Member],
-        coefficients: &[f64],
-    ) -> Option<f64> {
+    pub fn rmse_on(&self, other: &Signals, members: &[Member], fitted: &[f64]) -> Option<f64> {
         let inputs = driven(other, self.scale.swing);
         let drive = self.scale.drive(other, &inputs);
         let (low, high) = range(&drive.v);
         if low.abs().max(high.abs()) > OUTSIDE {
             return None;
         }
-        let own = members
-            .iter()
-            .flat_map(|m| (m.operator.columns)(&drive, m.eta));
+        let own = |m: &Member| (m.operator.columns)(&drive, m.eta);
+        let own = members.iter().flat_map(own);
         let columns: Vec<Vec<f64>> = inputs.into_iter().chain(own).collect();
         let columns: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
-        Some(variance(&left(&other.output, &columns, &coefficients[1..])).sqrt())
+        Some(variance(&left(&other.output, &columns, &fitted[1..])).sqrt())
     }
 }
 
@@ -203,33 +174,29 @@ fn driven(log: &Signals, swing: Option<(f64, f64)>) -> Vec<Vec<f64>> {
 fn resonance(log: &Signals) -> (f64, f64) {
     let ones = vec![1.0; log.output.len()];
     let task = Task::new(&log.output);
-    let cost = |wh: f64, zeta: f64| {
+    let at = |(wh, zeta): (f64, f64)| {
         let column = oscillator(&log.inputs[0], wh, zeta);
-        task.cost(&Columns::free(vec![&ones, &column]))
-            .unwrap_or(f64::INFINITY)
+        let cost = task.cost(&Columns::free(vec![&ones, &column]));
+        (cost.unwrap_or(f64::INFINITY), wh, zeta)
     };
-    let mut best = (f64::INFINITY, 0.5, 0.05);
-    for k in 0..40 {
-        for zeta in [0.02, 0.1, 0.5] {
-            let wh = 0.02 * 100f64.powf(f64::from(k) / 39.0);
-            let c = cost(wh, zeta);
-            if c < best.0 {
-                best = (c, wh, zeta);
-            }
-        }
-    }
+    let least = |tried: Vec<(f64, f64)>| {
+        let costs = tried.into_iter().map(at);
+        costs.min_by(|a, b| a.0.total_cmp(&b.0))
+    };
+    let frequency = |k: u32| 0.02 * 100f64.powf(f64::from(k) / 39.0);
+    let grid = (0..40).flat_map(|k| [0.02, 0.1, 0.5].map(|zeta| (frequency(k), zeta)));
+    let mut best = least(grid.collect()).unwrap_or((f64::INFINITY, 0.5, 0.05));
     let mut step = 0.08;
     while step > 1e-4 {
         let (_, wh, zeta) = best;
+        let (by, much) = (1.0 + step, 1.0 + 4.0 * step);
         let around = [
-            (wh * (1.0 + step), zeta),
-            (wh / (1.0 + step), zeta),
-            (wh, zeta * (1.0 + 4.0 * step)),
-            (wh, zeta / (1.0 + 4.0 * step)),
+            (wh * by, zeta),
+            (wh / by, zeta),
+            (wh, zeta * much),
+            (wh, zeta / much),
         ];
-        let tried = around.into_iter().map(|(w, z)| (cost(w, z), w, z));
-        let next = tried.min_by(|a, b| a.0.total_cmp(&b.0));
-        match next.filter(|n| n.0 < best.0) {
+        match least(around.to_vec()).filter(|n| n.0 < best.0) {
             Some(better) => best = better,
             None => step /= 2.0,
         }

@@ -39,9 +39,10 @@ pub struct Operator {
 }
 
 impl Operator {
-    /// An operator whose first coefficient may have either sign.
+    /// An operator whose first coefficient has this sign, 0 for either.
     pub const fn new(
         name: &'static str,
+        sign: i8,
         eta: &'static str,
         grid: fn(&Drive) -> Vec<f64>,
         columns: fn(&Drive, f64) -> Vec<Vec<f64>>,
@@ -51,13 +52,8 @@ impl Operator {
             eta,
             grid,
             columns,
-            sign: 0,
+            sign,
         }
-    }
-
-    /// The operator with a required sign of its first coefficient.
-    const fn signed(self, sign: i8) -> Self {
-        Self { sign, ..self }
     }
 }
 
@@ -78,96 +74,89 @@ const SLOWER: f64 = 12.0;
 /// Operators for a rig with an input.
 pub const DRIVEN: [Operator; 18] = [
     // Play operator of one half-width. Separated by nested loops of several sizes.
-    Operator::new("play", "half-width / range", widths, |d, r| {
+    Operator::new("play", 1, "half-width / range", widths, |d, r| {
         vec![play(&d.v, 2.0 * r)]
-    })
-    .signed(1),
+    }),
     // Prandtl-Ishlinskii: eight weighted plays (Kuhnen 2003). Separated by nested loops of several sizes.
-    Operator::new("hysteresis", "", none, |d, _| {
+    Operator::new("hysteresis", 0, "", none, |d, _| {
         (1..=8).map(|k| play(&d.v, 0.12 * f64::from(k))).collect()
     }),
     // Bouc-Wen with n = 1 and β = γ (Wen 1976). Separated by nested loops of several sizes.
-    Operator::new("bouc_wen", "yield / range", widths, |d, r| {
+    Operator::new("bouc_wen", 0, "yield / range", widths, |d, r| {
         vec![bouc_wen(&d.v, 2.0 * r)]
     }),
     // Sign of the speed. Separated by several speeds, and loops of several sizes.
-    Operator::new("coulomb", "", none, |d, _| vec![sign_of(&d.m, &d.t)]),
+    Operator::new("coulomb", 0, "", none, |d, _| vec![sign_of(&d.m, &d.t)]),
     // Sign of the speed times the load. Separated by two loads.
-    Operator::new("load_friction", "", none, |d, _| {
-        vec![times(&sign_of(&d.m, &d.t), &d.v, 1.0)]
+    Operator::new("load_friction", 0, "", none, |d, _| {
+        let sign = sign_of(&d.m, &d.t);
+        vec![sign.iter().zip(&d.v).map(|(s, v)| s * (v + 1.0)).collect()]
     }),
     // Speed. Separated by several speeds.
-    Operator::new("viscous", "", none, |d, _| vec![speed(&d.m, &d.t)]),
+    Operator::new("viscous", 0, "", none, |d, _| vec![speed(&d.m, &d.t)]),
     // Third power: symmetric stiffening or softening. Separated by several amplitudes.
-    Operator::new("cubic", "", none, |d, _| {
+    Operator::new("cubic", 0, "", none, |d, _| {
         vec![d.v.iter().map(|v| v * v * v).collect()]
     }),
     // Another slope on one side of a corner. Separated by amplitudes to both sides.
     Operator::new(
         "asymmetry",
+        0,
         "corner / range",
         |_| (1..10).map(|k| f64::from(k) * 0.1).collect(),
         |d, c| vec![d.v.iter().map(|v| (v - (2.0 * c - 1.0)).abs()).collect()],
     ),
     // No answer to a small input of either sign. Separated by small and large amplitudes.
-    Operator::new("dead_band", "half-width / range", widths, |d, w| {
+    Operator::new("dead_band", 1, "half-width / range", widths, |d, w| {
         vec![d.v.iter().map(|v| beyond(v - d.zero, 2.0 * w)).collect()]
-    })
-    .signed(1),
+    }),
     // Nothing beyond an end, on either side. Separated by amplitudes to both sides.
     Operator::new(
         "saturation",
+        -1,
         "end / half range",
         |_| (2..20).map(|k| f64::from(k) * 0.05).collect(),
         |d, c| {
             let side = |sign: f64| d.v.iter().map(|v| sign * (sign * v - c).max(0.0)).collect();
             vec![side(1.0), side(-1.0)]
         },
-    )
-    .signed(-1),
+    ),
     // The speed of a servo is limited. Separated by steps of several sizes.
     Operator::new(
         "rate_limit",
+        1,
         "largest speed, ranges per time",
         rates,
         |d, r| vec![limited(&d.v, &d.t, 2.0 * r)],
-    )
-    .signed(1),
+    ),
     // First order. Separated by a step and a chirp.
-    Operator::new(
-        "lag",
-        "time constant",
-        |d| times_from(d, 1.0, 0.5),
-        |d, tau| of_each(d, |v| follow(v, &d.t, tau)),
-    )
-    .signed(1),
+    Operator::new("lag", 1, "time constant", short_times, |d, tau| {
+        of_each(d, |v| follow(v, &d.t, tau))
+    }),
     // Delayed input. Separated by a chirp: phase that grows with frequency.
-    Operator::new(
-        "delay",
-        "dead time",
-        |d| times_from(d, 1.0, 0.5),
-        |d, tau| of_each(d, |v| late(v, &d.t, tau)),
-    )
-    .signed(1),
+    Operator::new("delay", 1, "dead time", short_times, |d, tau| {
+        of_each(d, |v| late(v, &d.t, tau))
+    }),
     // Two Kelvin-Voigt elements, a factor [`SLOWER`] apart. Separated by hold, return, hold.
     Operator::new(
         "creep",
+        1,
         "time constant",
         |d| times_from(d, 20.0, 0.5 / SLOWER),
         |d, tau| vec![follow(&d.v, &d.t, tau), follow(&d.v, &d.t, SLOWER * tau)],
-    )
-    .signed(1),
+    ),
     // Exponential return after an input. Separated by a long hold, then a return to zero.
     Operator::new(
         "leak",
+        -1,
         "time constant",
         |d| times_from(d, 20.0, 0.5),
         |d, tau| vec![follow(&d.v, &d.t, tau)],
-    )
-    .signed(-1),
+    ),
     // Sine of position, with a second harmonic. Separated by two speeds.
     Operator::new(
         "periodic_position",
+        0,
         "period",
         |d| periods(d.m_range, &d.m, d.m_range),
         |d, p| waves(d.m.iter().map(|m| m * d.m_range / p)),
@@ -175,6 +164,7 @@ pub const DRIVEN: [Operator; 18] = [
     // Sine of time, with a second harmonic. Separated by two speeds.
     Operator::new(
         "periodic_time",
+        0,
         "period",
         |d| periods(d.t[d.t.len() - 1] - d.t[0], &d.t, 1.0),
         |d, p| waves(d.t.iter().map(|t| t / p)),
@@ -183,13 +173,14 @@ pub const DRIVEN: [Operator; 18] = [
 ];
 
 /// A dependence on time alone: a straight line. Separated by the same motion repeated later.
-const DRIFT: Operator = Operator::new("drift", "", none, |d, _| vec![since(&d.t)]);
+const DRIFT: Operator = Operator::new("drift", 0, "", none, |d, _| vec![since(&d.t)]);
 
 /// Operators for a rig without an input.
 pub const STILL: [Operator; 3] = [
     // Exponential decay. Separated by two pressures, and a temperature record.
     Operator::new(
         "leak",
+        0,
         "time constant",
         |d| times_from(d, 3.0, 30.0),
         |d, tau| vec![since(&d.t).iter().map(|t| (-t / tau).exp()).collect()],
@@ -197,6 +188,7 @@ pub const STILL: [Operator; 3] = [
     // Logarithm of time. Separated by a repetition after a long rest.
     Operator::new(
         "creep",
+        0,
         "onset",
         |d| times_from(d, 1.0, 0.2),
         |d, tau| vec![since(&d.t).iter().map(|t| (1.0 + t / tau).ln()).collect()],
@@ -206,11 +198,8 @@ pub const STILL: [Operator; 3] = [
 
 /// A column of the whole drive, and one of each part of it.
 fn of_each(d: &Drive, column: impl Fn(&[f64]) -> Vec<f64>) -> Vec<Vec<f64>> {
-    [&d.v]
-        .into_iter()
-        .chain(&d.parts)
-        .map(|v| column(v))
-        .collect()
+    let all = [&d.v].into_iter().chain(&d.parts);
+    all.map(|v| column(v)).collect()
 }
 
 /// The grid of an operator without η.
@@ -222,15 +211,17 @@ fn widths(_: &Drive) -> Vec<f64> {
 }
 /// 24 values from the least to a multiple of it, uniform in the logarithm.
 fn spread(low: f64, times: f64) -> Vec<f64> {
-    (0..24)
-        .map(|k| low * times.powf(f64::from(k) / 23.0))
-        .collect()
+    let value = |k| low * times.powf(f64::from(k) / 23.0);
+    (0..24).map(value).collect()
 }
 /// 24 times from a number of rows to a share of the log, uniform in the logarithm.
 fn times_from(d: &Drive, rows: f64, share: f64) -> Vec<f64> {
     let span = d.t[d.t.len() - 1] - d.t[0];
     let low = rows * span / (d.t.len() - 1) as f64;
     spread(low, (share * span).max(2.0 * low) / low)
+}
+fn short_times(d: &Drive) -> Vec<f64> {
+    times_from(d, 1.0, 0.5)
 }
 /// Rows that a period has at least.
 const ROWS_PER_PERIOD: f64 = 5.0;
@@ -259,15 +250,18 @@ fn rates(d: &Drive) -> Vec<f64> {
 fn beyond(x: f64, half: f64) -> f64 {
     x - x.clamp(-half, half)
 }
-fn limited(v: &[f64], t: &[f64], rate: f64) -> Vec<f64> {
+/// A state that starts at the first value: `next` gives it from the one before, the new value, and the time since.
+fn run(v: &[f64], t: &[f64], next: impl Fn(f64, f64, f64) -> f64) -> Vec<f64> {
     let (mut y, mut before) = (v[0], t[0]);
     let one = |(&x, &now): (&f64, &f64)| {
-        let most = rate * (now - before);
+        y = next(y, x, now - before);
         before = now;
-        y += (x - y).clamp(-most, most);
         y
     };
     v.iter().zip(t).map(one).collect()
+}
+fn limited(v: &[f64], t: &[f64], rate: f64) -> Vec<f64> {
+    run(v, t, |y, x, dt| y + (x - y).clamp(-rate * dt, rate * dt))
 }
 /// The play operator; it starts centred.
 pub fn play(v: &[f64], r: f64) -> Vec<f64> {
@@ -283,12 +277,8 @@ fn bouc_wen(v: &[f64], z0: f64) -> Vec<f64> {
     let one = |&x: &f64| {
         let dv = x - before;
         before = x;
-        let loaded = if dv * z > 0.0 {
-            1.0 - z.abs() / z0
-        } else {
-            1.0
-        };
-        z = (z + dv * loaded).clamp(-z0, z0);
+        let loaded = if dv * z > 0.0 { z.abs() / z0 } else { 0.0 };
+        z = (z + dv * (1.0 - loaded)).clamp(-z0, z0);
         z
     };
     v.iter().map(one).collect()
@@ -305,17 +295,8 @@ fn sign_of(m: &[f64], t: &[f64]) -> Vec<f64> {
     let unit = (0.1 * usual).max(1e-12);
     s.iter().map(|x| (x / unit).tanh()).collect()
 }
-fn times(a: &[f64], b: &[f64], shift: f64) -> Vec<f64> {
-    a.iter().zip(b).map(|(x, y)| x * (y + shift)).collect()
-}
 fn follow(v: &[f64], t: &[f64], tau: f64) -> Vec<f64> {
-    let (mut z, mut before) = (v[0], t[0]);
-    let one = |(&x, &now): (&f64, &f64)| {
-        z += (x - z) * (1.0 - (-(now - before) / tau).exp());
-        before = now;
-        z
-    };
-    v.iter().zip(t).map(one).collect()
+    run(v, t, |z, x, dt| z + (x - z) * (1.0 - (-dt / tau).exp()))
 }
 fn late(v: &[f64], t: &[f64], by: f64) -> Vec<f64> {
     let mut a = 0;

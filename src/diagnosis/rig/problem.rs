@@ -3,7 +3,7 @@
 use crate::diagnosis::rig::{
     DRIVEN, Document, RESONANT, RigProblem, STILL, Set, closed_ci95, poor, variance,
 };
-use crate::diagnosis::verdict::{Claim, Head, Layout};
+use crate::diagnosis::verdict::{Claim, Head};
 use crate::diagnosis::{Candidates, Judged, Problem, Scored};
 use std::sync::LazyLock;
 
@@ -22,17 +22,11 @@ const FORM: f64 = -1.2;
 /// beyond the first, the number of columns, and the two claims of [`Candidates::claims`]. For `none`: one, and the logarithms of what is left
 /// above the noise over the noise, the same where it is negative, and over the output. For `unknown`: one, and the logarithms of what the best
 /// set leaves above the noise over the noise, the same where it is negative, over the gap, and the same above [`FORM`].
-const NAMES: [&[&str]; 4] = [
-    &["density_long", "density_short", "slight", "clear"],
-    &["further_effects", "columns", "claim", "second_claim"],
-    &["none", "none_noise", "none_below_noise", "none_output"],
-    &[
-        "unknown",
-        "unknown_noise",
-        "unknown_below_noise",
-        "unknown_left",
-        "unknown_much_left",
-    ],
+const NAMES: [&str; 4] = [
+    "density_long density_short slight clear",
+    "further_effects columns claim second_claim",
+    "none none_noise none_below_noise none_output",
+    "unknown unknown_noise unknown_below_noise unknown_left unknown_much_left",
 ];
 
 /// The weights that diagnoses use.
@@ -41,13 +35,7 @@ static HEAD: LazyLock<Head> = LazyLock::new(|| {
     let mut effects: Vec<&'static str> = operators.map(|o| o.name).collect();
     effects.sort_unstable();
     effects.dedup();
-    Head::built_in(
-        include_str!("posterior.toml"),
-        Layout {
-            common: NAMES,
-            effects,
-        },
-    )
+    Head::built_in(include_str!("posterior.toml"), NAMES, effects)
 });
 
 /// Half the logarithm of a ratio of squares.
@@ -75,25 +63,7 @@ impl RigProblem<'_> {
 }
 
 impl Problem for RigProblem<'_> {
-    type Set = Set;
-    type Trace = ();
     type Document = Document;
-
-    fn nominal(&self) -> &Set {
-        &self.nominal
-    }
-    fn singles(&self) -> Vec<(Set, ())> {
-        self.alone().into_iter().map(|set| (set, ())).collect()
-    }
-    fn pairs(&self, singles: &[(Set, ())]) -> Vec<Set> {
-        self.promising(&singles.iter().map(|(set, ())| set).collect::<Vec<_>>())
-    }
-    fn triples(&self, pair: &Set) -> Vec<Set> {
-        self.extended(pair)
-    }
-    fn parts(&self, _: &Candidates<Set>, triples: &[Set]) -> Vec<Set> {
-        self.reduced(triples)
-    }
 
     fn head() -> &'static Head {
         &HEAD
@@ -108,13 +78,9 @@ impl Problem for RigProblem<'_> {
     }
     fn of_set(&self, found: &Candidates<Set>, set: &Set) -> Vec<f64> {
         let columns: usize = set.members.iter().map(|m| m.columns.len()).sum();
-        let [claim, second_claim] = found.claims(set);
-        vec![
-            set.names.len() as f64 - 1.0,
-            columns as f64 / 8.0,
-            claim,
-            second_claim,
-        ]
+        let further = set.names.len() as f64 - 1.0;
+        let [claim, second] = found.claims(set);
+        vec![further, columns as f64 / 8.0, claim, second]
     }
     fn of_none(&self) -> Vec<f64> {
         let output = ratio(self.above(&self.nominal), variance(&self.log.output));
@@ -127,10 +93,7 @@ impl Problem for RigProblem<'_> {
     /// The effects that surely close enough of the gap. What the set leaves of the gap beyond noise is unknown in proportion.
     fn claim(&self, found: &Candidates<Set>, set: &Set) -> Claim {
         if poor(self.log) {
-            return Claim {
-                names: None,
-                unexplained: 0.0,
-            };
+            return Claim::default();
         }
         let floor = self.nominal.energy() - self.gap;
         let sure = |c: &Set, part: &Set| closed_ci95(&part.scores, &c.scores, floor, self.seed)[0];
@@ -145,12 +108,8 @@ impl Problem for RigProblem<'_> {
 
     fn stand_ins(&self, found: &Candidates<Set>, names: &[&'static str]) -> Vec<&'static str> {
         let least = found.set(names).unwrap_or(&found.nominal).energy();
-        found
-            .singles
-            .iter()
-            .filter(|s| s.energy() < least)
-            .map(|s| s.names[0])
-            .collect()
+        let better = found.singles.iter().filter(|s| s.energy() < least);
+        better.map(|s| s.names[0]).collect()
     }
     fn document(&self, judged: &Judged<Self>) -> Document {
         self.written(judged)

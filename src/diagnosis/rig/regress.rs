@@ -20,29 +20,19 @@ const DRAWS: usize = 400;
 pub struct Task<'a> {
     /// The signal.
     pub y: &'a [f64],
-    /// Long and short blocks.
-    blocks: [Blocks; 2],
+    /// Long and short block of each row; `None` in a margin.
+    blocks: [Vec<Option<usize>>; 2],
 }
 
-/// Block of each row; `None` in a margin.
-struct Blocks {
-    of: Vec<Option<usize>>,
-    count: usize,
-}
-
-impl Blocks {
-    fn new(rows: usize, count: usize) -> Self {
-        let length = rows as f64 / count as f64;
-        let scored = |at: &f64| (MARGIN..1.0 - MARGIN).contains(&at.fract());
-        let of = |k: usize| {
-            let at = Some((k as f64 + 0.5) / length).filter(scored)?;
-            Some((at as usize).min(count - 1))
-        };
-        Self {
-            of: (0..rows).map(of).collect(),
-            count,
-        }
-    }
+/// Block of each row, of so many; `None` in a margin.
+fn blocks(rows: usize, count: usize) -> Vec<Option<usize>> {
+    let length = rows as f64 / count as f64;
+    let scored = |at: &f64| (MARGIN..1.0 - MARGIN).contains(&at.fract());
+    let of = |k: usize| {
+        let at = Some((k as f64 + 0.5) / length).filter(scored)?;
+        Some((at as usize).min(count - 1))
+    };
+    (0..rows).map(of).collect()
 }
 
 /// Columns of a regression, and the signs that some coefficients must have: index and ±1.
@@ -108,10 +98,8 @@ impl Normal {
         let scaled = DMatrix::from_fn(n, n, |i, j| {
             self.gram[(i, j)] / (size[i] * size[j]) + if i == j { 1e-9 } else { 0.0 }
         });
-        let c = scaled
-            .cholesky()?
-            .solve(&self.right.component_div(&size))
-            .component_div(&size);
+        let right = self.right.component_div(&size);
+        let c = scaled.cholesky()?.solve(&right).component_div(&size);
         let right = |&(i, sign): &(usize, i8)| sign == 0 || c[i] * f64::from(sign) >= 0.0;
         (c.iter().all(|x| x.is_finite()) && signs.iter().all(right)).then_some(c)
     }
@@ -156,9 +144,8 @@ pub fn variance(x: &[f64]) -> f64 {
 }
 
 fn mean_square(blocks: &[(f64, f64)]) -> f64 {
-    let (s, n) = blocks
-        .iter()
-        .fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+    let sum = |a: (f64, f64), b: &(f64, f64)| (a.0 + b.0, a.1 + b.1);
+    let (s, n) = blocks.iter().fold((0.0, 0.0), sum);
     s / f64::max(n, 1.0)
 }
 
@@ -189,7 +176,7 @@ impl<'a> Task<'a> {
         let short = (y.len() / ROWS).clamp(LONG, SHORT);
         Self {
             y,
-            blocks: [LONG, short].map(|count| Blocks::new(y.len(), count)),
+            blocks: [LONG, short].map(|count| blocks(y.len(), count)),
         }
     }
 
@@ -214,13 +201,14 @@ impl<'a> Task<'a> {
         })
     }
 
-    fn held_out(&self, columns: &Columns<'_>, blocks: &Blocks) -> Option<Vec<(f64, f64)>> {
-        let mut out = vec![(0.0, 0.0); blocks.count];
+    fn held_out(&self, columns: &Columns<'_>, blocks: &[Option<usize>]) -> Option<Vec<(f64, f64)>> {
+        let count = blocks.iter().flatten().max().map_or(0, |last| last + 1);
+        let mut out = vec![(0.0, 0.0); count];
         for fold in 0..2 {
-            let other = |k: usize| blocks.of[k].is_some_and(|b| b % 2 != fold);
+            let other = |k: usize| blocks[k].is_some_and(|b| b % 2 != fold);
             let c = Normal::new(self.y, &columns.of, other).solve(&columns.signs)?;
             let left = left(self.y, &columns.of, c.as_slice());
-            for (left, block) in left.iter().zip(&blocks.of) {
+            for (left, block) in left.iter().zip(blocks) {
                 if let Some(b) = block.filter(|b| b % 2 == fold) {
                     out[b] = (out[b].0 + left * left, out[b].1 + 1.0);
                 }

@@ -3,9 +3,9 @@
 //! Every operator is fitted alone, at the best η of its grid. All pairs are scored at these η and the best refitted; the best single is
 //! extended by every operator anew, and so is the best pair where it leaves something.
 
-use crate::diagnosis::Scored;
 use crate::diagnosis::rig::model::catalogue;
 use crate::diagnosis::rig::{MapBase, MapFile, Member, Operator, Regressed, Signals, Task};
+use crate::diagnosis::{Candidates, Scored, Search};
 
 /// Part of the gap that an effect must close to be claimed.
 const WORTH: f64 = 0.03;
@@ -80,7 +80,7 @@ impl<'a> RigProblem<'a> {
     ) -> Option<Self> {
         let (base, task) = (MapBase::new(map, log), Task::new(&log.output));
         let noise = noise(&log.output);
-        let scores = base.scored(&task, &[])?;
+        let scores = task.regress(&base.columns(&[]))?;
         let (floor, left) = (noise * noise, scores.energy());
         let coarse = floor > COARSE * left;
         let known = if coarse { 0.0 } else { floor };
@@ -107,43 +107,11 @@ impl<'a> RigProblem<'a> {
         })
     }
 
-    /// Every operator alone.
-    pub fn alone(&self) -> Vec<Set> {
-        let operators = self.catalogue.iter();
-        operators.filter_map(|o| self.best(&[], o)).collect()
-    }
-
-    /// The best of all pairs, and the best single extended by every operator; the singles are sorted.
-    pub fn promising(&self, singles: &[&Set]) -> Vec<Set> {
-        let grown = singles.first().map_or(vec![], |best| self.grown(best));
-        self.refitted(singles).into_iter().chain(grown).collect()
-    }
-
-    /// A pair extended by every operator, if it leaves enough to be claimed.
-    pub fn extended(&self, pair: &Set) -> Vec<Set> {
-        match pair.energy() > pair.bar {
-            true => self.grown(pair),
-            false => vec![],
-        }
-    }
-
-    /// These sets without each of their members.
-    pub fn reduced(&self, sets: &[Set]) -> Vec<Set> {
-        let without = |set: &Set, k: usize| {
-            let mut rest = set.members.clone();
-            rest.remove(k);
-            self.set(rest)
-        };
-        sets.iter()
-            .flat_map(|set| (0..set.members.len()).filter_map(|k| without(set, k)))
-            .collect()
-    }
-
     /// The set of these members; `None` if a coefficient does not have its sign.
     fn set(&self, mut members: Vec<Member>) -> Option<Set> {
         let place = |name| self.catalogue.iter().position(|o| o.name == name);
         members.sort_by_key(|m| place(m.operator.name));
-        let scores = self.base.scored(&self.task, &members)?;
+        let scores = self.task.regress(&self.base.columns(&members))?;
         Some(Set {
             names: members.iter().map(|m| m.operator.name).collect(),
             members,
@@ -162,35 +130,31 @@ impl<'a> RigProblem<'a> {
             };
             [members, &[member]].concat()
         };
-        let cost = |eta: f64| Some((self.base.cost(&self.task, &with(eta))?, eta));
+        let cost = |eta: f64| Some((self.task.cost(&self.base.columns(&with(eta)))?, eta));
         let grid = (operator.grid)(&self.base.drive);
         let costs = (0..grid.len()).filter_map(|k| Some((k, cost(grid[k])?)));
         let (k, best) = costs.min_by(|a, b| a.1.0.total_cmp(&b.1.0))?;
         let (low, high) = (grid[k.saturating_sub(1)], grid[(k + 1).min(grid.len() - 1)]);
         let between = |i: u32| low + (high - low) * f64::from(i) / f64::from(REFINED);
-        let near = (1..REFINED)
-            .filter(|_| high > low)
-            .map(between)
-            .filter_map(cost);
-        let (_, eta) = near.chain([best]).min_by(|a, b| a.0.total_cmp(&b.0))?;
+        let near = (1..REFINED).filter(|_| high > low).map(between);
+        let costs = near.filter_map(cost).chain([best]);
+        let (_, eta) = costs.min_by(|a, b| a.0.total_cmp(&b.0))?;
         self.set(with(eta))
     }
 
     /// The set and each operator that is not in it.
     fn grown(&self, set: &Set) -> Vec<Set> {
-        let others = self
-            .catalogue
-            .iter()
-            .filter(|o| !set.names.contains(&o.name));
+        let operators = self.catalogue.iter();
+        let others = operators.filter(|o| !set.names.contains(&o.name));
         others.filter_map(|o| self.best(&set.members, o)).collect()
     }
 
     /// The best of all pairs, with the η of each member fitted again beside the other.
-    fn refitted(&self, singles: &[&Set]) -> Vec<Set> {
+    fn refitted(&self, singles: &[(Set, ())]) -> Vec<Set> {
         let both = |k: usize| {
-            let second = &singles[k].members;
-            let firsts = singles[..k].iter();
-            firsts.filter_map(move |a| self.set([a.members.as_slice(), second].concat()))
+            let second = &singles[k].0.members;
+            let firsts = singles[..k].iter().map(|(set, ())| &set.members);
+            firsts.filter_map(move |first| self.set([first.as_slice(), second].concat()))
         };
         let mut pairs: Vec<Set> = (0..singles.len()).flat_map(both).collect();
         pairs.sort_by(|a, b| a.energy().total_cmp(&b.energy()));
@@ -199,11 +163,45 @@ impl<'a> RigProblem<'a> {
             let again = |pair: &Set, k: usize| {
                 self.best(&pair.members[1 - k..2 - k], &pair.members[k].operator)
             };
-            again(&pair, 0)
-                .and_then(|first| again(&first, 1))
-                .unwrap_or(pair)
+            let both = again(&pair, 0).and_then(|first| again(&first, 1));
+            both.unwrap_or(pair)
         };
         pairs.into_iter().map(again).collect()
+    }
+}
+
+impl Search for RigProblem<'_> {
+    type Set = Set;
+    type Trace = ();
+
+    fn nominal(&self) -> &Set {
+        &self.nominal
+    }
+    fn singles(&self) -> Vec<(Set, ())> {
+        let operators = self.catalogue.iter();
+        let alone = operators.filter_map(|o| self.best(&[], o));
+        alone.map(|set| (set, ())).collect()
+    }
+    /// The best of all pairs, and the best single extended by every operator.
+    fn pairs(&self, singles: &[(Set, ())]) -> Vec<Set> {
+        let mut pairs = self.refitted(singles);
+        if let Some((best, ())) = singles.first() {
+            pairs.extend(self.grown(best));
+        }
+        pairs
+    }
+    fn triples(&self, pair: &Set) -> Vec<Set> {
+        let further = (pair.energy() > pair.bar).then(|| self.grown(pair));
+        further.unwrap_or_default()
+    }
+    fn parts(&self, _: &Candidates<Set>, triples: &[Set]) -> Vec<Set> {
+        let without = |set: &Set, k: usize| {
+            let mut rest = set.members.clone();
+            rest.remove(k);
+            self.set(rest)
+        };
+        let each = |set| (0..Set::names(set).len()).filter_map(move |k| without(set, k));
+        triples.iter().flat_map(each).collect()
     }
 }
 

@@ -23,9 +23,7 @@ pub fn confused_with(name: &str) -> &'static [&'static str] {
 
 /// The pairs of which a log, with a tracker or not, shows the sum alone.
 pub fn alike(tracker: bool) -> Vec<[&'static str; 2]> {
-    INSEPARABLE_BY_MOTION
-        .iter()
-        .filter(|(_, by_tracker)| *by_tracker && !tracker)
-        .map(|(pair, _)| *pair)
-        .collect()
+    let mut pairs = INSEPARABLE_BY_MOTION.to_vec();
+    pairs.retain(|(_, by_tracker)| *by_tracker && !tracker);
+    pairs.into_iter().map(|(pair, _)| pair).collect()
 }

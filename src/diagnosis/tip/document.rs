@@ -1,17 +1,19 @@
 //! The diagnosis as a document. `docs/gap.md` describes the JSON form.
 
-use crate::diagnosis::tip::fit::{Candidate, Compared, HeldOut, closed_ci95, score, scored};
+use crate::diagnosis::tip::TipProblem;
+use crate::diagnosis::tip::fit::{Candidate, HeldOut, closed_ci95, score, scored};
+use crate::diagnosis::tip::location::{self, Location, credits, stages};
 use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::{
     CORRELATED_S, Depends, Observed, PerQuantity, Segment, dependences,
 };
-use crate::diagnosis::tip::{BeforeAfter, Location, TipProblem, credits, stages};
 use crate::diagnosis::verdict::Verdict;
 use crate::diagnosis::{Candidates, Judged, Scored, diagnose};
 use crate::model::effects::{Effect, Param};
 use crate::model::{lines, nominal_theta};
 use nalgebra::Vector3;
 use serde::Serialize;
+use std::ops::Range;
 
 /// Least part of a remainder that a dependence must predict to be told.
 const TOLD: f64 = 0.1;
@@ -78,16 +80,7 @@ pub struct UnknownEntry {
     /// RMSE left above the noise, degrees.
     pub rmse_deg: f64,
     /// What it depends on, the strongest first.
-    pub goes_with: Vec<DependenceEntry>,
-}
-
-/// Something that the remainder depends on.
-#[derive(Debug, Clone, Serialize)]
-pub struct DependenceEntry {
-    /// What.
-    pub name: &'static str,
-    /// Part of the remainder's energy in one sensor that it predicts on left-out blocks.
-    pub share: f64,
+    pub goes_with: Vec<Depends>,
 }
 
 /// A set of effects and what it leaves.
@@ -141,28 +134,21 @@ impl TipProblem<'_> {
     pub fn written(&self, judged: &Judged<Self>) -> Diagnosis {
         let (log, nominal, chosen) = (self.log, &self.nominal, judged.chosen());
         let verdict = judged.verdict.clone();
-        let effects = self
-            .catalogue
-            .iter()
-            .map(|e| self.entry(judged, e.as_ref()));
-        let mut effects: Vec<EffectEntry> = effects.collect();
+        let entry = |e: &Box<dyn Effect>| self.entry(judged, e.as_ref());
+        let mut effects: Vec<EffectEntry> = self.catalogue.iter().map(entry).collect();
+        effects.sort_by(|a, b| b.closed.total_cmp(&a.closed));
+        effects.sort_by(|a, b| b.probability.total_cmp(&a.probability));
         let credits = credits(&judged.found, chosen, self.gap());
         let probability = |s: &Candidate| (s.names[0], judged.posterior.effect(s.names[0]));
         let probabilities: Vec<_> = judged.found.singles.iter().map(probability).collect();
-        effects.sort_by(|a, b| {
-            b.probability
-                .total_cmp(&a.probability)
-                .then(b.closed.total_cmp(&a.closed))
-        });
-        let place = BeforeAfter {
-            log,
-            before: &nominal.held_out,
-            after: &chosen.held_out,
-        };
+        let scores = [nominal, chosen].map(|c| &c.held_out);
+        // with the calibration as given, only gravity, field and gyroscope bias are solved
+        let given = nominal_theta(self.lines, log.rig.prior_lag_s);
+        let as_configured = scored(log, &Model::new(&[]), &given).energy();
         Diagnosis {
             schema: 1,
             gap: Gap {
-                as_configured_deg: log.rms_deg(self.as_configured()),
+                as_configured_deg: log.rms_deg(as_configured),
                 recalibrated_deg: log.rms_deg(nominal.energy()),
                 explained_deg: log.rms_deg(chosen.energy()),
                 noise_floor_deg: log.rms_deg(log.noise_energy()),
@@ -170,9 +156,9 @@ impl TipProblem<'_> {
             location: Location {
                 stages: stages(self.catalogue, &credits, &probabilities),
                 merged: self.merged(&verdict.equivalent),
-                regions: place.regions(),
-                when: place.when(),
-                kinds: place.quantities(),
+                regions: location::regions(log, scores),
+                when: location::stretches(log, scores),
+                kinds: location::kinds(log, scores),
             },
             unknown: UnknownEntry {
                 probability: verdict.doubt,
@@ -191,24 +177,18 @@ impl TipProblem<'_> {
         (self.nominal.energy() - self.log.noise_energy()).max(1e-9)
     }
 
-    /// Energy with the calibration as given, deg²; only gravity, field and gyroscope bias are solved.
-    fn as_configured(&self) -> f64 {
-        let (log, model) = (self.log, Model::new(&[]));
-        let theta = nominal_theta(self.lines, log.rig.prior_lag_s);
-        scored(log, &model, &theta).energy()
-    }
-
     /// Each log's part of the gap; the parts of all logs are in the ratio of their left-out residuals.
     fn logs(&self, chosen: &HeldOut) -> Vec<LogEntry> {
         let log = self.log;
         let deg = |of: &HeldOut, part: &Segment| {
-            let energy =
-                |used: &dyn Fn(usize) -> bool| score(log, of.residual.clone(), used).energy();
             let there = |k: usize, q| of.residual[q][k] != Vector3::zeros();
-            let known = |k: usize| log.quantities().any(|q| there(k, q));
-            let all = energy(&known).max(f64::MIN_POSITIVE);
-            let own = energy(&|k| part.bins.contains(&k) && known(k));
-            log.rms_deg(of.energy() * own / all)
+            let within = |bins: Range<usize>| {
+                let known = |k: usize| log.quantities().any(|q| there(k, q));
+                let used = |k: usize| bins.contains(&k) && known(k);
+                score(log, of.residual.clone(), used).energy()
+            };
+            let all = within(0..log.bins.len()).max(f64::MIN_POSITIVE);
+            log.rms_deg(of.energy() * within(part.bins.clone()) / all)
         };
         let entry = |part: &Segment| LogEntry {
             file: part.file.clone(),
@@ -225,16 +205,11 @@ impl TipProblem<'_> {
         let rest = found.without(chosen, e.name()).unwrap_or(nominal);
         let (before, after) = match chosen.names.contains(&e.name()) {
             true => (rest, Some(chosen)),
-            false => (nominal, found.single(e.name())),
+            false => (nominal, found.set(&[e.name()])),
         };
         let with = after.unwrap_or(nominal);
         let closed = with.closed(before, self.gap());
-        let compared = Compared {
-            before: &before.held_out,
-            after: &with.held_out,
-            nominal: &nominal.held_out,
-            floor: log.noise_energy(),
-        };
+        let scores = [before, with, nominal].map(|c| &c.held_out);
         EffectEntry {
             name: e.name(),
             stage: e.stage().name(),
@@ -242,7 +217,7 @@ impl TipProblem<'_> {
             gap_before_deg: log.rms_deg(before.energy()),
             gap_after_deg: log.rms_deg(with.energy()),
             closed,
-            closed_ci95: closed_ci95(&compared, closed, self.seed),
+            closed_ci95: closed_ci95(scores, log.noise_energy(), closed, self.seed),
             params: after.map_or(vec![], |c| self.params(e, c)),
         }
     }
@@ -251,30 +226,27 @@ impl TipProblem<'_> {
     fn params(&self, e: &dyn Effect, c: &Candidate) -> Vec<ParamValue> {
         let log = self.log;
         let model = Model::named(self.catalogue, &c.names);
-        let Some(i) = model.effects.iter().position(|x| x.name() == e.name()) else {
+        let Some(i) = model.position(e.name()) else {
             return vec![];
         };
         let independent = (log.duration_s() / CORRELATED_S).max(10.0);
-        let variance = c.fitted.cost
+        let variance = c.cost
             / (independent * 3.0 * log.quantities().count() as f64)
             / (log.bins.len() as f64 / independent);
         let inflation = variance * log.bins.len() as f64 / independent;
-        let mut values = model.of(&c.fitted.theta, i).to_vec();
-        let gains = lines(&c.fitted.theta).map(|l| l.k_epsilon);
+        let mut values = model.of(&c.theta, i).to_vec();
+        let gains = lines(&c.theta).map(|l| l.k_epsilon);
         e.canonical(&mut values, &gains.into());
         let one = |(k, p): (usize, &Param)| {
             let at = model.at[i] + k;
-            let variance = c.fitted.covariance[(at, at)].max(0.0) * inflation;
+            let variance = c.covariance[(at, at)].max(0.0) * inflation;
             let (value, half) = (values[k], 1.96 * variance.sqrt());
             let shown = |x: f64| p.shown(x).0;
             ParamValue {
                 name: p.name,
                 unit: p.shown(value).1,
                 value: shown(value),
-                ci95: [
-                    shown((value - half).max(p.low)),
-                    shown((value + half).min(p.high)),
-                ],
+                ci95: [(value - half).max(p.low), (value + half).min(p.high)].map(shown),
                 channel: p.channel,
             }
         };
@@ -283,14 +255,10 @@ impl TipProblem<'_> {
 
     /// Stages of each group that spans more than one.
     fn merged(&self, groups: &[Vec<&'static str>]) -> Vec<Vec<&'static str>> {
-        let stage = |name: &str| {
-            self.catalogue
-                .iter()
-                .find(|e| e.name() == name)
-                .map_or("", |e| e.stage().name())
-        };
         let of = |group: &Vec<&'static str>| {
-            let mut stages: Vec<&'static str> = group.iter().map(|n| stage(n)).collect();
+            let effect = |name: &&str| self.catalogue.iter().find(|e| e.name() == *name);
+            let stage = |name| effect(name).map_or("", |e| e.stage().name());
+            let mut stages: Vec<&'static str> = group.iter().map(stage).collect();
             stages.dedup();
             stages
         };
@@ -299,15 +267,11 @@ impl TipProblem<'_> {
 }
 
 /// What the remainder depends on.
-pub fn goes_with(log: &Observed, left: &HeldOut) -> Vec<DependenceEntry> {
-    let mut told = dependences(log, &left.residual).to_vec();
+pub fn goes_with(log: &Observed, left: &HeldOut) -> Vec<Depends> {
+    let mut told = dependences(log, &left.residual);
     told.retain(|d| d.gain > 0.0 && d.share >= TOLD);
     told.sort_by(|a, b| b.gain.total_cmp(&a.gain));
-    let entry = |d: Depends| DependenceEntry {
-        name: d.on.name(),
-        share: d.share,
-    };
-    told.into_iter().map(entry).collect()
+    told
 }
 
 fn rivals(found: &Candidates<Candidate>) -> Vec<Rival> {
@@ -315,7 +279,7 @@ fn rivals(found: &Candidates<Candidate>) -> Vec<Rival> {
         names: c.names.clone(),
         energy_deg2: c.energy(),
         rmse_deg: c.held_out.rmse_deg,
-        cost: c.fitted.cost,
+        cost: c.cost,
     };
     let [singles, larger] = [&found.singles, &found.larger].map(|all| all.iter().take(RIVALS));
     let shown = singles.chain(larger).chain([&found.nominal]);

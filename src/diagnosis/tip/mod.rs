@@ -6,7 +6,6 @@
 
 pub mod check;
 pub mod confusion;
-pub mod credit;
 pub mod document;
 pub mod fit;
 pub mod location;
@@ -20,12 +19,10 @@ pub mod search;
 
 pub use check::{Checked, Judgement, check};
 pub use confusion::{alike, confused_with, separable};
-pub use credit::{StageShare, credits, stages};
 pub use document::{
-    DependenceEntry, Diagnosed, Diagnosis, EffectEntry, Gap, LogEntry, ParamValue, UnknownEntry,
-    goes_with,
+    Diagnosed, Diagnosis, EffectEntry, Gap, LogEntry, ParamValue, UnknownEntry, goes_with,
 };
-pub use location::{BeforeAfter, Location, QuantityShare, Region, When, commanded_bend, polar_deg};
+pub use location::{Location, QuantityShare, Region, StageShare, When, commanded_bend, polar_deg};
 pub use remedy::Remedy;
 pub use rig::Rig;
 pub use saved::{SavedGains, SavedModel};

@@ -2,10 +2,10 @@
 //!
 //! The density of a block and sensor is that of residuals whose variance is unknown ([`crate::diagnosis::tip::fit::holdout::density`]).
 
-use crate::diagnosis::tip::fit::{Alone, Candidate, Tangent};
+use crate::diagnosis::tip::fit::Candidate;
 use crate::diagnosis::tip::observed::{Quantity, dependences};
 use crate::diagnosis::tip::{Diagnosis, TipProblem, alike};
-use crate::diagnosis::verdict::{Claim, Head, Layout};
+use crate::diagnosis::verdict::{Claim, Head};
 use crate::diagnosis::{Candidates, Judged, Problem, Scored};
 use crate::model::effects::catalogue;
 use std::sync::LazyLock;
@@ -26,35 +26,17 @@ const SHOWN: f64 = 2.0 / 3.0;
 /// same with the best set, the density of its long blocks, that of the short blocks with the nominal model, the largest part of what a
 /// sensor leaves that some dependence predicts, and what the best set gains over the best single effect: several effects together imitate
 /// many a law.
-const NAMES: [&[&str]; 4] = [
-    &["density", "density_gyro"],
-    &[
-        "further_effects",
-        "information",
-        "claim",
-        "second_claim",
-        "unusual",
-    ],
-    &["none_worst"],
-    &[
-        "unknown_worst",
-        "unknown_best",
-        "unknown_nominal",
-        "unknown_share",
-        "unknown_single",
-    ],
+const NAMES: [&str; 4] = [
+    "density density_gyro",
+    "further_effects information claim second_claim unusual",
+    "none_worst",
+    "unknown_worst unknown_best unknown_nominal unknown_share unknown_single",
 ];
 
 /// The weights that diagnoses use.
 static HEAD: LazyLock<Head> = LazyLock::new(|| {
     let effects = catalogue().iter().map(|e| e.name()).collect();
-    Head::built_in(
-        include_str!("posterior.toml"),
-        Layout {
-            common: NAMES,
-            effects,
-        },
-    )
+    Head::built_in(include_str!("posterior.toml"), NAMES, effects)
 });
 
 impl TipProblem<'_> {
@@ -66,34 +48,13 @@ impl TipProblem<'_> {
     /// Logarithm of the largest RMS of a sensor above the noise, degrees or °/s.
     fn worst(&self, set: &Candidate) -> f64 {
         let square = |q| set.held_out.rmse_deg[q].powi(2) - 3.0 * self.log.noise_deg[q].powi(2);
-        self.log
-            .quantities()
-            .map(|q| square(q).max(0.0).sqrt())
-            .fold(0.05, f64::max)
-            .ln()
+        let roots = self.log.quantities().map(|q| square(q).max(0.0).sqrt());
+        roots.fold(0.05, f64::max).ln()
     }
 }
 
 impl Problem for TipProblem<'_> {
-    type Set = Candidate;
-    type Trace = Tangent;
     type Document = Diagnosis;
-
-    fn nominal(&self) -> &Candidate {
-        &self.nominal
-    }
-    fn singles(&self) -> Vec<Alone> {
-        self.alone()
-    }
-    fn pairs(&self, singles: &[Alone]) -> Vec<Candidate> {
-        self.promising(singles)
-    }
-    fn triples(&self, pair: &Candidate) -> Vec<Candidate> {
-        self.extended(pair)
-    }
-    fn parts(&self, found: &Candidates<Candidate>, triples: &[Candidate]) -> Vec<Candidate> {
-        self.missing(found, triples)
-    }
 
     fn head() -> &'static Head {
         &HEAD
@@ -110,15 +71,10 @@ impl Problem for TipProblem<'_> {
         vec![-self.short(set), gyro]
     }
     fn of_set(&self, found: &Candidates<Candidate>, set: &Candidate) -> Vec<f64> {
-        let information = (set.fitted.information - self.nominal.fitted.information) / 10.0;
-        let [claim, second_claim] = found.claims(set);
-        vec![
-            set.names.len() as f64 - 1.0,
-            information,
-            claim,
-            second_claim,
-            set.unusual,
-        ]
+        let further = set.names.len() as f64 - 1.0;
+        let information = (set.information - self.nominal.information) / 10.0;
+        let [claim, second] = found.claims(set);
+        vec![further, information, claim, second, set.unusual]
     }
     fn of_none(&self) -> Vec<f64> {
         vec![self.worst(&self.nominal)]
@@ -127,28 +83,16 @@ impl Problem for TipProblem<'_> {
         let nominal = self.short(&self.nominal);
         let depends = dependences(self.log, &best.held_out.residual);
         let share = depends.iter().map(|d| d.share).fold(0.0, f64::max);
-        let single = found
-            .singles
-            .iter()
-            .map(|s| self.short(s))
-            .fold(f64::INFINITY, f64::min);
+        let singles = found.singles.iter().map(|s| self.short(s));
+        let single = singles.fold(f64::INFINITY, f64::min);
         let long = self.log.mean(&best.held_out.density[0]);
-        vec![
-            self.worst(best),
-            long,
-            nominal,
-            share,
-            self.short(best) - single.min(nominal),
-        ]
+        let beyond_single = self.short(best) - single.min(nominal);
+        vec![self.worst(best), long, nominal, share, beyond_single]
     }
     fn claim(&self, found: &Candidates<Candidate>, set: &Candidate) -> Claim {
         // what is below the bar counts as `none`
-        Claim::of(
-            found
-                .claimable(set, &|set, part| set.gain(part) >= SHOWN)
-                .names
-                .clone(),
-        )
+        let shown = found.claimable(set, &|set, part| set.gain(part) >= SHOWN);
+        Claim::of(shown.names.clone())
     }
 
     fn alike(&self) -> Vec<[&'static str; 2]> {

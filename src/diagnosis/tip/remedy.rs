@@ -1,20 +1,23 @@
 //! What becomes of an effect once it is named. `gap diagnose` advises it, and `gap apply` does it.
 
 use crate::model::effects::{Effect, Stage};
+use crate::named;
 
-/// What becomes of an effect.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Remedy {
-    /// It happens once: its cause is mended, and nothing is fed forward.
-    Mend,
-    /// A calibration file holds it.
-    Calibrate,
-    /// It drifts, and the service estimates it while it runs.
-    Estimate,
-    /// `retroflex calibrate imu motors` identifies it.
-    Motors,
-    /// The feedforward follows its inverse.
-    Feedforward,
+named! {
+    /// What becomes of an effect; the name says what to do, as the end of a sentence.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum Remedy {
+        /// It happens once: its cause is mended, and nothing is fed forward.
+        Mend = "mend the cause, which acted once",
+        /// A calibration file holds it.
+        Calibrate = "write it into the calibration with `gap apply --calib`",
+        /// It drifts, and the service estimates it while it runs.
+        Estimate = "leave it to the service, which estimates it while it runs",
+        /// `retroflex calibrate imu motors` identifies it.
+        Motors = "identify it with `calibrate imu motors`",
+        /// The feedforward follows its inverse.
+        Feedforward = "feed it forward with `gap apply`",
+    }
 }
 
 impl Remedy {
@@ -26,17 +29,6 @@ impl Remedy {
             "motor_field" => Self::Motors,
             _ if e.stage() == Stage::Timing || e.sensing_only() => Self::Calibrate,
             _ => Self::Feedforward,
-        }
-    }
-
-    /// What to do, as the end of a sentence.
-    pub fn advice(self) -> &'static str {
-        match self {
-            Self::Mend => "mend the cause, which acted once",
-            Self::Calibrate => "write it into the calibration with `gap apply --calib`",
-            Self::Estimate => "leave it to the service, which estimates it while it runs",
-            Self::Motors => "identify it with `calibrate imu motors`",
-            Self::Feedforward => "feed it forward with `gap apply`",
         }
     }
 }

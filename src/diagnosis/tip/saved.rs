@@ -55,21 +55,9 @@ pub struct SavedModel {
     #[serde(default)]
     pub effect: Vec<SavedEffect>,
     /// Readings at rest.
-    pub rest: Option<SavedRest>,
+    pub rest: Option<RestReadings>,
     /// The model that predicts best, for a feedforward or a simulation; it may have more effects than the verdict.
     pub forecast: Option<SavedForecast>,
-}
-
-/// Readings of the tip IMU at the initial rest, in the base frame.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SavedRest {
-    /// Direction of up.
-    pub up: [f64; 3],
-    /// Magnetic field, µT.
-    pub field_ut: [f64; 3],
-    /// Bias of the gyroscope, rad/s.
-    pub gyro_bias_rad_s: [f64; 3],
 }
 
 /// Gains and effects of a forecast.
@@ -84,7 +72,8 @@ pub struct SavedForecast {
 }
 
 impl SavedGains {
-    fn new(theta: &[f64]) -> Self {
+    /// The gains in a vector of parameters.
+    pub fn new(theta: &[f64]) -> Self {
         let lines = lines(theta);
         Self {
             k_epsilon: lines.map(|l| l.k_epsilon),
@@ -100,10 +89,9 @@ impl SavedGains {
 }
 
 fn key(p: &Param) -> String {
-    if p.channel == 0 {
-        p.name.to_owned()
-    } else {
-        format!("{}@{}", p.name, p.channel)
+    match p.channel {
+        0 => p.name.to_owned(),
+        channel => format!("{}@{channel}", p.name),
     }
 }
 
@@ -114,7 +102,7 @@ fn saved_effects(catalogue: &[Box<dyn Effect>], from: &Candidate) -> Vec<SavedEf
         params: e.params().iter().map(key).zip(p.iter().copied()).collect(),
     };
     let model = Model::named(catalogue, &from.names);
-    model.each(&from.fitted.theta).map(one).collect()
+    model.each(&from.theta).map(one).collect()
 }
 
 /// Parameters of an effect among saved ones, in catalogue order.
@@ -131,8 +119,8 @@ impl SavedModel {
         Self {
             schema: 1,
             source: source.to_owned(),
-            nominal: SavedGains::new(&done.found.nominal.fitted.theta),
-            with_effects: SavedGains::new(&done.chosen.fitted.theta),
+            nominal: SavedGains::new(&done.found.nominal.theta),
+            with_effects: SavedGains::new(&done.chosen.theta),
             equivalent: done.document.verdict.equivalent.iter().map(owned).collect(),
             effect: saved_effects(catalogue, &done.chosen),
             rest: None,
@@ -149,15 +137,10 @@ impl SavedModel {
         done: &Diagnosed,
     ) -> Self {
         let best = best_predicting(log, catalogue, &done.found.nominal, &done.chosen);
-        let rest = log.rest();
         Self {
-            rest: Some(SavedRest {
-                up: rest.up.into(),
-                field_ut: rest.field_ut.into(),
-                gyro_bias_rad_s: rest.gyro_bias_rad_s.into(),
-            }),
+            rest: Some(log.rest()),
             forecast: Some(SavedForecast {
-                gains: SavedGains::new(&best.fitted.theta),
+                gains: SavedGains::new(&best.theta),
                 effect: saved_effects(catalogue, &best),
             }),
             ..self
@@ -170,15 +153,11 @@ impl SavedModel {
             Some(forecast) => (&forecast.gains, &forecast.effect),
             None => (&self.with_effects, &self.effect),
         };
-        let readings = |r: &SavedRest| RestReadings {
-            up: Vector3::from(r.up).normalize(),
-            field_ut: r.field_ut.into(),
-            gyro_bias_rad_s: r.gyro_bias_rad_s.into(),
+        let readings = |r: RestReadings| RestReadings {
+            up: r.up.normalize(),
+            ..r
         };
-        let rest = self
-            .rest
-            .as_ref()
-            .map_or_else(RestReadings::default, readings);
+        let rest = self.rest.map_or_else(RestReadings::default, readings);
         let cause = |e: Box<dyn Effect>| params_of(effects, e.as_ref()).map(|p| (e, p));
         DescribedMachine::new(
             geometry,
@@ -199,20 +178,15 @@ impl SavedModel {
         if self.equivalent.iter().any(|g| g.len() > 1) {
             return self.equivalent.concat();
         }
-        let names = self.effect.iter().map(|e| e.name.as_str());
-        let similar = self
-            .effect
-            .iter()
-            .flat_map(|e| confused_with(&e.name))
-            .copied();
-        names.chain(similar).map(str::to_owned).collect()
+        let names = self.effect.iter().map(|e| e.name.clone());
+        let similar = self.effect.iter().flat_map(|e| confused_with(&e.name));
+        names.chain(similar.map(|n| (*n).to_owned())).collect()
     }
 
     /// The effects of the verdict, and those of the forecast.
     fn all_effects(&self) -> impl Iterator<Item = &SavedEffect> {
-        self.effect
-            .iter()
-            .chain(self.forecast.iter().flat_map(|f| &f.effect))
+        let forecast = self.forecast.iter().flat_map(|f| &f.effect);
+        self.effect.iter().chain(forecast)
     }
 
     /// The first effect or parameter that the catalogue does not have, as a problem; `None` if there is none.
@@ -223,10 +197,8 @@ impl SavedModel {
             };
             let keys: Vec<String> = e.params().iter().map(key).collect();
             if let Some(stray) = s.params.keys().find(|k| !keys.contains(k)) {
-                let (name, keys) = (&s.name, keys.join(", "));
-                return Some(format!(
-                    "effect `{name}` has no parameter `{stray}`; it has {keys}"
-                ));
+                let (has, keys) = (format!("effect `{}` has no", s.name), keys.join(", "));
+                return Some(format!("{has} parameter `{stray}`; it has {keys}"));
             }
         }
         let known = |n: &str| catalogue.iter().any(|e| e.name() == n);
@@ -247,37 +219,29 @@ impl Check for SavedModel {
             ("nominal", &self.nominal),
             ("with_effects", &self.with_effects),
         ];
-        let within = |to: &mut Checker, at: &str, values: &[f64], range, unit| {
-            to.each(at, values, &range, unit, AGAIN);
-        };
         for (at, g) in gains.into_iter().chain(forecast) {
-            within(to, &format!("{at}.k_epsilon"), &g.k_epsilon, 0.0..=10.0, "");
-            within(
-                to,
-                &format!("{at}.k_lambda_mm"),
-                &g.k_lambda_mm,
-                0.0..=3.0,
-                "mm",
-            );
-            let lag_s = to.at(&format!("{at}.lag_s"));
-            lag_s
-                .range(g.lag_s, 0.0..=LAG_MAX_S + 1e-9, "s")
-                .hint(AGAIN);
+            let arrays = [
+                ("k_epsilon", &g.k_epsilon, 10.0, ""),
+                ("k_lambda_mm", &g.k_lambda_mm, 3.0, "mm"),
+            ];
+            for (key, values, high, unit) in arrays {
+                let at = format!("{at}.{key}");
+                to.each(&at, values, &(0.0..=high), unit, AGAIN);
+            }
+            let at = to.at(&format!("{at}.lag_s"));
+            at.range(g.lag_s, 0.0..=LAG_MAX_S + 1e-9, "s").hint(AGAIN);
         }
         if let Some(rest) = &self.rest {
-            within(to, "rest.up", &rest.up, -1.0..=1.0, "");
-            let long = Vector3::from(rest.up).norm() > 0.5;
+            let within = |to: &mut Checker, key: &str, value: &Vector3<f64>, most: f64, unit| {
+                let at = format!("rest.{key}");
+                to.each(&at, value.as_slice(), &(-most..=most), unit, AGAIN);
+            };
+            within(to, "up", &rest.up, 1.0, "");
             to.at("rest.up")
-                .holds(long, "the direction of up has no length")
+                .holds(rest.up.norm() > 0.5, "the direction of up has no length")
                 .hint(AGAIN);
-            within(to, "rest.field_ut", &rest.field_ut, -1000.0..=1000.0, "µT");
-            within(
-                to,
-                "rest.gyro_bias_rad_s",
-                &rest.gyro_bias_rad_s,
-                -1.0..=1.0,
-                "rad/s",
-            );
+            within(to, "field_ut", &rest.field_ut, 1000.0, "µT");
+            within(to, "gyro_bias_rad_s", &rest.gyro_bias_rad_s, 1.0, "rad/s");
         }
         for (i, e) in self.all_effects().enumerate() {
             let finite = e.params.values().all(|v| v.is_finite());

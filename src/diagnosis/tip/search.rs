@@ -4,13 +4,13 @@
 //! are those that extend the best single, by the tangent there, and the best of all pairs by the normal matrix of all singles
 //! ([`mod@crate::diagnosis::tip::fit::screen`]).
 
-use crate::diagnosis::Candidates;
 use crate::diagnosis::tip::fit::{
-    Alone, BaseFit, CLAIM_DEG, Candidate, HeldOut, LeastSquares, Start, alone, best_start,
+    Alone, BaseFit, CLAIM_DEG, Candidate, HeldOut, LeastSquares, Start, Tangent, alone, best_start,
     dated_again, fit, schwarz, screen,
 };
 use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::Observed;
+use crate::diagnosis::{Candidates, Search};
 use crate::model::effects::Effect;
 use crate::model::{Line, nominal_theta};
 use rayon::prelude::*;
@@ -62,31 +62,64 @@ impl<'a> TipProblem<'a> {
         Model::named(self.catalogue, names)
     }
 
-    /// The fit of the named effects from this start.
-    fn fitted(&self, names: &[&str], start: &[f64]) -> Candidate {
-        Candidate::new(&settle(
-            LeastSquares::new(self.log, self.model(names)),
-            start,
-        ))
+    /// The fits of sets of effects, each from a start of its own.
+    fn fitted<N: AsRef<[&'static str]> + Sync>(&self, sets: &[(N, Vec<f64>)]) -> Vec<Candidate> {
+        let fit = |(names, start): &(N, Vec<f64>)| {
+            let problem = LeastSquares::new(self.log, self.model(names.as_ref()));
+            Candidate::new(&settle(problem, start))
+        };
+        sets.par_iter().map(fit).collect()
     }
 
-    /// The fit of every single effect.
-    pub fn alone(&self) -> Vec<Alone> {
-        let single = |e: &dyn Effect| {
-            let (base, to) = (&self.base, LeastSquares::new(self.log, Model::new(&[e])));
-            let start =
-                best_start(base, &to, e).map_or_else(|| base.point.theta.clone(), |s| s.theta);
-            alone(base, settle(to, &start))
+    /// The most that a sensor's RMSE is above its noise, degrees or °/s.
+    fn leaves(&self, h: &HeldOut) -> f64 {
+        let above = |q| h.rmse_deg[q] - 3f64.sqrt() * self.log.noise_deg[q];
+        self.log.quantities().map(above).fold(0.0, f64::max)
+    }
+
+    /// The most promising extensions of a set by one effect, by Schwarz's criterion.
+    fn grown(&self, set: &Candidate, wanted: usize) -> Vec<Candidate> {
+        let seed = LeastSquares::new(self.log, self.model(&set.names));
+        let base = settle(seed, &set.theta);
+        let names = |e: &dyn Effect| [set.names.as_slice(), &[e.name()]].concat();
+        let start = |e: &'a dyn Effect| {
+            let to = LeastSquares::new(self.log, self.model(&names(e)));
+            best_start(&base, &to, e).map(|s| (e, s))
         };
-        self.catalogue
-            .par_iter()
-            .map(|e| single(e.as_ref()))
-            .collect()
+        let others = self.catalogue.par_iter().map(AsRef::as_ref);
+        let others = others.filter(|e| !set.names.contains(&e.name()));
+        let mut promising: Vec<(&dyn Effect, Start)> = others.filter_map(start).collect();
+        let criterion =
+            |(e, s): &(&dyn Effect, Start)| schwarz(self.log, s.predicted, e.params().len());
+        promising.sort_by(|a, b| criterion(a).total_cmp(&criterion(b)));
+        let wanted = promising.into_iter().take(wanted);
+        let starts: Vec<_> = wanted.map(|(e, s)| (names(e), s.theta)).collect();
+        self.fitted(&starts)
+    }
+}
+
+impl Search for TipProblem<'_> {
+    type Set = Candidate;
+    type Trace = Tangent;
+
+    fn nominal(&self) -> &Candidate {
+        &self.nominal
+    }
+
+    fn singles(&self) -> Vec<Alone> {
+        let single = |e: &Box<dyn Effect>| {
+            let (base, e) = (&self.base, e.as_ref());
+            let to = LeastSquares::new(self.log, Model::new(&[e]));
+            let start = best_start(base, &to, e).map(|s| s.theta);
+            let start = start.as_ref().unwrap_or(&base.point.theta);
+            alone(base, settle(to, start))
+        };
+        self.catalogue.par_iter().map(single).collect()
     }
 
     /// The pairs that are worth a fit: none where no two effects could be claimed, and half as many where the best single leaves less than
     /// can be claimed, because a single that is not in the log can stand for two that are.
-    pub fn promising(&self, alone: &[Alone]) -> Vec<Candidate> {
+    fn pairs(&self, alone: &[Alone]) -> Vec<Candidate> {
         let Some((best, _)) = alone.first() else {
             return vec![];
         };
@@ -101,72 +134,32 @@ impl<'a> TipProblem<'a> {
         let mut screen = screen(&self.base, self.catalogue, alone);
         screen.retain(|(names, _)| !known(names));
         screen.truncate(screened);
-        out.par_extend(
-            screen
-                .par_iter()
-                .map(|(names, theta)| self.fitted(names, theta)),
-        );
+        out.extend(self.fitted(&screen));
         out
     }
 
     /// The triples that are worth a fit: none where the best pair leaves less than can be claimed.
-    pub fn extended(&self, pair: &Candidate) -> Vec<Candidate> {
-        match self.leaves(&pair.held_out) > CLAIM_DEG {
-            true => self.grown(pair, FITTED[2]),
-            false => vec![],
-        }
-    }
-
-    /// The most that a sensor's RMSE is above its noise, degrees or °/s.
-    fn leaves(&self, h: &HeldOut) -> f64 {
-        let above = |q| h.rmse_deg[q] - 3f64.sqrt() * self.log.noise_deg[q];
-        self.log.quantities().map(above).fold(0.0, f64::max)
-    }
-
-    /// The most promising extensions of a set by one effect, by Schwarz's criterion.
-    fn grown(&self, set: &Candidate, wanted: usize) -> Vec<Candidate> {
-        let seed = LeastSquares::new(self.log, self.model(&set.names));
-        let base = settle(seed, &set.fitted.theta);
-        let names = |e: &dyn Effect| [set.names.as_slice(), &[e.name()]].concat();
-        let start = |e: &'a dyn Effect| {
-            let to = LeastSquares::new(self.log, self.model(&names(e)));
-            best_start(&base, &to, e).map(|s| (e, s))
-        };
-        let mut promising: Vec<(&dyn Effect, Start)> = self
-            .catalogue
-            .par_iter()
-            .map(AsRef::as_ref)
-            .filter(|e| !set.names.contains(&e.name()))
-            .filter_map(start)
-            .collect();
-        let criterion =
-            |(e, s): &(&dyn Effect, Start)| schwarz(self.log, s.predicted, e.params().len());
-        promising.sort_by(|a, b| criterion(a).total_cmp(&criterion(b)));
-        promising.truncate(wanted);
-        promising
-            .par_iter()
-            .map(|(e, s)| self.fitted(&names(*e), &s.theta))
-            .collect()
+    fn triples(&self, pair: &Candidate) -> Vec<Candidate> {
+        let leaves = self.leaves(&pair.held_out) > CLAIM_DEG;
+        let further = leaves.then(|| self.grown(pair, FITTED[2]));
+        further.unwrap_or_default()
     }
 
     /// The pairs in these triples that have not been fitted.
-    pub fn missing(&self, found: &Candidates<Candidate>, triples: &[Candidate]) -> Vec<Candidate> {
-        let mut missing: Vec<(Vec<&str>, Vec<f64>)> = Vec::new();
+    fn parts(&self, found: &Candidates<Candidate>, triples: &[Candidate]) -> Vec<Candidate> {
+        let mut missing: Vec<(Vec<&'static str>, Vec<f64>)> = Vec::new();
         for triple in triples {
             for left_out in &triple.names {
                 let mut names = triple.names.clone();
                 names.retain(|n| n != left_out);
                 let (whole, part) = (self.model(&triple.names), self.model(&names));
-                let start = part.extended(&whole, &triple.fitted.theta, |_| vec![]);
+                let start = part.extended(&whole, &triple.theta, |_| vec![]);
                 if found.set(&names).is_none() && missing.iter().all(|(known, _)| *known != names) {
                     missing.push((names, start));
                 }
             }
         }
-        missing
-            .par_iter()
-            .map(|(names, start)| self.fitted(names, start))
-            .collect()
+        self.fitted(&missing)
     }
 }
 

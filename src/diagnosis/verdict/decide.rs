@@ -26,12 +26,12 @@ named! {
 }
 
 impl VerdictKind {
-    /// The kind for a set that may be empty and a remainder that may be unexplained.
-    pub fn new(empty: bool, unexplained: bool) -> Self {
-        match (unexplained, empty) {
-            (true, _) => Self::Unknown,
-            (false, true) => Self::None,
-            (false, false) => Self::Effects,
+    /// The kind of the statement that these effects explain a log, or of `unknown`.
+    pub fn of(names: Option<&[&str]>) -> Self {
+        match names {
+            None => Self::Unknown,
+            Some([]) => Self::None,
+            Some(_) => Self::Effects,
         }
     }
 }
@@ -49,9 +49,8 @@ pub struct StatementEntry {
 
 impl StatementEntry {
     fn new((names, probability): &Said) -> Self {
-        let kind = VerdictKind::new(names.as_ref().is_some_and(Vec::is_empty), names.is_none());
         Self {
-            kind,
+            kind: VerdictKind::of(names.as_deref()),
             names: names.clone().unwrap_or_default(),
             probability: *probability,
         }
@@ -83,28 +82,25 @@ pub fn decide(
     better: impl Fn(&[&'static str]) -> Vec<&'static str>,
 ) -> Verdict {
     let doubt = posterior.unknown();
-    let sets = || {
-        posterior
-            .ranked
-            .iter()
-            .filter_map(|(names, _)| names.as_deref())
-    };
+    let ranked = &posterior.ranked;
+    let sets = || ranked.iter().filter_map(|(names, _)| names.as_deref());
     let pooled = |names: &[&'static str]| {
         let others = alike.iter().filter_map(|pair| exchanged(names, pair));
         posterior.set(names) + others.map(|o| posterior.set(&o)).sum::<f64>()
     };
     // of equal sets the first, which was fitted
     let most = |sets: &mut dyn Iterator<Item = &'_ [&'static str]>| {
-        sets.fold(
-            (vec![], 0.0),
-            |best: (Vec<&'static str>, f64), names| match pooled(names) {
-                p if p > best.1 => (names.to_vec(), p),
-                _ => best,
-            },
-        )
+        let mut best = (vec![], 0.0);
+        for names in sets {
+            let p = pooled(names);
+            if p > best.1 {
+                best = (names.to_vec(), p);
+            }
+        }
+        best
     };
     let (best, p) = most(&mut sets());
-    let kind = VerdictKind::new(best.is_empty(), doubt > p);
+    let kind = VerdictKind::of(Some(best.as_slice()).filter(|_| doubt <= p));
     let effects = 1.0 - doubt - posterior.set(&[]);
     let names = match kind {
         // of an unknown cause, a part may be explained
@@ -124,14 +120,13 @@ pub fn decide(
         VerdictKind::Unknown => doubt,
         VerdictKind::Effects => same().map(|set| posterior.set(set)).sum(),
     };
-    let conformal = posterior.ranked.iter().take(posterior.conformal);
-    let conformal = conformal.map(StatementEntry::new).collect();
+    let conformal = posterior.conformal().iter().map(StatementEntry::new);
     Verdict {
         kind,
         names,
         probability,
         equivalent,
-        conformal,
+        conformal: conformal.collect(),
         doubt,
     }
 }
@@ -161,13 +156,13 @@ fn groups(
         let probable = posterior.ranked.iter().filter(|(_, p)| *p >= least);
         let others = probable.filter_map(|(s, _)| s.as_deref()).filter(beside);
         let stand_in = others.flatten().copied();
-        let partner = alike
-            .iter()
-            .filter_map(|pair| exchanged(&[*name], pair))
-            .flatten();
+        let partners = alike.iter().filter_map(|pair| exchanged(&[*name], pair));
         // a single effect that leaves less than a whole set could stand for any of it
         let mut group = vec![*name];
-        for other in stand_in.chain(partner).chain(better.iter().copied()) {
+        for other in stand_in
+            .chain(partners.flatten())
+            .chain(better.iter().copied())
+        {
             if !group.contains(&other) && !chosen.contains(&other) {
                 group.push(other);
             }
@@ -181,7 +176,7 @@ fn groups(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::verdict::{Claim, Head, Layout, Statement};
+    use crate::diagnosis::verdict::{Claim, Head, Statement};
     use proptest::prelude::*;
 
     const NAMES: [&str; 5] = ["leak", "creep", "play", "delay", "latency"];
@@ -244,7 +239,7 @@ mod tests {
                 claim: Claim { names: (s.2 != 31).then(|| names(s.2 & s.0)), unexplained: s.3 },
             };
             let alike = [["delay", "latency"]];
-            let head = Head { layout: Layout { common: [&["p"], &[], &[], &[]], effects: vec![] }, weights: vec![1.0], conformal: 0.95 };
+            let head = Head { common: ["p", "", "", ""], effects: vec![], weights: vec![1.0], conformal: 0.95 };
             let p = Posterior::new(&head, said.iter().map(statement).collect()).shared(&alike);
             prop_assert!((p.ranked.iter().map(|s| s.1).sum::<f64>() - 1.0).abs() < 1e-9);
             let v = decide(&p, &alike, |_| vec![]);
@@ -259,7 +254,7 @@ mod tests {
             };
             let most = p.ranked.iter().map(|(s, _)| pooled(s)).fold(0.0, f64::max);
             prop_assert!(pooled(&own) >= most - 1e-12, "{v:?} {p:?}");
-            prop_assert!(p.ranked[..p.conformal].iter().any(|(s, _)| pooled(s) >= most - 1e-12));
+            prop_assert!(p.conformal().iter().any(|(s, _)| pooled(s) >= most - 1e-12));
         }
     }
 }

@@ -2,10 +2,8 @@
 
 pub mod decide;
 pub mod posterior;
-pub mod statements;
 
 pub use decide::{StatementEntry, Verdict, VerdictKind, decide};
 pub use posterior::{
-    Claim, Head, Layout, Posterior, Said, Statement, conformal_set, exchanged, probabilities,
+    Claim, Head, Posterior, Said, Statement, conformal_set, exchanged, probabilities,
 };
-pub use statements::statements;

@@ -7,11 +7,14 @@
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-/// Weights of features, and the level of the sets that are probable together.
+/// Features and their weights, and the level of the sets that are probable together.
 pub struct Head {
-    /// The features.
-    pub layout: Layout,
-    /// Weight of each feature.
+    /// Names of the common features, with spaces between them: of every statement, of a set, of `none` and of `unknown`.
+    pub common: [&'static str; 4],
+    /// Effects, each of which has a feature, `form_` and its name, for `unknown` where the best set has the effect. A right effect whose law
+    /// has another form leaves something too, more for some effects than for others.
+    pub effects: Vec<&'static str>,
+    /// Weight of each feature, the common ones first.
     pub weights: Vec<f64>,
     /// Probability that the statements of a conformal set have together.
     pub conformal: f64,
@@ -34,47 +37,35 @@ impl Head {
         clippy::expect_used,
         reason = "the text is a part of the program, and a test reads it"
     )]
-    pub fn built_in(text: &str, layout: Layout) -> Self {
+    pub fn built_in(text: &str, common: [&'static str; 4], effects: Vec<&'static str>) -> Self {
         let mut file: HeadFile = toml::from_str(text).expect("a head is TOML");
-        let mut weight = |name: &String| file.weight.remove(name).unwrap_or(0.0);
-        let weights = layout.names().iter().map(&mut weight).collect();
-        assert!(file.weight.is_empty(), "no features: {:?}", file.weight);
-        Self {
-            layout,
-            weights,
+        let mut head = Self {
+            common,
+            effects,
+            weights: vec![],
             conformal: file.conformal,
-        }
+        };
+        let mut weight = |name: &String| file.weight.remove(name).unwrap_or(0.0);
+        head.weights = head.names().iter().map(&mut weight).collect();
+        assert!(file.weight.is_empty(), "no features: {:?}", file.weight);
+        head
     }
-}
 
-/// Names of the features: common ones, and one of each effect, `form_` and its name, for `unknown` where the best set has the effect. A
-/// right effect whose law has another form leaves something too, more for some effects than for others.
-pub struct Layout {
-    /// Common features: of every statement, of a set, of `none` and of `unknown`.
-    pub common: [&'static [&'static str]; 4],
-    /// Names of the effects.
-    pub effects: Vec<&'static str>,
-}
-
-impl Layout {
     /// Names of all features.
     pub fn names(&self) -> Vec<String> {
         let common = self
             .common
             .iter()
-            .copied()
-            .flatten()
-            .map(|n| (*n).to_owned());
-        common
-            .chain(self.effects.iter().map(|n| format!("form_{n}")))
-            .collect()
+            .flat_map(|names| names.split_whitespace());
+        let forms = self.effects.iter().map(|n| format!("form_{n}"));
+        common.map(str::to_owned).chain(forms).collect()
     }
 
     /// All features: the common ones, 0 where they are not of the statement, and those of the effects in `best`.
     pub fn features(&self, common: [&[f64]; 4], best: &[&str]) -> Vec<f64> {
-        let padded = |(names, own): (&&[&str], &[f64])| {
+        let padded = |(names, own): (&&str, &[f64])| {
             let mut own = own.to_vec();
-            own.resize(names.len(), 0.0);
+            own.resize(names.split_whitespace().count(), 0.0);
             own
         };
         let form = |name: &&str| f64::from(u8::from(best.contains(name)));
@@ -119,8 +110,8 @@ pub fn conformal_set(p: &[f64], level: f64) -> Vec<usize> {
 /// Statements with their probabilities: the names of a set, or `None` for `unknown`.
 pub type Said = (Option<Vec<&'static str>>, f64);
 
-/// What may be claimed of a set of effects.
-#[derive(Debug, Clone, PartialEq)]
+/// What may be claimed of a set of effects; nothing by default.
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Claim {
     /// The effects that explain enough; `None` for a set that says nothing.
     pub names: Option<Vec<&'static str>>,
@@ -133,7 +124,7 @@ impl Claim {
     pub fn of(names: Vec<&'static str>) -> Self {
         Self {
             names: Some(names),
-            unexplained: 0.0,
+            ..Self::default()
         }
     }
 
@@ -170,8 +161,6 @@ fn ranked(said: impl IntoIterator<Item = Said>) -> Vec<Said> {
 pub struct Posterior {
     /// The statements, the most probable first.
     pub ranked: Vec<Said>,
-    /// How many of them make up the conformal set.
-    pub conformal: usize,
     /// Probability that the statements of a conformal set have together.
     level: f64,
 }
@@ -192,12 +181,13 @@ impl Posterior {
     /// The posterior of statements with these probabilities.
     pub fn of(said: impl IntoIterator<Item = Said>, level: f64) -> Self {
         let ranked = ranked(said);
-        let p: Vec<f64> = ranked.iter().map(|s| s.1).collect();
-        Self {
-            conformal: conformal_set(&p, level).len(),
-            ranked,
-            level,
-        }
+        Self { ranked, level }
+    }
+
+    /// The statements of the conformal set.
+    pub fn conformal(&self) -> &[Said] {
+        let p: Vec<f64> = self.ranked.iter().map(|s| s.1).collect();
+        &self.ranked[..conformal_set(&p, self.level).len()]
     }
 
     /// The posterior of a log that cannot tell the effects of these pairs apart: they share the probability.
@@ -256,20 +246,17 @@ mod tests {
 
     #[test]
     fn a_feature_that_a_statement_lacks_is_zero_and_a_head_names_only_features() {
-        let layout = || Layout {
-            common: [&["density"], &["claim", "unusual"], &[], &[]],
-            effects: vec!["leak"],
-        };
-        assert_eq!(
-            layout().features([&[2.0], &[], &[], &[]], &["leak"]),
-            [2.0, 0.0, 0.0, 1.0]
-        );
         let head = |name: &str| {
             Head::built_in(
                 &format!("conformal = 0.9\n[weight]\n{name} = 3.5\n"),
-                layout(),
+                ["density", "claim unusual", "", ""],
+                vec!["leak"],
             )
         };
+        assert_eq!(
+            head("claim").features([&[2.0], &[], &[], &[]], &["leak"]),
+            [2.0, 0.0, 0.0, 1.0]
+        );
         assert_eq!(head("claim").weights, [0.0, 3.5, 0.0, 0.0]);
         assert!(std::panic::catch_unwind(|| head("clam")).is_err());
     }

@@ -1,8 +1,8 @@
 //! A simulator beside a log: the JSON file, and the answer in words.
 
 use crate::diagnosis::tip::fit::CLAIM_DEG;
-use crate::diagnosis::tip::observed::Observed;
-use crate::diagnosis::tip::{DependenceEntry, Diagnosis, goes_with};
+use crate::diagnosis::tip::observed::{Depends, Observed};
+use crate::diagnosis::tip::{Diagnosis, goes_with};
 use crate::experiment::compare::{Compared, Knob};
 use crate::report::gap::words;
 use crate::report::table::table;
@@ -16,7 +16,7 @@ pub struct Document {
     nominal_deg: f64,
     diagnosed_deg: f64,
     noise_floor_deg: f64,
-    goes_with: Vec<DependenceEntry>,
+    goes_with: Vec<Depends>,
     params: Vec<ParamEntry>,
 }
 

@@ -47,7 +47,7 @@ impl Evidence {
     /// The evidence of a diagnosis on its log.
     pub fn new(log: &Observed, done: &Diagnosed) -> Self {
         let (before, after) = (&done.found.nominal.held_out, &done.chosen.held_out);
-        let lines = lines(&done.found.nominal.fitted.theta);
+        let lines = lines(&done.found.nominal.theta);
         let start_s = log.start_s();
         let spot = |k: usize| {
             let (bend_deg, dir_deg) = polar_deg(&commanded_bend(log, &lines, k));

@@ -34,7 +34,7 @@ pub fn summary(out: &Path, request: &Request, d: &Design) -> String {
          next: run it after at least 2 s of rest, log it, and run `retroflex gap diagnose` on the log",
         out.display(),
         d.rows.len(),
-        d.distances.duration_s,
+        d.duration_s,
         request.seed,
         request.rounds
     )

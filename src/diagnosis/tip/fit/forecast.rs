@@ -50,24 +50,19 @@ pub fn best_predicting(
         base = fitted(log, &effects, &start.theta);
         all.push(Candidate::new(&base));
     }
-    let least = all
-        .into_iter()
-        .min_by(|a, b| a.energy().total_cmp(&b.energy()));
+    let all = all.into_iter();
+    let least = all.min_by(|a, b| a.energy().total_cmp(&b.energy()));
     let whole = least.unwrap_or_else(|| chosen.clone());
-    let spared = match whole.names == base.problem.model.names() {
-        true => weak(&base),
-        false => vec![],
-    };
+    let last = whole.names == base.problem.model.names();
+    let spared = if last { weak(&base) } else { vec![] };
     let mut kept = Model::named(catalogue, &whole.names).effects;
     kept.retain(|e| !spared.contains(&e.name()));
     let reduced = Candidate::new(&fitted(log, &kept, &start(&kept, catalogue, &whole)));
     let better = reduced.energy() <= WORSE_MAX * whole.energy();
-    let best = if better { reduced } else { whole };
-    let less = |best: Candidate, other: &Candidate| match other.energy() < best.energy() {
-        true => other.clone(),
-        false => best,
-    };
-    [nominal, chosen].into_iter().fold(best, less)
+    let best = if better { &reduced } else { &whole };
+    let all = [best, nominal, chosen].into_iter();
+    let least = all.min_by(|a, b| a.energy().total_cmp(&b.energy()));
+    least.unwrap_or(best).clone()
 }
 
 /// Whether an effect acts all the time, can be fed forward or disturbs the readings, and has few valleys.
@@ -91,10 +86,8 @@ fn promising<'a>(
         let to = LeastSquares::new(log, Model::named(catalogue, &names));
         best_start(base, &to, e).map(|s| (to.model.effects, s))
     };
-    let fresh = catalogue
-        .par_iter()
-        .map(Box::as_ref)
-        .filter(|e| !known.contains(&e.name()));
+    let all = catalogue.par_iter().map(Box::as_ref);
+    let fresh = all.filter(|e| !known.contains(&e.name()));
     let tried = fresh.filter_map(tried);
     let best = tried.min_by(|a, b| a.1.predicted.total_cmp(&b.1.predicted))?;
     (best.1.predicted < PROMISE * base.point.total()).then_some(best)
@@ -103,7 +96,7 @@ fn promising<'a>(
 /// Parameters at which the fit of `effects` starts: those of `from`, and the vanishing point of every other effect.
 fn start(effects: &[&dyn Effect], catalogue: &[Box<dyn Effect>], from: &Candidate) -> Vec<f64> {
     let known = Model::named(catalogue, &from.names);
-    Model::new(effects).extended(&known, &from.fitted.theta, vanishing)
+    Model::new(effects).extended(&known, &from.theta, vanishing)
 }
 
 fn fitted<'a>(log: &'a Observed, effects: &[&'a dyn Effect], start: &[f64]) -> BaseFit<'a> {

@@ -8,30 +8,6 @@ use crate::model::effects::Param;
 /// are correlated, so a prior counts as much as four bins.
 pub const PRIOR_SLOPE: f64 = 2.0;
 
-/// Prior and limits of one parameter.
-#[derive(Debug, Clone, Copy)]
-pub struct Bound {
-    /// Mean of the prior.
-    pub start: f64,
-    /// Unit step of the fit.
-    pub scale: f64,
-    /// Least value.
-    pub low: f64,
-    /// Largest value.
-    pub high: f64,
-}
-
-impl Bound {
-    fn new(start: f64, scale: f64, low: f64, high: f64) -> Self {
-        Self {
-            start,
-            scale,
-            low,
-            high,
-        }
-    }
-}
-
 /// A model, the log it is fitted to, and the bounds of its parameters.
 #[derive(Clone)]
 pub struct LeastSquares<'a> {
@@ -39,8 +15,8 @@ pub struct LeastSquares<'a> {
     pub log: &'a Observed,
     /// The model.
     pub model: Model<'a>,
-    /// One bound per parameter.
-    pub bounds: Vec<Bound>,
+    /// Prior and limits of each parameter, nominal ones first.
+    pub bounds: Vec<Param>,
 }
 
 /// A point of the parameter space with everything that follows from it.
@@ -72,13 +48,11 @@ impl<'a> LeastSquares<'a> {
     /// The problem of fitting a model to a log.
     pub fn new(log: &'a Observed, model: Model<'a>) -> Self {
         let prior = log.rig.prior;
-        let mut bounds = vec![Bound::new((1.0 + prior.k_epsilon).ln(), 0.3, 0.0, 2.0); 3];
-        bounds.extend([Bound::new(prior.k_lambda_mm, 0.4, 0.0, 3.0); 3]);
-        bounds.push(Bound::new(log.rig.prior_lag_s, 0.015, 0.002, LAG_MAX_S));
-        for e in &model.effects {
-            let of = |p: &Param| Bound::new(p.start, p.scale, p.low, p.high);
-            bounds.extend(e.params().iter().map(of));
-        }
+        let (k_epsilon, lag_s) = ((1.0 + prior.k_epsilon).ln(), log.rig.prior_lag_s);
+        let mut bounds = vec![Param::new("ln(1 + k_epsilon)", "", k_epsilon, 0.3, (0.0, 2.0)); 3];
+        bounds.extend([Param::new("k_lambda", "mm", prior.k_lambda_mm, 0.4, (0.0, 3.0)); 3]);
+        bounds.push(Param::new("lag", "s", lag_s, 0.015, (0.002, LAG_MAX_S)));
+        bounds.extend(model.effects.iter().flat_map(|e| e.params()));
         // one of several logs has the event
         for event in model.all_events() {
             bounds[event.time].scale *= log.segments.len() as f64;
@@ -89,16 +63,6 @@ impl<'a> LeastSquares<'a> {
     /// Motion of the model at `theta`.
     pub fn motion(&self, theta: &[f64]) -> Motion {
         run(self.log, &self.model, theta)
-    }
-
-    /// Residuals of a motion; gravity, field and gyroscope bias are solved on the bins that `mask` selects.
-    pub fn sensed(
-        &self,
-        theta: &[f64],
-        motion: &Motion,
-        mask: impl Fn(usize) -> bool,
-    ) -> Residuals {
-        sense(self.log, &self.model, theta, motion, mask)
     }
 
     /// Runs the model at `theta`.
@@ -116,13 +80,13 @@ impl<'a> LeastSquares<'a> {
 
     /// Runs the model at `theta` moved into the limits.
     pub fn at_clamped(&self, theta: &[f64]) -> Point {
-        let bounded = theta.iter().zip(&self.bounds);
-        self.at(bounded.map(|(t, b)| t.clamp(b.low, b.high)).collect())
+        self.at(within(theta.iter().copied(), &self.bounds))
     }
 
     /// Weighted residuals of a motion.
     pub fn residual(&self, theta: &[f64], motion: &Motion) -> Vec<f64> {
-        weighted(self.log, &self.sensed(theta, motion, every_bin))
+        let residual = sense(self.log, &self.model, theta, motion, every_bin);
+        weighted(self.log, &residual)
     }
 
     /// Weighted residuals at `theta`; gravity, field and gyroscope bias of each log are solved on its rest, until `until_s` after its
@@ -134,14 +98,21 @@ impl<'a> LeastSquares<'a> {
             segment.map_or((0, log.start_s()), |s| (s.bins.start, s.start_s))
         };
         let resting = |k: usize| of(k).0 == k || log.bins[k].t_s - of(k).1 < until_s;
-        weighted(log, &self.sensed(theta, &self.motion(theta), resting))
+        let residual = sense(log, &self.model, theta, &self.motion(theta), resting);
+        weighted(log, &residual)
     }
 
     /// Sum of squares of the priors.
     pub fn prior(&self, theta: &[f64]) -> f64 {
-        let away = |(t, b): (&f64, &Bound)| (PRIOR_SLOPE * (t - b.start) / b.scale).powi(2);
+        let away = |(t, b): (&f64, &Param)| (PRIOR_SLOPE * (t - b.start) / b.scale).powi(2);
         theta.iter().zip(&self.bounds).map(away).sum()
     }
+}
+
+/// Parameters moved into their limits.
+pub fn within(theta: impl IntoIterator<Item = f64>, bounds: &[Param]) -> Vec<f64> {
+    let bounded = theta.into_iter().zip(bounds);
+    bounded.map(|(t, b)| t.clamp(b.low, b.high)).collect()
 }
 
 /// Weighted residuals, bin by bin, the logged quantities, three components each.

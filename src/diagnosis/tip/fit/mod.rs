@@ -7,7 +7,6 @@
 pub mod candidate;
 pub mod forecast;
 pub mod holdout;
-pub mod interval;
 pub mod least_squares;
 pub mod screen;
 pub mod start;
@@ -15,15 +14,14 @@ pub mod tangent;
 
 pub use candidate::Candidate;
 pub use forecast::best_predicting;
-pub use holdout::{BLOCKS_S, CLAIM_DEG, HeldOut, density, leave_out, score, scored};
-pub use interval::{Compared, closed_ci95};
-pub use least_squares::{LeastSquares, PRIOR_SLOPE, Point, weighted};
+pub use holdout::{BLOCKS_S, CLAIM_DEG, HeldOut, closed_ci95, density, leave_out, score, scored};
+pub use least_squares::{LeastSquares, PRIOR_SLOPE, Point, weighted, within};
 pub use screen::{Alone, alone, schwarz, screen};
-pub use start::{Start, best_start, dated_again, dates, stepped, vanishing};
+pub use start::{Start, best_start, dated_again, stepped, vanishing};
 pub use tangent::{BaseFit, Sums, Tangent};
 
-use crate::diagnosis::tip::fit::least_squares::Bound;
-use nalgebra::{DMatrix, DVector};
+use crate::model::effects::Param;
+use nalgebra::DVector;
 
 /// Relative gain of a step below which a fit has converged.
 const CONVERGED: f64 = 1e-3;
@@ -34,54 +32,14 @@ const DAMPING: f64 = 1e-3;
 /// Dampings tried before a fit gives up.
 const ATTEMPTS: usize = 6;
 
-/// A fitted model.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Fitted {
-    /// Parameters: nominal, then effects.
-    pub theta: Vec<f64>,
-    /// Weighted sum of squares without the priors.
-    pub cost: f64,
-    /// Inverse of the normal matrix, for standard errors of white residuals.
-    pub covariance: DMatrix<f64>,
-    /// Information that the log gives about the parameters: half the logarithm of the determinant of the normal matrix over that of the
-    /// priors alone (the Occam factor of Laplace's evidence, MacKay 1992).
-    pub information: f64,
-}
-
-impl Fitted {
-    /// The result of a fit.
-    pub fn new(fit: &BaseFit<'_>) -> Self {
-        let (bounds, normal) = (&fit.problem.bounds, fit.sums().normal);
-        let n = bounds.len();
-        let inverse = normal.clone().try_inverse();
-        let inverse = inverse.unwrap_or_else(|| DMatrix::identity(n, n));
-        let over_prior = |d: &f64| (d / PRIOR_SLOPE).ln();
-        let roots = normal.cholesky().map(|c| c.l().diagonal());
-        let information = roots.map_or(0.0, |d| d.iter().map(over_prior).sum());
-        let scale = |i: usize| bounds[i].scale;
-        let covariance = DMatrix::from_fn(n, n, |a, b| inverse[(a, b)] * scale(a) * scale(b));
-        Self {
-            theta: fit.point.theta.clone(),
-            cost: fit.point.data(),
-            covariance,
-            information,
-        }
-    }
-}
-
 /// Fits from `start` with at most `rounds` accepted steps. After a last step within `CONVERGED` the tangent is that of the point before.
 pub fn fit<'a>(problem: LeastSquares<'a>, start: &[f64], rounds: usize) -> BaseFit<'a> {
-    let mut point = problem.at_clamped(start);
-    let mut damping = DAMPING;
+    let (mut point, mut damping) = (problem.at_clamped(start), DAMPING);
+    let mut tangent = Tangent::new(&problem, &point);
     for _ in 0..rounds {
-        let tangent = Tangent::new(&problem, &point);
         let mut sums = tangent.sums(&problem, &point);
         let Some(mut next) = downhill(&problem, &point, &sums, &mut damping) else {
-            return BaseFit {
-                problem,
-                point,
-                tangent,
-            };
+            break;
         };
         if next.total() < (1.0 - SECOND_STEP) * point.total() {
             sums.gradient = tangent.gradient(&problem, &next.theta, &next.residual);
@@ -92,14 +50,10 @@ pub fn fit<'a>(problem: LeastSquares<'a>, start: &[f64], rounds: usize) -> BaseF
         let gained = 1.0 - next.total() / point.total();
         point = next;
         if gained <= CONVERGED {
-            return BaseFit {
-                problem,
-                point,
-                tangent,
-            };
+            break;
         }
+        tangent = Tangent::new(&problem, &point);
     }
-    let tangent = Tangent::new(&problem, &point);
     BaseFit {
         problem,
         point,
@@ -127,7 +81,7 @@ fn downhill(
 
 /// Parameters after one damped Gauss-Newton step within the limits. A parameter that is at a limit and pushes against
 /// it is held there, and the step is solved again; `None` if the normal matrix is singular.
-pub fn step(theta: &[f64], bounds: &[Bound], sums: &Sums, damping: f64) -> Option<Vec<f64>> {
+pub fn step(theta: &[f64], bounds: &[Param], sums: &Sums, damping: f64) -> Option<Vec<f64>> {
     let mut free: Vec<bool> = vec![true; theta.len()];
     for _ in 0..3 {
         let mut damped = sums.normal.clone();
@@ -150,11 +104,7 @@ pub fn step(theta: &[f64], bounds: &[Bound], sums: &Sums, damping: f64) -> Optio
         };
         let held: Vec<usize> = (0..theta.len()).filter(|&i| free[i] && stuck(i)).collect();
         if held.is_empty() {
-            let clamped = target
-                .iter()
-                .zip(bounds)
-                .map(|(t, b)| t.clamp(b.low, b.high));
-            return Some(clamped.collect());
+            return Some(within(target, bounds));
         }
         held.into_iter().for_each(|i| free[i] = false);
     }

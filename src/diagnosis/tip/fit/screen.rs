@@ -4,7 +4,9 @@
 //! each does alone, from where one step along the tangents of both fits, with the nominal gains, predicts what a fit of the pair would
 //! leave. All pairs share one normal matrix, of the tangents at all singles and of their changes.
 
-use crate::diagnosis::tip::fit::{BaseFit, Candidate, LeastSquares, Start, Sums, Tangent, stepped};
+use crate::diagnosis::tip::fit::{
+    BaseFit, Candidate, LeastSquares, Start, Sums, Tangent, stepped, within,
+};
 use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::{CORRELATED_S, Observed};
 use crate::model::NOMINAL;
@@ -20,9 +22,10 @@ pub fn alone(nominal: &BaseFit<'_>, fit: BaseFit<'_>) -> Alone {
     let candidate = Candidate::new(&fit);
     let residuals = fit.point.residual.iter().zip(&nominal.point.residual);
     let change = residuals.map(|(r, r0)| (r - r0) as f32).collect();
-    let mut columns = fit.tangent.after(NOMINAL);
+    let mut columns = fit.tangent.columns;
+    columns.drain(..NOMINAL);
     columns.push(change);
-    (candidate, columns)
+    (candidate, Tangent { columns })
 }
 
 /// Schwarz's criterion (1978) of a sum of squares: what a model with this many parameters more leaves, and what they cost.
@@ -37,16 +40,20 @@ pub fn screen(
     catalogue: &[Box<dyn Effect>],
     alone: &[Alone],
 ) -> Vec<([&'static str; 2], Vec<f64>)> {
-    let gram = Gram::new(nominal, alone);
+    let (mut all, mut at) = (nominal.tangent.clone(), vec![NOMINAL]);
+    for (_, own) in alone {
+        all.columns.extend_from_slice(&own.columns);
+        at.push(all.columns.len());
+    }
+    let sums = all.whole(&nominal.point, nominal.problem.log.bins.len());
+    let gram = Gram { sums, at };
     let mut out: Vec<([&'static str; 2], f64, Start)> = Vec::new();
     for a in 0..alone.len() {
         out.extend((0..a).filter_map(|b| gram.pair(nominal, catalogue, alone, [a, b])));
     }
     out.sort_by(|a, b| a.1.total_cmp(&b.1));
-    let starts = out
-        .into_iter()
-        .map(|(names, _, start)| (names, start.theta));
-    starts.collect()
+    let out = out.into_iter();
+    out.map(|(names, _, start)| (names, start.theta)).collect()
 }
 
 /// Products of all columns with each other and with the residuals of the nominal model.
@@ -57,18 +64,6 @@ struct Gram {
 }
 
 impl Gram {
-    fn new(nominal: &BaseFit<'_>, alone: &[Alone]) -> Self {
-        let (mut columns, mut at) = (nominal.tangent.clone(), vec![NOMINAL]);
-        for (_, own) in alone {
-            columns.append(own.clone(), 0);
-            at.push(columns.width());
-        }
-        Self {
-            sums: columns.whole(&nominal.point, nominal.problem.log.bins.len()),
-            at,
-        }
-    }
-
     /// Names, [`schwarz`], and the start of a fit of two singles.
     fn pair(
         &self,
@@ -93,16 +88,10 @@ impl Gram {
         let along = |i: usize| gradient[i] + changes.iter().map(|&c| normal[(i, c)]).sum::<f64>();
         let squares =
             nominal.point.data() + changes.iter().map(|&c| gradient[c] + along(c)).sum::<f64>();
-        let thetas = of.map(|k| &alone[k].0.fitted.theta);
+        let thetas = of.map(|k| &alone[k].0.theta);
         let gains = (0..NOMINAL).map(|i| thetas[0][i] + thetas[1][i] - nominal.point.theta[i]);
-        let own = thetas
-            .into_iter()
-            .flat_map(|t| t[NOMINAL..].iter().copied());
-        let theta = gains
-            .chain(own)
-            .zip(&problem.bounds)
-            .map(|(t, b)| t.clamp(b.low, b.high));
-        let theta: Vec<f64> = theta.collect();
+        let own = thetas.iter().flat_map(|t| &t[NOMINAL..]).copied();
+        let theta = within(gains.chain(own), &problem.bounds);
         let n = used.len();
         let mut sums = Sums {
             normal: DMatrix::from_fn(n, n, |a, b| normal[(used[a], used[b])]),

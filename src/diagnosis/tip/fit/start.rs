@@ -80,45 +80,33 @@ pub fn stepped(
     })
 }
 
-/// Finds the time of an event by what its offsets would change from the rest of a log on.
-struct Dating {
-    /// Per log, what one unit of each offset changes in the residuals.
-    columns: Vec<[Vec<f64>; 3]>,
-}
-
-impl Dating {
-    /// For the events of one effect, all of which are absent: an event changes little of what another one does.
-    fn new(problem: &LeastSquares<'_>, theta: &[f64], events: &[Event]) -> Self {
-        let (log, mut without) = (problem.log, theta.to_vec());
-        let offsets = events.iter().flat_map(|e| e.offsets);
-        offsets.for_each(|o| without[o] = 0.0);
-        let r0 = problem.residual_from_rest(&without, EARLY_S);
-        let of = |segment: &Segment, event: &Event| {
-            event.offsets.map(|o| {
-                let (mut moved, scale) = (without.clone(), problem.bounds[o].scale);
-                (moved[event.time], moved[o]) = (segment.start_s - log.start_s() + EARLY_S, scale);
-                let with = problem.residual_from_rest(&moved, EARLY_S);
-                with.iter().zip(&r0).map(|(x, y)| (x - y) / scale).collect()
-            })
-        };
-        let first = events.first();
-        let each = |event| log.segments.iter().map(|s| of(s, event)).collect();
-        Self {
-            columns: first.map_or(vec![], each),
-        }
-    }
-
-    /// Sets time and offsets of an event to those that lower the sum of squares most.
-    fn date(&self, event: &Event, problem: &LeastSquares<'_>, theta: &mut [f64]) {
-        let log = problem.log;
+/// Dates the events of one effect, each while the others stay, so many times, by what their offsets would change from the rest of a log on.
+/// That is found with all of them absent: an event changes little of what another one does.
+fn date(problem: &LeastSquares<'_>, theta: &mut [f64], events: &[Event], rounds: usize) {
+    let Some(first) = events.first() else { return };
+    let (log, mut without) = (problem.log, theta.to_vec());
+    let offsets = events.iter().flat_map(|e| e.offsets);
+    offsets.for_each(|o| without[o] = 0.0);
+    let r0 = problem.residual_from_rest(&without, EARLY_S);
+    // per log, what one unit of each offset changes in the residuals
+    let change = |segment: &Segment| {
+        first.offsets.map(|o| {
+            let (mut moved, scale) = (without.clone(), problem.bounds[o].scale);
+            (moved[first.time], moved[o]) = (segment.start_s - log.start_s() + EARLY_S, scale);
+            let with = problem.residual_from_rest(&moved, EARLY_S);
+            with.iter().zip(&r0).map(|(x, y)| (x - y) / scale).collect()
+        })
+    };
+    let changes: Vec<[Vec<f64>; 3]> = log.segments.iter().map(change).collect();
+    for event in (0..rounds).flat_map(|_| events) {
         event.offsets.iter().for_each(|&o| theta[o] = 0.0);
         // gravity and field solved on the whole log would follow the event
         let r = problem.residual_from_rest(theta, EARLY_S);
         let stride = r.len() / log.bins.len();
-        let parts = log.segments.iter().zip(&self.columns);
+        let parts = log.segments.iter().zip(&changes);
         let of = parts.map(|(s, columns)| best_time(s.bins.clone(), stride, columns, &r));
         let Some((_, bin, offsets)) = of.max_by(|a, b| a.0.total_cmp(&b.0)) else {
-            return;
+            continue;
         };
         theta[event.time] = log.bins[bin].t_s - log.start_s();
         for (&o, v) in event.offsets.iter().zip(offsets.iter()) {
@@ -131,29 +119,14 @@ impl Dating {
 /// dated again while the others stay.
 fn scan(base: &BaseFit<'_>, to: &LeastSquares<'_>, added: &dyn Effect) -> Option<Vec<f64>> {
     let model = &to.model;
-    let effect = model
-        .effects
-        .iter()
-        .position(|e| e.name() == added.name())?;
+    let effect = model.position(added.name())?;
     let mut theta = model.extended(&base.problem.model, &base.point.theta, vanishing);
     let events: Vec<Event> = model.events(effect).collect();
     for lasting in events.iter().filter_map(|e| e.lasting) {
         theta[lasting] = SCANNED_S;
     }
-    let dating = Dating::new(to, &theta, &events);
-    for _ in 0..=DATED_ROUNDS {
-        events.iter().for_each(|e| dating.date(e, to, &mut theta));
-    }
+    date(to, &mut theta, &events, DATED_ROUNDS + 1);
     (!events.is_empty()).then(|| model.of(&theta, effect).to_vec())
-}
-
-/// Indices in θ of the times and durations of all events.
-pub fn dates(problem: &LeastSquares<'_>) -> Vec<usize> {
-    let events = problem.model.all_events();
-    events
-        .flat_map(|e| [Some(e.time), e.lasting])
-        .flatten()
-        .collect()
 }
 
 /// The parameters with every quick event dated again, each while all others stay as fitted; `None` if the model has no
@@ -171,12 +144,7 @@ pub fn dated_again(fit: &BaseFit<'_>, slow_too: bool) -> Option<Vec<f64>> {
         for lasting in quick.iter().filter_map(|e| e.lasting).filter(|_| slow_too) {
             theta[lasting] = SCANNED_S;
         }
-        let dating = Dating::new(problem, &theta, &quick);
-        for _ in 0..DATED_ROUNDS {
-            quick
-                .iter()
-                .for_each(|e| dating.date(e, problem, &mut theta));
-        }
+        date(problem, &mut theta, &quick, DATED_ROUNDS);
         any |= !quick.is_empty();
     }
     any.then_some(theta)

@@ -16,7 +16,8 @@ const STEP: f64 = 2e-3;
 /// ∂(weighted residuals)/∂(θ in units of scale), column by column, in single precision; a full run checks each step.
 #[derive(Debug, Clone)]
 pub struct Tangent {
-    columns: Vec<Vec<f32>>,
+    /// The columns.
+    pub columns: Vec<Vec<f32>>,
 }
 
 /// Normal matrix and gradient of a sum of squares.
@@ -42,15 +43,11 @@ pub struct BaseFit<'a> {
 fn column(problem: &LeastSquares<'_>, point: &Point, c: usize) -> Vec<f32> {
     let (mut moved, b) = (point.theta.clone(), &problem.bounds[c]);
     // away from the upper limit
-    let h = match moved[c] + STEP * b.scale > b.high {
-        true => -STEP * b.scale,
-        false => STEP * b.scale,
-    };
+    let h = STEP * b.scale;
+    let h = if moved[c] + h > b.high { -h } else { h };
     moved[c] += h;
-    let residual = match problem.model.sensing_only(c) {
-        true => problem.residual(&moved, &point.motion),
-        false => problem.residual(&moved, &problem.motion(&moved)),
-    };
+    let motion = (!problem.model.sensing_only(c)).then(|| problem.motion(&moved));
+    let residual = problem.residual(&moved, motion.as_ref().unwrap_or(&point.motion));
     let per_scale = b.scale / h;
     let moved = residual.iter().zip(&point.residual);
     moved.map(|(x, r)| ((x - r) * per_scale) as f32).collect()
@@ -70,7 +67,7 @@ impl Tangent {
         let (model, known) = (&problem.model, &base.problem.model);
         let mut columns = base.tangent.columns[..NOMINAL].to_vec();
         for (i, e) in model.effects.iter().enumerate() {
-            match known.effects.iter().position(|x| x.name() == e.name()) {
+            match known.position(e.name()) {
                 Some(k) => columns.extend_from_slice(known.of(&base.tangent.columns, k)),
                 None => columns.extend(model.place(i).map(|c| column(problem, point, c))),
             }
@@ -78,32 +75,10 @@ impl Tangent {
         Self { columns }
     }
 
-    /// Number of columns.
-    pub fn width(&self) -> usize {
-        self.columns.len()
-    }
-
-    /// Appends the columns of another tangent from column `from` on.
-    pub fn append(&mut self, other: Self, from: usize) {
-        self.columns.extend(other.columns.into_iter().skip(from));
-    }
-
-    /// The columns from `from` on.
-    #[must_use]
-    pub fn after(self, from: usize) -> Self {
-        Self {
-            columns: self.columns.into_iter().skip(from).collect(),
-        }
-    }
-
-    /// Appends a column.
-    pub fn push(&mut self, column: Vec<f32>) {
-        self.columns.push(column);
-    }
-
     /// Sums over all bins without the priors.
     pub fn whole(&self, point: &Point, bins: usize) -> Sums {
-        self.parts(point, bins, 1, |_| Some(0)).swap_remove(0)
+        let [whole] = self.parts(point, &vec![Some(0); bins]);
+        whole
     }
 
     /// Sums over all bins, including the priors.
@@ -127,39 +102,36 @@ impl Tangent {
         gradient
     }
 
-    /// Sums over groups of bins without the priors; `group` gives the group of a bin.
-    pub fn parts(
-        &self,
-        point: &Point,
-        bins: usize,
-        groups: usize,
-        group: impl Fn(usize) -> Option<usize>,
-    ) -> Vec<Sums> {
-        let (n, stride) = (self.columns.len(), point.residual.len() / bins.max(1));
+    /// Sums over `N` groups of bins without the priors, from the group of each bin.
+    pub fn parts<const N: usize>(&self, point: &Point, groups: &[Option<usize>]) -> [Sums; N] {
+        let (n, stride) = (
+            self.columns.len(),
+            point.residual.len() / groups.len().max(1),
+        );
         let residual: Vec<f32> = point.residual.iter().map(|r| *r as f32).collect();
-        let (normal, gradient) = (DMatrix::zeros(n, n), DVector::zeros(n));
-        let mut out = vec![Sums { normal, gradient }; groups];
+        let mut out: [Sums; N] = std::array::from_fn(|_| Sums {
+            normal: DMatrix::zeros(n, n),
+            gradient: DVector::zeros(n),
+        });
+        let alike = groups.chunk_by(|a, b| a == b);
         let mut from = 0;
-        while from < bins {
-            let of = group(from);
-            let mut to = from + 1;
-            while to < bins && to - from < CHUNK_BINS && group(to) == of {
-                to += 1;
-            }
-            if let Some(sums) = of.and_then(|g| out.get_mut(g)) {
-                let rows = from * stride..to * stride;
-                for (a, column) in self.columns.iter().enumerate() {
-                    let column = &column[rows.clone()];
-                    for (b, other) in self.columns[..=a].iter().enumerate() {
-                        sums.normal[(a, b)] += dot(column, &other[rows.clone()]);
-                    }
-                    sums.gradient[a] += dot(column, &residual[rows.clone()]);
+        for bins in alike.flat_map(|bins| bins.chunks(CHUNK_BINS)) {
+            let rows = from..from + bins.len() * stride;
+            from = rows.end;
+            let Some(sums) = bins[0].and_then(|g| out.get_mut(g)) else {
+                continue;
+            };
+            for (a, column) in self.columns.iter().enumerate() {
+                let column = &column[rows.clone()];
+                for (b, other) in self.columns[..=a].iter().enumerate() {
+                    sums.normal[(a, b)] += dot(column, &other[rows.clone()]);
                 }
+                sums.gradient[a] += dot(column, &residual[rows.clone()]);
             }
-            from = to;
         }
-        out.iter_mut()
-            .for_each(|sums| sums.normal.fill_upper_triangle_with_lower_triangle());
+        for sums in &mut out {
+            sums.normal.fill_upper_triangle_with_lower_triangle();
+        }
         out
     }
 }

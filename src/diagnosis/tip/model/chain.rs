@@ -36,16 +36,19 @@ impl<'a> Model<'a> {
 
     /// The nominal model with the named effects of a catalogue.
     pub fn named(catalogue: &'a [Box<dyn Effect>], names: &[&str]) -> Self {
-        let all = catalogue.iter().map(AsRef::as_ref);
-        Self::new(
-            &all.filter(|e| names.contains(&e.name()))
-                .collect::<Vec<_>>(),
-        )
+        let mut effects: Vec<&dyn Effect> = catalogue.iter().map(AsRef::as_ref).collect();
+        effects.retain(|e| names.contains(&e.name()));
+        Self::new(&effects)
     }
 
     /// Names of the effects.
     pub fn names(&self) -> Vec<&'static str> {
         self.effects.iter().map(|e| e.name()).collect()
+    }
+
+    /// Place of the named effect among those of the model.
+    pub fn position(&self, name: &str) -> Option<usize> {
+        self.effects.iter().position(|e| e.name() == name)
     }
 
     /// Parameters of effect `i`.
@@ -76,7 +79,7 @@ impl<'a> Model<'a> {
     ) -> Vec<f64> {
         let mut out = theta[..NOMINAL].to_vec();
         for e in &self.effects {
-            match from.effects.iter().position(|x| x.name() == e.name()) {
+            match from.position(e.name()) {
                 Some(i) => out.extend_from_slice(from.of(theta, i)),
                 None => out.extend(fresh(*e)),
             }
@@ -153,20 +156,19 @@ pub fn run(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Motion {
     let mut out = Vec::with_capacity(log.t_s.len());
     for segment in &log.segments {
         let own = parameters(log, segment, model, theta);
-        run_segment(log, segment, model, &own, &mut out);
-        from_rest(&mut out[segment.instants.clone()]);
+        append(log, segment, model, &own, &mut out);
+        // the initial rest *defines* zero bend and the base frame, also for a tip that sags before anything moves
+        let motion = &mut out[segment.instants.clone()];
+        let back = motion.first().map(Matrix3::transpose);
+        if let Some(back) = back.filter(|back| *back != Matrix3::identity()) {
+            motion.iter_mut().for_each(|r| *r = back * *r);
+        }
     }
     out
 }
 
 /// Appends the motion of one segment, which starts at rest.
-fn run_segment(
-    log: &Observed,
-    segment: &Segment,
-    model: &Model<'_>,
-    theta: &[f64],
-    out: &mut Motion,
-) {
+fn append(log: &Observed, segment: &Segment, model: &Model<'_>, theta: &[f64], out: &mut Motion) {
     let lag_s = theta[6].max(1e-3);
     let behind_s: f64 = model.each(theta).map(|(e, p)| e.transport_s(p)).sum();
     // a late sensor also samples between the middles of bins
@@ -174,24 +176,26 @@ fn run_segment(
     let chain = Chain::new(log.rig.geometry, &model.effects, &model.at, theta);
     let mut memory = vec![Memory::default(); model.effects.len()];
     let mut at = chain.moment(segment.up_base, FIRST_STEP_S);
-    let mut delayed = Delayed {
-        log,
-        behind_s,
-        at: segment.rows.start,
+    // the pistons as counted a dead time ago; called with increasing instants
+    let mut row = segment.rows.start;
+    let mut counted_mm = |k: usize| {
+        if behind_s <= 0.0 {
+            return log.piston_mm[k];
+        }
+        let (rows, t) = (&log.rows, log.t_s[k] - behind_s);
+        while rows.t_s.get(row + 1).is_some_and(|&next| next <= t) {
+            row += 1;
+        }
+        rows.piston_after(row, t)
     };
     let (mut w, mut lagged, mut before) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
     let (mut keep, mut keep_dt) = (0.0, -1.0);
+    let first = segment.instants.start;
+    let step_s = |k: usize| log.t_s[k] - log.t_s[k - 1];
     for k in segment.instants.clone() {
-        let dt_s = match k == segment.instants.start {
-            true => FIRST_STEP_S,
-            false => log.t_s[k] - log.t_s[k - 1],
-        };
-        (at.t_s, at.dt_s, at.counted_mm, at.idle_s) = (
-            log.t_s[k] - segment.start_s,
-            dt_s,
-            delayed.piston(k),
-            log.idle_s[k],
-        );
+        let dt_s = if k == first { FIRST_STEP_S } else { step_s(k) };
+        (at.t_s, at.dt_s) = (log.t_s[k] - segment.start_s, dt_s);
+        (at.counted_mm, at.idle_s) = (counted_mm(k), log.idle_s[k]);
         if (dt_s - keep_dt).abs() > 1e-7 {
             (keep, keep_dt) = ((-dt_s / lag_s).exp(), dt_s);
         }
@@ -205,19 +209,6 @@ fn run_segment(
             true => orientation(&chain.pose(&mut memory, &at, &lagged)),
             false => Matrix3::zeros(),
         });
-    }
-}
-
-/// Expresses the motion relative to its first orientation: the initial rest *defines* zero bend and the base frame,
-/// also for a tip that sags before anything moves.
-fn from_rest(motion: &mut [Matrix3<f64>]) {
-    let Some(back) = motion.first().map(Matrix3::transpose) else {
-        return;
-    };
-    if back != Matrix3::identity() {
-        for r in motion.iter_mut() {
-            *r = back * *r;
-        }
     }
 }
 
@@ -243,27 +234,6 @@ fn rotation(bend: &Bend) -> Matrix3<f64> {
     let first = [1.0 - v * y * y, v * x * y, -s * y];
     let second = [v * x * y, 1.0 - v * x * x, s * x];
     Matrix3::from([first, second, [s * y, -s * x, 1.0 - v * beta2]])
-}
-
-/// Pistons as counted a dead time ago.
-struct Delayed<'a> {
-    log: &'a Observed,
-    behind_s: f64,
-    at: usize,
-}
-
-impl Delayed<'_> {
-    /// Pistons for instant `k`, mm; `k` must not decrease from call to call.
-    fn piston(&mut self, k: usize) -> Vector3<f64> {
-        if self.behind_s <= 0.0 {
-            return self.log.piston_mm[k];
-        }
-        let (rows, t) = (&self.log.rows, self.log.t_s[k] - self.behind_s);
-        while rows.t_s.get(self.at + 1).is_some_and(|&next| next <= t) {
-            self.at += 1;
-        }
-        rows.piston_after(self.at, t)
-    }
 }
 
 #[cfg(test)]

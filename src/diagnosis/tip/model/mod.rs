@@ -4,4 +4,4 @@ pub mod chain;
 pub mod sense;
 
 pub use chain::{Event, FIRST_STEP_S, LAG_MAX_S, Model, Motion, parameters, run};
-pub use sense::{Residuals, between, every_bin, residuals, sense};
+pub use sense::{Residuals, every_bin, residuals, sense};

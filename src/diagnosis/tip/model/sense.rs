@@ -4,7 +4,9 @@
 //! (variable projection, Golub & Pereyra 1973) from the bins that a mask selects.
 
 use crate::diagnosis::tip::model::{FIRST_STEP_S, Model, Motion, parameters, run};
-use crate::diagnosis::tip::observed::{Bin, G_M_S2, Observed, PerQuantity, Quantity, Segment};
+use crate::diagnosis::tip::observed::{
+    Bin, G_M_S2, Observed, PerQuantity, Quantity, Segment, between,
+};
 use crate::model::effects::{ImuPrediction, Memory, Moment, Stage};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
@@ -39,8 +41,9 @@ pub fn sense(
             model,
             theta: &parameters(log, segment, model, theta),
             motion,
+            mask: &|k| mask(segment.bins.start + k),
         };
-        part.sense(&|k| mask(segment.bins.start + k), &mut residual);
+        part.sense(&mut residual);
     }
     residual
 }
@@ -58,25 +61,22 @@ struct Part<'a> {
     model: &'a Model<'a>,
     theta: &'a [f64],
     motion: &'a Motion,
+    mask: &'a dyn Fn(usize) -> bool,
 }
 
 impl Part<'_> {
-    fn sense(&self, mask: &impl Fn(usize) -> bool, residual: &mut Residuals) {
-        let inertial = self.log.quantities().any(|q| q != Quantity::Reference);
-        let imu = match inertial {
-            true => Imu::new(self),
-            false => Imu::default(),
-        };
-        let linear = imu.solve(self, mask);
-        let age_s = imu.rate_age_s(self, &linear.gyr, mask);
+    fn sense(&self, residual: &mut Residuals) {
+        let imu = Imu::new(self);
+        let linear = imu.solve(self);
+        let age_s = imu.rate_age_s(self, &linear.gyr);
         let field_ut = linear.mag.norm().max(1.0);
         for (k, bin) in self.bins.iter().enumerate() {
             for q in self.log.quantities().filter(|&q| bin.weight[q] > 0.0) {
                 let (change, tip) = (&imu.change[k], &imu.tip[k]);
                 residual[q][self.segment.bins.start + k] = match q {
                     Quantity::Reference => between(&self.motion[bin.at], &bin.reference),
-                    Quantity::Acc => (bin.acc - change.acc - back(tip, &linear.acc)) / G_M_S2,
-                    Quantity::Mag => (bin.mag - change.mag - back(tip, &linear.mag)) / field_ut,
+                    Quantity::Acc => (bin.acc - change.acc - tip.tr_mul(&linear.acc)) / G_M_S2,
+                    Quantity::Mag => (bin.mag - change.mag - tip.tr_mul(&linear.mag)) / field_ut,
                     Quantity::Gyro => {
                         let slope = imu.rate_slope(self, k);
                         bin.gyr - change.gyr - imu.rate[k] - linear.gyr + slope * age_s
@@ -101,11 +101,8 @@ impl Part<'_> {
 
     fn base_turn(&self, t_s: f64) -> Option<Matrix3<f64>> {
         let at = self.moment(self.segment.rows.start, t_s);
-        let turn = self
-            .model
-            .each(self.theta)
-            .find_map(|(e, p)| e.base(p, &at));
-        turn.map(|q| q.to_rotation_matrix().into_inner())
+        let mut turns = self.model.each(self.theta);
+        turns.find_map(|(e, p)| e.base(p, &at)).map(matrix)
     }
 }
 
@@ -134,29 +131,34 @@ impl Imu {
         let behind_s: f64 = model.each(theta).map(|(e, p)| e.latency_s(p)).sum();
         let mounts = model.each(theta).filter_map(|(e, p)| e.mount(p));
         let mount = mounts.fold(UnitQuaternion::identity(), |a, b| a * b);
-        let mount: Option<Matrix3<f64>> =
-            (mount.angle() > 0.0).then(|| mount.to_rotation_matrix().into_inner());
+        let mount = Some(mount).filter(|m| m.angle() > 0.0).map(matrix);
         let base_moves = model.effects.iter().any(|e| e.stage() == Stage::Base);
-        let mut late = Late {
-            log: part.log,
-            motion: part.motion,
-            behind_s,
-            at: part.segment.instants.start,
+        // the motion as a late sensor samples it; called with increasing instants
+        let (motion, times) = (part.motion, &part.log.t_s);
+        let mut a = part.segment.instants.start;
+        let mut sampled = |k: usize| {
+            if behind_s <= 0.0 {
+                return motion[k];
+            }
+            let t = times[k] - behind_s;
+            while a + 1 < k && times[a + 1] <= t {
+                a += 1;
+            }
+            let b = (a + 1).min(times.len() - 1);
+            let share = match b > a {
+                true => ((t - times[a]) / (times[b] - times[a])).clamp(0.0, 1.0),
+                false => 0.0,
+            };
+            motion[a] * (1.0 - share) + motion[b] * share
         };
-        let mut imu = Self {
-            tip: Vec::with_capacity(bins.len()),
-            rate: Vec::with_capacity(bins.len()),
-            change: vec![],
-        };
+        let mut imu = Self::default();
         let mut before: Option<(Matrix3<f64>, f64)> = None;
         for bin in bins {
-            let mut here = bin.base * late.at(bin.at);
-            if let Some(turn) = base_moves.then(|| part.base_turn(bin.t_s)).flatten() {
-                here = turn * here;
+            let mut here = bin.base * sampled(bin.at);
+            if base_moves {
+                here = part.base_turn(bin.t_s).map_or(here, |turn| turn * here);
             }
-            if let Some(mount) = &mount {
-                here *= mount;
-            }
+            here = mount.map_or(here, |mount| here * mount);
             let rate = |(r, t): (Matrix3<f64>, f64)| between(&r, &here) / (bin.t_s - t);
             imu.rate.push(before.map_or(Vector3::zeros(), rate));
             imu.tip.push(here);
@@ -167,9 +169,14 @@ impl Imu {
     }
 
     /// Gravity (of known length), field and gyroscope bias that fit best.
-    fn solve(&self, part: &Part<'_>, mask: &impl Fn(usize) -> bool) -> Readings {
+    fn solve(&self, part: &Part<'_>) -> Readings {
         let (mut sum, mut weight) = (Readings::default(), [1e-12; 2]);
-        for (k, bin) in part.bins.iter().enumerate().filter(|(k, _)| mask(*k)) {
+        for (k, bin) in part
+            .bins
+            .iter()
+            .enumerate()
+            .filter(|(k, _)| (part.mask)(*k))
+        {
             let [_, acc, mag, gyr] = bin.weight.0.map(|x| x * x);
             if acc > 0.0 {
                 sum.acc += self.tip[k] * (bin.acc - self.change[k].acc) * acc;
@@ -183,10 +190,8 @@ impl Imu {
                 weight[1] += gyr;
             }
         }
-        let up = match sum.acc.norm() > 0.0 {
-            true => sum.acc.normalize(),
-            false => part.segment.up_base,
-        };
+        let up = sum.acc.try_normalize(0.0);
+        let up = up.unwrap_or(part.segment.up_base);
         Readings {
             acc: up * G_M_S2,
             mag: sum.mag / weight[0],
@@ -198,21 +203,14 @@ impl Imu {
     fn rate_slope(&self, part: &Part<'_>, k: usize) -> Vector3<f64> {
         let (a, b) = (k.saturating_sub(1), (k + 1).min(self.rate.len() - 1));
         let span_s = part.bins[b].t_s - part.bins[a].t_s;
-        match span_s > SLOPE_SPAN_S {
-            true => Vector3::zeros(),
-            false => (self.rate[b] - self.rate[a]) / span_s,
-        }
+        let slope = (span_s <= SLOPE_SPAN_S).then(|| (self.rate[b] - self.rate[a]) / span_s);
+        slope.unwrap_or_default()
     }
 
     /// Age of the gyroscope samples, s, within what sampling explains.
-    fn rate_age_s(
-        &self,
-        part: &Part<'_>,
-        bias: &Vector3<f64>,
-        mask: &impl Fn(usize) -> bool,
-    ) -> f64 {
+    fn rate_age_s(&self, part: &Part<'_>, bias: &Vector3<f64>) -> f64 {
         let (mut up, mut down) = (0.0, 1e-12);
-        let used = |(k, b): &(usize, &Bin)| mask(*k) && b.weight[Quantity::Gyro] > 0.0;
+        let used = |(k, b): &(usize, &Bin)| (part.mask)(*k) && b.weight[Quantity::Gyro] > 0.0;
         for (k, bin) in part.bins.iter().enumerate().filter(used) {
             let (slope, w) = (self.rate_slope(part, k), bin.weight[Quantity::Gyro].powi(2));
             up -= w * slope.dot(&(bin.gyr - self.change[k].gyr - self.rate[k] - bias));
@@ -231,9 +229,9 @@ impl Imu {
                 let r = self.tip[k];
                 let turned = Rotation3::from_matrix_unchecked(r);
                 let before = ImuPrediction {
-                    acc_m_s2: back(&r, &segment.up_base) * G_M_S2,
+                    acc_m_s2: r.tr_mul(&segment.up_base) * G_M_S2,
                     gyro_rad_s: self.rate[k],
-                    mag_ut: back(&r, &segment.field_base_ut),
+                    mag_ut: r.tr_mul(&segment.field_base_ut),
                     r_base_sensor: UnitQuaternion::from_rotation_matrix(&turned),
                 };
                 let rows = rows_of(part.log, bin, e.follows_motors());
@@ -263,52 +261,43 @@ fn rows_of(log: &Observed, bin: &Bin, follows_motors: bool) -> std::ops::Range<u
     }
 }
 
-/// Motion as a late sensor samples it.
-struct Late<'a> {
-    log: &'a Observed,
-    motion: &'a Motion,
-    behind_s: f64,
-    at: usize,
+/// A rotation as a matrix.
+fn matrix(q: UnitQuaternion<f64>) -> Matrix3<f64> {
+    q.to_rotation_matrix().into_inner()
 }
 
-impl Late<'_> {
-    /// Orientation sampled at instant `k`; `k` must not decrease from call to call.
-    fn at(&mut self, k: usize) -> Matrix3<f64> {
-        if self.behind_s <= 0.0 {
-            return self.motion[k];
-        }
-        let (times, t) = (&self.log.t_s, self.log.t_s[k] - self.behind_s);
-        while self.at + 1 < k && times[self.at + 1] <= t {
-            self.at += 1;
-        }
-        let (a, b) = (self.at, (self.at + 1).min(times.len() - 1));
-        let share = match b > a {
-            true => ((t - times[a]) / (times[b] - times[a])).clamp(0.0, 1.0),
-            false => 0.0,
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::tip::Rig;
+    use crate::log::bend_log::BendLog;
+    use crate::model::{Line, nominal_theta};
+
+    /// A log of the tracker alone: rest, then every bellow longer in turn.
+    #[test]
+    fn a_log_without_an_imu_is_compared_with_the_tracker() {
+        let rig = Rig::default();
+        let n = 4000;
+        let piston = |k: usize| {
+            let mm = 0.01 * (k % 1000) as f64;
+            Vector3::from_fn(|i, _| if k / 1000 == i + 1 { mm } else { 0.0 })
         };
-        self.motion[a] * (1.0 - share) + self.motion[b] * share
+        let log = BendLog {
+            t_s: (0..n).map(|k| k as f64 * 0.01).collect(),
+            command: vec![Vector3::repeat(f64::NAN); n],
+            piston_mm: (0..n).map(piston).collect(),
+            reference: Some(vec![Some(UnitQuaternion::identity()); n]),
+            ..BendLog::default()
+        };
+        let log = Observed::new(&log, &rig).unwrap();
+        let line = Line {
+            k_epsilon: 2.2,
+            k_lambda_mm: 0.8,
+        };
+        let theta = nominal_theta(&[line; 3], 0.02);
+        let left = residuals(&log, &Model::new(&[]), &theta);
+        let largest = |q: Quantity| left[q].iter().map(Vector3::norm).fold(0.0, f64::max);
+        assert!(largest(Quantity::Reference) > 0.1);
+        assert!(Quantity::ALL[1..].iter().all(|q| largest(*q) == 0.0));
     }
-}
-
-/// Rotation vector of the small rotation from `a` to `b`: half of the antisymmetric part of `aᵀ b`.
-pub fn between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Vector3<f64> {
-    let (a, b) = (a.as_slice(), b.as_slice());
-    let dot = |i: usize, j: usize| {
-        a[3 * i] * b[3 * j] + a[3 * i + 1] * b[3 * j + 1] + a[3 * i + 2] * b[3 * j + 2]
-    };
-    Vector3::new(
-        dot(2, 1) - dot(1, 2),
-        dot(0, 2) - dot(2, 0),
-        dot(1, 0) - dot(0, 1),
-    ) / 2.0
-}
-
-/// `aᵀ v`.
-fn back(a: &Matrix3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
-    let a = a.as_slice();
-    Vector3::new(
-        a[0] * v.x + a[1] * v.y + a[2] * v.z,
-        a[3] * v.x + a[4] * v.y + a[5] * v.z,
-        a[6] * v.x + a[7] * v.y + a[8] * v.z,
-    )
 }

@@ -195,15 +195,10 @@ fn bin(log: &BendLog, rows: &Rows, (from, to): (usize, usize), since: usize) -> 
         let mean = |i| mean_or_nan(pick(i)[from..to].iter().copied());
         log.imu.as_ref().map_or(nan, mean)
     };
-    let seen = log
-        .reference
-        .iter()
-        .flat_map(|r| r[from..to].iter().flatten());
+    let tracked = log.reference.as_ref().map_or(&[][..], |r| &r[from..to]);
+    let seen = tracked.iter().flatten();
     let seen: Vec<Matrix3<f64>> = seen.map(|q| q.to_rotation_matrix().into_inner()).collect();
-    let reference = match seen.is_empty() {
-        true => Matrix3::repeat(f64::NAN),
-        false => seen.iter().fold(Matrix3::zeros(), |s, r| s + r) / seen.len() as f64,
-    };
+    let reference = seen.iter().sum::<Matrix3<f64>>() / seen.len() as f64;
     let step_s = (log.t_s[to - 1] - log.t_s[from]) / (to - from).max(2).saturating_sub(1) as f64;
     let speed = |k: usize| {
         (rows.piston_mm[k] - rows.piston_mm[k - 1]).amax() / (rows.t_s[k] - rows.t_s[k - 1])
@@ -215,7 +210,6 @@ fn bin(log: &BendLog, rows: &Rows, (from, to): (usize, usize), since: usize) -> 
     };
     Bin {
         rows: (from, to),
-        at: 0,
         t_s: (log.t_s[from] + log.t_s[to - 1]) / 2.0,
         lasting_s: match to - from {
             1 => BIN_S,
@@ -226,9 +220,9 @@ fn bin(log: &BendLog, rows: &Rows, (from, to): (usize, usize), since: usize) -> 
         mag: of(|i| &i.mag),
         gyr: log.imu.as_ref().map_or(nan, rate),
         base: Matrix3::identity(),
-        weight: PerQuantity::default(),
         idle_s: rows.idle_s[to - 1],
         speed_mm_s: (from.max(1)..to).map(speed).fold(0.0, f64::max),
+        ..Bin::default()
     }
 }
 
@@ -238,14 +232,10 @@ pub fn noise(bins: &[Bin], field_ut: f64) -> PerQuantity<f64> {
     let mut squares: PerQuantity<Vec<f64>> = PerQuantity::default();
     let still = |b: &Bin| b.idle_s > 0.3 && b.lasting_s < 1.5 * BIN_S;
     for w in bins.windows(2).filter(|w| still(&w[0]) && still(&w[1])) {
-        let turn = vee(&(w[0].reference.transpose() * w[1].reference));
+        let turn = between(&w[0].reference, &w[1].reference);
         let change = |of: fn(&Bin) -> Vector3<f64>| w[1].base * of(&w[1]) - w[0].base * of(&w[0]);
-        let d = [
-            turn,
-            change(|b| b.acc) / G_M_S2,
-            change(|b| b.mag) / field_ut,
-            w[1].gyr - w[0].gyr,
-        ];
+        let (acc, mag) = (change(|b| b.acc) / G_M_S2, change(|b| b.mag) / field_ut);
+        let d = [turn, acc, mag, w[1].gyr - w[0].gyr];
         let pairs = Quantity::ALL.into_iter().zip(d);
         for (q, v) in pairs.filter(|(_, v)| !v.x.is_nan()) {
             squares[q].push(v.norm_squared());
@@ -259,13 +249,11 @@ pub fn noise(bins: &[Bin], field_ut: f64) -> PerQuantity<f64> {
     }))
 }
 
-/// Rotation vector of a small rotation given as a (mean) matrix: half of its antisymmetric part.
-fn vee(a: &Matrix3<f64>) -> Vector3<f64> {
-    Vector3::new(
-        a[(2, 1)] - a[(1, 2)],
-        a[(0, 2)] - a[(2, 0)],
-        a[(1, 0)] - a[(0, 1)],
-    ) / 2.0
+/// Rotation vector of the small rotation from `a` to `b`, which may be means: half of the antisymmetric part of `aᵀ b`.
+pub fn between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Vector3<f64> {
+    let dot = |i: usize, j: usize| a.column(i).dot(&b.column(j));
+    let [x, y, z] = [(2, 1), (0, 2), (1, 0)].map(|(i, j)| dot(i, j) - dot(j, i));
+    Vector3::new(x, y, z) / 2.0
 }
 
 #[cfg(test)]

@@ -5,10 +5,11 @@
 //! in a score, because a bin in motion weighs little, but its residual follows the reading.
 
 use crate::diagnosis::tip::fit::{BLOCKS_S, density};
-use crate::diagnosis::tip::model::{Residuals, between};
-use crate::diagnosis::tip::observed::{G_M_S2, Observed, Quantity};
+use crate::diagnosis::tip::model::Residuals;
+use crate::diagnosis::tip::observed::{Bin, G_M_S2, Observed, Quantity, between};
 use crate::named;
-use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{SMatrix, SVector, Vector3};
+use serde::Serialize;
 
 /// Inputs of a regression, the constant among them.
 const INPUTS: usize = 7;
@@ -21,7 +22,7 @@ type Inputs = SVector<f64, INPUTS>;
 
 named! {
     /// What a residual may depend on.
-    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    #[derive(Debug, Clone, Copy)]
     pub enum Dependence {
         /// The reading itself: scale, cross-axis terms, misalignment.
         Reading = "reading",
@@ -39,38 +40,39 @@ named! {
 }
 
 /// A dependence, and what it takes from the residual.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Depends {
-    /// On what.
-    pub on: Dependence,
+    /// On what: the name of a [`Dependence`].
+    pub name: &'static str,
     /// Reduction of the density of left-out blocks by the regression.
+    #[serde(skip)]
     pub gain: f64,
-    /// Part of the residual's energy that it predicts, of the sensor of which it predicts most.
+    /// Part of the residual's energy that it predicts on left-out blocks, of the sensor of which it predicts most.
     pub share: f64,
 }
 
 /// How far the residuals depend on each of [`Dependence::ALL`].
-pub fn dependences(log: &Observed, residual: &Residuals) -> [Depends; Dependence::ALL.len()] {
+pub fn dependences(log: &Observed, residual: &Residuals) -> Vec<Depends> {
     let mean_density = |r: &Residuals| log.mean(&density(log, r, BLOCKS_S[0]));
     let before = mean_density(residual);
-    let motion = Motion::new(log);
+    let motion = motion(log);
     let of = |on: Dependence| {
         let mut left = residual.clone();
         let mut share: f64 = 0.0;
         for q in log.quantities() {
-            let input = |k: usize| motion.inputs(log, on, q, k, &residual[q][k]);
+            let input = |k: usize| inputs(log, on, q, k, &motion[k], &residual[q][k]);
             let inputs: Vec<Inputs> = (0..log.bins.len()).map(input).collect();
             let (after, predicted) = regressed(log, q, &residual[q], &inputs);
             left[q] = after;
             share = share.max(predicted);
         }
         Depends {
-            on,
+            name: on.name(),
             gain: before - mean_density(&left),
             share,
         }
     };
-    Dependence::ALL.map(of)
+    Dependence::ALL.map(of).to_vec()
 }
 
 /// Residual of a sensor less what the inputs predict on blocks outside the regression, and the part of its energy that they predict.
@@ -116,91 +118,60 @@ fn regressed(
     (left, share.max(0.0))
 }
 
-/// What the dependences need of the motion, bin by bin.
-struct Motion {
-    /// Side from which each piston came to rest, or moves: ±1, 0 before it has moved.
-    side: Vec<Vector3<f64>>,
-    /// Travel of each piston, forgotten with [`MEMORY_S`], mm.
-    recent_mm: Vec<Vector3<f64>>,
+/// The motion, bin by bin: the side from which each piston came to rest, or moves (±1, 0 before it has moved), and its travel, forgotten with
+/// [`MEMORY_S`], mm.
+fn motion(log: &Observed) -> Vec<[Vector3<f64>; 2]> {
+    let (mut side, mut recent_mm) = (Vector3::zeros(), Vector3::zeros());
+    let first = log.bins.first();
+    let mut before = first.map_or_else(Vector3::zeros, |b| log.piston_mm[b.at]);
+    let one = |bin: &Bin| {
+        let moved = log.piston_mm[bin.at] - before;
+        before += moved;
+        side = side.zip_map(&moved, |s: f64, m| if m == 0.0 { s } else { m.signum() });
+        recent_mm = recent_mm * (-bin.lasting_s / MEMORY_S).exp() + moved;
+        [side, recent_mm]
+    };
+    log.bins.iter().map(one).collect()
 }
 
-impl Motion {
-    fn new(log: &Observed) -> Self {
-        let mut motion = Self {
-            side: Vec::new(),
-            recent_mm: Vec::new(),
-        };
-        let (mut side, mut recent) = (Vector3::zeros(), Vector3::zeros());
-        let first = log.bins.first();
-        let mut before = first.map_or_else(Vector3::zeros, |b| log.piston_mm[b.at]);
-        for bin in &log.bins {
-            let moved = log.piston_mm[bin.at] - before;
-            before += moved;
-            side = side.zip_map(&moved, |s: f64, m| if m == 0.0 { s } else { m.signum() });
-            recent = recent * (-bin.lasting_s / MEMORY_S).exp() + moved;
-            motion.side.push(side);
-            motion.recent_mm.push(recent);
-        }
-        motion
-    }
+/// Inputs at a bin with this motion and this residual.
+fn inputs(
+    log: &Observed,
+    on: Dependence,
+    q: Quantity,
+    k: usize,
+    [side, recent_mm]: &[Vector3<f64>; 2],
+    residual: &Vector3<f64>,
+) -> Inputs {
+    let (bin, u) = (&log.bins[k], log.piston_mm[log.bins[k].at]);
+    let t = (bin.t_s - log.start_s()) / log.duration_s() * 2.0 - 1.0;
+    let read = || reading(log, q, k).unwrap_or_default();
+    let power = |n| Vector3::new(t.powi(n), t.powi(n + 1), t.powi(n + 2));
+    let [a, b] = match on {
+        Dependence::Reading => [read() - residual, Vector3::zeros()],
+        Dependence::Timing => [1.0, t].map(|by| change(log, q, k) * by),
+        Dependence::Time => [power(1), power(4)],
+        Dependence::Pistons => [u, u.component_mul(&u.yzx())],
+        Dependence::Direction => [*side, side.component_mul(&u)],
+        Dependence::Idle => [*recent_mm, u * (-bin.idle_s / MEMORY_S).exp()],
+    };
+    Inputs::from_iterator(a.iter().chain(b.iter()).copied().chain([1.0]))
+}
 
-    fn inputs(
-        &self,
-        log: &Observed,
-        on: Dependence,
-        q: Quantity,
-        k: usize,
-        residual: &Vector3<f64>,
-    ) -> Inputs {
-        let bin = &log.bins[k];
-        let [a, b] = match on {
-            Dependence::Reading => {
-                let read = reading(log, q, k).unwrap_or_default();
-                [read - residual, Vector3::zeros()]
-            }
-            Dependence::Timing => {
-                let change = self.change(log, q, k);
-                let middle = (bin.t_s - log.start_s()) / log.duration_s() - 0.5;
-                [change, change * middle]
-            }
-            Dependence::Time => {
-                let t = (bin.t_s - log.start_s()) / log.duration_s() * 2.0 - 1.0;
-                let power = |n| Vector3::new(t.powi(n), t.powi(n + 1), t.powi(n + 2));
-                [power(1), power(4)]
-            }
-            Dependence::Pistons => {
-                let u = log.piston_mm[bin.at];
-                [u, u.component_mul(&u.yzx())]
-            }
-            Dependence::Direction => {
-                let side = self.side[k];
-                [side, side.component_mul(&log.piston_mm[bin.at])]
-            }
-            Dependence::Idle => {
-                let standing = log.piston_mm[bin.at] * (-bin.idle_s / MEMORY_S).exp();
-                [self.recent_mm[k], standing]
-            }
-        };
-        Inputs::from_iterator(a.iter().chain(b.iter()).copied().chain([1.0]))
+/// Rate of change of a reading at a bin, 1/s.
+fn change(log: &Observed, q: Quantity, k: usize) -> Vector3<f64> {
+    let (a, b) = (k.saturating_sub(1), (k + 1).min(log.bins.len() - 1));
+    let span_s = log.bins[b].t_s - log.bins[a].t_s;
+    if log.bins[k].speed_mm_s == 0.0 || span_s <= 0.0 {
+        return Vector3::zeros();
     }
-
-    /// Rate of change of a reading at a bin, 1/s.
-    fn change(&self, log: &Observed, q: Quantity, k: usize) -> Vector3<f64> {
-        let (a, b) = (k.saturating_sub(1), (k + 1).min(log.bins.len() - 1));
-        let span_s = log.bins[b].t_s - log.bins[a].t_s;
-        if log.bins[k].speed_mm_s == 0.0 || span_s <= 0.0 {
-            return Vector3::zeros();
-        }
-        let turned = || {
-            Some(between(&log.bins[a].reference, &log.bins[b].reference)).filter(|v| !v.x.is_nan())
-        };
-        let changed = || Some(reading(log, q, b)? - reading(log, q, a)?);
-        let change = match q {
-            Quantity::Reference => turned(),
-            _ => changed(),
-        };
-        change.map_or_else(Vector3::zeros, |c| c / span_s)
-    }
+    let [before, after] = [a, b].map(|k| reading(log, q, k));
+    let change = match q {
+        Quantity::Reference => Some(between(&log.bins[a].reference, &log.bins[b].reference)),
+        _ => after.zip(before).map(|(after, before)| after - before),
+    };
+    let known = change.filter(|v| !v.x.is_nan());
+    known.map_or_else(Vector3::zeros, |c| c / span_s)
 }
 
 /// A reading in the unit of its residual; for the tracker the vertical of the base in the axes of the tip. `None` where it is missing.
@@ -208,9 +179,8 @@ fn reading(log: &Observed, q: Quantity, k: usize) -> Option<Vector3<f64>> {
     let bin = &log.bins[k];
     let segment = log.segments.first();
     let field_ut = segment.map_or(1.0, |s| s.field_base_ut.norm().max(1.0));
-    let turned = |r: &Matrix3<f64>| r.transpose() * Vector3::z();
     let v = match q {
-        Quantity::Reference => turned(&bin.reference),
+        Quantity::Reference => bin.reference.transpose() * Vector3::z(),
         Quantity::Acc => bin.acc / G_M_S2,
         Quantity::Mag => bin.mag / field_ut,
         Quantity::Gyro => bin.gyr,
@@ -221,7 +191,7 @@ fn reading(log: &Observed, q: Quantity, k: usize) -> Option<Vector3<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::tip::observed::{Bin, PerQuantity};
+    use crate::diagnosis::tip::observed::PerQuantity;
 
     /// A gyroscope in motion for four minutes, whose residual is `law` of the reading and the time (s) and some noise.
     fn strongest(law: impl Fn(Vector3<f64>, f64) -> Vector3<f64>) -> Depends {
@@ -262,15 +232,9 @@ mod tests {
     #[test]
     fn a_wrong_scale_a_drift_and_noise_are_told_apart() {
         let scale = strongest(|rate, _| rate * 0.1);
-        assert!(
-            scale.on == Dependence::Reading && scale.share > 0.7,
-            "{scale:?}"
-        );
+        assert!(scale.name == "reading" && scale.share > 0.7, "{scale:?}");
         let drift = strongest(|_, t_s| Vector3::new(t_s - 120.0, 0.0, 0.0) * 1e-3);
-        assert!(
-            drift.on == Dependence::Time && drift.share > 0.7,
-            "{drift:?}"
-        );
+        assert!(drift.name == "time" && drift.share > 0.7, "{drift:?}");
         let noise = strongest(|_, _| Vector3::zeros());
         assert!(noise.share < 0.05 && noise.gain < 0.05, "{noise:?}");
     }

@@ -9,7 +9,7 @@ pub mod dependence;
 pub mod quantity;
 pub mod refuse;
 
-pub use bins::{BIN_S, Bin, G_M_S2};
+pub use bins::{BIN_S, Bin, G_M_S2, between};
 pub use dependence::{Depends, dependences};
 pub use quantity::{PerQuantity, Quantity};
 pub use refuse::ObserveError;
@@ -96,11 +96,8 @@ pub struct Observed {
 /// Tells the bins how far the base has turned, if there is an IMU on it. `up` is the vertical in the axes of the tip's IMU at rest.
 fn follow_base(bins: &mut [Bin], log: &BendLog, up: &Vector3<f64>) {
     let Some(imu) = &log.base else { return };
-    let (config, align, mut base) = (
-        BaseConfig::default(),
-        AlignConfig::default(),
-        BaseTracker::default(),
-    );
+    let (config, align) = (BaseConfig::default(), AlignConfig::default());
+    let mut base = BaseTracker::default();
     let turn = |sample| {
         base.update(&config, &align, &sample, Some(up));
         base.turn().r_rest_now.to_rotation_matrix().into_inner()
@@ -128,10 +125,7 @@ impl Observed {
         let quantity = |q| {
             let bins = |o: &Self| if o.has[q] { o.bins.len() as f64 } else { 0.0 };
             let [(a, n), (b, m)] = [&*self, &other].map(|o| (o.noise_deg[q], bins(o)));
-            match n + m > 0.0 {
-                true => ((n * a * a + m * b * b) / (n + m)).sqrt(),
-                false => 0.0,
-            }
+            ((n * a * a + m * b * b) / (n + m).max(1.0)).sqrt()
         };
         self.noise_deg = PerQuantity::from_fn(quantity);
         self.has = PerQuantity::from_fn(|q| self.has[q] || other.has[q]);
@@ -139,14 +133,8 @@ impl Observed {
         let later_s = start_s - other.start_s();
         let (rows, instants, bins) = (self.rows.t_s.len(), self.t_s.len(), self.bins.len());
         let starts = other.segments.iter_mut().map(|s| &mut s.start_s);
-        for t_s in other
-            .t_s
-            .iter_mut()
-            .chain(&mut other.rows.t_s)
-            .chain(starts)
-        {
-            *t_s += later_s;
-        }
+        let times = other.t_s.iter_mut().chain(&mut other.rows.t_s);
+        times.chain(starts).for_each(|t_s| *t_s += later_s);
         for bin in &mut other.bins {
             bin.t_s += later_s;
             bin.at += instants;
@@ -220,11 +208,8 @@ impl Observed {
                 for between in before + 1..row {
                     let t_s = self.rows.t_s[between];
                     let last_s = self.t_s.last().copied().unwrap_or(f64::NEG_INFINITY);
-                    if !skipped
-                        || bin.t_s - t_s < AHEAD_S
-                        || t_s - last_s >= SPARSE_S
-                        || self.rows.turns(between)
-                    {
+                    let near = !skipped || bin.t_s - t_s < AHEAD_S;
+                    if near || t_s - last_s >= SPARSE_S || self.rows.turns(between) {
                         self.push_instant(t_s, self.rows.piston_mm[between], between, false);
                     }
                 }

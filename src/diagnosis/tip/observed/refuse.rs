@@ -66,17 +66,14 @@ pub fn refuse(log: &BendLog) -> Result<(), ObserveError> {
         return Err(ObserveError::NoRest(rest_s));
     }
     if let Some(imu) = &log.imu {
-        refuse_clipped("acc_*_m_s2", &imu.acc, log)?;
-        refuse_clipped("gyr_*_rad_s", &imu.gyr, log)?;
+        clipped("acc_*_m_s2", &imu.acc, log)?;
+        clipped("gyr_*_rad_s", &imu.gyr, log)?;
     }
     Ok(())
 }
 
-fn refuse_clipped(
-    name: &'static str,
-    values: &[Vector3<f64>],
-    log: &BendLog,
-) -> Result<(), ObserveError> {
+/// Refuses a sensor that is saturated or frozen.
+fn clipped(name: &'static str, values: &[Vector3<f64>], log: &BendLog) -> Result<(), ObserveError> {
     let moves = |k: &usize| log.piston_mm[*k] != log.piston_mm[k - 1];
     let moving: Vec<usize> = (1..log.piston_mm.len()).filter(moves).collect();
     for axis in 0..3 {
@@ -85,10 +82,8 @@ fn refuse_clipped(
             values.map(|v| v[axis]).filter(|v| !v.is_nan())
         };
         let (n, none) = (column().count(), f64::INFINITY);
-        for extreme in [
-            column().fold(-none, f64::max),
-            column().fold(none, f64::min),
-        ] {
+        let highest = column().fold(-none, f64::max);
+        for extreme in [highest, column().fold(none, f64::min)] {
             let share = column().filter(|&v| v == extreme).count() as f64 / n.max(1) as f64;
             if n > CLIPPED_ROWS_MIN && share > CLIPPED_SHARE {
                 return Err(ObserveError::Clipped(name, extreme, share * 100.0));
