@@ -65,7 +65,7 @@ pub fn record(
     let nan = Vector3::repeat(f64::NAN);
     let mut log = BendLog::default();
     let (mut acc, mut gyr, mut mag) = (vec![], vec![], vec![]);
-    for (n, row) in path.piston_mm.chunks_exact(of(ROW_S)).enumerate() {
+    for (n, row) in path.chunks_exact(of(ROW_S)).enumerate() {
         let (mut sums, mut samples) = ([Vector3::zeros(); 3], [0.0; 3]);
         let mut piston = Vector3::zeros();
         for at in row {

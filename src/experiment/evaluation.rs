@@ -275,13 +275,14 @@ pub fn run(
         None => vec![],
     };
     let mut track = None;
-    if let Some(Track { path, live }) = &plan.track {
-        path.within(&base.limits, &base.geometry, &base.lines)?;
-        let mut world = opened(Purpose::Track)?;
+    if let Some(wanted) = &plan.track {
+        wanted
+            .path
+            .within(&base.limits, &base.geometry, &base.lines)?;
         let config = fed_forward(&base, plan.feedforward.clone());
-        let mut rig = Rig::new(for_world(&config, world.as_ref()), world.as_mut());
+        let mut world = opened(Purpose::Track)?;
         let mut told = || progress("path");
-        track = Some(track::run(&mut rig, &path.path, *live, &mut told)?);
+        track = Some(followed(wanted, &config, world.as_mut(), &mut told)?);
     }
     let history = found.iter().flat_map(|f| &f.history);
     let channels = found.iter().flat_map(|f| &f.channels);
@@ -302,6 +303,17 @@ pub fn run(
         identified: channels.map(ChannelFigures::of).collect(),
         plant,
     })
+}
+
+/// Follows the path.
+fn followed(
+    wanted: &Track,
+    config: &LoopConfig,
+    world: &mut dyn World,
+    progress: &mut dyn FnMut(),
+) -> Result<TrackResult, RigError> {
+    let mut rig = Rig::new(for_world(config, world), world);
+    track::run(&mut rig, &wanted.path.path, wanted.live, progress)
 }
 
 fn fed_forward(config: &LoopConfig, machine: Option<Arc<DescribedMachine>>) -> LoopConfig {

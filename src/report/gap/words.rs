@@ -1,6 +1,7 @@
 //! A diagnosis in words.
 
-use crate::diagnosis::tip::{DependenceEntry, Diagnosis, EffectEntry, ParamValue, Remedy};
+use crate::diagnosis::tip::observed::Depends;
+use crate::diagnosis::tip::{Diagnosis, EffectEntry, ParamValue, Remedy};
 use crate::diagnosis::verdict::{StatementEntry, Verdict, VerdictKind};
 use crate::model::effects::by_name;
 
@@ -207,7 +208,7 @@ pub fn limits(d: &Diagnosis) -> Vec<String> {
 }
 
 /// What the remainder goes with.
-pub(super) fn goes_with(d: &DependenceEntry) -> String {
+pub(super) fn goes_with(d: &Depends) -> String {
     let (name, percent) = (&d.name, 100.0 * d.share);
     format!("What remains goes with the {name}, which predicts {percent:.0} % of it in one sensor.")
 }

@@ -4,7 +4,7 @@
 //! 35 ms) from these sums, which is exact to first order in the errors and keeps the cost per sample close to that
 //! of a filter without a covariance.
 
-use super::covariance::{GRAVITY_M_S2, SCALE_AXES};
+use super::covariance::{ATTITUDE, FIELD, GRAVITY_M_S2, IRON, LATENCY, SCALE_AXES};
 use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector2, Vector3};
 
 /// Sums over a block, all zero at its start.
@@ -40,6 +40,29 @@ pub struct FieldMean {
     pub by_age_ut_s: Vector3<f64>,
     /// Mean of the rotations from sensor to world axes.
     pub to_world: Matrix3<f64>,
+}
+
+/// Gains of one axis of a field residual: pairs of error index and derivative.
+pub type Row = [(usize, f64); 8];
+
+impl FieldMean {
+    /// Rows of a field residual (reading minus model, world axes): `−φ × y − ∂y/∂τ δτ + (δh, 0, δz) + R δm`.
+    pub fn rows(&self) -> [Row; 3] {
+        let turn = self.world_ut.cross_matrix();
+        let earth = [(FIELD, 1.0), (FIELD, 0.0), (FIELD + 1, 1.0)];
+        std::array::from_fn(|axis| {
+            [
+                (ATTITUDE, turn[(axis, 0)]),
+                (ATTITUDE + 1, turn[(axis, 1)]),
+                (ATTITUDE + 2, turn[(axis, 2)]),
+                (IRON, self.to_world[(axis, 0)]),
+                (IRON + 1, self.to_world[(axis, 1)]),
+                (IRON + 2, self.to_world[(axis, 2)]),
+                (LATENCY, -self.by_age_ut_s[axis]),
+                earth[axis],
+            ]
+        })
+    }
 }
 
 impl Block {

@@ -2,7 +2,7 @@
 
 use super::Mekf;
 use super::block::FieldMean;
-use super::covariance::{ATTITUDE, BIAS, Errors, FIELD, IRON, LATENCY, VELOCITY};
+use super::covariance::{BIAS, Errors, IRON, VELOCITY};
 use crate::estimation::fusion::intake;
 use nalgebra::Vector3;
 
@@ -13,27 +13,6 @@ const STILL_VELOCITY_MEMORY_S: f64 = 0.1;
 const STILL_BIAS_MEMORY_S: f64 = 0.5;
 /// Largest ratio of the misfit of a single reading to its running mean: it limits the effect of one reading.
 const MISFIT_STEP_MAX: f64 = 100.0;
-
-/// Gains of one axis of a field residual: pairs of error index and derivative.
-type Row = [(usize, f64); 8];
-
-/// Rows of a field residual (reading minus model, world axes): `−φ × y − ∂y/∂τ δτ + (δh, 0, δz) + R δm`.
-pub(super) fn rows(reading: &FieldMean) -> [Row; 3] {
-    let turn = reading.world_ut.cross_matrix();
-    let earth = [(FIELD, 1.0), (FIELD, 0.0), (FIELD + 1, 1.0)];
-    std::array::from_fn(|axis| {
-        [
-            (ATTITUDE, turn[(axis, 0)]),
-            (ATTITUDE + 1, turn[(axis, 1)]),
-            (ATTITUDE + 2, turn[(axis, 2)]),
-            (IRON, reading.to_world[(axis, 0)]),
-            (IRON + 1, reading.to_world[(axis, 1)]),
-            (IRON + 2, reading.to_world[(axis, 2)]),
-            (LATENCY, -reading.by_age_ut_s[axis]),
-            earth[axis],
-        ]
-    })
-}
 
 impl Mekf {
     /// Observes a velocity near zero; at standstill a velocity of zero and the gyroscope bias.
@@ -65,7 +44,7 @@ impl Mekf {
         };
         let model = Vector3::new(earth.x, 0.0, earth.y) + reading.to_world * self.estimate.iron_ut;
         let residual = reading.world_ut - model;
-        let rows = rows(reading);
+        let rows = reading.rows();
         let variances = rows.map(|row| self.covariance.variance_of(&row[..3]));
         let predicted = variances.iter().sum::<f64>() / 3.0;
         let misfit = self.track_misfit(residual.norm_squared() / 3.0, dt_s);

@@ -204,7 +204,7 @@ impl Mekf {
         };
         let mut errors = Errors::zeros();
         let place_ut2 = self.config.first_field_sigma_ut.powi(2);
-        for row in correct::rows(&reading) {
+        for row in reading.rows() {
             // north is defined by this reading, so its residual is zero
             self.covariance.observe(&mut errors, &row, 0.0, place_ut2);
         }
