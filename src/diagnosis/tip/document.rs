@@ -134,8 +134,8 @@ impl TipProblem<'_> {
     pub fn written(&self, judged: &Judged<Self>) -> Diagnosis {
         let (log, nominal, chosen) = (self.log, &self.nominal, judged.chosen());
         let verdict = judged.verdict.clone();
-        let entry = |e: &Box<dyn Effect>| self.entry(judged, e.as_ref());
-        let mut effects: Vec<EffectEntry> = self.catalogue.iter().map(entry).collect();
+        let all = self.catalogue.iter().map(AsRef::as_ref);
+        let mut effects: Vec<EffectEntry> = all.map(|e| self.entry(judged, e)).collect();
         effects.sort_by(|a, b| b.closed.total_cmp(&a.closed));
         effects.sort_by(|a, b| b.probability.total_cmp(&a.probability));
         let credits = credits(&judged.found, chosen, self.gap());

@@ -107,14 +107,14 @@ impl Search for TipProblem<'_> {
     }
 
     fn singles(&self) -> Vec<Alone> {
-        let single = |e: &Box<dyn Effect>| {
-            let (base, e) = (&self.base, e.as_ref());
-            let to = LeastSquares::new(self.log, Model::new(&[e]));
+        let single = |e: &dyn Effect| {
+            let (base, to) = (&self.base, LeastSquares::new(self.log, Model::new(&[e])));
             let start = best_start(base, &to, e).map(|s| s.theta);
             let start = start.as_ref().unwrap_or(&base.point.theta);
             alone(base, settle(to, start))
         };
-        self.catalogue.par_iter().map(single).collect()
+        let all = self.catalogue.par_iter().map(AsRef::as_ref);
+        all.map(single).collect()
     }
 
     /// The pairs that are worth a fit: none where no two effects could be claimed, and half as many where the best single leaves less than
