@@ -326,7 +326,7 @@ fn lsm_and_lis_send_the_bytes_of_their_data_sheets() {
         ..Default::default()
     };
     let mut bus = Mock::new(&script);
-    let mut imu = Lsm6dsoLis2mdl::new(bus.clone(), &config, Variant::Dso).unwrap();
+    let mut imu = Lsm6dsoLis2mdl::new(bus.clone(), &config, lsm6dso::Variant::Dso).unwrap();
     let id = imu.init(&mut NoopDelay::new()).unwrap();
     assert_eq!(id.rate_hz, 208.0);
     let raw = imu.read().unwrap();
@@ -466,7 +466,7 @@ fn a_rotated_magnetometer_is_corrected() {
         rate_hz: 100.0,
         ..Default::default()
     };
-    let mut imu = Lsm6dsoLis2mdl::new(bus.clone(), &config, Variant::Dso).unwrap();
+    let mut imu = Lsm6dsoLis2mdl::new(bus.clone(), &config, lsm6dso::Variant::Dso).unwrap();
     imu.init(&mut bus.delay()).unwrap();
     bus.machine().set_motion(&odd_motion());
     bus.machine().advance(0.011);
@@ -555,8 +555,12 @@ fn bus_time_of_a_reading_is_as_documented() {
     println!("ICM-20948 mean reading with canary: {:.1} us", t * 1e6);
     assert!(t < 605e-6);
     let bus = lsm_bus(Noise::TYPICAL, Axes::ALIGNED);
-    let mut lsm =
-        Lsm6dsoLis2mdl::new(bus.clone(), &lsm6dso::LsmConfig::default(), Variant::Dso).unwrap();
+    let mut lsm = Lsm6dsoLis2mdl::new(
+        bus.clone(),
+        &lsm6dso::LsmConfig::default(),
+        lsm6dso::Variant::Dso,
+    )
+    .unwrap();
     lsm.init(&mut bus.delay()).unwrap();
     let t = per_reading(&bus, &mut lsm, 1000);
     println!("LSM6DSO + LIS2MDL mean reading: {:.1} us", t * 1e6);
@@ -625,9 +629,12 @@ fn each_wrong_identity_has_an_advice_that_can_be_followed() {
         for two in [false, true] {
             let (bus, mut imu): (_, Box<dyn Imu>) = if two {
                 let bus = lsm_bus(Noise::TYPICAL, Axes::ALIGNED);
-                let imu =
-                    Lsm6dsoLis2mdl::new(bus.clone(), &lsm6dso::LsmConfig::default(), Variant::Dso)
-                        .unwrap();
+                let imu = Lsm6dsoLis2mdl::new(
+                    bus.clone(),
+                    &lsm6dso::LsmConfig::default(),
+                    lsm6dso::Variant::Dso,
+                )
+                .unwrap();
                 (bus, Box::new(imu))
             } else {
                 let bus = icm_bus(Noise::TYPICAL);
@@ -654,8 +661,12 @@ fn each_wrong_identity_has_an_advice_that_can_be_followed() {
     );
     let bus = lsm_bus(Noise::TYPICAL, Axes::ALIGNED);
     bus.machine().nack(LIS, 1000);
-    let mut lsm =
-        Lsm6dsoLis2mdl::new(bus.clone(), &lsm6dso::LsmConfig::default(), Variant::Dso).unwrap();
+    let mut lsm = Lsm6dsoLis2mdl::new(
+        bus.clone(),
+        &lsm6dso::LsmConfig::default(),
+        lsm6dso::Variant::Dso,
+    )
+    .unwrap();
     let message = lsm.init(&mut bus.delay()).unwrap_err().to_string();
     assert!(
         message.contains("LIS2MDL") && message.contains("i2cdetect"),
@@ -771,8 +782,12 @@ fn a_changed_range_is_detected_by_the_check_of_settings() {
 #[test]
 fn lsm_brown_out_and_dead_magnetometer() {
     let bus = lsm_bus(Noise::TYPICAL, Axes::ALIGNED);
-    let mut imu =
-        Lsm6dsoLis2mdl::new(bus.clone(), &lsm6dso::LsmConfig::default(), Variant::Dso).unwrap();
+    let mut imu = Lsm6dsoLis2mdl::new(
+        bus.clone(),
+        &lsm6dso::LsmConfig::default(),
+        lsm6dso::Variant::Dso,
+    )
+    .unwrap();
     imu.init(&mut bus.delay()).unwrap();
     bus.machine().nack(LIS, u32::MAX);
     for _ in 0..200 {

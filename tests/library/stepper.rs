@@ -748,7 +748,7 @@ fn drive(
             continue;
         }
         let segment = motion.tick(target, 2e-3);
-        stepper.feed(&segment, now).unwrap();
+        assert!(stepper.feed(&segment, now));
         let there = stepper
             .latest()
             .is_some_and(|r| r.counted.0 == target.map(|p| (p / STEP_MM).round() as i32));
