@@ -121,7 +121,6 @@ impl ActuatorLimits {
 mod tests {
     use super::*;
     use crate::model::Bend;
-    use crate::primitives::Mm;
     use proptest::prelude::*;
 
     const LIMITS: ActuatorLimits = ActuatorLimits {

@@ -55,8 +55,9 @@ fn every_board_is_read_and_its_wiring_laid_out() {
             Backend::Rppal
         };
         assert_eq!(wiring.backend, expected, "{name}");
-        let share = board.power.kept_kpa(board.drive.pinion_pitch_diameter_mm)
-            / board.limits.pressure_max_kpa;
+        let (power, pitch_mm) = (&board.power, board.drive.pinion_pitch_diameter_mm);
+        let kept_kpa = power.detent_torque_n_mm / power.torque_n_mm(1.0, pitch_mm);
+        let share = kept_kpa / board.limits.pressure_max_kpa;
         assert!(
             (0.11..0.14).contains(&share),
             "{name} says an eighth is left without current, the law says {share}"
