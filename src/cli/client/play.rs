@@ -172,7 +172,13 @@ fn run_path(connection: &mut Connection, rows: &[PathRow]) -> Result<()> {
         hold_s: AT_FIRST_S,
         ..ScheduleRow::rest(0.0, &Geometry::default())
     };
-    let request = Request::bend(bend_deg, dir_deg, length_mm);
+    let request = Request::Bend {
+        bend_deg,
+        dir_deg,
+        length_mm,
+        speed_deg_s: None,
+        frame: Frame::Base,
+    };
     ask(connection, &request)?;
     arrive_and_hold(connection, now.t, 0.0, &first)?;
     let (rows, more) = (vec![], false);
