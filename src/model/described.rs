@@ -3,7 +3,7 @@
 use crate::model::effects::{Effect, Memory, Pose};
 use crate::model::{Chain, Geometry, NOMINAL, places};
 use nalgebra::{UnitQuaternion, Vector3};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt;
 use std::sync::Arc;
 
@@ -12,11 +12,19 @@ use std::sync::Arc;
 #[serde(deny_unknown_fields)]
 pub struct RestReadings {
     /// Direction of up, unit vector.
+    #[serde(deserialize_with = "three_values")]
     pub up: Vector3<f64>,
     /// Magnetic field, µT; zero without a magnetometer.
+    #[serde(deserialize_with = "three_values")]
     pub field_ut: Vector3<f64>,
     /// Bias of the gyroscope, rad/s.
+    #[serde(deserialize_with = "three_values")]
     pub gyro_bias_rad_s: Vector3<f64>,
+}
+
+/// A vector as an array of three, whose error says so.
+fn three_values<'de, D: Deserializer<'de>>(from: D) -> Result<Vector3<f64>, D::Error> {
+    <[f64; 3]>::deserialize(from).map(Vector3::from)
 }
 
 impl Default for RestReadings {
