@@ -5,7 +5,7 @@ use crate::control::learning::batch::Estimate;
 use crate::diagnosis;
 use crate::experiment::arm::{self, ArmResult};
 use crate::experiment::diagnosed;
-use crate::experiment::identify::{self, IdentifyError};
+use crate::experiment::identify::{self, Identified, IdentifyError};
 use crate::experiment::path::PathFile;
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::{DIRECTIONS, arrivals, paper};
@@ -244,12 +244,7 @@ pub fn run(
     };
     if plan.identify {
         let mut world = opened(Purpose::Identify)?;
-        let config = for_world(&base, world.as_ref());
-        let mut told = |pass| progress(&format!("identify, pass {pass}"));
-        let result = identify::algorithm_1(&config, world.as_mut(), &paper(), None, &mut told)?;
-        (base.lines, base.dynamics, base.line_sigmas) =
-            (result.lines(), result.dynamics, result.line_sigmas());
-        found = Some(result);
+        found = Some(identified(&mut base, world.as_mut(), progress)?);
     }
     let mut arms = Vec::with_capacity(plan.arms.len());
     let mut twin = plan.feedforward.clone();
@@ -303,6 +298,20 @@ pub fn run(
         identified: channels.map(ChannelFigures::of).collect(),
         plant,
     })
+}
+
+/// Identifies the machine, and gives what is found to the configuration.
+fn identified(
+    base: &mut LoopConfig,
+    world: &mut dyn World,
+    progress: &mut dyn FnMut(&str),
+) -> Result<Identified, IdentifyError> {
+    let config = for_world(base, world);
+    let mut told = |pass| progress(&format!("identify, pass {pass}"));
+    let found = identify::algorithm_1(&config, world, &paper(), None, &mut told)?;
+    (base.lines, base.dynamics, base.line_sigmas) =
+        (found.lines(), found.dynamics, found.line_sigmas());
+    Ok(found)
 }
 
 /// Follows the path.
