@@ -200,7 +200,7 @@ impl BendFilter {
     pub fn gyro_bias_rad_s(&self) -> Vector3<f64> {
         self.gyro_bias
     }
-    /// Estimated sensor errors, with margins of [`MARGIN_SIGMAS`].
+    /// Estimated sensor errors, with margins of three standard deviations.
     pub fn known_errors(&self) -> KnownErrors {
         KnownErrors {
             acc_bias_m_s2: self.acc_bias,
