@@ -81,12 +81,7 @@ impl Client {
         let mut total = 0;
         while self.wants_input() && total < READ_PER_ROUND {
             match self.stream.read(&mut chunk) {
-                Ok(0) => {
-                    self.closing = true;
-                    // a line without an end is discarded
-                    let end = self.input.iter().rposition(|b| *b == b'\n');
-                    self.input.truncate(end.map_or(0, |n| n + 1));
-                }
+                Ok(0) => self.closing = true,
                 Ok(n) => {
                     total += n;
                     self.active = Instant::now();
@@ -169,11 +164,13 @@ impl Client {
 
     pub(super) fn reason_to_drop(&self, idle_max: Duration) -> Option<&'static str> {
         let complete = self.input.contains(&b'\n');
-        if self.closing && self.output.is_empty() && self.input.is_empty() && self.unanswered == 0 {
+        // a line that will not end is discarded
+        if self.closing && !complete && self.output.is_empty() && self.unanswered == 0 {
             Some("disconnected")
         } else if self.output.len() > OUTPUT_MAX {
             Some("it does not read")
-        } else if !self.input.is_empty()
+        } else if !self.closing
+            && !self.input.is_empty()
             && !complete
             && self.line_started.elapsed().as_secs_f64() > LINE_MAX_S
         {

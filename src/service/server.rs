@@ -253,6 +253,25 @@ mod tests {
     }
 
     #[test]
+    fn a_client_whose_line_is_not_text_goes_with_its_replies() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut server = server(folder.path(), Duration::from_secs(60));
+        let mut client = UnixStream::connect(folder.path().join("socket")).unwrap();
+        client.write_all(b"one\n\xff\xfe\ntwo\nthree").unwrap();
+        let lines = rounds(&mut server);
+        let texts: Vec<_> = lines.iter().map(|l| l.text.as_deref()).collect();
+        let refused = Err(&"a line must be UTF-8 text");
+        assert_eq!(texts, [Ok("one"), refused, Ok("two")]);
+        (0..2).for_each(|_| server.reply(1, "y\n"));
+        rounds(&mut server);
+        assert_eq!(server.clients(), 1, "it waits for an answer");
+        server.reply(1, "y\n");
+        server.flush();
+        rounds(&mut server);
+        assert_eq!(server.gone, [(1, "disconnected")]);
+    }
+
+    #[test]
     fn lines_beyond_the_unanswered_ones_are_marked_and_idle_clients_go() {
         let folder = tempfile::tempdir().unwrap();
         let mut server = server(folder.path(), Duration::from_millis(50));
