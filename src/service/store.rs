@@ -376,14 +376,13 @@ impl StateWriter {
         self.completed.try_recv().ok()
     }
 
-    /// Writes a last time after everything that is queued, waits for the disk and ends the thread.
+    /// Writes a last time after everything that is queued, waits for the disk and ends the thread. `None` if the thread has panicked.
     pub fn finish(self, memory: &Memory) -> Option<Completed> {
-        let sent = self.jobs.send((Box::new(memory.clone()), None)).is_ok();
+        // a thread that has panicked takes no job, and its last result is not that of this one
+        let _ = self.jobs.send((Box::new(memory.clone()), None));
         drop(self.jobs);
-        let last = self.completed.iter().last().filter(|_| sent);
-        // it has nothing left to do and nothing to report
-        let _ = self.thread.join();
-        last
+        let last = self.completed.iter().last();
+        self.thread.join().ok().and(last)
     }
 }
 
