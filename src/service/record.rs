@@ -290,7 +290,9 @@ fn write(
                 .and_then(|()| flight.flush(false))
                 .map_err(io_error)?;
         }
-        let size = file.metadata()?.len() + flight.as_ref().map_or(Ok(0), FlightFile::size)?;
+        // a recording whose file was removed ends with an error
+        let size =
+            std::fs::metadata(path)?.len() + flight.as_ref().map_or(Ok(0), FlightFile::size)?;
         if size > mib(limits.record_max_mib) {
             reason = Some("it reached service.record_max_mib");
         } else if free_bytes(path)? < mib(limits.record_free_mib) {
