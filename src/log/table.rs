@@ -265,7 +265,7 @@ impl Table {
     /// A column that the header must name.
     ///
     /// # Errors
-    /// [`ReadError`].
+    /// [`ReadError`] if it does not.
     pub fn required(&self, name: &str) -> Result<&[f64], ReadError> {
         self.position(name).map(|k| self.columns[k].as_slice())
     }

@@ -41,9 +41,9 @@ impl Rad {
     }
 }
 
-/// For how long a condition has held, s, one tick of `dt_s` after it had held for `since_s`.
-pub fn lasting(holds: bool, since_s: f64, dt_s: f64) -> f64 {
-    if holds { since_s + dt_s } else { 0.0 }
+/// For how long a condition has held, s, one tick of `dt_s` after it had held for `so_far_s`.
+pub fn lasting(holds: bool, so_far_s: f64, dt_s: f64) -> f64 {
+    if holds { so_far_s + dt_s } else { 0.0 }
 }
 
 /// Absolute microstep counts of the three drive channels since the pistons were at zero.

@@ -29,9 +29,9 @@ pub struct Caller {
     pub id: Value,
     /// Name of the command, for the log of the hub.
     pub command: String,
-    /// When the request came to the thread that answers it.
+    /// When the request came to the thread that answers it: that of its socket for a stop, else the hub.
     pub since: Instant,
-    /// Number of stops requested when the line was received; of a stop, its own number.
+    /// Number of stops requested when the line was received, a stop itself included.
     pub stops: u64,
 }
 

@@ -17,11 +17,14 @@ use crate::model::{Geometry, Line};
 use motion::Motion;
 use thiserror::Error;
 
-/// A log whose units or wiring cannot be right: the file, the column, with the line where one value is at fault, what the values look
-/// like, and how to mend the log.
+/// A log whose units or wiring cannot be right.
 #[derive(Debug, Clone, PartialEq, Error)]
-#[error("{0}, {1}")]
-pub struct Implausible(String, String);
+#[error("{file}, {finding}")]
+pub struct Implausible {
+    file: String,
+    /// The column, with the line where one value is at fault, what the values look like, and how to mend the log.
+    finding: String,
+}
 
 /// Checks a log against the nominal model with these transmission lines.
 ///
@@ -38,9 +41,9 @@ pub fn check(log: &BendLog, geometry: &Geometry, lines: &[Line; 3]) -> Result<()
         .or_else(|| values::sensor_units(log.base.as_ref()?, "base_"))
         .or_else(|| values::single_values(log))
         .or_else(in_motion);
-    first.map_or(Ok(()), |finding| {
-        Err(Implausible(log.file.clone(), finding))
-    })
+    let Some(finding) = first else { return Ok(()) };
+    let file = log.file.clone();
+    Err(Implausible { file, finding })
 }
 
 #[cfg(test)]
