@@ -3,7 +3,6 @@
 use crate::drill::bench::Bench;
 use crate::estimation::fusion::health::{HealthCause, ReadFault};
 use crate::named;
-use crate::service::status::trip_message;
 use crate::simulation::plant::Plant;
 use crate::supervisor::{Alarm, CycleOutput, Mode, Order, Refusal, SuspicionKind, TripCause};
 
@@ -208,7 +207,7 @@ impl Detector {
         let suspicion = || Some(output.suspicion.filter(|_| output.suspects)?.to_string());
         let trip = |causes: &[TripCause]| {
             let among = |cause: &TripCause| causes.is_empty() || causes.contains(cause);
-            Some(trip_message(output.tripped.filter(among)?).to_owned())
+            Some(output.tripped.filter(among)?.advice().to_owned())
         };
         let bias = "the gyroscope bias has changed since the alignment: `zero` when convenient";
         match self {

@@ -1,5 +1,6 @@
 //! What the threads share without locks, and the watch that the loop keeps over them.
 
+use crate::named;
 use crate::service::stop::StopSignal;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::Relaxed};
 
@@ -8,26 +9,18 @@ const STALL_MAX_S: f64 = 10.0;
 /// Largest increase of a thread's age in one cycle, s: a loop that was suspended does not blame the others.
 const AGE_STEP_MAX_S: f64 = 0.05;
 
-/// A thread whose progress the loop watches.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Watched {
-    /// The command socket.
-    Control,
-    /// The status socket.
-    Status,
-    /// The socket of `stop`.
-    Stop,
-    /// The hub.
-    Hub,
-}
-
-impl Watched {
-    /// All of them.
-    pub const ALL: [Self; 4] = [Self::Control, Self::Status, Self::Stop, Self::Hub];
-
-    /// Name of the thread.
-    pub fn name(self) -> &'static str {
-        ["control", "status", "stop", "hub"][self as usize]
+named! {
+    /// A thread whose progress the loop watches.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum Watched {
+        /// The command socket.
+        Control = "control",
+        /// The status socket.
+        Status = "status",
+        /// The socket of `stop`.
+        Stop = "stop",
+        /// The hub.
+        Hub = "hub",
     }
 }
 

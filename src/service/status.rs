@@ -9,47 +9,6 @@ use crate::supervisor::{CycleOutput, Mode, Source, SupervisorConfig, TripCause};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
-/// What tripped, and the remedy.
-pub fn trip_message(cause: TripCause) -> &'static str {
-    match cause {
-        TripCause::EmergencyStop => {
-            "the emergency stop is pressed: release it, then `retroflex reset-fault`"
-        }
-        TripCause::StepGenerator => {
-            "the step generator raised an alarm: see `remarks`, then `retroflex reset-fault`"
-        }
-        TripCause::Late => {
-            "the control loop was delayed: check real-time limits and load with `retroflex doctor`"
-        }
-        TripCause::Unarmed => {
-            "motion was commanded while disarmed: this is a defect of the program, please report it"
-        }
-        TripCause::Travel => "a piston would have left its travel: see [limits] of the board file",
-        TripCause::Rate => "a piston would have exceeded its speed: see [motion] of the board file",
-        TripCause::Acceleration => {
-            "a piston would have exceeded its acceleration: see [motion] of the board file"
-        }
-        TripCause::Pressure => {
-            "the pressure of a line was or would have been too high: look for a kink and at `alarm`, or relax and calibrate again"
-        }
-        TripCause::Temperature => {
-            "the tip is hotter than safety.tip_max_c: withdraw it, and let it cool before `retroflex reset-fault`"
-        }
-        TripCause::Stale => {
-            "no usable orientation for too long: check the cable of the IMU; `retroflex doctor`"
-        }
-        TripCause::Disagreement => {
-            "the two orientation filters disagree: `retroflex relax`, then `retroflex zero`"
-        }
-        TripCause::Following => "the tip does not follow its set-point: see the suspected cause",
-    }
-}
-
-/// Name of a trip cause as in files and status lines.
-pub fn trip_name(cause: TripCause) -> String {
-    json!(cause).as_str().unwrap_or_default().to_owned()
-}
-
 /// True if the tip cannot get nearer to its target.
 pub fn blocked(f: &Frame) -> bool {
     f.blocked || f.saturation != Saturation::No
@@ -122,8 +81,8 @@ pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
             let state = if follows { "follows" } else { "lost" };
             json!({"state": state, "active": active.iter().map(|c| c.name()).collect::<Vec<_>>()})
         }),
-        "latched": output.latched.map(trip_name),
-        "fault": output.latched.map(trip_message),
+        "latched": output.latched.map(TripCause::name),
+        "fault": output.latched.map(TripCause::advice),
         "stopped": output.stopped,
         "suspicion": output.suspicion.map(|s| s.to_string()),
         "sensor": {

@@ -155,12 +155,12 @@ impl Hub {
         }
         if let Some(cause) = output.tripped {
             let suspicion = output.suspicion.map(|s| format!("; {s}"));
-            let message = status::trip_message(cause).to_owned() + &suspicion.unwrap_or_default();
-            let cause = status::trip_name(cause);
+            let message = cause.advice().to_owned() + &suspicion.unwrap_or_default();
+            let cause = cause.name();
             tracing::error!(event = "fault", cause, steps = ?output.steps.0, config = %config, "{message}");
             self.memory.record_fault(RecordedFault {
                 unix_s: unix_s(),
-                cause,
+                cause: cause.to_owned(),
                 message,
             });
             self.persistence.write_soon();
@@ -231,8 +231,8 @@ impl Hub {
             let (bend, dir) = (x.bend.beta().to_degrees(), x.bend.delta().to_degrees());
             format!(", {bend:.1}° at {dir:.0}°")
         });
-        let fault = last.latched.map(status::trip_message);
-        let fault = fault.map_or_else(String::new, |message| format!(": {message}"));
+        let fault = last.latched.map(|cause| format!(": {}", cause.advice()));
+        let fault = fault.unwrap_or_default();
         let line = format!("STATUS={}{estimate}{fault}", last.mode);
         let (sent, when) = &self.last_status;
         if *sent != line && when.elapsed() > Duration::from_secs(1) {

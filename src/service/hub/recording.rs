@@ -15,7 +15,7 @@ use crate::service::start::Start;
 use crate::service::status;
 use crate::service::store::Belief;
 use crate::supervisor::cycle::order::hint;
-use crate::supervisor::{Mode, Source};
+use crate::supervisor::{Mode, Source, TripCause};
 use serde_json::{Value, json};
 use std::collections::HashMap;
 use std::io;
@@ -233,7 +233,7 @@ impl Hub {
             "power": self.supply.0,
             "settled": settled,
             "stopped": last.is_some_and(|t| t.stopped),
-            "fault": last.and_then(|t| t.latched).map(status::trip_message),
+            "fault": last.and_then(|t| t.latched).map(TripCause::advice),
             "calibration": calibration,
             "calibrating": self.calibration.as_ref().map(Session::progress),
             "calibration_failed": self.calibration_failed,

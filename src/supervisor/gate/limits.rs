@@ -1,36 +1,38 @@
 //! Causes of a trip, the safe state of each cause, and the limits of the gate.
 
-use crate::{choices, parameters};
+use crate::{choices, named, parameters};
 use serde::{Deserialize, Serialize};
 
-/// A condition that trips the gate.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum TripCause {
-    /// The emergency stop is pressed.
-    EmergencyStop,
-    /// The step generator raised an alarm.
-    StepGenerator,
-    /// A tick is late.
-    Late,
-    /// The controller requested motion while the drivers were not armed.
-    Unarmed,
-    /// The requested position is outside the travel of a piston.
-    Travel,
-    /// A piston is counted faster than permitted.
-    Rate,
-    /// The counted acceleration of a piston is too high.
-    Acceleration,
-    /// The requested position compresses or stretches the air of a line too far, or a sensor measures too much pressure.
-    Pressure,
-    /// The tip is too hot.
-    Temperature,
-    /// The last usable orientation is too old.
-    Stale,
-    /// The two orientation filters disagree.
-    Disagreement,
-    /// The tip does not follow the set-point.
-    Following,
+named! {
+    /// A condition that trips the gate.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum TripCause {
+        /// The emergency stop is pressed.
+        EmergencyStop = "emergency_stop": "the emergency stop is pressed: release it, then `retroflex reset-fault`",
+        /// The step generator raised an alarm.
+        StepGenerator = "step_generator": "the step generator raised an alarm: see `remarks`, then `retroflex reset-fault`",
+        /// A tick is late.
+        Late = "late": "the control loop was delayed: check real-time limits and load with `retroflex doctor`",
+        /// The controller requested motion while the drivers were not armed.
+        Unarmed = "unarmed": "motion was commanded while disarmed: this is a defect of the program, please report it",
+        /// The requested position is outside the travel of a piston.
+        Travel = "travel": "a piston would have left its travel: see [limits] of the board file",
+        /// A piston is counted faster than permitted.
+        Rate = "rate": "a piston would have exceeded its speed: see [motion] of the board file",
+        /// The counted acceleration of a piston is too high.
+        Acceleration = "acceleration": "a piston would have exceeded its acceleration: see [motion] of the board file",
+        /// The requested position compresses or stretches the air of a line too far, or a sensor measures too much pressure.
+        Pressure = "pressure": "the pressure of a line was or would have been too high: look for a kink and at `alarm`, or relax and calibrate again",
+        /// The tip is too hot.
+        Temperature = "temperature": "the tip is hotter than safety.tip_max_c: withdraw it, and let it cool before `retroflex reset-fault`",
+        /// The last usable orientation is too old.
+        Stale = "stale": "no usable orientation for too long: check the cable of the IMU; `retroflex doctor`",
+        /// The two orientation filters disagree.
+        Disagreement = "disagreement": "the two orientation filters disagree: `retroflex relax`, then `retroflex zero`",
+        /// The tip does not follow the set-point.
+        Following = "following": "the tip does not follow its set-point: see the suspected cause",
+    }
 }
 
 choices! {
