@@ -1,6 +1,7 @@
 //! One connection of a client: bounded reading, splitting into lines, and bounded writing.
 
 use crate::service::protocol::LINE_MAX;
+use nix::sys::socket::UnixCredentials;
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
@@ -25,18 +26,12 @@ pub struct Line {
     pub surplus: bool,
 }
 
-/// Who is at the other end of a connection.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Peer {
-    pub(super) user: u32,
-    pub(super) process: i32,
-}
-
 /// A client.
 #[derive(Debug)]
 pub(super) struct Client {
     pub(super) number: u64,
-    pub(super) peer: Peer,
+    /// Who is at the other end.
+    pub(super) peer: UnixCredentials,
     pub(super) stream: UnixStream,
     pub(super) input: Vec<u8>,
     line_started: Instant,
@@ -54,7 +49,7 @@ pub(super) struct Client {
 }
 
 impl Client {
-    pub(super) fn new(number: u64, peer: Peer, stream: UnixStream) -> Self {
+    pub(super) fn new(number: u64, peer: UnixCredentials, stream: UnixStream) -> Self {
         let now = Instant::now();
         Self {
             number,

@@ -1,10 +1,9 @@
 //! Files of the service and space on the disk.
 
 use crate::config::ServiceSection;
-use std::ffi::CString;
 use std::fs::{File, OpenOptions};
 use std::io;
-use std::os::unix::{ffi::OsStrExt, fs::OpenOptionsExt};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
 /// Bytes of so many MiB.
@@ -39,22 +38,13 @@ pub fn create_recording(path: &Path) -> io::Result<File> {
 ///
 /// # Errors
 /// The operating system's.
-#[allow(unsafe_code)]
+#[allow(
+    clippy::useless_conversion,
+    reason = "narrower on computers of 32 bits"
+)]
 pub fn free_bytes(path: &Path) -> io::Result<u64> {
-    let path = CString::new(path.as_os_str().as_bytes())?;
-    let mut stat = std::mem::MaybeUninit::<libc::statvfs>::uninit();
-    // SAFETY: the path ends in a zero, and `stat` is written in full when the call succeeds
-    let stat = unsafe {
-        if libc::statvfs(path.as_ptr(), stat.as_mut_ptr()) != 0 {
-            return Err(io::Error::last_os_error());
-        }
-        stat.assume_init()
-    };
-    #[allow(
-        clippy::useless_conversion,
-        reason = "narrower on computers of 32 bits"
-    )]
-    Ok(u64::from(stat.f_bavail) * u64::from(stat.f_frsize))
+    let stat = nix::sys::statvfs::statvfs(path)?;
+    Ok(u64::from(stat.blocks_available()) * u64::from(stat.fragment_size()))
 }
 
 /// Refuses a disk with less free space than `service.record_free_mib`.

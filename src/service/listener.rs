@@ -1,12 +1,11 @@
 //! A listening socket in the file system.
 
-#![allow(unsafe_code)]
-
 use crate::service::client::connect_within;
 use crate::service::error::ServiceError;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use socket2::{Domain, SockAddr, Socket, Type};
 use std::io::ErrorKind;
-use std::os::fd::AsRawFd;
+use std::os::fd::AsFd;
 use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
@@ -84,12 +83,8 @@ impl Listener {
     }
 
     /// An entry for [`wait`].
-    pub fn entry(&self) -> libc::pollfd {
-        libc::pollfd {
-            fd: self.socket.as_raw_fd(),
-            events: libc::POLLIN,
-            revents: 0,
-        }
+    pub fn entry(&self) -> PollFd<'_> {
+        PollFd::new(self.socket.as_fd(), PollFlags::POLLIN)
     }
 }
 
@@ -103,10 +98,9 @@ impl Drop for Listener {
 }
 
 /// Waits until one of the descriptors is ready, at most for this time.
-pub fn wait(set: &mut [libc::pollfd], time: Duration) {
-    let ms = i32::try_from(time.as_millis()).unwrap_or(i32::MAX);
-    // SAFETY: `set` is a live array of the given length; after a failure the round merely starts early
-    unsafe { libc::poll(set.as_mut_ptr(), set.len() as libc::nfds_t, ms) };
+pub fn wait(set: &mut [PollFd<'_>], time: Duration) {
+    // after a failure the round merely starts early
+    let _ = poll(set, PollTimeout::try_from(time).unwrap_or(PollTimeout::MAX));
 }
 
 fn inode(path: &Path) -> std::io::Result<(u64, u64)> {
@@ -116,6 +110,7 @@ fn inode(path: &Path) -> std::io::Result<(u64, u64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use socket2::SockRef;
 
     #[test]
     fn a_file_that_is_no_socket_is_kept() {
@@ -139,8 +134,7 @@ mod tests {
         let why = Listener::bind(&path, 0o600).unwrap_err().to_string();
         assert!(why.contains("already answers"), "{why}");
         // a queue that is full, as that of a service that hangs
-        // SAFETY: the descriptor is a bound socket
-        unsafe { libc::listen(live.as_raw_fd(), 0) };
+        SockRef::from(&live).listen(0).unwrap();
         let _waits: Vec<_> = (0..2)
             .filter_map(|_| connect_within(&path, Duration::from_millis(50)).ok())
             .collect();

@@ -6,13 +6,13 @@
 //! most, loses the one that has been silent for longest. A client that does not read, does not end its line or is idle for
 //! too long is disconnected.
 
-#![allow(unsafe_code)]
-
-use crate::service::connection::{Client, Line, Peer};
+use crate::service::connection::{Client, Line};
 use crate::service::listener::{self, Listener};
+use nix::poll::{PollFd, PollFlags};
+use nix::sys::socket::{UnixCredentials, getsockopt, sockopt::PeerCredentials};
 use std::cmp::Reverse;
 use std::io::Read;
-use std::os::fd::AsRawFd;
+use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::time::Duration;
 
@@ -109,20 +109,13 @@ impl Server {
     }
 
     fn poll(&mut self, wait: Duration) {
-        let entry = |fd, events| libc::pollfd {
-            fd,
-            events,
-            revents: 0,
-        };
-        let mut set = vec![
-            self.listener.entry(),
-            entry(self.wake.as_raw_fd(), libc::POLLIN),
-        ];
+        let wake = PollFd::new(self.wake.as_fd(), PollFlags::POLLIN);
+        let mut set = vec![self.listener.entry(), wake];
         for c in &self.clients {
-            let when = |is: bool, event| if is { event } else { 0 };
-            let reads = when(c.wants_input(), libc::POLLIN);
-            let writes = when(!c.output.is_empty(), libc::POLLOUT);
-            set.push(entry(c.stream.as_raw_fd(), reads | writes));
+            let mut events = PollFlags::empty();
+            events.set(PollFlags::POLLIN, c.wants_input());
+            events.set(PollFlags::POLLOUT, !c.output.is_empty());
+            set.push(PollFd::new(c.stream.as_fd(), events));
         }
         listener::wait(&mut set, wait);
         while self.wake.read(&mut [0; 64]).is_ok_and(|n| n > 0) {}
@@ -134,7 +127,9 @@ impl Server {
             let Some(stream) = self.listener.accept() else {
                 return;
             };
-            let Some(peer) = peer(&stream) else { continue };
+            let Ok(peer) = getsockopt(&stream, PeerCredentials) else {
+                continue;
+            };
             if self.clients.len() >= CLIENTS_MAX && !self.make_room() {
                 continue;
             }
@@ -149,11 +144,11 @@ impl Server {
     /// Disconnects the client whose last line is oldest, of the process with the most clients, of the user with the most. Clients
     /// that wait for an answer go last, and protected ones stay. False if nobody could be disconnected.
     fn make_room(&mut self) -> bool {
-        let share =
-            |same: &dyn Fn(&Peer) -> bool| self.clients.iter().filter(|c| same(&c.peer)).count();
+        type Same<'a> = &'a dyn Fn(&UnixCredentials) -> bool;
+        let share = |same: Same<'_>| self.clients.iter().filter(|c| same(&c.peer)).count();
         let key = |c: &Client| {
-            let (of_user, of_process) =
-                (share(&|p| p.user == c.peer.user), share(&|p| *p == c.peer));
+            let of_user = share(&|p| p.uid() == c.peer.uid());
+            let of_process = share(&|p| *p == c.peer);
             (
                 Reverse((of_user, of_process)),
                 c.unanswered > 0,
@@ -171,30 +166,6 @@ impl Server {
         }
         true
     }
-}
-
-/// Who is at the other end of a connection.
-fn peer(stream: &UnixStream) -> Option<Peer> {
-    let mut who = libc::ucred {
-        pid: 0,
-        uid: 0,
-        gid: 0,
-    };
-    let mut size = size_of::<libc::ucred>() as libc::socklen_t;
-    // SAFETY: `who` and `size` are live and of the stated size
-    let result = unsafe {
-        libc::getsockopt(
-            stream.as_raw_fd(),
-            libc::SOL_SOCKET,
-            libc::SO_PEERCRED,
-            (&raw mut who).cast(),
-            &raw mut size,
-        )
-    };
-    (result == 0).then_some(Peer {
-        user: who.uid,
-        process: who.pid,
-    })
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! The service as a whole, from outside: real sockets, real time, the built-in plant.
 
 use crate::common::tries;
+use nix::sys::signal::Signal;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use retroflex::drill::process::Daemon;
@@ -149,7 +150,7 @@ fn a_session_from_start_to_end() {
 #[test]
 fn every_signal_that_ends_a_process_returns_the_tip_to_rest() {
     std::thread::scope(|scope| {
-        for signal in [libc::SIGHUP, libc::SIGQUIT, libc::SIGUSR1] {
+        for signal in [Signal::SIGHUP, Signal::SIGQUIT, Signal::SIGUSR1] {
             scope.spawn(move || {
                 let folder = tempfile::tempdir().unwrap();
                 let daemon = Daemon::start(program(), folder.path()).unwrap();
@@ -214,7 +215,7 @@ fn commands_that_wait_end_and_say_why() {
         "nobody reads the status any more"
     );
 
-    daemon.signal(libc::SIGSTOP);
+    daemon.signal(Signal::SIGSTOP);
     let since = Instant::now();
     expect(socket, &["stop"], 3, "cut the power of its motors");
     expect(socket, &["status"], 3, "does not answer");
@@ -223,7 +224,7 @@ fn commands_that_wait_end_and_say_why() {
         "{:?}",
         since.elapsed()
     );
-    daemon.signal(libc::SIGCONT);
+    daemon.signal(Signal::SIGCONT);
 }
 
 /// A command without a service; returns its exit code and output.

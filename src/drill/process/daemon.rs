@@ -3,6 +3,8 @@
 use crate::service::client::Client;
 use crate::service::paths;
 use crate::service::protocol::Request;
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use serde_json::Value;
 use std::io;
 use std::os::unix::net::UnixDatagram;
@@ -106,8 +108,8 @@ impl Daemon {
     }
 
     /// Number of its process.
-    pub fn pid(&self) -> u32 {
-        self.child.id()
+    pub fn pid(&self) -> Pid {
+        Pid::from_raw(self.child.id().cast_signed())
     }
 
     /// Paths of its command socket, its status socket and its socket of `stop`.
@@ -172,30 +174,29 @@ impl Daemon {
     }
 
     /// Sends a signal to the service.
-    #[allow(unsafe_code)]
-    pub fn signal(&self, signal: i32) {
-        if let Ok(pid) = libc::pid_t::try_from(self.child.id()) {
-            // SAFETY: kill takes two integers; the child has not been waited for, so the number is still that of the child
-            unsafe { libc::kill(pid, signal) };
-        }
+    pub fn signal(&self, signal: Signal) {
+        // the child has not been waited for, so the number is still that of the child
+        let _ = kill(self.pid(), signal);
     }
 
     /// Kills the service, as a power cut would.
-    pub fn kill(self) {}
+    pub fn kill(self) {
+        drop(self);
+    }
 
     /// Ends the service with SIGTERM. Returns whether it succeeded, and the time it took, s.
     ///
     /// # Errors
     /// The operating system's.
     pub fn end(self) -> io::Result<(bool, f64)> {
-        self.end_by(libc::SIGTERM)
+        self.end_by(Signal::SIGTERM)
     }
 
     /// As [`end`](Self::end), with another signal.
     ///
     /// # Errors
     /// The operating system's.
-    pub fn end_by(mut self, signal: i32) -> io::Result<(bool, f64)> {
+    pub fn end_by(mut self, signal: Signal) -> io::Result<(bool, f64)> {
         self.signal(signal);
         let started = Instant::now();
         while started.elapsed() < Duration::from_secs(40) {

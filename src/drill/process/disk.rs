@@ -7,10 +7,12 @@ use crate::drill::row::{FaultResult, require};
 use crate::service::memory::Memory;
 use crate::service::store::Store;
 use crate::supervisor::{Mode, Order};
+use nix::sys::resource::{Resource, setrlimit};
 use std::error::Error;
 use std::io::{self, Write};
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// What an exercise does to its own disk.
@@ -81,7 +83,6 @@ fn write(store: &mut Store, armed: bool, restart: RestartState) -> io::Result<bo
     Ok(written.is_ok())
 }
 
-#[allow(unsafe_code)]
 fn do_harm(folder: &Path, harm: Harm) -> io::Result<()> {
     let done = match harm {
         Harm::Fill => {
@@ -99,18 +100,11 @@ fn do_harm(folder: &Path, harm: Harm) -> io::Result<()> {
             }
         }
         Harm::Limit => {
-            let none = libc::rlimit {
-                rlim_cur: 0,
-                rlim_max: 0,
-            };
-            // SAFETY: the limit is a live struct that is only read; ignoring SIGXFSZ makes writes fail instead of killing
-            let result = unsafe {
-                libc::signal(libc::SIGXFSZ, libc::SIG_IGN);
-                libc::setrlimit(libc::RLIMIT_FSIZE, &none)
-            };
-            match result {
-                0 => "no file can be written",
-                _ => "the limit was refused",
+            // a signal that is handled makes writes fail instead of killing
+            signal_hook::flag::register(libc::SIGXFSZ, Arc::default())?;
+            match setrlimit(Resource::RLIMIT_FSIZE, 0, 0) {
+                Ok(()) => "no file can be written",
+                Err(_) => "the limit was refused",
             }
         }
     };

@@ -1,41 +1,40 @@
 //! Suspends one thread of a child process, as a disk or a lock that does not return would.
 
-#![allow(unsafe_code)]
-
+use nix::sys::ptrace;
+use nix::sys::wait::{WaitPidFlag, waitpid};
+use nix::unistd::Pid;
 use std::io;
-use std::path::Path;
 
 /// A suspended thread; dropping it lets the thread continue.
 #[derive(Debug)]
-pub struct HungThread(libc::pid_t);
+pub struct HungThread(Pid);
 
 impl HungThread {
     /// Suspends the thread of `pid` with this name; the hub is the first thread. It must be dropped by the thread that suspended it.
     ///
     /// # Errors
     /// No such thread, or no permission to trace it.
-    pub fn suspend(pid: u32, name: &str) -> io::Result<Self> {
-        let tasks = std::fs::read_dir(format!("/proc/{pid}/task"))?.flatten();
-        let numbered = tasks.filter_map(|task| {
-            Some((task.path(), task.file_name().to_str()?.parse::<u32>().ok()?))
+    pub fn suspend(pid: Pid, name: &str) -> io::Result<Self> {
+        let mut tasks = std::fs::read_dir(format!("/proc/{pid}/task"))?.flatten();
+        let found = tasks.find_map(|task| {
+            let tid = Pid::from_raw(task.file_name().to_str()?.parse().ok()?);
+            let is_it = match name {
+                "hub" => tid == pid,
+                _ => {
+                    std::fs::read_to_string(task.path().join("comm"))
+                        .ok()?
+                        .trim()
+                        == name
+                }
+            };
+            is_it.then_some(tid)
         });
-        let named = |path: &Path| {
-            std::fs::read_to_string(path.join("comm")).is_ok_and(|comm| comm.trim() == name)
-        };
-        let found = numbered.into_iter().find(|(path, tid)| {
-            if name == "hub" {
-                *tid == pid
-            } else {
-                named(path)
-            }
-        });
-        let tid = found.and_then(|(_, tid)| libc::pid_t::try_from(tid).ok());
-        let tid = tid.ok_or_else(|| io::Error::other(format!("there is no thread `{name}`")))?;
-        trace(libc::PTRACE_SEIZE, tid)?;
+        let tid = found.ok_or_else(|| io::Error::other(format!("there is no thread `{name}`")))?;
+        ptrace::seize(tid, ptrace::Options::empty())?;
         let hung = Self(tid);
-        trace(libc::PTRACE_INTERRUPT, tid)?;
-        // SAFETY: the status is not wanted, and the thread is traced by this one
-        unsafe { libc::waitpid(tid, std::ptr::null_mut(), libc::__WALL) };
+        ptrace::interrupt(tid)?;
+        // how it stands is not wanted
+        let _ = waitpid(tid, Some(WaitPidFlag::__WALL));
         Ok(hung)
     }
 }
@@ -43,17 +42,6 @@ impl HungThread {
 impl Drop for HungThread {
     fn drop(&mut self) {
         // the process may have been killed meanwhile
-        let _ = trace(libc::PTRACE_DETACH, self.0);
-    }
-}
-
-fn trace(request: libc::c_uint, tid: libc::pid_t) -> io::Result<()> {
-    let none = std::ptr::null_mut::<libc::c_void>();
-    // SAFETY: these requests take no address and no data
-    let result = unsafe { libc::ptrace(request, tid, none, none) };
-    if result < 0 {
-        Err(io::Error::last_os_error())
-    } else {
-        Ok(())
+        let _ = ptrace::detach(self.0, None);
     }
 }

@@ -7,6 +7,7 @@ use crate::drill::row::{FaultResult, require};
 use crate::model::Bend;
 use crate::service::protocol::Request;
 use crate::supervisor::{MachineError, Mode, Order};
+use nix::sys::signal::Signal;
 use serde_json::{Value, json};
 use std::io;
 use std::path::Path;
@@ -24,7 +25,7 @@ pub fn stopped(plan: &Plan<'_>, folder: &Path) -> io::Result<FaultResult> {
     daemon.until(5.0, "motion", |s| s["mode"] == "tracking")?;
     std::thread::sleep(Duration::from_millis(400));
     while daemon.notification().is_some() {}
-    daemon.signal(libc::SIGSTOP);
+    daemon.signal(Signal::SIGSTOP);
     let started = Instant::now();
     let mut heartbeat = Instant::now();
     while heartbeat.elapsed().as_secs_f64() < WATCHDOG_S {
