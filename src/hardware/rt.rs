@@ -10,6 +10,8 @@
 use std::fmt;
 use std::fs::File;
 use std::io::{self, Write};
+use std::sync::mpsc::channel;
+use std::thread::JoinHandle;
 
 /// Signals whose default action ends a process and that are sent to end it or by a terminal that closes.
 const ENDING: [i32; 6] = [
@@ -144,6 +146,28 @@ pub struct RtRequest {
 #[derive(Debug)]
 pub struct IdleGuard {
     _open: Option<File>,
+}
+
+/// Starts a thread with these real-time settings. Returns it with what the kernel has granted.
+///
+/// # Errors
+/// The operating system's, if there is no thread.
+pub fn start<T: Send + 'static>(
+    name: &str,
+    request: RtRequest,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> io::Result<(JoinHandle<T>, RtStatus)> {
+    let (report, reported) = channel();
+    let builder = std::thread::Builder::new().name(name.to_owned());
+    let thread = builder.spawn(move || {
+        let (status, _guard) = enter(&request);
+        // the receiver waits below
+        let _ = report.send(status);
+        work()
+    })?;
+    let status = reported.recv();
+    let status = status.map_err(|_| io::Error::other("the thread ended as it started"))?;
+    Ok((thread, status))
 }
 
 /// Applies the real-time settings to the calling thread as far as the kernel grants them.

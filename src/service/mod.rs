@@ -37,7 +37,7 @@ pub mod stop;
 pub mod store;
 
 use crate::config::ServiceSection;
-use crate::hardware::rt::{self, RtRequest, RtStatus};
+use crate::hardware::rt::{self, RtRequest};
 use crate::service::error::ServiceError;
 use crate::service::hub::{Facts, Hub, HubIo};
 use crate::service::listener::Listener;
@@ -50,12 +50,10 @@ use crate::service::shared::{Shared, ThreadWatch, Watched};
 use crate::service::start::{RunConfig, Start};
 use crate::service::stop::StopCounter;
 use crate::service::store::{Belief, Found, Recall, StateWriter, Store};
-use crate::supervisor::{Machine, MachineError, Runner};
+use crate::supervisor::{Machine, Runner};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::mpsc::channel;
-use std::thread::JoinHandle;
 
 /// The threads of the command socket and of `stop` have a real-time priority this far below that of the loop.
 const CONTROL_BELOW: i32 = 20;
@@ -139,7 +137,8 @@ pub fn serve(
         stops: StopCounter::default(),
         watch: ThreadWatch::default(),
     };
-    let (thread, grants) = start_loop(rt_loop, wish(&config.service, pace))?;
+    let thread = rt::start("loop", wish(&config.service, pace), move || rt_loop.run());
+    let (thread, grants) = thread.map_err(ServiceError::system("the loop thread"))?;
     let [calm, urgent] = [0, control_priority(&config.service)].map(|priority| RtRequest {
         priority,
         cpu: None,
@@ -181,24 +180,6 @@ fn wish(service: &ServiceSection, pace: Option<f64>) -> RtRequest {
         None => (service.priority, service.cpu),
     };
     RtRequest { priority, cpu }
-}
-
-/// Starts the loop's thread; returns it with what the kernel has granted.
-fn start_loop(
-    rt_loop: Loop,
-    wish: RtRequest,
-) -> Result<(JoinHandle<Result<(), MachineError>>, RtStatus), ServiceError> {
-    let (report, reported) = channel();
-    let builder = std::thread::Builder::new().name("loop".into());
-    let thread = builder.spawn(move || {
-        let (status, _guard) = rt::enter(&wish);
-        // the receiver is gone only if the service could not start
-        let _ = report.send(status);
-        rt_loop.run()
-    });
-    let thread = thread.map_err(ServiceError::system("the loop thread"))?;
-    let grants = reported.recv().map_err(|_| ServiceError::LoopPanicked)?;
-    Ok((thread, grants))
 }
 
 /// Real-time priority of the threads that receive a stop: a busy computer delays no stop.

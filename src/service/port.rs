@@ -104,12 +104,7 @@ impl Port {
             events: events_out,
             stops: Vec::new(),
         };
-        let thread = std::thread::Builder::new()
-            .name(which.name().into())
-            .spawn(move || {
-                let (_, _guard) = rt::enter(&wish);
-                while port.round() {}
-            })?;
+        let (thread, _) = rt::start(which.name(), wish, move || while port.round() {})?;
         Ok(Self {
             messages,
             replies,
@@ -157,31 +152,29 @@ pub fn start_stop(
     shared: Arc<Shared>,
     wish: RtRequest,
 ) -> std::io::Result<JoinHandle<()>> {
-    std::thread::Builder::new()
-        .name(Watched::Stop.name().into())
-        .spawn(move || {
-            let (_, _guard) = rt::enter(&wish);
-            while !shared.is_quitting() {
-                shared.progress(Watched::Stop);
-                listener::wait(&mut [socket.entry()], ROUND);
-                let Some(first) = socket.accept() else {
-                    continue;
-                };
-                let mut callers = vec![first];
-                callers.extend(std::iter::from_fn(|| socket.accept()).take(TOGETHER));
-                let (number, since) = (shared.stop.request(), Instant::now());
-                let answer = loop {
-                    match shared.stop.answer(number, since) {
-                        Some(answer) => break reply_line(&Value::Null, &answer),
-                        None => std::thread::sleep(LOOK),
-                    }
-                };
-                for mut caller in callers {
-                    // whoever has gone needs no answer
-                    let _ = caller.write(answer.as_bytes());
+    let work = move || {
+        while !shared.is_quitting() {
+            shared.progress(Watched::Stop);
+            listener::wait(&mut [socket.entry()], ROUND);
+            let Some(first) = socket.accept() else {
+                continue;
+            };
+            let mut callers = vec![first];
+            callers.extend(std::iter::from_fn(|| socket.accept()).take(TOGETHER));
+            let (number, since) = (shared.stop.request(), Instant::now());
+            let answer = loop {
+                match shared.stop.answer(number, since) {
+                    Some(answer) => break reply_line(&Value::Null, &answer),
+                    None => std::thread::sleep(LOOK),
                 }
+            };
+            for mut caller in callers {
+                // whoever has gone needs no answer
+                let _ = caller.write(answer.as_bytes());
             }
-        })
+        }
+    };
+    rt::start(Watched::Stop.name(), wish, work).map(|(thread, _)| thread)
 }
 
 #[cfg(test)]
