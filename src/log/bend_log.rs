@@ -61,27 +61,30 @@ pub struct BendLog {
     pub ignored: Vec<String>,
 }
 
-const REQUIRED: [&str; 4] = ["time_s", "piston1_mm", "piston2_mm", "piston3_mm"];
-const OPTIONAL: [&str; 4] = ["cmd_bend_deg", "cmd_dir_deg", "cmd_len_mm", "temp_c"];
-const PRESSURE: [&str; 3] = ["pressure1_kpa", "pressure2_kpa", "pressure3_kpa"];
-const ACC: [&str; 3] = ["acc_x_m_s2", "acc_y_m_s2", "acc_z_m_s2"];
-const GYR: [&str; 3] = ["gyr_x_rad_s", "gyr_y_rad_s", "gyr_z_rad_s"];
-const MAG: [&str; 3] = ["mag_x_ut", "mag_y_ut", "mag_z_ut"];
+/// Names of the columns; those of an IMU without their prefix.
+const TIME: &str = "time_s";
+const TEMP: &str = "temp_c";
+pub(super) const PISTON: [&str; 3] = ["piston1_mm", "piston2_mm", "piston3_mm"];
+pub(super) const COMMAND: [&str; 3] = ["cmd_bend_deg", "cmd_dir_deg", "cmd_len_mm"];
+pub(super) const PRESSURE: [&str; 3] = ["pressure1_kpa", "pressure2_kpa", "pressure3_kpa"];
+pub(super) const ACC: [&str; 3] = ["acc_x_m_s2", "acc_y_m_s2", "acc_z_m_s2"];
+pub(super) const GYR: [&str; 3] = ["gyr_x_rad_s", "gyr_y_rad_s", "gyr_z_rad_s"];
+pub(super) const MAG: [&str; 3] = ["mag_x_ut", "mag_y_ut", "mag_z_ut"];
 const REFERENCE: [&str; 4] = ["ref_qw", "ref_qx", "ref_qy", "ref_qz"];
 /// Beginnings of the columns that an exported flight log has besides: what the loop made of the samples.
 const OF_LOOP: [&str; 5] = ["setpoint_", "estimate_", "belief_", "k_", "mode"];
 const SCHEMA: Schema<'_> = Schema {
-    required: &REQUIRED,
+    required: &[TIME, PISTON[0], PISTON[1], PISTON[2]],
     known: &known,
     rows_min: 1,
 };
 
 fn known(name: &str) -> bool {
     let imu = name.strip_prefix("base_").unwrap_or(name);
-    let columns = [REQUIRED, OPTIONAL, REFERENCE];
-    columns.as_flattened().contains(&name)
-        || PRESSURE.contains(&name)
+    [PISTON, COMMAND, PRESSURE].as_flattened().contains(&name)
         || [ACC, GYR, MAG].as_flattened().contains(&imu)
+        || REFERENCE.contains(&name)
+        || [TIME, TEMP].contains(&name)
 }
 
 /// Reads a log from a CSV or gzip CSV file.
@@ -101,26 +104,26 @@ pub fn parse(file: &str, text: impl Read) -> Result<BendLog, ReadError> {
 }
 
 fn from_table(file: String, table: &Table) -> Result<BendLog, ReadError> {
-    for name in &REQUIRED[1..] {
+    for name in PISTON {
         table.complete(name)?;
     }
     let rows = |columns: [Option<&[f64]>; 3]| {
         let row = |k: usize| Vector3::from(columns.map(|c| c.map_or(f64::NAN, |c| c[k])));
         (0..table.rows()).map(row).collect()
     };
-    let columns = |names: &[&str]| std::array::from_fn(|i| table.column(names[i]));
+    let columns = |names: [&str; 3]| names.map(|name| table.column(name));
     let of_loop = |name: &str| OF_LOOP.iter().any(|start| name.starts_with(start));
     let ignored = |name: &&String| !known(name) && !of_loop(name);
     Ok(BendLog {
         file,
-        t_s: table.clock(REQUIRED[0])?.to_vec(),
-        command: rows(columns(&OPTIONAL[..3])),
-        piston_mm: rows(columns(&REQUIRED[1..])),
+        t_s: table.clock(TIME)?.to_vec(),
+        command: rows(columns(COMMAND)),
+        piston_mm: rows(columns(PISTON)),
         imu: imu(table, "")?,
         base: imu(table, "base_")?,
         reference: table.quaternions(REFERENCE)?,
         pressure_kpa: table.vectors(PRESSURE)?,
-        temp_c: table.column(OPTIONAL[3]).map(<[f64]>::to_vec),
+        temp_c: table.column(TEMP).map(<[f64]>::to_vec),
         ignored: table.header().iter().filter(ignored).cloned().collect(),
     })
 }

@@ -40,14 +40,14 @@ pub struct RecordingRow {
     pub moving: bool,
 }
 
-const REQUIRED: [&str; 7] = [
-    "time_s", "acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z",
-];
+const TIME: &str = "time_s";
+const ACC: [&str; 3] = ["acc_x", "acc_y", "acc_z"];
+const GYR: [&str; 3] = ["gyr_x", "gyr_y", "gyr_z"];
 const MAG: [&str; 3] = ["mag_x", "mag_y", "mag_z"];
 const REFERENCE: [&str; 4] = ["ref_qw", "ref_qx", "ref_qy", "ref_qz"];
 const MOVING: &str = "moving";
 const SCHEMA: Schema<'_> = Schema {
-    required: &REQUIRED,
+    required: &[TIME, ACC[0], ACC[1], ACC[2], GYR[0], GYR[1], GYR[2]],
     known: &known,
     rows_min: 0,
 };
@@ -55,8 +55,9 @@ const SCHEMA: Schema<'_> = Schema {
 const ROWS_MIN: usize = 2;
 
 fn known(name: &str) -> bool {
-    let mut vectors = REQUIRED.iter().chain(&MAG).chain(&REFERENCE);
-    name == MOVING || vectors.any(|n| *n == name)
+    [ACC, GYR, MAG].as_flattened().contains(&name)
+        || REFERENCE.contains(&name)
+        || [TIME, MOVING].contains(&name)
 }
 
 /// Reads a recording from a CSV or gzip CSV file.
@@ -77,14 +78,14 @@ pub fn parse(path: &Path, text: impl Read) -> Result<Recording, ReadError> {
 }
 
 fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
-    let t = table.clock(REQUIRED[0])?;
+    let t = table.clock(TIME)?;
     let missing = || vec![Vector3::repeat(f64::NAN); table.rows()];
-    let [acc, gyr, mag] = [
-        table.vectors([REQUIRED[1], REQUIRED[2], REQUIRED[3]])?,
-        table.vectors([REQUIRED[4], REQUIRED[5], REQUIRED[6]])?,
-        table.vectors(MAG)?,
-    ]
-    .map(|v| v.unwrap_or_else(missing));
+    let vectors = |names| table.vectors(names).map(|v| v.unwrap_or_else(missing));
+    let imu = ImuColumns {
+        acc: vectors(ACC)?,
+        gyr: vectors(GYR)?,
+        mag: vectors(MAG)?,
+    };
     let reference = table.quaternions(REFERENCE)?;
     let moving = table.column(MOVING);
     let mut flags = moving.unwrap_or_default().iter().enumerate();
@@ -100,7 +101,6 @@ fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
         let file = path.display().to_string();
         return Err(ReadError::too_short(&file, table.rows(), ROWS_MIN));
     }
-    let imu = ImuColumns { acc, gyr, mag };
     let name = path.file_name().unwrap_or(path.as_os_str());
     Ok(Recording {
         name: name.to_string_lossy().into_owned(),

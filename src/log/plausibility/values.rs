@@ -1,6 +1,6 @@
 //! Units of the clock and of the sensors, and single values beyond what the machine can do.
 
-use crate::log::bend_log::{BendLog, ImuColumns};
+use crate::log::bend_log::{ACC, BendLog, COMMAND, GYR, ImuColumns, MAG, PISTON, PRESSURE};
 use nalgebra::Vector3;
 
 /// The columns, and perhaps the line, at fault, what the values look like, and how to mend the log.
@@ -81,32 +81,30 @@ pub(super) fn single_values(log: &BendLog) -> Option<String> {
             format!("{value} {unit} is beyond what the machine can do (at most ±{most} {unit})");
         finding(&place, text, CORRECT)
     };
-    // `*` stands for the three names
-    let scan = |columns: &str, names: [&str; 3], values: &[Vector3<f64>], most: f64, unit: &str| {
+    let scan = |columns: [&str; 3], values: &[Vector3<f64>], most: f64, unit: &str| {
         let mut rows = values.iter().enumerate();
         let (row, i) = rows.find_map(|(k, v)| Some((k, v.iter().position(|x| x.abs() > most)?)))?;
-        let column = columns.replace('*', names[i]);
-        beyond(&column, row, values[row][i], most, unit)
+        beyond(columns[i], row, values[row][i], most, unit)
     };
-    let (lines, axes) = (["1", "2", "3"], ["x", "y", "z"]);
-    let pose = ["bend_deg", "dir_deg", "len_mm"];
     let imu = |imu: &Option<ImuColumns>, prefix: &str| {
         let imu = imu.as_ref()?;
-        let [acc, mag, gyr] =
-            ["acc_*_m_s2", "mag_*_ut", "gyr_*_rad_s"].map(|c| format!("{prefix}{c}"));
+        let scan = |columns: [&str; 3], values: &[Vector3<f64>], most, unit| {
+            let [x, y, z] = columns.map(|column| format!("{prefix}{column}"));
+            scan([&x, &y, &z], values, most, unit)
+        };
         // ±32 g, ±4000 °/s, ±4.9 mT: the widest ranges of the parts in use
-        scan(&acc, axes, &imu.acc, 320.0, "m/s²")
-            .or_else(|| scan(&mag, axes, &imu.mag, 4900.0, "µT"))
-            .or_else(|| scan(&gyr, axes, &imu.gyr, 4000.0, "rad/s"))
+        scan(ACC, &imu.acc, 320.0, "m/s²")
+            .or_else(|| scan(MAG, &imu.mag, 4900.0, "µT"))
+            .or_else(|| scan(GYR, &imu.gyr, 4000.0, "rad/s"))
     };
     let pressures = log.pressure_kpa.as_deref().unwrap_or_default();
     let mut temperatures = log.temp_c.iter().flatten().enumerate();
-    scan("piston*_mm", lines, &log.piston_mm, 60.0, "mm")
+    scan(PISTON, &log.piston_mm, 60.0, "mm")
         .or_else(|| jump(log))
-        .or_else(|| scan("cmd_*", pose, &log.command, 3600.0, "deg or mm"))
+        .or_else(|| scan(COMMAND, &log.command, 3600.0, "deg or mm"))
         .or_else(|| imu(&log.imu, ""))
         .or_else(|| imu(&log.base, "base_"))
-        .or_else(|| scan("pressure*_kpa", lines, pressures, 300.0, "kPa"))
+        .or_else(|| scan(PRESSURE, pressures, 300.0, "kPa"))
         .or_else(|| {
             let (row, t) = temperatures.find(|(_, t)| t.abs() > 150.0)?;
             beyond("temp_c", row, *t, 150.0, "°C")
@@ -122,7 +120,7 @@ fn jump(log: &BendLog) -> Option<String> {
         Some((k, i, step[i], most_mm))
     };
     let (k, i, step_mm, most_mm) = log.piston_mm.windows(2).enumerate().find_map(far)?;
-    let place = format!("line {}, column piston{}_mm", k + 3, i + 1);
+    let place = format!("line {}, column {}", k + 3, PISTON[i]);
     let text = format!(
         "the piston jumps by {step_mm:.1} mm from the row before, beyond what the machine can do (at most {most_mm:.1} mm)"
     );
