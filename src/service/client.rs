@@ -3,8 +3,8 @@
 //! Whatever listens on the socket, every call ends in time: a connection waits no longer than a reply, a reply has a deadline however
 //! much comes in between, and a line has a largest length.
 
-use crate::service::paths;
-use crate::service::protocol::{Failure, Request, request_line};
+use crate::service::protocol::request_line;
+use crate::service::{Failure, Request, paths};
 use serde_json::Value;
 use socket2::{Domain, SockAddr, Socket, Type};
 use std::io::{ErrorKind, Read, Result as IoResult, Write};

@@ -1,7 +1,7 @@
 //! A listening socket in the file system.
 
+use crate::service::ServiceError;
 use crate::service::client::connect_within;
-use crate::service::error::ServiceError;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use socket2::{Domain, SockAddr, Socket, Type};
 use std::io::ErrorKind;

@@ -7,10 +7,10 @@
 
 use crate::hardware::rt::{self, RtRequest};
 use crate::service::connection::Line;
-use crate::service::listener::{self, Listener};
-use crate::service::protocol::{Failure, Request, parse, reply_line};
+use crate::service::listener::{self};
+use crate::service::protocol::{parse, reply_line};
 use crate::service::server::Server;
-use crate::service::shared::{Shared, Watched};
+use crate::service::{Failure, Listener, Request, Shared, Watched};
 use serde_json::Value;
 use std::io::Write;
 use std::os::unix::net::UnixStream;

@@ -7,8 +7,7 @@ use crate::primitives::Seconds;
 use crate::service::connection::UNANSWERED_MAX;
 use crate::service::notify::Heartbeat;
 use crate::service::server::CLIENTS_MAX;
-use crate::service::shared::{Shared, ThreadWatch, Watched};
-use crate::service::stop::StopCounter;
+use crate::service::{Shared, StopCounter, ThreadWatch, Watched};
 use crate::supervisor::{
     CycleOutput, Machine, MachineError, Mode, Order, Refusal, Runner, Supervisor, SupervisorConfig,
 };

@@ -6,8 +6,9 @@
 //! most, loses the one that has been silent for longest. A client that does not read, does not end its line or is idle for
 //! too long is disconnected.
 
+use crate::service::Listener;
 use crate::service::connection::{Client, Line};
-use crate::service::listener::{self, Listener};
+use crate::service::listener::{self};
 use nix::poll::{PollFd, PollFlags};
 use nix::sys::socket::{UnixCredentials, getsockopt, sockopt::PeerCredentials};
 use std::cmp::Reverse;

@@ -3,8 +3,7 @@
 use crate::config::{Board, Calibration, Gains, ServiceSection};
 use crate::control::{Dynamics, DynamicsPrior, LoopConfig, RestartState};
 use crate::service::flight::start::Header;
-use crate::service::memory::Memory;
-use crate::service::store::Belief;
+use crate::service::{Belief, Memory};
 use crate::supervisor::{MachineInfo, Supervisor, SupervisorConfig};
 use std::path::PathBuf;
 

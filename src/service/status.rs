@@ -3,7 +3,7 @@
 use crate::control::Frame;
 use crate::control::saturation::Saturation;
 use crate::model::Bend;
-use crate::service::memory::LearnedGains;
+use crate::service::LearnedGains;
 use crate::service::protocol::VERSION;
 use crate::supervisor::{CycleOutput, Mode, Source, SupervisorConfig, TripCause};
 use serde::{Deserialize, Serialize};

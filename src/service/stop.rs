@@ -5,7 +5,7 @@
 //! it has carried out. The latch itself is part of the supervisor; [`StopCounter`] adds that an order which was received
 //! before the stop cannot release it.
 
-use crate::service::protocol::Failure;
+use crate::service::Failure;
 use crate::supervisor::{Order, Refusal};
 use serde_json::{Value, json};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

@@ -11,8 +11,8 @@
 //! in the first), one write apart. Otherwise the newest write may be missing, and the position is unknown. A damaged slot
 //! is renamed and reported.
 
-use crate::service::disk;
-use crate::service::memory::{Memory, MemoryError};
+use crate::service::memory::MemoryError;
+use crate::service::{Memory, disk};
 use serde::{Deserialize, Serialize};
 use std::fs::{DirBuilder, File, OpenOptions, Permissions};
 use std::io::{self, Read, Seek, Write};

@@ -6,7 +6,7 @@ use super::daemon::{Daemon, WATCHDOG_S, ask, connect, insist, mode_of};
 use super::plan::Plan;
 use crate::drill::row::{FaultResult, require};
 use crate::drill::run::Allowance;
-use crate::service::protocol::Request;
+use crate::service::Request;
 use serde_json::Value;
 use std::io;
 use std::time::{Duration, Instant};

@@ -2,7 +2,7 @@
 
 use super::daemon::{Daemon, ask, insist, mode_of};
 use crate::drill::row::{FaultResult, require};
-use crate::service::protocol::{RecordAction, Request};
+use crate::service::{RecordAction, Request};
 use serde_json::Value;
 use std::io;
 use std::path::Path;

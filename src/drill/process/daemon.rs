@@ -1,8 +1,7 @@
 //! A service as a child process, with the test in the place of the service manager.
 
 use crate::service::client::Client;
-use crate::service::paths;
-use crate::service::protocol::Request;
+use crate::service::{Request, paths};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;

@@ -5,7 +5,7 @@ use super::plan::Plan;
 use crate::drill::bench::{BenchConfig, bend, distance};
 use crate::drill::row::{FaultResult, require};
 use crate::model::Bend;
-use crate::service::protocol::Request;
+use crate::service::Request;
 use crate::supervisor::{MachineError, Mode, Order};
 use nix::sys::signal::Signal;
 use serde_json::{Value, json};

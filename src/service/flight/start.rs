@@ -2,8 +2,8 @@
 
 use crate::control::{DynamicsPrior, RestartState};
 use crate::model::Line;
+use crate::service::Belief;
 use crate::service::flight::cycle::fnv;
-use crate::service::store::Belief;
 use crate::supervisor::{CycleOutput, MachineInfo};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};

@@ -3,10 +3,9 @@
 use super::{Hub, Pending, unix_s};
 use crate::service::calibrate::{Found, Next};
 use crate::service::flight::start::{Event, Logged};
-use crate::service::memory::{LearnedGains, RecordedFault};
-use crate::service::protocol::Failure;
+use crate::service::memory::RecordedFault;
 use crate::service::rt_loop::{ANSWER_MAX_S, Answer};
-use crate::service::status;
+use crate::service::{Failure, LearnedGains, status};
 use crate::supervisor::{CycleOutput, Mode, Order};
 use serde_json::json;
 use std::time::{Duration, Instant};

@@ -14,15 +14,13 @@ use crate::model::Line;
 use crate::service::calibrate::Session;
 use crate::service::flight::log::FlightLog;
 use crate::service::flight::start::Event;
-use crate::service::memory::{LearnedGains, Memory};
-use crate::service::notify::Notifier;
-use crate::service::port::{Caller, Port};
-use crate::service::protocol::{Failure, PathRow, reply_line};
+use crate::service::protocol::{PathRow, reply_line};
 use crate::service::record::Recording;
-use crate::service::rt_loop::{Change, HubRings, Message, Precondition, RestartNote};
-use crate::service::shared::Shared;
-use crate::service::start::RunConfig;
-use crate::service::store::{Belief, StateWriter};
+use crate::service::rt_loop::{HubRings, Message, Precondition, RestartNote};
+use crate::service::{
+    Belief, Caller, Change, Failure, LearnedGains, Memory, Notifier, Port, RunConfig, Shared,
+    StateWriter,
+};
 use crate::supervisor::{CycleOutput, Mode, Order};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashMap, VecDeque};

@@ -2,9 +2,7 @@
 
 use super::{Hub, Pending};
 use crate::control::RestartState;
-use crate::service::memory::LearnedGains;
-use crate::service::port::Caller;
-use crate::service::protocol::Failure;
+use crate::service::{Caller, Failure, LearnedGains};
 use crate::supervisor::{Mode, Order};
 use std::time::{Duration, Instant};
 

@@ -10,12 +10,9 @@ use crate::model::{Bend, Shape};
 use crate::primitives::Mm;
 use crate::service::calibrate::{Found, Session};
 use crate::service::flight::start::Event;
-use crate::service::port::Caller;
-use crate::service::protocol::{
-    CalibrateAction, Failure, Frame, PATH_MAX_S, PATH_ROWS, POSES, PathRow, Request,
-};
-use crate::service::rt_loop::Change;
+use crate::service::protocol::{CalibrateAction, Frame, PATH_MAX_S, PATH_ROWS, POSES, PathRow};
 use crate::service::start::with_gains;
+use crate::service::{Caller, Change, Failure, Request};
 use crate::supervisor::{BEND_MAX_RAD, Mode, Order, SupervisorConfig};
 use serde_json::{Value, json};
 use std::time::Instant;

@@ -2,9 +2,8 @@
 
 use super::Hub;
 use crate::hardware::{rt, supply};
-use crate::service::error::ServiceError;
-use crate::service::port::{FromPort, Port};
-use crate::service::shared::Watched;
+use crate::service::port::FromPort;
+use crate::service::{Port, ServiceError, Watched};
 use crate::supervisor::{CycleOutput, Mode, Order, TripCause};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

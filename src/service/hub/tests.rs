@@ -5,8 +5,9 @@ mod house;
 
 use crate::model::{Bend, Shape};
 use crate::primitives::Mm;
-use crate::service::protocol::{CalibrateAction, Frame, RecordAction, Request};
+use crate::service::protocol::{CalibrateAction, Frame};
 use crate::service::rt_loop::Precondition;
+use crate::service::{RecordAction, Request};
 use crate::supervisor::{Mode, Order};
 use house::House;
 use rand::RngExt;

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::control::tick::RestartState;
-use crate::service::memory::LearnedGains;
+use crate::service::LearnedGains;
 
 fn memory(n: i32) -> Memory {
     let restart = RestartState {

@@ -6,15 +6,13 @@ use crate::config::{Board, Calibration, Gains, shipped, source};
 use crate::hardware::rt;
 use crate::primitives::{Seconds, Steps};
 use crate::service::hub::{Facts, Hub, HubIo};
-use crate::service::memory::Memory;
-use crate::service::notify::{Heartbeat, Notifier};
-use crate::service::port::{Caller, Port};
-use crate::service::protocol::Request;
+use crate::service::notify::Heartbeat;
 use crate::service::rt_loop::{Loop, rings};
-use crate::service::shared::{Shared, ThreadWatch};
-use crate::service::start::{RunConfig, Start};
-use crate::service::stop::StopCounter;
-use crate::service::store::{self, Belief, StateWriter, Store};
+use crate::service::store::{self};
+use crate::service::{
+    Belief, Caller, Memory, Notifier, Port, Request, RunConfig, Shared, Start, StateWriter,
+    StopCounter, Store, ThreadWatch,
+};
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::sim::Sim;
 use crate::supervisor::mode::{Event, TABLE};
