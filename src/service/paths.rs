@@ -1,7 +1,7 @@
 //! Where the sockets and the state are, unless the board file or an option names other paths.
 
 use crate::config::ServiceSection;
-use std::os::unix::fs::MetadataExt;
+use nix::unistd::Uid;
 use std::path::{Path, PathBuf};
 
 /// The paths of a service.
@@ -72,13 +72,9 @@ fn path_from(variable: &str) -> Option<PathBuf> {
     first.is_absolute().then_some(first)
 }
 
-fn is_root() -> bool {
-    std::fs::metadata("/proc/self").is_ok_and(|m| m.uid() == 0)
-}
-
 /// The folder that systemd has set, else the system's for root, else that in a folder of this user.
 fn folder(variable: &str, system: &str, own: Option<PathBuf>) -> Option<PathBuf> {
-    let system = is_root().then(|| PathBuf::from(system));
+    let system = Uid::effective().is_root().then(|| PathBuf::from(system));
     let own = own.map(|folder| folder.join("retroflex"));
     path_from(variable).or(system).or(own)
 }
