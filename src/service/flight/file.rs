@@ -12,7 +12,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::Path;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::UNIX_EPOCH;
 
 /// Topic of the cycles, and of what a replay starts from or is given later.
 pub const TOPICS: [&str; 2] = ["/cycles", "/events"];
@@ -49,9 +49,7 @@ pub fn io_error(error: McapError) -> io::Error {
 
 /// Time of the loop's zero, ns since 1970, if it is `t_s` now.
 pub fn zero_unix_ns(t_s: f64) -> u64 {
-    let now = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .map_or(0, |d| d.as_nanos() as u64);
+    let now = UNIX_EPOCH.elapsed().map_or(0, |d| d.as_nanos() as u64);
     now.saturating_sub((t_s * 1e9) as u64)
 }
 

@@ -25,7 +25,7 @@ use crate::supervisor::{CycleOutput, Mode, Order};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, UNIX_EPOCH};
 
 /// The connections of the hub.
 pub struct HubIo {
@@ -314,9 +314,7 @@ fn too_many() -> Failure {
 
 /// Seconds since 1970.
 pub(super) fn unix_s() -> f64 {
-    std::time::SystemTime::now()
-        .duration_since(std::time::UNIX_EPOCH)
-        .map_or(0.0, |d| d.as_secs_f64())
+    UNIX_EPOCH.elapsed().map_or(0.0, |d| d.as_secs_f64())
 }
 
 /// Limits log lines that a client or a sensor can cause to one per second and kind.
