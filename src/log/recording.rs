@@ -13,7 +13,7 @@
 
 use crate::log::bend_log::ImuColumns;
 use crate::log::error::ReadError;
-use crate::log::table::{Schema, Table};
+use crate::log::table::{Schema, Table, median};
 use crate::primitives::{ImuSample, Rotation, Sensor, World};
 use nalgebra::{UnitQuaternion, Vector3};
 use std::f64::consts::FRAC_PI_2;
@@ -118,9 +118,7 @@ impl Recording {
     /// Median time between rows, s; gaps do not affect it.
     pub fn period_s(&self) -> f64 {
         let step = |w: &[RecordingRow]| w[1].sample.t.0 - w[0].sample.t.0;
-        let mut steps: Vec<f64> = self.rows.windows(2).map(step).collect();
-        steps.sort_by(f64::total_cmp);
-        steps.get(steps.len() / 2).copied().unwrap_or(0.0)
+        median(self.rows.windows(2).map(step)).unwrap_or(0.0)
     }
 
     /// Mean time between rows with a magnetometer reading, s; the row period if there is none.

@@ -111,6 +111,13 @@ fn reader(path: &Path) -> io::Result<Box<dyn Read>> {
     })
 }
 
+/// Median of the finite values, the upper one of two; `None` without any.
+pub(super) fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut all: Vec<f64> = values.filter(|v| v.is_finite()).collect();
+    let middle = all.len() / 2;
+    (!all.is_empty()).then(|| *all.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
 /// What a table must contain.
 pub struct Schema<'a> {
     /// Columns that the header must name.
@@ -366,12 +373,8 @@ impl Table {
     ) -> Result<(), ReadError> {
         let t = self.required(name)?;
         let rows: Vec<usize> = rows.into_iter().collect();
-        let mut steps_s: Vec<f64> = rows.windows(2).map(|w| t[w[1]] - t[w[0]]).collect();
-        let middle = steps_s.len() / 2;
-        let usual_s = match &mut steps_s[..] {
-            [] => 0.0,
-            all => *all.select_nth_unstable_by(middle, f64::total_cmp).1,
-        };
+        let steps_s = rows.windows(2).map(|w| t[w[1]] - t[w[0]]);
+        let usual_s = median(steps_s).unwrap_or(0.0);
         let longest_s = STEP_MAX_S.max(STEP_MAX_PERIODS * usual_s);
         let mut before_s = f64::NEG_INFINITY;
         for row in rows {

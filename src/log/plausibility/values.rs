@@ -1,6 +1,7 @@
 //! Units of the clock and of the sensors, and single values beyond what the machine can do.
 
 use crate::log::bend_log::{ACC, BendLog, COMMAND, GYR, ImuColumns, MAG, PISTON, PRESSURE};
+use crate::log::table::median;
 use nalgebra::Vector3;
 
 /// The columns, and perhaps the line, at fault, what the values look like, and how to mend the log.
@@ -14,12 +15,6 @@ const CORRECT: &str = "remove the row or correct the value";
 /// Whether a vector has no missing component.
 pub(super) fn finite(v: &Vector3<f64>) -> bool {
     v.iter().all(|x| x.is_finite())
-}
-
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut all: Vec<f64> = values.filter(|v| v.is_finite()).collect();
-    let middle = all.len() / 2;
-    (!all.is_empty()).then(|| *all.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 fn periods(log: &BendLog) -> impl Iterator<Item = f64> {
