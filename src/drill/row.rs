@@ -41,12 +41,9 @@ impl FaultResult {
     }
 
     /// With its final state.
-    #[must_use]
-    pub fn ending(self, state: &str) -> Self {
-        Self {
-            state: state.to_owned(),
-            ..self
-        }
+    pub fn ending(mut self, state: &str) -> Self {
+        state.clone_into(&mut self.state);
+        self
     }
 
     /// Adds a failure.

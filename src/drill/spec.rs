@@ -126,7 +126,6 @@ impl Spec {
     }
 
     /// With a bound of its own on the time until the detection, s.
-    #[must_use]
     pub fn within(self, within_s: f64) -> Self {
         Self { within_s, ..self }
     }
@@ -140,33 +139,28 @@ impl Spec {
     }
 
     /// With a new alignment before the next pose.
-    #[must_use]
     pub fn then_zero(self) -> Self {
         Self { zero: true, ..self }
     }
 
     /// With another bend and direction of the move, degrees.
-    #[must_use]
     pub fn toward(mut self, bend_deg: f64, dir_deg: f64) -> Self {
         self.target = (bend_deg, dir_deg);
         self
     }
 
     /// With another mode.
-    #[must_use]
     pub fn when(self, mode: Mode) -> Self {
         Self { mode, ..self }
     }
 
     /// With a rack put back by hand.
-    #[must_use]
     pub fn by_hand(mut self) -> Self {
         self.by_hand = true;
         self
     }
 
     /// With an IMU on a base that sways by so much, degrees.
-    #[must_use]
     pub fn on_swaying_base(mut self, sway_deg: f64) -> Self {
         self.base_sway_deg = Some(sway_deg);
         self
