@@ -158,9 +158,8 @@ fn move_again(daemon: &Daemon, n: u32) -> io::Result<()> {
 /// Microsteps of all channels after a stop, until twice the time that braking takes.
 fn travelled(daemon: &Daemon) -> io::Result<i64> {
     let counted = || -> io::Result<[i64; 3]> {
-        let status = insist(ARM_MAX_S, || order(daemon, &Request::Status {}))?;
-        let count = |i| status["counted"][i].as_i64();
-        Ok([0, 1, 2].map(|i: usize| count(i).unwrap_or(i64::MAX / 4)))
+        let mut status = insist(ARM_MAX_S, || order(daemon, &Request::Status {}))?;
+        Ok(serde_json::from_value(status["counted"].take())?)
     };
     let before = counted()?;
     let mut most = 0;

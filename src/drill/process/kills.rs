@@ -7,6 +7,8 @@ use crate::primitives::Steps;
 use crate::service::store::{Found, Recall};
 use crate::service::{Belief, Start, Store};
 use crate::supervisor::{Machine, MachineError, Mode, Runner};
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
 use std::io::{self, BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -59,13 +61,12 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<FaultResult>> {
         let row = FaultResult::new(name, requires).ending("lost");
         rows.push((damage, row, [0; 3]));
     }
-    // xorshift (Marsaglia 2003)
-    let mut random = 0x2545_f491_4f6c_dd1du64;
-    for n in 0..if rows.is_empty() { 0 } else { plan.kills } {
-        random ^= random << 13;
-        random ^= random >> 7;
-        random ^= random << 17;
-        let after = Duration::from_micros(random % 40_000);
+    if rows.is_empty() {
+        return Ok(Vec::new());
+    }
+    let mut rng = StdRng::seed_from_u64(1);
+    for n in 0..plan.kills {
+        let after = Duration::from_micros(rng.random_range(0..40_000));
         let acknowledged = kill_after(plan.program, folder, after)?;
         let paths = SLOTS.map(|name| folder.join(name));
         let slots = [std::fs::read(&paths[0])?, std::fs::read(&paths[1])?];
