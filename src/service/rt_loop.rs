@@ -194,7 +194,8 @@ impl Loop {
         let mut due_ns = start_ns;
         let mut periods = 0u64;
         let mut cycle_ns = start_ns;
-        while !self.shared.is_quitting() {
+        let shared = Arc::clone(&self.shared);
+        while !shared.is_quitting() {
             let now_s = if let Some(pace) = self.pace {
                 due_ns += (period_ns as f64 / pace) as u64;
                 sleep_until_ns(due_ns);
@@ -206,7 +207,10 @@ impl Loop {
                 due_ns += period_ns;
                 sleep_until_ns(due_ns);
                 let now_ns = monotonic_ns();
-                self.record_lateness(now_ns.saturating_sub(due_ns), period_ns);
+                let late_ns = now_ns.saturating_sub(due_ns);
+                let is_late = late_ns > period_ns / 2;
+                shared.late.fetch_add(is_late.into(), Relaxed);
+                shared.max_lateness_us.fetch_max(late_ns / 1000, Relaxed);
                 if now_ns > due_ns + period_ns {
                     // missed cycles are skipped, not caught up
                     due_ns = now_ns;
@@ -214,10 +218,9 @@ impl Loop {
                 (now_ns - start_ns) as f64 * 1e-9
             };
             let real_ns = monotonic_ns();
-            self.watch.step(
-                &self.shared,
-                real_ns.saturating_sub(std::mem::replace(&mut cycle_ns, real_ns)) as f64 * 1e-9,
-            );
+            let passed_s = real_ns.saturating_sub(cycle_ns) as f64 * 1e-9;
+            cycle_ns = real_ns;
+            self.watch.step(&shared, passed_s);
             self.cycle(Seconds(now_s))?;
             self.heartbeat.update(self.watch.is_stalled(), now_s);
         }
@@ -321,13 +324,5 @@ impl Loop {
         if self.rings.answers.push((id, cycle, result)).is_err() {
             self.shared.lost.fetch_add(1, Relaxed);
         }
-    }
-
-    fn record_lateness(&self, late_ns: u64, period_ns: u64) {
-        if late_ns > period_ns / 2 {
-            self.shared.late.fetch_add(1, Relaxed);
-        }
-        let most_us = &self.shared.max_lateness_us;
-        most_us.fetch_max(late_ns / 1000, Relaxed);
     }
 }
