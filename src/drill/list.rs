@@ -130,7 +130,7 @@ fn timing_faults() -> Vec<Spec> {
 fn order_faults() -> Vec<Spec> {
     use TripCause::{EmergencyStop, Pressure, StepGenerator, Temperature};
     let length = Mm(20.0);
-    let to = |bend| Injection::Order(Order::Bend(Shape { bend, length }, None));
+    let to = |bend| Injection::Orders(Order::Bend(Shape { bend, length }, None), None);
     let refused = |name, injection, expected| {
         let detector = Detector::Refusal(expected);
         Spec::new(name, injection, detector, Continues, MOVING)
@@ -138,7 +138,7 @@ fn order_faults() -> Vec<Spec> {
     let nan = to(Bend([f64::NAN, 0.1].into()));
     let far = to(Bend::from_deg(170.0, 0.0));
     let unreachable = to(Bend::from_deg(110.0, 0.0));
-    let contradictory = Injection::Orders(Order::Relax, bend(40.0, 0.0));
+    let contradictory = Injection::Orders(Order::Relax, Some(bend(40.0, 0.0)));
     let (stop, stopped) = (Injection::EmergencyStop, Trip(&[EmergencyStop]));
     let alarm = |name, alarm, causes, bound| {
         let spec = Spec::new(name, Injection::Alarm(alarm), Trip(causes), bound, FAULTED);

@@ -24,10 +24,8 @@ pub enum Injection {
     EmergencyStop,
     /// The step thread raises an alarm.
     Alarm(Alarm),
-    /// An order.
-    Order(Order),
-    /// An order, and in the next cycle a contradictory one.
-    Orders(Order, Order),
+    /// An order, and in the next cycle a contradictory one, if there is one.
+    Orders(Order, Option<Order>),
     /// A stop, followed by orders to move as long as it is observed.
     Stop,
 }
@@ -178,8 +176,7 @@ impl Injection {
             Self::ClockJump(seconds, _) => machine.stamp_offset_s = seconds,
             Self::EmergencyStop => machine.emergency_stop = true,
             Self::Alarm(alarm) => machine.alarm = Some(alarm),
-            Self::Order(order) => return [Some(order), None],
-            Self::Orders(first, second) => return [Some(first), Some(second)],
+            Self::Orders(first, second) => return [Some(first), second],
             Self::Stop => return [Some(Order::Stop), None],
         }
         [None, None]
