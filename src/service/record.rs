@@ -309,3 +309,33 @@ fn write(
     flight.map_err(io_error)?;
     Ok(reason)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recording_whose_file_was_removed_ends_with_an_error() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bend.csv.gz");
+        let limits = ServiceSection {
+            record_free_mib: 1.0,
+            ..ServiceSection::default()
+        };
+        let end = |removes: bool| {
+            let mut recording = Recording::start(&path, 0.03, None, &limits).unwrap();
+            let started = recording.progress.recv().unwrap();
+            assert!(matches!(started, Progress::Started));
+            if removes {
+                std::fs::remove_file(&path).unwrap();
+            }
+            recording.finish();
+            match recording.progress.recv().unwrap() {
+                Progress::Ended(result) => result,
+                Progress::Started => panic!("it has started before"),
+            }
+        };
+        assert_eq!(end(true).unwrap_err().kind(), io::ErrorKind::NotFound);
+        assert_eq!(end(false).unwrap(), None);
+    }
+}
