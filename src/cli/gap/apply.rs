@@ -52,7 +52,7 @@ pub fn run(args: &Args) -> Result<()> {
 fn said(model: &SavedModel, effects: &[Box<dyn Effect>], args: &Args) -> String {
     let mut verdict = Vec::new();
     for e in effects.iter().filter(|e| is_proven(model, e.as_ref())) {
-        let advice = Remedy::of(e.as_ref()).name();
+        let advice = Remedy::of(e.as_ref()).advice();
         verdict.push(format!("{}: {advice}", plain(e.name())));
     }
     let mut out = vec![match verdict.is_empty() {
