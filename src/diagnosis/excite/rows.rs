@@ -131,8 +131,11 @@ impl Machine {
                 if t > end_s {
                     break;
                 }
-                // a way of no length is done at once: what is not a number is not less than one
-                let share = ((t - begun_s) / move_s).min(1.0);
+                // a way of no length is done at once
+                let share = match move_s > 0.0 {
+                    true => ((t - begun_s) / move_s).min(1.0),
+                    false => 1.0,
+                };
                 out.t_s.push(t);
                 out.piston_mm.push(from + (to - from) * share);
             }
