@@ -84,7 +84,9 @@ impl DescribedMachine {
         let kept = |e: &Arc<dyn Effect>| !e.info().is_event();
         let mut theta = self.theta[..NOMINAL].to_vec();
         for ((_, p), e) in self.chain().each().zip(&self.effects) {
-            theta.extend(p.iter().filter(|_| kept(e)));
+            if kept(e) {
+                theta.extend(p);
+            }
         }
         self.effects.retain(kept);
         (self.at, self.theta) = (places(&self.effects), theta);
