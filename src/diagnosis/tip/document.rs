@@ -136,6 +136,7 @@ impl TipProblem<'_> {
         let verdict = judged.verdict.clone();
         let all = self.catalogue.iter().map(AsRef::as_ref);
         let mut effects: Vec<EffectEntry> = all.map(|e| self.entry(judged, e)).collect();
+        // of equally probable effects, the one that closes most comes first
         effects.sort_by(|a, b| b.closed.total_cmp(&a.closed));
         effects.sort_by(|a, b| b.probability.total_cmp(&a.probability));
         let credits = credits(&judged.found, chosen, self.gap());

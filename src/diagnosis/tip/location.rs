@@ -115,7 +115,7 @@ fn pooled(log: &Observed, scores: [&HeldOut; 2], pick: impl Fn(usize) -> bool) -
     (n > 0.0).then(|| sums.map(|sum| (sum / n).sqrt()))
 }
 
-/// The same by bend and direction.
+/// Errors by bend and direction.
 pub fn regions(log: &Observed, scores: [&HeldOut; 2]) -> Vec<Region> {
     let lines = [log.rig.prior; 3];
     let pose = |k| polar_deg(&commanded_bend(log, &lines, k));
@@ -137,7 +137,7 @@ pub fn regions(log: &Observed, scores: [&HeldOut; 2]) -> Vec<Region> {
     cells.filter_map(region).collect()
 }
 
-/// The same by time.
+/// Errors by time.
 pub fn stretches(log: &Observed, scores: [&HeldOut; 2]) -> Vec<When> {
     let length_s = log.duration_s() / f64::from(STRETCHES);
     let stretch = |k: u32| {
@@ -154,7 +154,7 @@ pub fn stretches(log: &Observed, scores: [&HeldOut; 2]) -> Vec<When> {
     (0..STRETCHES).filter_map(stretch).collect()
 }
 
-/// Part of the gap (deg²) that each effect of the set closes on held-out blocks. Each of several effects is credited with the mean of what it
+/// Part of the gap that each effect of the set closes on held-out blocks. Each of several effects is credited with the mean of what it
 /// closes when added first and when added last (of two effects that is Shapley's value, 1953), because effects together do not close the sum
 /// of what each closes alone.
 pub fn credits(

@@ -80,8 +80,8 @@ pub fn stepped(
     })
 }
 
-/// Dates the events of one effect, each while the others stay, so many times, by what their offsets would change from the rest of a log on.
-/// That is found with all of them absent: an event changes little of what another one does.
+/// Dates the events of one effect, each while the others stay, and all of them `rounds` times. What their offsets would change from the rest
+/// of a log on tells the date. It is found with all of them absent: an event changes little of what another one does.
 fn date(problem: &LeastSquares<'_>, theta: &mut [f64], events: &[Event], rounds: usize) {
     let Some(first) = events.first() else { return };
     let (log, mut without) = (problem.log, theta.to_vec());

@@ -198,6 +198,7 @@ fn bin(log: &BendLog, rows: &Rows, (from, to): (usize, usize), since: usize) -> 
     let tracked = log.reference.as_ref().map_or(&[][..], |r| &r[from..to]);
     let seen = tracked.iter().flatten();
     let seen: Vec<Matrix3<f64>> = seen.map(|q| q.to_rotation_matrix().into_inner()).collect();
+    // of no orientations, the mean is not a number
     let reference = seen.iter().sum::<Matrix3<f64>>() / seen.len() as f64;
     let step_s = (log.t_s[to - 1] - log.t_s[from]) / (to - from).max(2).saturating_sub(1) as f64;
     let speed = |k: usize| {
