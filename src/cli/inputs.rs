@@ -117,7 +117,7 @@ pub fn described_by(
     model: SavedModel,
     board: &Board,
 ) -> Result<Arc<DescribedMachine>> {
-    if let Some(problem) = model.unknown_names(&catalogue()) {
+    if let Some(problem) = model.unknown_names(catalogue()) {
         bail!("{origin}: {problem}");
     }
     let whole = model.described(board.geometry.law());

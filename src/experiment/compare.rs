@@ -6,10 +6,10 @@
 //! the fit, and the intervals are those of the jackknife over blocks (Efron 1982), because residuals of neighbouring bins are alike.
 
 use crate::diagnosis::tip::fit::{BLOCKS_S, HeldOut, score, weighted};
-use crate::diagnosis::tip::model::{Model, Motion, Residuals, every_bin, sense};
+use crate::diagnosis::tip::model::{Motion, Residuals, every_bin, sense};
 use crate::diagnosis::tip::observed::Observed;
 use crate::experiment::rig::RigError;
-use crate::model::nominal_theta;
+use crate::model::{Model, nominal_theta};
 use crate::primitives::Steps;
 use crate::simulation::world::World;
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3};

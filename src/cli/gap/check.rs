@@ -28,7 +28,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<bool> {
     let model = input::saved(&args.model)?;
     let log = input::observe(&args.log, &args.machine.rig()?)?;
-    let checked = check(&model, &log, &catalogue());
+    let checked = check(&model, &log, catalogue());
     output::answer(&args.json, &checked, said(&checked))?;
     Ok(checked.judgement == Judgement::ThisMachine)
 }

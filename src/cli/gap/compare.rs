@@ -61,7 +61,7 @@ pub fn run(args: &Args) -> Result<bool> {
     let lines = args.driven.lines()?;
     let log = input::observe(&args.log, &args.driven.machine.rig()?)?;
     let (name, compared) = simulated(args, &log)?;
-    let diagnosis = diagnose(&TipProblem::new(&log, &catalogue(), &lines, args.seed)).document;
+    let diagnosis = diagnose(&TipProblem::new(&log, catalogue(), &lines, args.seed)).document;
     let document = document(&args.fit, &log, name, &compared, &diagnosis);
     output::write_some(&args.residuals, || residuals(&log, &compared))?;
     let (text, good) = said(&document);

@@ -81,8 +81,7 @@ pub fn run(args: &Args) -> Result<()> {
     let observed = input::observe_together(&args.logs, &args.driven.machine.rig()?)?;
     let bar = output::bar(0, "the effects are fitted,");
     bar.enable_steady_tick(std::time::Duration::from_millis(200));
-    let catalogue = catalogue();
-    let done = diagnose(&TipProblem::new(&observed, &catalogue, &lines, args.seed));
+    let done = diagnose(&TipProblem::new(&observed, catalogue(), &lines, args.seed));
     bar.finish_and_clear();
     for (path, text) in files(args, &observed, &done)? {
         output::write(path, &text)?;
@@ -123,9 +122,8 @@ fn files<'a>(
     }
     if let Some(path) = &args.save {
         let logs = listed(&args.logs, |log| log.display().to_string());
-        let catalogue = catalogue();
-        let model = SavedModel::new(&logs, &catalogue, done);
-        let model = model.with_forecast(observed, &catalogue, done);
+        let model = SavedModel::new(&logs, done);
+        let model = model.with_forecast(observed, catalogue(), done);
         out.push((path, toml::to_string(&model).into_diagnostic()?));
     }
     Ok(out)

@@ -73,7 +73,7 @@ pub fn run(args: &Args) -> Result<()> {
     let draw = |q: &Question| simulator.as_ref().map_or_else(|| q.draw(), |s| s.draw(q));
     eprintln!("seed {}, {} logs", args.seed, asked.len());
     let bar = output::bar(asked.len() as u64, "{pos} of {len} logs, {eta} left,");
-    let answers = answer_all(&asked, draw, &catalogue(), || bar.inc(1)).into_diagnostic()?;
+    let answers = answer_all(&asked, draw, catalogue(), || bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
     let score = score(args.seed, &asked, &answers);
     let document = Document {

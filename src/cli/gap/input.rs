@@ -120,7 +120,7 @@ pub fn file_name(path: &Path) -> String {
 /// A report that names file and key.
 pub fn saved(path: &Path) -> Result<SavedModel> {
     let model: SavedModel = source::read(path)?;
-    match model.unknown_names(&catalogue()) {
+    match model.unknown_names(catalogue()) {
         Some(problem) => Err(miette!("{}: {problem}", path.display())),
         None => Ok(model),
     }

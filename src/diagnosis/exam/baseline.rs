@@ -9,10 +9,9 @@
 
 use crate::diagnosis::Candidates;
 use crate::diagnosis::tip::fit::{Candidate, LeastSquares, Tangent, fit};
-use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::Observed;
 use crate::model::effects::Effect;
-use crate::model::{Line, NOMINAL, nominal_theta};
+use crate::model::{Line, Model, NOMINAL, nominal_theta};
 use nalgebra::{DMatrix, DVector};
 
 /// Residuals are correlated over about this long, s.
@@ -30,7 +29,7 @@ pub type Answers = [Vec<&'static str>; 3];
 /// The verdicts of all three methods.
 pub fn answer(
     log: &Observed,
-    catalogue: &[Box<dyn Effect>],
+    catalogue: &[&'static dyn Effect],
     lines: &[Line; 3],
     found: &Candidates<Candidate>,
 ) -> Answers {
@@ -58,13 +57,13 @@ struct Library {
 }
 
 impl Library {
-    fn new(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3]) -> Self {
+    fn new(log: &Observed, catalogue: &[&'static dyn Effect], lines: &[Line; 3]) -> Self {
         let nominal = LeastSquares::new(log, Model::new(&[]));
         let mut base = fit(nominal, &nominal_theta(lines, log.rig.prior_lag_s), ROUNDS);
         base.tangent = Tangent::new(&base.problem, &base.point);
         let (mut all, mut at) = (base.tangent.clone(), vec![NOMINAL]);
         for e in catalogue {
-            let problem = LeastSquares::new(log, Model::new(&[e.as_ref()]));
+            let problem = LeastSquares::new(log, Model::new(&[*e]));
             let here = problem.at([base.point.theta.as_slice(), &e.starts()[0]].concat());
             let mut own = Tangent::grown(&problem, &here, &base).columns;
             all.columns.extend(own.drain(NOMINAL..));

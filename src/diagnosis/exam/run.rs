@@ -47,7 +47,7 @@ pub struct Answer {
 pub fn run(
     questions: &[Question],
     draw: impl Fn(&Question) -> Result<Logs, MachineError> + Sync,
-    catalogue: &[Box<dyn Effect>],
+    catalogue: &[&'static dyn Effect],
     done: impl Fn() + Sync,
 ) -> Result<Vec<Answer>, ExamError> {
     let answer = |(n, q): (usize, &Question)| {
@@ -55,14 +55,14 @@ pub fn run(
         let observe =
             |log| Observed::new(log, &Rig::default()).map_err(|e| ExamError::Observe(n, e));
         let (log, fresh) = (observe(&logs.log)?, observe(&logs.fresh)?);
-        let with = |effects: &[Box<dyn Effect>]| {
+        let with = |effects: &[&'static dyn Effect]| {
             diagnose(&TipProblem::new(&log, effects, &logs.lines, n as u64))
         };
         let diagnosed = with(catalogue);
-        let saved = SavedModel::new("exam", catalogue, &diagnosed);
+        let saved = SavedModel::new("exam", &diagnosed);
         let again = q.content == Content::Single && n % LEFT_OUT_EVERY == 0;
         let left_out = again.then(|| {
-            let mut rest = effects::catalogue();
+            let mut rest = effects::catalogue().to_vec();
             rest.retain(|e| e.name() != q.truth()[0]);
             with(&rest).document.verdict.kind
         });

@@ -85,8 +85,8 @@ impl Design {
 pub fn design(request: &Request, progress: &mut dyn FnMut(usize)) -> Design {
     let mut rng = StdRng::seed_from_u64(request.seed);
     let (machine, like) = (&request.machine, request.like.as_ref());
-    let effects = catalogue().into_iter();
-    let rivals: Vec<Rival> = effects.map(|e| Rival::new(e, like, &mut rng)).collect();
+    let effects = catalogue().iter();
+    let rivals: Vec<Rival> = effects.map(|e| Rival::new(*e, like, &mut rng)).collect();
     let names: Vec<&'static str> = rivals.iter().map(|r| r.effect.name()).collect();
     let focus = focus(like, &names);
     let (tracker, seed) = (request.tracker, request.seed);

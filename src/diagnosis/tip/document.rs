@@ -3,14 +3,13 @@
 use crate::diagnosis::tip::TipProblem;
 use crate::diagnosis::tip::fit::{Candidate, HeldOut, closed_ci95, score, scored};
 use crate::diagnosis::tip::location::{self, Location, credits, stages};
-use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::{
     CORRELATED_S, Depends, Observed, PerQuantity, Segment, dependences,
 };
 use crate::diagnosis::verdict::Verdict;
 use crate::diagnosis::{Candidates, Judged, Scored, diagnose};
 use crate::model::effects::{Effect, Param};
-use crate::model::{lines, nominal_theta};
+use crate::model::{Model, lines, nominal_theta};
 use nalgebra::Vector3;
 use serde::Serialize;
 use std::ops::Range;
@@ -134,8 +133,8 @@ impl TipProblem<'_> {
     pub fn written(&self, judged: &Judged<Self>) -> Diagnosis {
         let (log, nominal, chosen) = (self.log, &self.nominal, judged.chosen());
         let verdict = judged.verdict.clone();
-        let all = self.catalogue.iter().map(AsRef::as_ref);
-        let mut effects: Vec<EffectEntry> = all.map(|e| self.entry(judged, e)).collect();
+        let all = self.catalogue.iter();
+        let mut effects: Vec<EffectEntry> = all.map(|e| self.entry(judged, *e)).collect();
         // of equally probable effects, the one that closes most comes first
         effects.sort_by(|a, b| b.closed.total_cmp(&a.closed));
         effects.sort_by(|a, b| b.probability.total_cmp(&a.probability));
@@ -225,8 +224,7 @@ impl TipProblem<'_> {
 
     /// Parameters of an effect in a candidate, with intervals widened for correlated residuals.
     fn params(&self, e: &dyn Effect, c: &Candidate) -> Vec<ParamValue> {
-        let log = self.log;
-        let model = Model::named(self.catalogue, &c.names);
+        let (log, model) = (self.log, &c.model);
         let Some(i) = model.position(e.name()) else {
             return vec![];
         };

@@ -175,7 +175,7 @@ pub fn credits(
 /// Shares of the seven stages, the largest first. What the verdict leaves is attributed to the stages in proportion to the probabilities of
 /// their effects.
 pub fn stages(
-    catalogue: &[Box<dyn Effect>],
+    catalogue: &[&'static dyn Effect],
     credits: &[(&'static str, f64)],
     probabilities: &[(&'static str, f64)],
 ) -> Vec<StageShare> {
@@ -208,7 +208,7 @@ mod tests {
     #[test]
     fn the_seven_shares_add_up_to_one() {
         let shares = stages(
-            &catalogue(),
+            catalogue(),
             &[("leak", 0.6), ("gravity", 0.3)],
             &[("leak", 0.9), ("torsion", 0.1)],
         );
@@ -223,7 +223,7 @@ mod tests {
 
     #[test]
     fn without_a_verdict_the_shares_follow_the_probabilities() {
-        let shares = stages(&catalogue(), &[], &[("hard_iron", 0.3), ("leak", 0.1)]);
+        let shares = stages(catalogue(), &[], &[("hard_iron", 0.3), ("leak", 0.1)]);
         assert_eq!(shares[0].name, "sensor");
         assert!((shares[0].share - 0.75).abs() < 1e-6);
     }

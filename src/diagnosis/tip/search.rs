@@ -8,11 +8,10 @@ use crate::diagnosis::tip::fit::{
     Alone, BaseFit, CLAIM_DEG, Candidate, HeldOut, LeastSquares, Start, Tangent, alone, best_start,
     dated_again, fit, schwarz, screen,
 };
-use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::{Candidates, Search};
 use crate::model::effects::Effect;
-use crate::model::{Line, nominal_theta};
+use crate::model::{Line, Model, nominal_theta};
 use rayon::prelude::*;
 
 /// Rounds of a fit.
@@ -29,7 +28,7 @@ pub struct TipProblem<'a> {
     /// The log.
     pub log: &'a Observed,
     /// The effects.
-    pub catalogue: &'a [Box<dyn Effect>],
+    pub catalogue: &'a [&'static dyn Effect],
     /// The calibration that the log was driven with, from which the recalibration starts.
     pub lines: &'a [Line; 3],
     /// Seed of the bootstrap.
@@ -43,7 +42,7 @@ impl<'a> TipProblem<'a> {
     /// The problem of a log that was driven with the calibration `lines`; `seed` is that of the bootstrap.
     pub fn new(
         log: &'a Observed,
-        catalogue: &'a [Box<dyn Effect>],
+        catalogue: &'a [&'static dyn Effect],
         lines: &'a [Line; 3],
         seed: u64,
     ) -> Self {
@@ -58,7 +57,7 @@ impl<'a> TipProblem<'a> {
         }
     }
 
-    fn model(&self, names: &[&str]) -> Model<'a> {
+    fn model(&self, names: &[&str]) -> Model {
         Model::named(self.catalogue, names)
     }
 
@@ -79,18 +78,19 @@ impl<'a> TipProblem<'a> {
 
     /// The most promising extensions of a set by one effect, by Schwarz's criterion.
     fn grown(&self, set: &Candidate, wanted: usize) -> Vec<Candidate> {
-        let seed = LeastSquares::new(self.log, self.model(&set.names));
+        let seed = LeastSquares::new(self.log, set.model.clone());
         let base = settle(seed, &set.theta);
         let names = |e: &dyn Effect| [set.names.as_slice(), &[e.name()]].concat();
-        let start = |e: &'a dyn Effect| {
-            let to = LeastSquares::new(self.log, self.model(&names(e)));
-            best_start(&base, &to, e).map(|s| (e, s))
+        let start = |e: &&'static dyn Effect| {
+            let to = LeastSquares::new(self.log, self.model(&names(*e)));
+            best_start(&base, &to, *e).map(|s| (*e, s))
         };
-        let others = self.catalogue.par_iter().map(AsRef::as_ref);
+        let others = self.catalogue.par_iter();
         let others = others.filter(|e| !set.names.contains(&e.name()));
-        let mut promising: Vec<(&dyn Effect, Start)> = others.filter_map(start).collect();
-        let criterion =
-            |(e, s): &(&dyn Effect, Start)| schwarz(self.log, s.predicted, e.params().len());
+        let mut promising: Vec<(&'static dyn Effect, Start)> = others.filter_map(start).collect();
+        let criterion = |(e, s): &(&'static dyn Effect, Start)| {
+            schwarz(self.log, s.predicted, e.params().len())
+        };
         promising.sort_by(|a, b| criterion(a).total_cmp(&criterion(b)));
         let wanted = promising.into_iter().take(wanted);
         let starts: Vec<_> = wanted.map(|(e, s)| (names(e), s.theta)).collect();
@@ -107,14 +107,13 @@ impl Search for TipProblem<'_> {
     }
 
     fn singles(&self) -> Vec<Alone> {
-        let single = |e: &dyn Effect| {
-            let (base, to) = (&self.base, LeastSquares::new(self.log, Model::new(&[e])));
-            let start = best_start(base, &to, e).map(|s| s.theta);
+        let single = |e: &&'static dyn Effect| {
+            let (base, to) = (&self.base, LeastSquares::new(self.log, Model::new(&[*e])));
+            let start = best_start(base, &to, *e).map(|s| s.theta);
             let start = start.as_ref().unwrap_or(&base.point.theta);
             alone(base, settle(to, start))
         };
-        let all = self.catalogue.par_iter().map(AsRef::as_ref);
-        all.map(single).collect()
+        self.catalogue.par_iter().map(single).collect()
     }
 
     /// The pairs that are worth a fit: none where no two effects could be claimed, and half as many where the best single leaves less than
@@ -152,8 +151,8 @@ impl Search for TipProblem<'_> {
             for left_out in &triple.names {
                 let mut names = triple.names.clone();
                 names.retain(|n| n != left_out);
-                let (whole, part) = (self.model(&triple.names), self.model(&names));
-                let start = part.extended(&whole, &triple.theta, |_| vec![]);
+                let part = self.model(&names);
+                let start = part.extended(&triple.model, &triple.theta, |_| vec![]);
                 if found.set(&names).is_none() && missing.iter().all(|(known, _)| *known != names) {
                     missing.push((names, start));
                 }

@@ -10,8 +10,8 @@ use crate::diagnosis::Scored;
 use crate::diagnosis::tip::fit::{
     BaseFit, Candidate, LeastSquares, Start, best_start, fit, vanishing,
 };
-use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::Observed;
+use crate::model::Model;
 use crate::model::effects::{Effect, Stage};
 use nalgebra::DVector;
 use rayon::prelude::*;
@@ -35,13 +35,13 @@ const WORSE_MAX: f64 = 1.02;
 /// The model that leaves the least on unseen blocks, among those between `nominal` and the whole catalogue.
 pub fn best_predicting(
     log: &Observed,
-    catalogue: &[Box<dyn Effect>],
+    catalogue: &[&'static dyn Effect],
     nominal: &Candidate,
     chosen: &Candidate,
 ) -> Candidate {
-    let used = |e: &&dyn Effect| is_steady(*e) || chosen.names.contains(&e.name());
-    let named: Vec<&dyn Effect> = catalogue.iter().map(AsRef::as_ref).filter(used).collect();
-    let mut base = fitted(log, &named, &start(&named, catalogue, chosen));
+    let used = |e: &&'static dyn Effect| is_steady(*e) || chosen.names.contains(&e.name());
+    let named: Vec<&dyn Effect> = catalogue.iter().copied().filter(used).collect();
+    let mut base = fitted(log, &named, &start(&named, chosen));
     let mut all = vec![Candidate::new(&base)];
     for _ in 0..ADDED_MAX {
         let Some((effects, start)) = promising(log, catalogue, &base) else {
@@ -55,9 +55,9 @@ pub fn best_predicting(
     let whole = least.unwrap_or_else(|| chosen.clone());
     let last = whole.names == base.problem.model.names();
     let spared = if last { weak(&base) } else { vec![] };
-    let mut kept = Model::named(catalogue, &whole.names).effects;
+    let mut kept = whole.model.effects.clone();
     kept.retain(|e| !spared.contains(&e.name()));
-    let reduced = Candidate::new(&fitted(log, &kept, &start(&kept, catalogue, &whole)));
+    let reduced = Candidate::new(&fitted(log, &kept, &start(&kept, &whole)));
     let better = reduced.energy() <= WORSE_MAX * whole.energy();
     let best = if better { &reduced } else { &whole };
     let all = [best, nominal, chosen].into_iter();
@@ -75,31 +75,29 @@ fn is_steady(e: &dyn Effect) -> bool {
 }
 
 /// The effects of `base` with the one more that promises most, and its starting point.
-fn promising<'a>(
-    log: &'a Observed,
-    catalogue: &'a [Box<dyn Effect>],
-    base: &BaseFit<'a>,
-) -> Option<(Vec<&'a dyn Effect>, Start)> {
+fn promising(
+    log: &Observed,
+    catalogue: &[&'static dyn Effect],
+    base: &BaseFit<'_>,
+) -> Option<(Vec<&'static dyn Effect>, Start)> {
     let known = base.problem.model.names();
-    let tried = |e: &'a dyn Effect| {
+    let tried = |e: &&'static dyn Effect| {
         let names: Vec<&str> = known.iter().copied().chain([e.name()]).collect();
         let to = LeastSquares::new(log, Model::named(catalogue, &names));
-        best_start(base, &to, e).map(|s| (to.model.effects, s))
+        best_start(base, &to, *e).map(|s| (to.model.effects, s))
     };
-    let all = catalogue.par_iter().map(Box::as_ref);
-    let fresh = all.filter(|e| !known.contains(&e.name()));
+    let fresh = catalogue.par_iter().filter(|e| !known.contains(&e.name()));
     let tried = fresh.filter_map(tried);
     let best = tried.min_by(|a, b| a.1.predicted.total_cmp(&b.1.predicted))?;
     (best.1.predicted < PROMISE * base.point.total()).then_some(best)
 }
 
 /// Parameters at which the fit of `effects` starts: those of `from`, and the vanishing point of every other effect.
-fn start(effects: &[&dyn Effect], catalogue: &[Box<dyn Effect>], from: &Candidate) -> Vec<f64> {
-    let known = Model::named(catalogue, &from.names);
-    Model::new(effects).extended(&known, &from.theta, vanishing)
+fn start(effects: &[&'static dyn Effect], from: &Candidate) -> Vec<f64> {
+    Model::new(effects).extended(&from.model, &from.theta, vanishing)
 }
 
-fn fitted<'a>(log: &'a Observed, effects: &[&'a dyn Effect], start: &[f64]) -> BaseFit<'a> {
+fn fitted<'a>(log: &'a Observed, effects: &[&'static dyn Effect], start: &[f64]) -> BaseFit<'a> {
     fit(LeastSquares::new(log, Model::new(effects)), start, ROUNDS)
 }
 

@@ -7,10 +7,9 @@
 use crate::diagnosis::tip::fit::{
     BaseFit, Candidate, LeastSquares, Start, Sums, Tangent, stepped, within,
 };
-use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::{CORRELATED_S, Observed};
-use crate::model::NOMINAL;
 use crate::model::effects::Effect;
+use crate::model::{Model, NOMINAL};
 use nalgebra::{DMatrix, DVector};
 
 /// The fit of one effect, and what the pairs with it need: the tangent at the fit, without that of the nominal gains, and the change of the
@@ -37,7 +36,7 @@ pub fn schwarz(log: &Observed, squares: f64, params: usize) -> f64 {
 /// All pairs, the most promising first, with parameters from where a fit starts.
 pub fn screen(
     nominal: &BaseFit<'_>,
-    catalogue: &[Box<dyn Effect>],
+    catalogue: &[&'static dyn Effect],
     alone: &[Alone],
 ) -> Vec<([&'static str; 2], Vec<f64>)> {
     let (mut all, mut at) = (nominal.tangent.clone(), vec![NOMINAL]);
@@ -68,7 +67,7 @@ impl Gram {
     fn pair(
         &self,
         nominal: &BaseFit<'_>,
-        catalogue: &[Box<dyn Effect>],
+        catalogue: &[&'static dyn Effect],
         alone: &[Alone],
         of: [usize; 2],
     ) -> Option<([&'static str; 2], f64, Start)> {

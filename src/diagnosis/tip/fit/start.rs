@@ -5,8 +5,8 @@
 //! respect to the time of an event; a linear least-squares scan over all times of the log finds it.
 
 use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, Sums, Tangent, step};
-use crate::diagnosis::tip::model::Event;
 use crate::diagnosis::tip::observed::Segment;
+use crate::model::Event;
 use crate::model::effects::{Effect, Stage};
 use nalgebra::{DVector, Matrix3, Vector3};
 use std::ops::Range;

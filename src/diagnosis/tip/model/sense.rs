@@ -3,10 +3,11 @@
 //! Gravity and field in the base frame and the constant gyroscope bias enter linearly. Every evaluation solves them
 //! (variable projection, Golub & Pereyra 1973) from the bins that a mask selects.
 
-use crate::diagnosis::tip::model::{FIRST_STEP_S, Model, Motion, parameters, run};
+use crate::diagnosis::tip::model::{FIRST_STEP_S, Motion, parameters, run};
 use crate::diagnosis::tip::observed::{
     Bin, G_M_S2, Observed, PerQuantity, Quantity, Segment, between,
 };
+use crate::model::Model;
 use crate::model::effects::{ImuPrediction, Memory, Moment, Stage};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
@@ -26,7 +27,7 @@ pub fn every_bin(_: usize) -> bool {
 /// Residuals of a motion; gravity, field and gyroscope bias of each log are solved on the bins that `mask` selects.
 pub fn sense(
     log: &Observed,
-    model: &Model<'_>,
+    model: &Model,
     theta: &[f64],
     motion: &Motion,
     mask: impl Fn(usize) -> bool,
@@ -49,7 +50,7 @@ pub fn sense(
 }
 
 /// Residuals of the motion with these parameters, with every bin selected.
-pub fn residuals(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Residuals {
+pub fn residuals(log: &Observed, model: &Model, theta: &[f64]) -> Residuals {
     sense(log, model, theta, &run(log, model, theta), every_bin)
 }
 
@@ -58,7 +59,7 @@ struct Part<'a> {
     log: &'a Observed,
     segment: &'a Segment,
     bins: &'a [Bin],
-    model: &'a Model<'a>,
+    model: &'a Model,
     theta: &'a [f64],
     motion: &'a Motion,
     mask: &'a dyn Fn(usize) -> bool,

@@ -288,7 +288,8 @@ impl Observed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::tip::model::{Model, run};
+    use crate::diagnosis::tip::model::run;
+    use crate::model::Model;
     use crate::model::effects::{Effect, catalogue};
     use crate::model::{Line, nominal_theta};
     use rand::rngs::StdRng;
@@ -361,7 +362,7 @@ mod tests {
             (&["creep"], 0.05),
             (&["line_lag"], 0.15),
         ] {
-            let model = Model::named(&all, names);
+            let model = Model::named(all, names);
             let fresh = |e: &dyn Effect| {
                 e.params()
                     .iter()
