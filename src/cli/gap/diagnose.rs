@@ -136,7 +136,9 @@ fn made_from(args: &Args, observed: &Observed) -> Result<Vec<[String; 2]>> {
     let mut made = vec![row("retroflex", version), row("date", today())];
     for (log, part) in args.logs.iter().zip(&observed.segments) {
         let hash = fnv(std::fs::read(log).into_diagnostic()?);
-        let duration_s = observed.t_s[part.instants.end - 1] - observed.t_s[part.instants.start];
+        let [first, last] =
+            [part.instants.start, part.instants.end - 1].map(|k| observed.instants[k].t_s);
+        let duration_s = last - first;
         let shown = format!("{duration_s:.0} s, hash {hash:016x}");
         made.push(row(&file_name(log), shown));
     }

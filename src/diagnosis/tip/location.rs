@@ -79,7 +79,7 @@ const STRETCHES: u32 = 20;
 
 /// Bend vector of bin `k` as commanded: the counted pistons through the gains of `lines`, without play.
 pub fn commanded_bend(log: &Observed, lines: &[Line; 3], k: usize) -> Bend {
-    let u = log.piston_mm[log.bins[k].at];
+    let u = log.instants[log.bins[k].at].piston_mm;
     let q = Vector3::from_fn(|i, _| lines[i].bellow_mm(u[i]));
     log.rig.geometry.shape(&q).bend
 }

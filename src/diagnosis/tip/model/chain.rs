@@ -4,7 +4,7 @@
 //! signal at its own stage. The lag integrates a straight line between two instants exactly, so a step may be longer
 //! than τ₀. [`mod@crate::diagnosis::tip::model::sense`] turns the motion into readings.
 
-use crate::diagnosis::tip::observed::{Observed, Segment};
+use crate::diagnosis::tip::observed::{Observed, Row, Segment, piston_after};
 use crate::model::effects::{Memory, Pose};
 use crate::model::{Bend, Chain, Model};
 use nalgebra::{Matrix3, Vector3};
@@ -43,7 +43,7 @@ pub fn parameters<'p>(
 
 /// Runs the model through the whole log.
 pub fn run(log: &Observed, model: &Model, theta: &[f64]) -> Motion {
-    let mut out = Vec::with_capacity(log.t_s.len());
+    let mut out = Vec::with_capacity(log.instants.len());
     for segment in &log.segments {
         let own = parameters(log, segment, model, theta);
         append(log, segment, model, &own, &mut out);
@@ -68,24 +68,27 @@ fn append(log: &Observed, segment: &Segment, model: &Model, theta: &[f64], out: 
     let mut at = chain.moment(segment.up_base, FIRST_STEP_S);
     // the pistons as counted a dead time ago; called with increasing instants
     let mut row = segment.rows.start;
-    let mut counted_mm = |k: usize| {
+    let mut counted_mm = |now: &Row| {
         if behind_s <= 0.0 {
-            return log.piston_mm[k];
+            return now.piston_mm;
         }
-        let (rows, t) = (&log.rows, log.t_s[k] - behind_s);
-        while rows.t_s.get(row + 1).is_some_and(|&next| next <= t) {
+        let t_s = now.t_s - behind_s;
+        while log.rows.get(row + 1).is_some_and(|next| next.t_s <= t_s) {
             row += 1;
         }
-        rows.piston_after(row, t)
+        piston_after(&log.rows, row, t_s)
     };
     let (mut w, mut lagged, mut before) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
     let (mut keep, mut keep_dt) = (0.0, -1.0);
-    let first = segment.instants.start;
-    let step_s = |k: usize| log.t_s[k] - log.t_s[k - 1];
+    let mut middles = log.bins[segment.bins.clone()].iter().peekable();
+    let mut last_s = None;
     for k in segment.instants.clone() {
-        let dt_s = if k == first { FIRST_STEP_S } else { step_s(k) };
-        (at.t_s, at.dt_s) = (log.t_s[k] - segment.start_s, dt_s);
-        (at.counted_mm, at.idle_s) = (counted_mm(k), log.idle_s[k]);
+        let now = &log.instants[k];
+        let dt_s = last_s
+            .replace(now.t_s)
+            .map_or(FIRST_STEP_S, |last_s: f64| now.t_s - last_s);
+        (at.t_s, at.dt_s) = (now.t_s - segment.start_s, dt_s);
+        (at.counted_mm, at.idle_s) = (counted_mm(now), now.idle_s);
         if (dt_s - keep_dt).abs() > 1e-7 {
             (keep, keep_dt) = ((-dt_s / lag_s).exp(), dt_s);
         }
@@ -95,7 +98,8 @@ fn append(log: &Observed, segment: &Segment, model: &Model, theta: &[f64], out: 
         let behind = (q - before) * (lag_s / dt_s);
         lagged = q - behind + (lagged - before + behind) * keep;
         before = q;
-        out.push(match every || log.middle[k] {
+        let middle = middles.next_if(|bin| bin.at == k).is_some();
+        out.push(match every || middle {
             true => orientation(&chain.pose(&mut memory, &at, &lagged)),
             false => Matrix3::zeros(),
         });

@@ -92,11 +92,11 @@ impl Part<'_> {
         Moment {
             t_s: t_s - self.segment.start_s,
             dt_s: FIRST_STEP_S,
-            counted_mm: rows.piston_mm[row],
+            counted_mm: rows[row].piston_mm,
             up_base: self.segment.up_base,
             k_epsilon: Vector3::repeat(rig.prior.k_epsilon),
             r_mm: rig.geometry.r_mm,
-            idle_s: rows.idle_s[row],
+            idle_s: rows[row].idle_s,
         }
     }
 
@@ -135,19 +135,22 @@ impl Imu {
         let mount = Some(mount).filter(|m| m.angle() > 0.0).map(matrix);
         let base_moves = model.effects.iter().any(|e| e.stage() == Stage::Base);
         // the motion as a late sensor samples it; called with increasing instants
-        let (motion, times) = (part.motion, &part.log.t_s);
+        let (motion, instants) = (part.motion, &part.log.instants);
         let mut a = part.segment.instants.start;
         let mut sampled = |k: usize| {
             if behind_s <= 0.0 {
                 return motion[k];
             }
-            let t = times[k] - behind_s;
-            while a + 1 < k && times[a + 1] <= t {
+            let t = instants[k].t_s - behind_s;
+            while a + 1 < k && instants[a + 1].t_s <= t {
                 a += 1;
             }
-            let b = (a + 1).min(times.len() - 1);
+            let b = (a + 1).min(instants.len() - 1);
             let share = match b > a {
-                true => ((t - times[a]) / (times[b] - times[a])).clamp(0.0, 1.0),
+                true => {
+                    let (from, to) = (instants[a].t_s, instants[b].t_s);
+                    ((t - from) / (to - from)).clamp(0.0, 1.0)
+                }
                 false => 0.0,
             };
             motion[a] * (1.0 - share) + motion[b] * share
@@ -254,7 +257,7 @@ impl Imu {
 fn rows_of(log: &Observed, bin: &Bin, follows_motors: bool) -> std::ops::Range<usize> {
     let (from, to) = bin.rows;
     let moving =
-        || log.rows.piston_mm[from] != log.rows.piston_mm[to - 1] || bin.idle_s < bin.lasting_s;
+        || log.rows[from].piston_mm != log.rows[to - 1].piston_mm || bin.idle_s < bin.lasting_s;
     let middle = (from + to - 1) / 2;
     match follows_motors && moving() {
         true => from..to,
