@@ -15,4 +15,4 @@ pub use chain::Chain;
 pub use described::{DescribedMachine, RestReadings, orientation};
 pub use drive::Drive;
 pub use nominal::{Event, Model, NOMINAL, lines, nominal_theta};
-pub use transmission::{Line, Side, SideState, Wanted};
+pub use transmission::{Line, Side, SideState};

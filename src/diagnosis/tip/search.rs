@@ -6,7 +6,7 @@
 
 use crate::diagnosis::tip::fit::{
     Alone, BaseFit, CLAIM_DEG, Candidate, HeldOut, LeastSquares, Start, Tangent, alone, best_start,
-    dated_again, fit, schwarz, screen,
+    dated_again, fit, grown, schwarz, screen,
 };
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::{Candidates, Search};
@@ -57,17 +57,12 @@ impl<'a> TipProblem<'a> {
         }
     }
 
-    fn model(&self, names: &[&str]) -> Model {
-        Model::named(self.catalogue, names)
-    }
-
     /// The fits of sets of effects, each from a start of its own.
-    fn fitted<N: AsRef<[&'static str]> + Sync>(&self, sets: &[(N, Vec<f64>)]) -> Vec<Candidate> {
-        let fit = |(names, start): &(N, Vec<f64>)| {
-            let problem = LeastSquares::new(self.log, self.model(names.as_ref()));
-            Candidate::new(&settle(problem, start))
-        };
-        sets.par_iter().map(fit).collect()
+    fn fitted(&self, sets: Vec<(Model, Vec<f64>)>) -> Vec<Candidate> {
+        let problem = |model| LeastSquares::new(self.log, model);
+        let sets = sets.into_par_iter();
+        sets.map(|(model, start)| Candidate::new(&settle(problem(model), &start)))
+            .collect()
     }
 
     /// The most that a sensor's RMSE is above its noise, degrees or °/s.
@@ -78,23 +73,16 @@ impl<'a> TipProblem<'a> {
 
     /// The most promising extensions of a set by one effect, by Schwarz's criterion.
     fn grown(&self, set: &Candidate, wanted: usize) -> Vec<Candidate> {
-        let seed = LeastSquares::new(self.log, set.model.clone());
-        let base = settle(seed, &set.theta);
-        let names = |e: &dyn Effect| [set.names.as_slice(), &[e.name()]].concat();
-        let start = |e: &&'static dyn Effect| {
-            let to = LeastSquares::new(self.log, self.model(&names(*e)));
-            best_start(&base, &to, *e).map(|s| (*e, s))
+        let problem = LeastSquares::new(self.log, set.model.clone());
+        let base = settle(problem, &set.theta);
+        let criterion = |(_, s): &(Model, Start)| {
+            let params = s.theta.len() - base.point.theta.len();
+            schwarz(self.log, s.predicted, params)
         };
-        let others = self.catalogue.par_iter();
-        let others = others.filter(|e| !set.names.contains(&e.name()));
-        let mut promising: Vec<(&'static dyn Effect, Start)> = others.filter_map(start).collect();
-        let criterion = |(e, s): &(&'static dyn Effect, Start)| {
-            schwarz(self.log, s.predicted, e.params().len())
-        };
-        promising.sort_by(|a, b| criterion(a).total_cmp(&criterion(b)));
-        let wanted = promising.into_iter().take(wanted);
-        let starts: Vec<_> = wanted.map(|(e, s)| (names(e), s.theta)).collect();
-        self.fitted(&starts)
+        let mut sets = grown(&base, self.catalogue);
+        sets.sort_by(|a, b| criterion(a).total_cmp(&criterion(b)));
+        let sets = sets.into_iter().take(wanted);
+        self.fitted(sets.map(|(model, s)| (model, s.theta)).collect())
     }
 }
 
@@ -129,11 +117,10 @@ impl Search for TipProblem<'_> {
             _ => return vec![],
         };
         let mut out = self.grown(best, extended);
-        let known = |names: &[&str]| out.iter().any(|c| c.names == names);
         let mut screen = screen(&self.base, self.catalogue, alone);
-        screen.retain(|(names, _)| !known(names));
+        screen.retain(|(model, _)| out.iter().all(|c| c.model != *model));
         screen.truncate(screened);
-        out.extend(self.fitted(&screen));
+        out.extend(self.fitted(screen));
         out
     }
 
@@ -146,19 +133,20 @@ impl Search for TipProblem<'_> {
 
     /// The pairs in these triples that have not been fitted.
     fn parts(&self, found: &Candidates<Candidate>, triples: &[Candidate]) -> Vec<Candidate> {
-        let mut missing: Vec<(Vec<&'static str>, Vec<f64>)> = Vec::new();
+        let mut missing: Vec<(Model, Vec<f64>)> = Vec::new();
         for triple in triples {
             for left_out in &triple.names {
-                let mut names = triple.names.clone();
-                names.retain(|n| n != left_out);
-                let part = self.model(&names);
-                let start = part.extended(&triple.model, &triple.theta, |_| vec![]);
-                if found.set(&names).is_none() && missing.iter().all(|(known, _)| *known != names) {
-                    missing.push((names, start));
+                let mut effects = triple.model.effects.clone();
+                effects.retain(|e| e.name() != *left_out);
+                let part = Model::new(&effects);
+                let unknown = missing.iter().all(|(known, _)| *known != part);
+                if unknown && found.without(triple, left_out).is_none() {
+                    let start = part.extended(&triple.model, &triple.theta, |_| vec![]);
+                    missing.push((part, start));
                 }
             }
         }
-        self.fitted(&missing)
+        self.fitted(missing)
     }
 }
 

@@ -7,14 +7,11 @@
 //! seen is returned.
 
 use crate::diagnosis::Scored;
-use crate::diagnosis::tip::fit::{
-    BaseFit, Candidate, LeastSquares, Start, best_start, fit, vanishing,
-};
+use crate::diagnosis::tip::fit::{BaseFit, Candidate, LeastSquares, Start, fit, grown, vanishing};
 use crate::diagnosis::tip::observed::Observed;
 use crate::model::Model;
 use crate::model::effects::{Effect, Stage};
 use nalgebra::DVector;
-use rayon::prelude::*;
 
 /// Rounds of a fit.
 const ROUNDS: usize = 8;
@@ -44,10 +41,13 @@ pub fn best_predicting(
     let mut base = fitted(log, &named, &start(&named, chosen));
     let mut all = vec![Candidate::new(&base)];
     for _ in 0..ADDED_MAX {
-        let Some((effects, start)) = promising(log, catalogue, &base) else {
+        let sets = grown(&base, catalogue).into_iter();
+        let best = sets.min_by(|a, b| a.1.predicted.total_cmp(&b.1.predicted));
+        let promises = |s: &Start| s.predicted < PROMISE * base.point.total();
+        let Some((model, start)) = best.filter(|(_, start)| promises(start)) else {
             break;
         };
-        base = fitted(log, &effects, &start.theta);
+        base = fit(LeastSquares::new(log, model), &start.theta, ROUNDS);
         all.push(Candidate::new(&base));
     }
     let all = all.into_iter();
@@ -72,24 +72,6 @@ fn is_steady(e: &dyn Effect) -> bool {
         && !matches!(info.stage, Stage::Timing | Stage::Base)
         && e.starts().len() <= STARTS_MAX;
     steady && (info.stage != Stage::Sensor || info.params.len() <= PARAMETERS_MAX)
-}
-
-/// The effects of `base` with the one more that promises most, and its starting point.
-fn promising(
-    log: &Observed,
-    catalogue: &[&'static dyn Effect],
-    base: &BaseFit<'_>,
-) -> Option<(Vec<&'static dyn Effect>, Start)> {
-    let known = base.problem.model.names();
-    let tried = |e: &&'static dyn Effect| {
-        let names: Vec<&str> = known.iter().copied().chain([e.name()]).collect();
-        let to = LeastSquares::new(log, Model::named(catalogue, &names));
-        best_start(base, &to, *e).map(|s| (to.model.effects, s))
-    };
-    let fresh = catalogue.par_iter().filter(|e| !known.contains(&e.name()));
-    let tried = fresh.filter_map(tried);
-    let best = tried.min_by(|a, b| a.1.predicted.total_cmp(&b.1.predicted))?;
-    (best.1.predicted < PROMISE * base.point.total()).then_some(best)
 }
 
 /// Parameters at which the fit of `effects` starts: those of `from`, and the vanishing point of every other effect.
