@@ -9,7 +9,6 @@ use crate::experiment::identify::IdentifyError;
 use crate::experiment::rig::RigError;
 use crate::log::bend_log::{BendLog, ImuColumns};
 use crate::model::DescribedMachine;
-use crate::model::effects::catalogue;
 use crate::simulation::world::World;
 use crate::supervisor::MachineError;
 use nalgebra::Vector3;
@@ -36,7 +35,7 @@ pub fn described(
     let log = record(config, &rig, world).map_err(RigError::from)?;
     let log = Observed::new(&log, &rig)?;
     let nominal = recalibrated(&log, &config.lines);
-    let found = best_predicting(&log, catalogue(), &nominal, &nominal);
+    let found = best_predicting(&log, &nominal, &nominal);
     let theta = &found.theta;
     let causes = found.model.each(theta).map(|(e, p)| (e, p.to_vec()));
     let machine = DescribedMachine::new(rig.geometry, log.rest(), theta, causes.collect());

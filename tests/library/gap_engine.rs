@@ -53,7 +53,7 @@ fn a_single_effect_and_none_are_recognised_and_scored() {
         question(Content::Single, &["hard_iron"], false, 12),
         question(Content::None, &[], false, 13),
     ];
-    let answers = run(&asked, Question::draw, catalogue(), || {}).unwrap();
+    let answers = run(&asked, Question::draw, || {}).unwrap();
     for (q, a) in asked.iter().zip(&answers) {
         let v = &a.diagnosis.verdict;
         assert_eq!(v.names, q.names, "{:?} {:?}", q.names, v);
@@ -164,10 +164,10 @@ fn a_check_tells_this_machine_from_another_and_from_a_mended_one() {
         };
         let observed = |log: &BendLog| Observed::new(log, &Rig::default()).unwrap();
         let sick = drawn(Content::Single, &[effect], seed);
-        let (log, effects) = (observed(&sick.log), catalogue());
-        let done = diagnose(&TipProblem::new(&log, &effects, &sick.lines, 1));
+        let log = observed(&sick.log);
+        let done = diagnose(&TipProblem::new(&log, catalogue(), &sick.lines, 1));
         let model = SavedModel::new("log", &done);
-        let judged = |log: &BendLog| check(&model, &observed(log), catalogue());
+        let judged = |log: &BendLog| check(&model, &observed(log));
         let same = judged(&sick.fresh);
         assert_eq!(same.judgement, Judgement::ThisMachine, "{effect} {same:?}");
         // the same seed draws the same unit

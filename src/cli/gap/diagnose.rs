@@ -123,7 +123,7 @@ fn files<'a>(
     if let Some(path) = &args.save {
         let logs = listed(&args.logs, |log| log.display().to_string());
         let model = SavedModel::new(&logs, done);
-        let model = model.with_forecast(observed, catalogue(), done);
+        let model = model.with_forecast(observed, done);
         out.push((path, toml::to_string(&model).into_diagnostic()?));
     }
     Ok(out)

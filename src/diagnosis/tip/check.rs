@@ -3,7 +3,7 @@
 use crate::diagnosis::tip::fit::{CLAIM_DEG, HeldOut, LeastSquares, fit, scored};
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::tip::{SavedGains, SavedModel};
-use crate::model::effects::Effect;
+use crate::model::effects::catalogue;
 use crate::model::{Model, NOMINAL, nominal_theta};
 use crate::named;
 use serde::Serialize;
@@ -48,10 +48,10 @@ pub struct Checked {
 
 /// Runs both models over a fresh log. Only gravity, field and gyroscope bias (base frame and references) are solved again. Effects that
 /// happen once are left out.
-pub fn check(saved: &SavedModel, log: &Observed, catalogue: &[&'static dyn Effect]) -> Checked {
+pub fn check(saved: &SavedModel, log: &Observed) -> Checked {
     let gains = |g: &SavedGains| nominal_theta(&g.lines(), g.lag_s);
     let names: Vec<&str> = saved.effect.iter().map(|e| e.name.as_str()).collect();
-    let effects = Model::named(catalogue, &names).effects.into_iter();
+    let effects = Model::named(catalogue(), &names).effects.into_iter();
     let (events, lasting): (Vec<_>, Vec<_>) = effects.partition(|e| e.info().is_event());
     let (bare, with) = (Model::new(&[]), Model::new(&lasting));
     let mut theta = gains(&saved.with_effects);

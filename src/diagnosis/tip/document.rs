@@ -8,7 +8,7 @@ use crate::diagnosis::tip::observed::{
 };
 use crate::diagnosis::verdict::Verdict;
 use crate::diagnosis::{Candidates, Judged, Scored, diagnose};
-use crate::model::effects::{Effect, Param};
+use crate::model::effects::{Effect, Param, by_name};
 use crate::model::{Model, lines, nominal_theta};
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -154,8 +154,8 @@ impl TipProblem<'_> {
                 noise_floor_deg: log.rms_deg(log.noise_energy()),
             },
             location: Location {
-                stages: stages(self.catalogue, &credits, &probabilities),
-                merged: self.merged(&verdict.equivalent),
+                stages: stages(&credits, &probabilities),
+                merged: Self::merged(&verdict.equivalent),
                 regions: location::regions(log, scores),
                 when: location::stretches(log, scores),
                 kinds: location::kinds(log, scores),
@@ -253,10 +253,9 @@ impl TipProblem<'_> {
     }
 
     /// Stages of each group that spans more than one.
-    fn merged(&self, groups: &[Vec<&'static str>]) -> Vec<Vec<&'static str>> {
+    fn merged(groups: &[Vec<&'static str>]) -> Vec<Vec<&'static str>> {
         let of = |group: &Vec<&'static str>| {
-            let effect = |name: &&str| self.catalogue.iter().find(|e| e.name() == *name);
-            let stage = |name| effect(name).map_or("", |e| e.stage().name());
+            let stage = |name: &&'static str| by_name(name).map_or("", |e| e.stage().name());
             let mut stages: Vec<&'static str> = group.iter().map(stage).collect();
             stages.dedup();
             stages

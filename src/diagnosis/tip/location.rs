@@ -3,7 +3,7 @@
 use crate::diagnosis::tip::fit::{Candidate, HeldOut};
 use crate::diagnosis::tip::observed::{Observed, Quantity};
 use crate::diagnosis::{Candidates, Scored};
-use crate::model::effects::{Effect, Stage};
+use crate::model::effects::{Stage, by_name};
 use crate::model::{Bend, Line};
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -175,14 +175,12 @@ pub fn credits(
 /// Shares of the seven stages, the largest first. What the verdict leaves is attributed to the stages in proportion to the probabilities of
 /// their effects.
 pub fn stages(
-    catalogue: &[&'static dyn Effect],
     credits: &[(&'static str, f64)],
     probabilities: &[(&'static str, f64)],
 ) -> Vec<StageShare> {
     let of = |list: &[(&'static str, f64)], stage: Stage| -> f64 {
-        let here = catalogue.iter().filter(|e| e.stage() == stage);
-        let names: Vec<&str> = here.map(|e| e.name()).collect();
-        let own = list.iter().filter(|(name, _)| names.contains(name));
+        let here = |name: &str| by_name(name).is_some_and(|e| e.stage() == stage);
+        let own = list.iter().filter(|(name, _)| here(name));
         own.map(|(_, share)| share).sum()
     };
     let [credited, probable] =
@@ -203,12 +201,10 @@ pub fn stages(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::catalogue;
 
     #[test]
     fn the_seven_shares_add_up_to_one() {
         let shares = stages(
-            catalogue(),
             &[("leak", 0.6), ("gravity", 0.3)],
             &[("leak", 0.9), ("torsion", 0.1)],
         );
@@ -223,7 +219,7 @@ mod tests {
 
     #[test]
     fn without_a_verdict_the_shares_follow_the_probabilities() {
-        let shares = stages(catalogue(), &[], &[("hard_iron", 0.3), ("leak", 0.1)]);
+        let shares = stages(&[], &[("hard_iron", 0.3), ("leak", 0.1)]);
         assert_eq!(shares[0].name, "sensor");
         assert!((shares[0].share - 0.75).abs() < 1e-6);
     }

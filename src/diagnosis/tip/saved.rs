@@ -4,7 +4,7 @@ use crate::diagnosis::tip::fit::{Candidate, best_predicting};
 use crate::diagnosis::tip::model::LAG_MAX_S;
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::tip::{Diagnosed, confused_with};
-use crate::model::effects::{Effect, Param, catalogue};
+use crate::model::effects::{Effect, Param, by_name, catalogue};
 use crate::model::{DescribedMachine, Geometry, Line, RestReadings, lines, nominal_theta};
 use crate::primitives::{Check, Checker};
 use nalgebra::Vector3;
@@ -129,13 +129,8 @@ impl SavedModel {
 
     /// Adds the model that predicts the log best.
     #[must_use]
-    pub fn with_forecast(
-        self,
-        log: &Observed,
-        catalogue: &[&'static dyn Effect],
-        done: &Diagnosed,
-    ) -> Self {
-        let best = best_predicting(log, catalogue, &done.found.nominal, &done.chosen);
+    pub fn with_forecast(self, log: &Observed, done: &Diagnosed) -> Self {
+        let best = best_predicting(log, &done.found.nominal, &done.chosen);
         Self {
             rest: Some(log.rest()),
             forecast: Some(SavedForecast {
@@ -189,9 +184,9 @@ impl SavedModel {
     }
 
     /// The first effect or parameter that the catalogue does not have, as a problem; `None` if there is none.
-    pub fn unknown_names(&self, catalogue: &[&'static dyn Effect]) -> Option<String> {
+    pub fn unknown_names(&self) -> Option<String> {
         for s in self.all_effects() {
-            let Some(e) = catalogue.iter().find(|e| e.name() == s.name) else {
+            let Some(e) = by_name(&s.name) else {
                 return Some(format!("effect `{}` is not in the catalogue", s.name));
             };
             let keys: Vec<String> = e.params().iter().map(key).collect();
@@ -200,8 +195,8 @@ impl SavedModel {
                 return Some(format!("{has} parameter `{stray}`; it has {keys}"));
             }
         }
-        let known = |n: &str| catalogue.iter().any(|e| e.name() == n);
-        let stray = self.equivalent.iter().flatten().find(|n| !known(n));
+        let mut grouped = self.equivalent.iter().flatten();
+        let stray = grouped.find(|n| by_name(n).is_none());
         stray.map(|n| format!("equivalent: effect `{n}` is not in the catalogue"))
     }
 }

@@ -10,7 +10,7 @@ use crate::diagnosis::Scored;
 use crate::diagnosis::tip::fit::{BaseFit, Candidate, LeastSquares, Start, fit, grown, vanishing};
 use crate::diagnosis::tip::observed::Observed;
 use crate::model::Model;
-use crate::model::effects::{Effect, Stage};
+use crate::model::effects::{Effect, Stage, catalogue};
 use nalgebra::DVector;
 
 /// Rounds of a fit.
@@ -30,18 +30,13 @@ const WALD_MIN: f64 = 2.0 * 40.0;
 const WORSE_MAX: f64 = 1.02;
 
 /// The model that leaves the least on unseen blocks, among those between `nominal` and the whole catalogue.
-pub fn best_predicting(
-    log: &Observed,
-    catalogue: &[&'static dyn Effect],
-    nominal: &Candidate,
-    chosen: &Candidate,
-) -> Candidate {
+pub fn best_predicting(log: &Observed, nominal: &Candidate, chosen: &Candidate) -> Candidate {
     let used = |e: &&'static dyn Effect| is_steady(*e) || chosen.names.contains(&e.name());
-    let named: Vec<&dyn Effect> = catalogue.iter().copied().filter(used).collect();
+    let named: Vec<&dyn Effect> = catalogue().iter().copied().filter(used).collect();
     let mut base = fitted(log, &named, &start(&named, chosen));
     let mut all = vec![Candidate::new(&base)];
     for _ in 0..ADDED_MAX {
-        let sets = grown(&base, catalogue).into_iter();
+        let sets = grown(&base, catalogue()).into_iter();
         let best = sets.min_by(|a, b| a.1.predicted.total_cmp(&b.1.predicted));
         let promises = |s: &Start| s.predicted < PROMISE * base.point.total();
         let Some((model, start)) = best.filter(|(_, start)| promises(start)) else {
