@@ -72,7 +72,7 @@ impl<'a> TipProblem<'a> {
     }
 
     /// The most promising extensions of a set by one effect, by Schwarz's criterion.
-    fn grown(&self, set: &Candidate, wanted: usize) -> Vec<Candidate> {
+    fn extensions(&self, set: &Candidate, wanted: usize) -> Vec<Candidate> {
         let problem = LeastSquares::new(self.log, set.model.clone());
         let base = settle(problem, &set.theta);
         let criterion = |(_, s): &(Model, Start)| {
@@ -116,7 +116,7 @@ impl Search for TipProblem<'_> {
             left if left > CLAIM_DEG / 2.0 => FITTED.map(|n| n / 2),
             _ => return vec![],
         };
-        let mut out = self.grown(best, extended);
+        let mut out = self.extensions(best, extended);
         let mut screen = screen(&self.base, self.catalogue, alone);
         screen.retain(|(model, _)| out.iter().all(|c| c.model != *model));
         screen.truncate(screened);
@@ -127,7 +127,7 @@ impl Search for TipProblem<'_> {
     /// The triples that are worth a fit: none where the best pair leaves less than can be claimed.
     fn triples(&self, pair: &Candidate) -> Vec<Candidate> {
         let leaves = self.leaves(&pair.held_out) > CLAIM_DEG;
-        let further = leaves.then(|| self.grown(pair, FITTED[2]));
+        let further = leaves.then(|| self.extensions(pair, FITTED[2]));
         further.unwrap_or_default()
     }
 

@@ -31,9 +31,15 @@ const WORSE_MAX: f64 = 1.02;
 
 /// The model that leaves the least on unseen blocks, among those between `nominal` and the whole catalogue.
 pub fn best_predicting(log: &Observed, nominal: &Candidate, chosen: &Candidate) -> Candidate {
-    let used = |e: &&'static dyn Effect| is_steady(*e) || chosen.names.contains(&e.name());
-    let named: Vec<&dyn Effect> = catalogue().iter().copied().filter(used).collect();
-    let mut base = fitted(log, &named, &start(&named, chosen));
+    // every effect that `from` lacks starts at its vanishing point
+    let fitted = |effects: &[&'static dyn Effect], from: &Candidate| {
+        let model = Model::new(effects);
+        let start = model.extended(&from.model, &from.theta, vanishing);
+        fit(LeastSquares::new(log, model), &start, ROUNDS)
+    };
+    let mut used = catalogue().to_vec();
+    used.retain(|e| is_steady(*e) || chosen.names.contains(&e.name()));
+    let mut base = fitted(&used, chosen);
     let mut all = vec![Candidate::new(&base)];
     for _ in 0..ADDED_MAX {
         let sets = grown(&base, catalogue()).into_iter();
@@ -48,11 +54,11 @@ pub fn best_predicting(log: &Observed, nominal: &Candidate, chosen: &Candidate) 
     let all = all.into_iter();
     let least = all.min_by(|a, b| a.energy().total_cmp(&b.energy()));
     let whole = least.unwrap_or_else(|| chosen.clone());
-    let last = whole.names == base.problem.model.names();
+    let last = whole.model == base.problem.model;
     let spared = if last { weak(&base) } else { vec![] };
     let mut kept = whole.model.effects.clone();
     kept.retain(|e| !spared.contains(&e.name()));
-    let reduced = Candidate::new(&fitted(log, &kept, &start(&kept, &whole)));
+    let reduced = Candidate::new(&fitted(&kept, &whole));
     let better = reduced.energy() <= WORSE_MAX * whole.energy();
     let best = if better { &reduced } else { &whole };
     let all = [best, nominal, chosen].into_iter();
@@ -67,15 +73,6 @@ fn is_steady(e: &dyn Effect) -> bool {
         && !matches!(info.stage, Stage::Timing | Stage::Base)
         && e.starts().len() <= STARTS_MAX;
     steady && (info.stage != Stage::Sensor || info.params.len() <= PARAMETERS_MAX)
-}
-
-/// Parameters at which the fit of `effects` starts: those of `from`, and the vanishing point of every other effect.
-fn start(effects: &[&'static dyn Effect], from: &Candidate) -> Vec<f64> {
-    Model::new(effects).extended(&from.model, &from.theta, vanishing)
-}
-
-fn fitted<'a>(log: &'a Observed, effects: &[&'static dyn Effect], start: &[f64]) -> BaseFit<'a> {
-    fit(LeastSquares::new(log, Model::new(effects)), start, ROUNDS)
 }
 
 /// Effects whose parameters the log does not separate from their vanishing point.

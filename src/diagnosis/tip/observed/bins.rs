@@ -108,7 +108,8 @@ fn mean_or_nan(values: impl Iterator<Item = Vector3<f64>>) -> Vector3<f64> {
     mean(values).unwrap_or(Vector3::repeat(f64::NAN))
 }
 
-/// The log averaged down to about 100 Hz if it is faster than 120 Hz; the pistons keep their last count.
+/// The log averaged down to about 100 Hz if it is faster than 120 Hz, without the columns that no diagnosis reads; the pistons keep their last
+/// count.
 pub fn thinned(log: &BendLog) -> Cow<'_, BendLog> {
     let rate = (log.t_s.len() - 1) as f64 / (log.t_s[log.t_s.len() - 1] - log.t_s[0]);
     let by = (rate / 100.0).round() as usize;
@@ -117,12 +118,10 @@ pub fn thinned(log: &BendLog) -> Cow<'_, BendLog> {
     }
     let group = |g| (g * by, (g + 1) * by);
     let groups: Vec<(usize, usize)> = (0..log.t_s.len() / by).map(group).collect();
-    let last = |v: &[Vector3<f64>]| groups.iter().map(|g| v[g.1 - 1]).collect::<Vec<_>>();
     let average = |v: &[Vector3<f64>]| {
         let of = |g: &(usize, usize)| mean_or_nan(v[g.0..g.1].iter().copied());
         groups.iter().map(of).collect::<Vec<_>>()
     };
-    let ends = |v: &Vec<f64>| groups.iter().map(|g| v[g.1 - 1]).collect::<Vec<f64>>();
     let middles = |r: &Vec<_>| groups.iter().map(|g| r[(g.0 + g.1) / 2]).collect();
     let imu = |i: &ImuColumns| ImuColumns {
         acc: average(&i.acc),
@@ -130,16 +129,13 @@ pub fn thinned(log: &BendLog) -> Cow<'_, BendLog> {
         mag: average(&i.mag),
     };
     Cow::Owned(BendLog {
-        t_s: ends(&log.t_s),
-        command: last(&log.command),
-        piston_mm: last(&log.piston_mm),
+        t_s: groups.iter().map(|g| log.t_s[g.1 - 1]).collect(),
+        piston_mm: groups.iter().map(|g| log.piston_mm[g.1 - 1]).collect(),
         imu: log.imu.as_ref().map(imu),
         base: log.base.as_ref().map(imu),
         reference: log.reference.as_ref().map(middles),
-        pressure_kpa: log.pressure_kpa.as_ref().map(|p| average(p)),
-        temp_c: log.temp_c.as_ref().map(ends),
         file: log.file.clone(),
-        ignored: log.ignored.clone(),
+        ..BendLog::default()
     })
 }
 
