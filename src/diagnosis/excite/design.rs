@@ -62,21 +62,30 @@ pub struct Design {
     pub standard: DMatrix<f64>,
 }
 
-/// Two effects with their distance on the designed and on the standard schedule.
-pub type Pair = (&'static str, &'static str, f64, f64);
+/// Two effects with their distances, standard deviations.
+#[derive(Debug, Clone, Copy)]
+pub struct Pair {
+    /// Names.
+    pub names: [&'static str; 2],
+    /// On the designed schedule.
+    pub designed: f64,
+    /// On the standard schedule.
+    pub standard: f64,
+}
 
 impl Design {
     /// Pairs in question, nearest first.
     pub fn pairs(&self) -> Vec<Pair> {
         let place = |n: &&str| self.names.iter().position(|name| name == n);
         let focus: Vec<usize> = self.focus.iter().filter_map(place).collect();
-        let pair = |(i, j): (usize, usize)| {
-            let [designed, standard] = [&self.distances, &self.standard].map(|d| d[(i, j)]);
-            (self.names[i], self.names[j], designed, standard)
+        let pair = |(i, j): (usize, usize)| Pair {
+            names: [self.names[i], self.names[j]],
+            designed: self.distances[(i, j)],
+            standard: self.standard[(i, j)],
         };
         let pairs = (0..focus.len()).flat_map(|a| focus[a + 1..].iter().map(move |&j| (a, j)));
         let mut out: Vec<Pair> = pairs.map(|(a, j)| pair((focus[a], j))).collect();
-        out.sort_by(|a, b| a.2.total_cmp(&b.2));
+        out.sort_by(|a, b| a.designed.total_cmp(&b.designed));
         out
     }
 }

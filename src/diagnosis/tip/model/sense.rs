@@ -87,6 +87,12 @@ impl Part<'_> {
         }
     }
 
+    /// The bins that the mask selects.
+    fn selected(&self) -> impl Iterator<Item = (usize, &Bin)> {
+        let bins = self.bins.iter().enumerate();
+        bins.filter(|(k, _)| (self.mask)(*k))
+    }
+
     fn moment(&self, row: usize, t_s: f64) -> Moment {
         let Observed { rig, rows, .. } = self.log;
         Moment {
@@ -175,12 +181,7 @@ impl Imu {
     /// Gravity (of known length), field and gyroscope bias that fit best.
     fn solve(&self, part: &Part<'_>) -> Readings {
         let (mut sum, mut weight) = (Readings::default(), [1e-12; 2]);
-        for (k, bin) in part
-            .bins
-            .iter()
-            .enumerate()
-            .filter(|(k, _)| (part.mask)(*k))
-        {
+        for (k, bin) in part.selected() {
             let [_, acc, mag, gyr] = bin.weight.0.map(|x| x * x);
             if acc > 0.0 {
                 sum.acc += self.tip[k] * (bin.acc - self.change[k].acc) * acc;
@@ -214,8 +215,10 @@ impl Imu {
     /// Age of the gyroscope samples, s, within what sampling explains.
     fn rate_age_s(&self, part: &Part<'_>, bias: &Vector3<f64>) -> f64 {
         let (mut up, mut down) = (0.0, 1e-12);
-        let used = |(k, b): &(usize, &Bin)| (part.mask)(*k) && b.weight[Quantity::Gyro] > 0.0;
-        for (k, bin) in part.bins.iter().enumerate().filter(used) {
+        let rates = part
+            .selected()
+            .filter(|(_, b)| b.weight[Quantity::Gyro] > 0.0);
+        for (k, bin) in rates {
             let (slope, w) = (self.rate_slope(part, k), bin.weight[Quantity::Gyro].powi(2));
             up -= w * slope.dot(&(bin.gyr - self.change[k].gyr - self.rate[k] - bias));
             down += w * slope.norm_squared();
