@@ -98,8 +98,7 @@ impl Case {
     /// [`ObserveError`] for a log that cannot be diagnosed.
     pub fn of_tip(seed: u64, unit: &Unit) -> Result<Self, ObserveError> {
         let log = Observed::new(&unit.log, &Rig::default())?;
-        let catalogue = catalogue();
-        let problem = TipProblem::new(&log, &catalogue, &unit.lines, seed);
+        let problem = TipProblem::new(&log, catalogue(), &unit.lines, seed);
         Ok(Self::new(seed, unit.names.as_deref(), Some(&problem)))
     }
 

@@ -64,13 +64,13 @@ fn normal(rng: &mut StdRng) -> Vector3<f64> {
 ///
 /// A constant mount and a constant delay keep their form.
 pub struct Deformed {
-    effect: Box<dyn Effect>,
+    effect: &'static dyn Effect,
     form: Form,
 }
 
 impl Deformed {
     /// The effect with a form drawn to this depth.
-    pub fn new(effect: Box<dyn Effect>, rng: &mut StdRng, depth: f64) -> Self {
+    pub fn new(effect: &'static dyn Effect, rng: &mut StdRng, depth: f64) -> Self {
         Self {
             effect,
             form: Form::draw(rng, 1.0, depth),
@@ -78,7 +78,7 @@ impl Deformed {
     }
 
     /// A law that the catalogue lacks: the effect with a factor whose sign changes.
-    pub fn foreign(effect: Box<dyn Effect>, rng: &mut StdRng) -> Self {
+    pub fn foreign(effect: &'static dyn Effect, rng: &mut StdRng) -> Self {
         Self {
             effect,
             form: Form::draw(rng, 0.0, FOREIGN_DEPTH),

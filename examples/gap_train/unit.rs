@@ -50,7 +50,12 @@ pub struct Unit {
 }
 
 /// An effect with its parameters.
-type Cause = (Box<dyn Effect>, Vec<f64>);
+type Cause = (&'static dyn Effect, Vec<f64>);
+
+/// An effect that lives as long as those of the catalogue.
+fn lasting(effect: impl Effect + 'static) -> &'static dyn Effect {
+    Box::leak(Box::new(effect))
+}
 
 /// Draws the unit of a seed and records it.
 ///
@@ -58,7 +63,7 @@ type Cause = (Box<dyn Effect>, Vec<f64>);
 /// [`MachineError`] for a machine that cannot run.
 pub fn draw(seed: u64) -> Result<Unit, MachineError> {
     let mut rng = StdRng::seed_from_u64(seed);
-    let wanted = contents(catalogue(), &mut rng);
+    let wanted = contents(catalogue().to_vec(), &mut rng);
     let lab = rng.random_bool(0.5);
     let bare = Bare::draw(&mut rng);
     let lines = bare.lines.map(|l| Line {
@@ -174,19 +179,17 @@ fn tilt(rng: &mut StdRng) -> UnitQuaternion<f64> {
 /// Small effects that every unit of this seed has.
 fn imperfections(seed: u64, size: f64) -> Vec<Cause> {
     let mut rng = StdRng::seed_from_u64(seed);
-    let mut all: Vec<Box<dyn Effect>> = catalogue()
-        .into_iter()
-        .filter(|e| !e.info().is_event() && e.name() != "contact")
-        .collect();
+    let mut all = catalogue().to_vec();
+    all.retain(|e| !e.info().is_event() && e.name() != "contact");
     all.shuffle(&mut rng);
     let mut causes: Vec<Cause> = all
         .into_iter()
         .take(IMPERFECT)
         .map(|e| drawn(e, &mut rng, size))
         .collect();
-    causes.push((Box::new(Outside::draw(&mut rng, size)), vec![]));
+    causes.push((lasting(Outside::draw(&mut rng, size)), vec![]));
     causes.push((
-        Box::new(Outside::Acceleration(rng.random_range(ARM_M))),
+        lasting(Outside::Acceleration(rng.random_range(ARM_M))),
         vec![],
     ));
     causes
@@ -205,21 +208,21 @@ fn cause(name: Option<&'static str>, seed: u64, size: f64) -> Cause {
 /// time.
 fn outside(rng: &mut StdRng, size: f64) -> Cause {
     if !rng.random_bool(FOREIGN) {
-        return (Box::new(Outside::draw(rng, size)), vec![]);
+        return (lasting(Outside::draw(rng, size)), vec![]);
     }
-    let mut all = catalogue();
+    let mut all = catalogue().to_vec();
     // a constant mount or delay keeps its form
     all.retain(|e| !KEEP_THEIR_FORM.contains(&e.name()) && !e.info().is_event());
     let e = all.swap_remove(rng.random_range(0..all.len()));
-    let p = usual_parameters(e.as_ref(), rng, size);
-    (Box::new(Deformed::foreign(e, rng)), p)
+    let p = usual_parameters(e, rng, size);
+    (lasting(Deformed::foreign(e, rng)), p)
 }
 
 /// An effect with parameters drawn from `size` times its prior, and a form of its own.
-fn drawn(e: Box<dyn Effect>, rng: &mut StdRng, size: f64) -> Cause {
-    let p = usual_parameters(e.as_ref(), rng, size);
+fn drawn(e: &'static dyn Effect, rng: &mut StdRng, size: f64) -> Cause {
+    let p = usual_parameters(e, rng, size);
     let depth = rng.random_range(0.0..DEPTH);
-    (Box::new(Deformed::new(e, rng, depth)), p)
+    (lasting(Deformed::new(e, rng, depth)), p)
 }
 
 fn usual_parameters(e: &dyn Effect, rng: &mut StdRng, size: f64) -> Vec<f64> {
@@ -284,7 +287,8 @@ mod tests {
             k_lambda_mm: 0.8,
         }; 3];
         for e in catalogue()
-            .into_iter()
+            .iter()
+            .copied()
             .filter(|e| !KEEP_THEIR_FORM.contains(&e.name()))
         {
             let name = e.name();
@@ -294,9 +298,8 @@ mod tests {
                 .enumerate()
                 .map(|(i, x)| (x.start + [0.5, 0.2][i % 2] * x.scale).clamp(x.low, x.high))
                 .collect();
-            let deformed: Box<dyn Effect> =
-                Box::new(Deformed::new(by_name(name).unwrap(), &mut rng, DEPTH));
-            let log = |e: Box<dyn Effect>| {
+            let deformed = lasting(Deformed::new(by_name(name).unwrap(), &mut rng, DEPTH));
+            let log = |e: &'static dyn Effect| {
                 let machine = DescribedMachine::new(
                     Geometry::default(),
                     RestReadings::default(),

@@ -4,7 +4,6 @@ use crate::config::{Board, Calibration, Gains, shipped, show, source};
 use crate::diagnosis::tip::SavedModel;
 use crate::hardware::rt;
 use crate::model::DescribedMachine;
-use crate::model::effects::catalogue;
 use crate::primitives::Check;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use serde::de::DeserializeOwned;
@@ -117,7 +116,7 @@ pub fn described_by(
     model: SavedModel,
     board: &Board,
 ) -> Result<Arc<DescribedMachine>> {
-    if let Some(problem) = model.unknown_names(&catalogue()) {
+    if let Some(problem) = model.unknown_names() {
         bail!("{origin}: {problem}");
     }
     let whole = model.described(board.geometry.law());

@@ -6,7 +6,7 @@
 //! last solution with the last slope, so a tick needs one or two evaluations of the laws and never more than five. Nothing
 //! allocates after [`Feedforward::new`].
 
-use crate::model::effects::{Effect, Memory, Moment};
+use crate::model::effects::{Memory, Moment};
 use crate::model::{Bend, Chain, DescribedMachine, Shape, orientation};
 use crate::primitives::Rotation;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
@@ -84,7 +84,7 @@ impl Feedforward {
         self.rest = orientation(&chain.pose(&mut self.trial, &at, &Vector3::zeros()));
     }
 
-    fn moment(&self, chain: &Laws<'_>, dt_s: f64) -> Moment {
+    fn moment(&self, chain: &Chain<'_>, dt_s: f64) -> Moment {
         Moment {
             t_s: self.t_s + dt_s,
             ..chain.moment(self.up_base, dt_s)
@@ -177,11 +177,9 @@ impl Feedforward {
     }
 }
 
-type Laws<'a> = Chain<'a, Arc<dyn Effect>>;
-
 /// Shape relative to rest, at play outputs.
 fn shape(
-    chain: &Laws<'_>,
+    chain: &Chain<'_>,
     memory: &mut [Memory],
     at: &Moment,
     rest: &UnitQuaternion<f64>,
@@ -200,9 +198,9 @@ fn shape(
 mod tests {
     use super::*;
     use crate::model::arc::Geometry;
-    use crate::model::chain::nominal_theta;
     use crate::model::described::RestReadings;
     use crate::model::effects::by_name;
+    use crate::model::nominal_theta;
     use crate::model::transmission::Line;
 
     const DT_S: f64 = 0.005;

@@ -1,6 +1,6 @@
 //! A diagnosis: sets of effects are fitted, the statements about the log get probabilities, the most probable is the verdict.
 
-use crate::diagnosis::verdict::{Claim, Posterior, Statement, decide};
+use crate::diagnosis::verdict::{Claim, Feature, Posterior, Statement, decide};
 use crate::diagnosis::{Candidates, Judged, Problem, Scored, search};
 
 /// A diagnosis and what it was made from.
@@ -34,27 +34,27 @@ pub fn diagnose<P: Problem>(problem: &P) -> Diagnosed<P::Document, P::Set> {
 /// All statements about a log, with the features that their probabilities are made from: each set, the nominal model, `unknown`. The score of
 /// a set rises with the predictive density of the left-out blocks and falls with its freedom.
 pub fn statements<P: Problem>(problem: &P, found: &Candidates<P::Set>) -> Vec<Statement> {
-    let (nominal, head) = (&found.nominal, P::head());
+    let nominal = &found.nominal;
     let lack = |set: &P::Set| problem.lack(set);
     let best = found.sets().min_by(|a, b| lack(a).total_cmp(&lack(b)));
     let best = best.unwrap_or(nominal);
-    let of_set = |set: &P::Set| {
-        let own = problem.of_set(found, set);
-        Statement {
-            names: Some(set.names().to_vec()),
-            features: head.features([&problem.density(set), &own, &[], &[]], &[]),
-            claim: problem.claim(found, set),
-        }
+    let features = |set: &P::Set, own: Vec<Feature>, forms: &[&str]| {
+        P::head().features(&[problem.density(set), own].concat(), forms)
     };
-    let other = |names, features| Statement {
-        names,
-        features,
+    let of_set = |set: &P::Set| Statement {
+        names: Some(set.names().to_vec()),
+        features: features(set, problem.of_set(found, set), &[]),
+        claim: problem.claim(found, set),
+    };
+    let none = Statement {
+        names: Some(vec![]),
+        features: features(nominal, problem.of_none(), &[]),
         claim: Claim::of(vec![]),
     };
-    let (of_none, of_unknown) = (problem.of_none(), problem.of_unknown(found, best));
-    let none = head.features([&problem.density(nominal), &[], &of_none, &[]], &[]);
-    let density = problem.density(best);
-    let unknown = head.features([&density, &[], &[], &of_unknown], best.names());
-    let others = [other(Some(vec![]), none), other(None, unknown)];
-    found.sets().map(of_set).chain(others).collect()
+    let unknown = Statement {
+        names: None,
+        features: features(best, problem.of_unknown(found, best), best.names()),
+        claim: Claim::default(),
+    };
+    found.sets().map(of_set).chain([none, unknown]).collect()
 }

@@ -1,6 +1,6 @@
 //! What a diagnosis asks of a log, whatever the machine: [`crate::diagnosis::tip`] and [`crate::diagnosis::rig`] answer it.
 
-use crate::diagnosis::verdict::{Claim, Head, Posterior, Verdict};
+use crate::diagnosis::verdict::{Claim, Feature, Head, Posterior, Verdict};
 use crate::diagnosis::{Candidates, Search};
 
 /// A log with everything that sets of effects are fitted to it and judged by.
@@ -13,13 +13,13 @@ pub trait Problem: Search {
     /// Predictive density that a set lacks, with a surcharge for each effect; the best set has the least.
     fn lack(&self, set: &Self::Set) -> f64;
     /// Features of every statement: density of the left-out blocks.
-    fn density(&self, set: &Self::Set) -> Vec<f64>;
+    fn density(&self, set: &Self::Set) -> Vec<Feature>;
     /// Features of the statement that a set explains the log.
-    fn of_set(&self, found: &Candidates<Self::Set>, set: &Self::Set) -> Vec<f64>;
+    fn of_set(&self, found: &Candidates<Self::Set>, set: &Self::Set) -> Vec<Feature>;
     /// Features of the statement that the nominal model does.
-    fn of_none(&self) -> Vec<f64>;
+    fn of_none(&self) -> Vec<Feature>;
     /// Features of the statement that no set does; `best` is the best of them.
-    fn of_unknown(&self, found: &Candidates<Self::Set>, best: &Self::Set) -> Vec<f64>;
+    fn of_unknown(&self, found: &Candidates<Self::Set>, best: &Self::Set) -> Vec<Feature>;
     /// What may be claimed of a set.
     fn claim(&self, found: &Candidates<Self::Set>, set: &Self::Set) -> Claim;
 

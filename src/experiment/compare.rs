@@ -6,10 +6,10 @@
 //! the fit, and the intervals are those of the jackknife over blocks (Efron 1982), because residuals of neighbouring bins are alike.
 
 use crate::diagnosis::tip::fit::{BLOCKS_S, HeldOut, score, weighted};
-use crate::diagnosis::tip::model::{Model, Motion, Residuals, every_bin, sense};
+use crate::diagnosis::tip::model::{Motion, Residuals, every_bin, sense};
 use crate::diagnosis::tip::observed::Observed;
 use crate::experiment::rig::RigError;
-use crate::model::nominal_theta;
+use crate::model::{Model, nominal_theta};
 use crate::primitives::Steps;
 use crate::simulation::world::World;
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3};
@@ -52,20 +52,22 @@ pub struct Compared {
 pub fn drive(world: &mut dyn World, log: &Observed) -> Result<Motion, RigError> {
     let (period_s, step_mm) = (world.info().period_s, world.info().step_mm);
     let start_s = log.start_s();
-    let (mut motion, mut row, mut n) = (Motion::with_capacity(log.t_s.len()), 0, 0.0);
+    let (mut motion, mut row, mut n) = (Motion::with_capacity(log.instants.len()), 0, 0.0);
     let mut before: Option<UnitQuaternion<f64>> = None;
-    while motion.len() < log.t_s.len() {
+    while motion.len() < log.instants.len() {
         n += 1.0;
         let t_s = n * period_s;
-        let rows = &log.rows.t_s;
-        while rows.get(row + 1).is_some_and(|next| next - start_s <= t_s) {
+        let next = |row: usize| log.rows.get(row + 1);
+        while next(row).is_some_and(|next| next.t_s - start_s <= t_s) {
             row += 1;
         }
-        let counted = log.rows.piston_mm[row].map(|mm| (mm / step_mm).round() as i32);
+        let counted = log.rows[row]
+            .piston_mm
+            .map(|mm| (mm / step_mm).round() as i32);
         let reply = world.step(&Steps([counted.x, counted.y, counted.z]))?;
         let now = reply.truth.ok_or(RigError::NoReference)?.quat();
         let last = before.replace(now).unwrap_or(now);
-        while let Some(at_s) = log.t_s.get(motion.len()).map(|t| t - start_s) {
+        while let Some(at_s) = log.instants.get(motion.len()).map(|i| i.t_s - start_s) {
             if at_s > t_s {
                 break;
             }

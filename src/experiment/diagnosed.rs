@@ -3,14 +3,12 @@
 use crate::control::LoopConfig;
 use crate::diagnosis::excite::{Machine, rounded, standard};
 use crate::diagnosis::tip::fit::best_predicting;
-use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::tip::{Rig, recalibrated};
 use crate::experiment::identify::IdentifyError;
 use crate::experiment::rig::RigError;
 use crate::log::bend_log::{BendLog, ImuColumns};
 use crate::model::DescribedMachine;
-use crate::model::effects::{by_name, catalogue};
 use crate::simulation::world::World;
 use crate::supervisor::MachineError;
 use nalgebra::Vector3;
@@ -35,14 +33,11 @@ pub fn described(
         ..*rig
     };
     let log = record(config, &rig, world).map_err(RigError::from)?;
-    let (log, catalogue) = (Observed::new(&log, &rig)?, catalogue());
+    let log = Observed::new(&log, &rig)?;
     let nominal = recalibrated(&log, &config.lines);
-    let found = best_predicting(&log, &catalogue, &nominal, &nominal);
-    let model = Model::named(&catalogue, &found.names);
+    let found = best_predicting(&log, &nominal, &nominal);
     let theta = &found.theta;
-    let causes = model
-        .each(theta)
-        .filter_map(|(e, p)| Some((by_name(e.name())?, p.to_vec())));
+    let causes = found.model.each(theta).map(|(e, p)| (e, p.to_vec()));
     let machine = DescribedMachine::new(rig.geometry, log.rest(), theta, causes.collect());
     Ok(machine.foreseeable())
 }

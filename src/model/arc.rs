@@ -72,10 +72,8 @@ impl Geometry {
     /// Inverse of [`Geometry::lengths`]: the three lengths fix bend and centre length exactly.
     pub fn shape(&self, q_mm: &Vector3<f64>) -> Shape {
         let sum = (0..3).fold(Vector2::zeros(), |a, i| a + Self::spoke(i) * q_mm[i]);
-        Shape {
-            bend: Bend(sum * (-2.0 / (3.0 * self.r_mm))),
-            length: Mm(self.rest_length_mm + q_mm.sum() / 3.0),
-        }
+        let length_mm = self.rest_length_mm + q_mm.sum() / 3.0;
+        Shape::new(sum * (-2.0 / (3.0 * self.r_mm)), length_mm)
     }
 
     /// Eq. 6: tip position in the base frame, mm.

@@ -5,67 +5,34 @@
 //! the caller, because each of the three integrates time in its own way.
 
 use crate::model::effects::{Effect, Memory, Moment, Pose};
-use crate::model::{Geometry, Line};
+use crate::model::{Geometry, Line, Model, lines};
 use nalgebra::Vector3;
-use std::ops::Deref;
-
-/// Number of nominal parameters: ln(1 + k_ε) × 3, k_λ (mm) × 3, τ₀ (s).
-pub const NOMINAL: usize = 7;
-
-/// The lines of a parameter vector.
-pub fn lines(theta: &[f64]) -> [Line; 3] {
-    std::array::from_fn(|i| Line {
-        k_epsilon: theta[i].exp() - 1.0,
-        k_lambda_mm: theta[3 + i].max(0.0),
-    })
-}
-
-/// The nominal parameter vector of lines and a lag, the inverse of [`lines`].
-pub fn nominal_theta(lines: &[Line; 3], lag_s: f64) -> Vec<f64> {
-    let mut theta: Vec<f64> = lines.iter().map(|l| (1.0 + l.k_epsilon).ln()).collect();
-    theta.extend(lines.iter().map(|l| l.k_lambda_mm));
-    theta.push(lag_s);
-    theta
-}
-
-/// First parameter of each effect in a parameter vector, and one past the last of all.
-pub fn places<E: Deref<Target: Effect>>(effects: &[E]) -> Vec<usize> {
-    let mut at = vec![NOMINAL];
-    for e in effects {
-        at.push(at[at.len() - 1] + e.params().len());
-    }
-    at
-}
 
 /// Effects with their parameters and gains. The state is the caller's: one [`Memory`] per effect, in the same order.
 #[derive(Debug, Clone, Copy)]
-pub struct Chain<'a, E> {
+pub struct Chain<'a> {
     /// Gains of the lines.
     pub lines: [Line; 3],
     /// Geometry of the bending section.
     pub geometry: Geometry,
-    effects: &'a [E],
-    at: &'a [usize],
+    model: &'a Model,
     theta: &'a [f64],
 }
 
-impl<'a, E: Deref<Target: Effect>> Chain<'a, E> {
-    /// The chain of a parameter vector; `at` are its [`places`].
-    pub fn new(geometry: Geometry, effects: &'a [E], at: &'a [usize], theta: &'a [f64]) -> Self {
+impl<'a> Chain<'a> {
+    /// The chain of a model with these parameters.
+    pub fn new(geometry: Geometry, model: &'a Model, theta: &'a [f64]) -> Self {
         Self {
             lines: lines(theta),
             geometry,
-            effects,
-            at,
+            model,
             theta,
         }
     }
 
     /// Effects with their parameters.
-    pub fn each(&self) -> impl Iterator<Item = (&'a E::Target, &'a [f64])> + use<'a, E> {
-        let (at, theta) = (self.at, self.theta);
-        let effects = self.effects.iter().enumerate();
-        effects.map(move |(i, e)| (&**e, &theta[at[i]..at[i + 1]]))
+    pub fn each(&self) -> impl Iterator<Item = (&'static dyn Effect, &'a [f64])> + use<'a> {
+        self.model.each(self.theta)
     }
 
     /// An instant at rest, `dt_s` after the start.

@@ -1,11 +1,9 @@
 //! The machine that a diagnosis describes: gains, lag, effects with their parameters, and what its sensor reads at rest.
 
 use crate::model::effects::{Effect, Memory, Pose};
-use crate::model::{Chain, Geometry, NOMINAL, places};
+use crate::model::{Chain, Geometry, Model, NOMINAL};
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Deserializer, Serialize};
-use std::fmt;
-use std::sync::Arc;
 
 /// What the tip IMU reads at the initial rest, in the base frame, and the constant bias of its gyroscope.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -39,36 +37,30 @@ impl Default for RestReadings {
 }
 
 /// A machine as a diagnosis describes it.
-#[derive(Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct DescribedMachine {
     /// Geometry of the bending section.
     pub geometry: Geometry,
     /// Readings at rest.
     pub rest: RestReadings,
-    effects: Vec<Arc<dyn Effect>>,
-    at: Vec<usize>,
+    model: Model,
     theta: Vec<f64>,
 }
 
 impl DescribedMachine {
-    /// A machine with these nominal parameters (see [`crate::model::chain::nominal_theta`]) and effects with parameters.
+    /// A machine with these nominal parameters (see [`crate::model::nominal_theta`]) and effects with parameters.
     pub fn new(
         geometry: Geometry,
         rest: RestReadings,
         nominal: &[f64],
-        causes: Vec<(Box<dyn Effect>, Vec<f64>)>,
+        causes: Vec<(&'static dyn Effect, Vec<f64>)>,
     ) -> Self {
-        let (mut effects, mut theta) = (Vec::<Arc<dyn Effect>>::new(), nominal[..NOMINAL].to_vec());
-        for (effect, params) in causes {
-            theta.extend(&params);
-            effects.push(effect.into());
-        }
+        let (effects, params): (Vec<_>, Vec<_>) = causes.into_iter().unzip();
         Self {
             geometry,
             rest,
-            at: places(&effects),
-            effects,
-            theta,
+            model: Model::new(&effects),
+            theta: [&nominal[..NOMINAL], &params.concat()].concat(),
         }
     }
 
@@ -80,25 +72,26 @@ impl DescribedMachine {
 
     /// The machine without the effects that happen once: they cannot be predicted.
     #[must_use]
-    pub fn foreseeable(mut self) -> Self {
-        let kept = |e: &Arc<dyn Effect>| !e.info().is_event();
-        let mut theta = self.theta[..NOMINAL].to_vec();
-        for ((_, p), e) in self.chain().each().zip(&self.effects) {
-            theta.extend(p.iter().filter(|_| kept(e)));
+    pub fn foreseeable(self) -> Self {
+        let mut kept = self.model.effects.clone();
+        kept.retain(|e| !e.info().is_event());
+        let model = Model::new(&kept);
+        let theta = model.extended(&self.model, &self.theta, |_| vec![]);
+        Self {
+            model,
+            theta,
+            ..self
         }
-        self.effects.retain(kept);
-        (self.at, self.theta) = (places(&self.effects), theta);
-        self
     }
 
     /// Names of the effects.
     pub fn names(&self) -> impl Iterator<Item = &'static str> {
-        self.effects.iter().map(|e| e.name())
+        self.model.effects.iter().map(|e| e.name())
     }
 
     /// The laws from pistons to shape.
-    pub fn chain(&self) -> Chain<'_, Arc<dyn Effect>> {
-        Chain::new(self.geometry, &self.effects, &self.at, &self.theta)
+    pub fn chain(&self) -> Chain<'_> {
+        Chain::new(self.geometry, &self.model, &self.theta)
     }
 
     /// Nominal mechanical lag τ₀, s.
@@ -108,24 +101,7 @@ impl DescribedMachine {
 
     /// State of the effects at rest.
     pub fn memory(&self) -> Vec<Memory> {
-        vec![Memory::default(); self.effects.len()]
-    }
-}
-
-impl PartialEq for DescribedMachine {
-    fn eq(&self, other: &Self) -> bool {
-        (self.geometry, self.rest, &self.theta) == (other.geometry, other.rest, &other.theta)
-            && self.names().eq(other.names())
-    }
-}
-
-impl fmt::Debug for DescribedMachine {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let names: Vec<&str> = self.names().collect();
-        f.debug_struct("DescribedMachine")
-            .field("effects", &names)
-            .field("theta", &self.theta)
-            .finish_non_exhaustive()
+        vec![Memory::default(); self.model.effects.len()]
     }
 }
 

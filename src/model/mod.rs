@@ -6,11 +6,13 @@ pub mod chain;
 pub mod described;
 pub mod drive;
 pub mod effects;
+pub mod nominal;
 pub mod transmission;
 
 pub use arc::{Geometry, Shape};
 pub use bend::Bend;
-pub use chain::{Chain, NOMINAL, lines, nominal_theta, places};
+pub use chain::Chain;
 pub use described::{DescribedMachine, RestReadings, orientation};
 pub use drive::Drive;
-pub use transmission::{Line, Side, SideState, Wanted};
+pub use nominal::{Event, Model, NOMINAL, lines, nominal_theta};
+pub use transmission::{Line, Side, SideState};

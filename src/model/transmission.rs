@@ -84,23 +84,15 @@ pub struct SideState {
     pub direction: f64,
 }
 
-/// Commanded motion of one tick, for [`Side::invert`].
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Wanted {
-    /// Bellow length change, mm.
-    pub q_mm: f64,
-    /// Time since the last, s; used by the smooth form only.
-    pub dt_s: f64,
-}
-
 impl Side {
-    /// The inverse with state: from commanded bellow change to piston position and new state.
-    pub fn invert(&self, line: &Line, state: SideState, wanted: &Wanted) -> (f64, SideState) {
-        let want = line.play_output_mm(wanted.q_mm);
+    /// The inverse with state: from a commanded bellow change, mm, to piston position and new state. The time since the last command, s, is
+    /// used by the smooth form only.
+    pub fn invert(&self, line: &Line, state: SideState, q_mm: f64, dt_s: f64) -> (f64, SideState) {
+        let want = line.play_output_mm(q_mm);
         let next = match *self {
             Self::Band { band_mm } => band(state, want, band_mm),
             Self::Smooth { rate_mm_s } => {
-                let rate = (want - state.w_mm) / wanted.dt_s;
+                let rate = (want - state.w_mm) / dt_s;
                 SideState {
                     w_mm: want,
                     side: (rate / rate_mm_s).tanh(),
@@ -138,9 +130,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn wanted(q_mm: f64) -> Wanted {
-        Wanted { q_mm, dt_s: 1e-3 }
-    }
+    /// Time between two commands, s.
+    const DT_S: f64 = 1e-3;
 
     fn line() -> impl Strategy<Value = Line> {
         (0.0..5.0f64, 0.0..2.0f64).prop_map(|(k_epsilon, k_lambda_mm)| Line {
@@ -156,7 +147,7 @@ mod tests {
             let mut inv = SideState::default();
             let mut w = 0.0;
             for q in path {
-                let (u, next) = Side::Band { band_mm: 0.0 }.invert(&l, inv, &wanted(q));
+                let (u, next) = Side::Band { band_mm: 0.0 }.invert(&l, inv, q, DT_S);
                 inv = next;
                 w = l.play(w, u);
                 prop_assert!((l.bellow_mm(w) - q).abs() < 1e-9);
@@ -170,8 +161,8 @@ mod tests {
             let mut inv = SideState::default();
             let mut w = 0.0;
             for q in path {
-                let (u, next) = Side::Band { band_mm }.invert(&l, inv, &wanted(q));
-                let (again, _) = Side::Band { band_mm }.invert(&l, next, &wanted(l.bellow_mm(next.w_mm) - next.side * 0.9 * l.bellow_mm(band_mm)));
+                let (u, next) = Side::Band { band_mm }.invert(&l, inv, q, DT_S);
+                let (again, _) = Side::Band { band_mm }.invert(&l, next, l.bellow_mm(next.w_mm) - next.side * 0.9 * l.bellow_mm(band_mm), DT_S);
                 prop_assert!((again - u).abs() < 1e-12);
                 inv = next;
                 w = l.play(w, u);
@@ -191,10 +182,10 @@ mod tests {
         #[test]
         fn tanh_tends_to_the_sign(l in line(), q in 0.5..6.0f64) {
             let smooth = Side::Smooth { rate_mm_s: 1e-3 };
-            let (u, _) = smooth.invert(&l, SideState::default(), &wanted(q));
+            let (u, _) = smooth.invert(&l, SideState::default(), q, DT_S);
             prop_assert!((u - l.piston_mm(q, 1.0)).abs() < 1e-9);
             let held = SideState { w_mm: l.play_output_mm(q), side: 1.0, direction: 1.0 };
-            let (u, _) = smooth.invert(&l, held, &wanted(q));
+            let (u, _) = smooth.invert(&l, held, q, DT_S);
             prop_assert!((u - l.play_output_mm(q)).abs() < 1e-9);
         }
     }

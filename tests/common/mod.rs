@@ -14,9 +14,9 @@ use retroflex::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose, fo
 use retroflex::experiment::identify::{Identified, algorithm_1};
 use retroflex::experiment::schedule::paper;
 use retroflex::model::arc::Geometry;
-use retroflex::model::chain::nominal_theta;
 use retroflex::model::described::{DescribedMachine, RestReadings};
 use retroflex::model::effects::by_name;
+use retroflex::model::nominal_theta;
 use retroflex::model::transmission::Line;
 use retroflex::simulation::sim::Sim;
 use retroflex::simulation::world::World;

@@ -3,10 +3,9 @@
 use crate::common::{described, evaluate, uncalibrated};
 use retroflex::diagnosis::tip::Rig;
 use retroflex::experiment::evaluation::{self, Arm, Plan};
-use retroflex::model::chain::nominal_theta;
 use retroflex::model::described::RestReadings;
 use retroflex::model::effects::by_name;
-use retroflex::model::{DescribedMachine, Geometry, Line};
+use retroflex::model::{DescribedMachine, Geometry, Line, nominal_theta};
 use retroflex::simulation::described::Described;
 use retroflex::simulation::world::World;
 use std::sync::Arc;

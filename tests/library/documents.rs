@@ -230,7 +230,7 @@ fn described_catalogue() -> String {
             .map(|n| format!("`{n}`"))
             .collect::<Vec<_>>()
             .join(", ");
-        let (params, remedy) = (summary(e.params()), remedy(e.as_ref()));
+        let (params, remedy) = (summary(e.params()), remedy(*e));
         let row = format!(
             "| `{}` | {stage} | {} | {confused} | {} | {params} | {remedy} |\n",
             e.name(),

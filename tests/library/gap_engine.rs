@@ -53,7 +53,7 @@ fn a_single_effect_and_none_are_recognised_and_scored() {
         question(Content::Single, &["hard_iron"], false, 12),
         question(Content::None, &[], false, 13),
     ];
-    let answers = run(&asked, Question::draw, &catalogue(), || {}).unwrap();
+    let answers = run(&asked, Question::draw, || {}).unwrap();
     for (q, a) in asked.iter().zip(&answers) {
         let v = &a.diagnosis.verdict;
         assert_eq!(v.names, q.names, "{:?} {:?}", q.names, v);
@@ -103,8 +103,7 @@ fn several_logs_of_a_unit_are_diagnosed_together() {
     let mut both = first.clone();
     both.append(second.clone());
     assert_eq!(both.bins.len(), first.bins.len() + second.bins.len());
-    let of =
-        |log: &Observed| diagnose(&TipProblem::new(log, &catalogue(), &leak.lines, 1)).document;
+    let of = |log: &Observed| diagnose(&TipProblem::new(log, catalogue(), &leak.lines, 1)).document;
     let [one, two, all] = [&first, &second, &both].map(of);
     assert_eq!(all.verdict.names, ["leak"]);
     assert_eq!((one.logs.len(), all.logs.len()), (1, 2));
@@ -138,7 +137,7 @@ fn an_event_of_one_log_stays_in_that_log() {
     let mut both = observed(&healthy.log);
     let later_s = both.duration_s();
     both.append(observed(&lost.log));
-    let d = diagnose(&TipProblem::new(&both, &catalogue(), &lost.lines, 1)).document;
+    let d = diagnose(&TipProblem::new(&both, catalogue(), &lost.lines, 1)).document;
     assert_eq!(d.verdict.names, ["missed_steps"], "{:?}", d.logs);
     let events = d.effects[0].params.chunks_exact(4);
     let lost_mm = |e: &[ParamValue]| e[1..].iter().map(|p| p.value.abs()).fold(0.0, f64::max);
@@ -165,10 +164,10 @@ fn a_check_tells_this_machine_from_another_and_from_a_mended_one() {
         };
         let observed = |log: &BendLog| Observed::new(log, &Rig::default()).unwrap();
         let sick = drawn(Content::Single, &[effect], seed);
-        let (log, effects) = (observed(&sick.log), catalogue());
-        let done = diagnose(&TipProblem::new(&log, &effects, &sick.lines, 1));
-        let model = SavedModel::new("log", &catalogue(), &done);
-        let judged = |log: &BendLog| check(&model, &observed(log), &catalogue());
+        let log = observed(&sick.log);
+        let done = diagnose(&TipProblem::new(&log, catalogue(), &sick.lines, 1));
+        let model = SavedModel::new("log", &done);
+        let judged = |log: &BendLog| check(&model, &observed(log));
         let same = judged(&sick.fresh);
         assert_eq!(same.judgement, Judgement::ThisMachine, "{effect} {same:?}");
         // the same seed draws the same unit
@@ -198,7 +197,7 @@ fn equal_logs_give_equal_documents() {
     let log = Observed::new(&logs.log, &Rig::default()).unwrap();
     let text = || {
         serde_json::to_string(
-            &diagnose(&TipProblem::new(&log, &catalogue(), &logs.lines, 1)).document,
+            &diagnose(&TipProblem::new(&log, catalogue(), &logs.lines, 1)).document,
         )
         .unwrap()
     };

@@ -33,7 +33,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     let model = input::saved(&args.model)?;
     let forecast = model.forecast.iter().flat_map(|f| &f.effect);
-    let mut effects: Vec<Box<dyn Effect>> = Vec::new();
+    let mut effects: Vec<&'static dyn Effect> = Vec::new();
     for saved in model.effect.iter().chain(forecast) {
         if !effects.iter().any(|e| e.name() == saved.name) {
             effects.extend(by_name(&saved.name));
@@ -49,10 +49,10 @@ pub fn run(args: &Args) -> Result<()> {
 }
 
 /// What becomes of the gains and of each effect, after a sentence that says what the verdict asks for.
-fn said(model: &SavedModel, effects: &[Box<dyn Effect>], args: &Args) -> String {
+fn said(model: &SavedModel, effects: &[&'static dyn Effect], args: &Args) -> String {
     let mut verdict = Vec::new();
-    for e in effects.iter().filter(|e| is_proven(model, e.as_ref())) {
-        let advice = Remedy::of(e.as_ref()).name();
+    for e in effects.iter().filter(|e| is_proven(model, **e)) {
+        let advice = Remedy::of(*e).advice();
         verdict.push(format!("{}: {advice}", plain(e.name())));
     }
     let mut out = vec![match verdict.is_empty() {
@@ -66,7 +66,7 @@ fn said(model: &SavedModel, effects: &[Box<dyn Effect>], args: &Args) -> String 
     out.push(format!(
         "calibration: k_epsilon and k_lambda as re-identified on {source}"
     ));
-    out.extend(effects.iter().map(|e| match place(model, e.as_ref()) {
+    out.extend(effects.iter().map(|e| match place(model, *e) {
         Place::Calibration => format!("calibration: {}", e.name()),
         Place::Feedforward => format!("feedforward through {}: {}", args.model.display(), e.name()),
         Place::Nowhere(why) => format!("not held: {}, {why}", e.name()),
@@ -116,8 +116,8 @@ fn place(model: &SavedModel, e: &dyn Effect) -> Place {
 /// The calibration that a model implies. `feedforward` is the path of the model as the calibration names it, `date` that of today.
 fn calibration(model: &SavedModel, feedforward: String, date: &str) -> Calibration {
     let value = |name: &str| {
-        let e = by_name(name).filter(|e| place(model, e.as_ref()) == Place::Calibration)?;
-        Some((model.params_of(e.as_ref())?, e))
+        let e = by_name(name).filter(|e| place(model, *e) == Place::Calibration)?;
+        Some((model.params_of(e)?, e))
     };
     let entry = |name: &str, unit: fn(f64) -> f64| {
         let (values, e) = value(name)?;
@@ -130,7 +130,7 @@ fn calibration(model: &SavedModel, feedforward: String, date: &str) -> Calibrati
             source: model.source.clone(),
         })
     };
-    let line_lag = by_name("line_lag").and_then(|e| model.params_of(e.as_ref()));
+    let line_lag = by_name("line_lag").and_then(|e| model.params_of(e));
     let line_lag = line_lag.map_or(0.0, |p| (p[0] + p[1] + p[2]) / 3.0);
     let late = ["transport_delay", "sensor_latency"].into_iter();
     let late: f64 = late.filter_map(value).map(|(p, _)| p[0]).sum();

@@ -3,7 +3,6 @@
 use crate::cli::gap::input;
 use crate::cli::{ResultFile, output};
 use crate::diagnosis::tip::{Checked, Judgement, check};
-use crate::model::effects::catalogue;
 use miette::Result;
 use std::path::PathBuf;
 
@@ -28,7 +27,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<bool> {
     let model = input::saved(&args.model)?;
     let log = input::observe(&args.log, &args.machine.rig()?)?;
-    let checked = check(&model, &log, &catalogue());
+    let checked = check(&model, &log);
     output::answer(&args.json, &checked, said(&checked))?;
     Ok(checked.judgement == Judgement::ThisMachine)
 }

@@ -61,7 +61,7 @@ pub fn run(args: &Args) -> Result<bool> {
     let lines = args.driven.lines()?;
     let log = input::observe(&args.log, &args.driven.machine.rig()?)?;
     let (name, compared) = simulated(args, &log)?;
-    let diagnosis = diagnose(&TipProblem::new(&log, &catalogue(), &lines, args.seed)).document;
+    let diagnosis = diagnose(&TipProblem::new(&log, catalogue(), &lines, args.seed)).document;
     let document = document(&args.fit, &log, name, &compared, &diagnosis);
     output::write_some(&args.residuals, || residuals(&log, &compared))?;
     let (text, good) = said(&document);
@@ -101,7 +101,7 @@ fn residuals(log: &Observed, compared: &Compared) -> Result<Vec<u8>> {
     add("time_s".to_owned(), &|k| log.bins[k].t_s);
     for i in 0..3 {
         let name = format!("piston{}_mm", i + 1);
-        add(name, &|k| log.piston_mm[log.bins[k].at][i]);
+        add(name, &|k| log.instants[log.bins[k].at].piston_mm[i]);
     }
     for q in log.quantities() {
         let unit = ["deg", "deg_s"][usize::from(q.name() == "gyroscope")];

@@ -81,8 +81,7 @@ pub fn run(args: &Args) -> Result<()> {
     let observed = input::observe_together(&args.logs, &args.driven.machine.rig()?)?;
     let bar = output::bar(0, "the effects are fitted,");
     bar.enable_steady_tick(std::time::Duration::from_millis(200));
-    let catalogue = catalogue();
-    let done = diagnose(&TipProblem::new(&observed, &catalogue, &lines, args.seed));
+    let done = diagnose(&TipProblem::new(&observed, catalogue(), &lines, args.seed));
     bar.finish_and_clear();
     for (path, text) in files(args, &observed, &done)? {
         output::write(path, &text)?;
@@ -123,9 +122,8 @@ fn files<'a>(
     }
     if let Some(path) = &args.save {
         let logs = listed(&args.logs, |log| log.display().to_string());
-        let catalogue = catalogue();
-        let model = SavedModel::new(&logs, &catalogue, done);
-        let model = model.with_forecast(observed, &catalogue, done);
+        let model = SavedModel::new(&logs, done);
+        let model = model.with_forecast(observed, done);
         out.push((path, toml::to_string(&model).into_diagnostic()?));
     }
     Ok(out)
@@ -138,7 +136,9 @@ fn made_from(args: &Args, observed: &Observed) -> Result<Vec<[String; 2]>> {
     let mut made = vec![row("retroflex", version), row("date", today())];
     for (log, part) in args.logs.iter().zip(&observed.segments) {
         let hash = fnv(std::fs::read(log).into_diagnostic()?);
-        let duration_s = observed.t_s[part.instants.end - 1] - observed.t_s[part.instants.start];
+        let [first, last] =
+            [part.instants.start, part.instants.end - 1].map(|k| observed.instants[k].t_s);
+        let duration_s = last - first;
         let shown = format!("{duration_s:.0} s, hash {hash:016x}");
         made.push(row(&file_name(log), shown));
     }

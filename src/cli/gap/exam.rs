@@ -7,7 +7,7 @@ use crate::diagnosis::exam::run::run as answer_all;
 use crate::diagnosis::exam::{Answer, ExamScore, Question, questions, score};
 use crate::diagnosis::tip::Diagnosis;
 use crate::diagnosis::verdict::VerdictKind;
-use crate::model::effects::{by_catalogue, catalogue};
+use crate::model::effects::by_catalogue;
 use crate::report::exam::summary;
 use crate::simulation::plant::effect_names;
 use miette::{IntoDiagnostic, Result};
@@ -73,7 +73,7 @@ pub fn run(args: &Args) -> Result<()> {
     let draw = |q: &Question| simulator.as_ref().map_or_else(|| q.draw(), |s| s.draw(q));
     eprintln!("seed {}, {} logs", args.seed, asked.len());
     let bar = output::bar(asked.len() as u64, "{pos} of {len} logs, {eta} left,");
-    let answers = answer_all(&asked, draw, &catalogue(), || bar.inc(1)).into_diagnostic()?;
+    let answers = answer_all(&asked, draw, || bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
     let score = score(args.seed, &asked, &answers);
     let document = Document {

@@ -6,7 +6,6 @@ use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::tip::{Rig, SavedModel};
 use crate::log::{bend_log, plausibility};
 use crate::model::Line;
-use crate::model::effects::catalogue;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::{Path, PathBuf};
 
@@ -120,7 +119,7 @@ pub fn file_name(path: &Path) -> String {
 /// A report that names file and key.
 pub fn saved(path: &Path) -> Result<SavedModel> {
     let model: SavedModel = source::read(path)?;
-    match model.unknown_names(&catalogue()) {
+    match model.unknown_names() {
         Some(problem) => Err(miette!("{}: {problem}", path.display())),
         None => Ok(model),
     }

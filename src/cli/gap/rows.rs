@@ -246,10 +246,9 @@ fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Re
 
 fn diagnose_one(settings: &Settings, task: &mut Task) {
     let Settings { rig, lines, seed } = settings;
-    let catalogue = catalogue();
     match input::observe(&task.path, rig) {
         Ok(log) => {
-            let done = diagnose(&TipProblem::new(&log, &catalogue, lines, *seed));
+            let done = diagnose(&TipProblem::new(&log, catalogue(), lines, *seed));
             task.row.tell(&done);
         }
         // where the folder lies does not matter

@@ -9,7 +9,7 @@ use crate::control::limits::Cut;
 use crate::control::observer::laws::{ROTATION, bend_of};
 use crate::control::obstruction::Push;
 use crate::control::rule::{self, Rule};
-use crate::model::{Bend, Shape, Wanted};
+use crate::model::{Bend, Shape};
 use crate::primitives::Steps;
 use nalgebra::{Vector2, Vector3};
 
@@ -136,9 +136,8 @@ impl Decision<'_> {
             bellow_mm = described.invert(&bellow_mm);
         }
         let piston_mm = Vector3::from_fn(|i, _| {
-            let q_mm = bellow_mm[i];
-            let wanted = Wanted { q_mm, dt_s };
-            let (piston_mm, next) = config.side.invert(&state.lines[i], state.sides[i], &wanted);
+            let (line, side) = (&state.lines[i], state.sides[i]);
+            let (piston_mm, next) = config.side.invert(line, side, bellow_mm[i], dt_s);
             state.sides[i] = next;
             piston_mm
         });

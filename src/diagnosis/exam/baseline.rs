@@ -9,10 +9,9 @@
 
 use crate::diagnosis::Candidates;
 use crate::diagnosis::tip::fit::{Candidate, LeastSquares, Tangent, fit};
-use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::Observed;
-use crate::model::effects::Effect;
-use crate::model::{Line, NOMINAL, nominal_theta};
+use crate::model::effects::catalogue;
+use crate::model::{Line, Model, NOMINAL, nominal_theta};
 use nalgebra::{DMatrix, DVector};
 
 /// Residuals are correlated over about this long, s.
@@ -28,13 +27,8 @@ const ROUNDS: usize = 6;
 pub type Answers = [Vec<&'static str>; 3];
 
 /// The verdicts of all three methods.
-pub fn answer(
-    log: &Observed,
-    catalogue: &[Box<dyn Effect>],
-    lines: &[Line; 3],
-    found: &Candidates<Candidate>,
-) -> Answers {
-    let library = Library::new(log, catalogue, lines);
+pub fn answer(log: &Observed, lines: &[Line; 3], found: &Candidates<Candidate>) -> Answers {
+    let library = Library::new(log, lines);
     [bic(log, found), library.sparse(), library.nearest()]
 }
 
@@ -58,13 +52,13 @@ struct Library {
 }
 
 impl Library {
-    fn new(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3]) -> Self {
+    fn new(log: &Observed, lines: &[Line; 3]) -> Self {
         let nominal = LeastSquares::new(log, Model::new(&[]));
         let mut base = fit(nominal, &nominal_theta(lines, log.rig.prior_lag_s), ROUNDS);
         base.tangent = Tangent::new(&base.problem, &base.point);
         let (mut all, mut at) = (base.tangent.clone(), vec![NOMINAL]);
-        for e in catalogue {
-            let problem = LeastSquares::new(log, Model::new(&[e.as_ref()]));
+        for e in catalogue() {
+            let problem = LeastSquares::new(log, Model::new(&[*e]));
             let here = problem.at([base.point.theta.as_slice(), &e.starts()[0]].concat());
             let mut own = Tangent::grown(&problem, &here, &base).columns;
             all.columns.extend(own.drain(NOMINAL..));
@@ -81,7 +75,7 @@ impl Library {
         let gradient = sums.gradient.rows(k, n - k) - &across * &inverse * sums.gradient.rows(0, k);
         let at = at.iter().map(|a| a - NOMINAL).collect();
         Self {
-            names: catalogue.iter().map(|e| e.name()).collect(),
+            names: catalogue().iter().map(|e| e.name()).collect(),
             at,
             normal,
             gradient,

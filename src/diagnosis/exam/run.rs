@@ -5,7 +5,7 @@ use crate::diagnosis::exam::{Answers, Content, Logs, Question, baseline};
 use crate::diagnosis::tip::observed::{ObserveError, Observed};
 use crate::diagnosis::tip::{Diagnosis, Rig, SavedModel, TipProblem, check};
 use crate::diagnosis::verdict::VerdictKind;
-use crate::model::effects::{self, Effect};
+use crate::model::effects::{Effect, catalogue};
 use crate::supervisor::MachineError;
 use rayon::prelude::*;
 use thiserror::Error;
@@ -47,7 +47,6 @@ pub struct Answer {
 pub fn run(
     questions: &[Question],
     draw: impl Fn(&Question) -> Result<Logs, MachineError> + Sync,
-    catalogue: &[Box<dyn Effect>],
     done: impl Fn() + Sync,
 ) -> Result<Vec<Answer>, ExamError> {
     let answer = |(n, q): (usize, &Question)| {
@@ -55,20 +54,20 @@ pub fn run(
         let observe =
             |log| Observed::new(log, &Rig::default()).map_err(|e| ExamError::Observe(n, e));
         let (log, fresh) = (observe(&logs.log)?, observe(&logs.fresh)?);
-        let with = |effects: &[Box<dyn Effect>]| {
+        let with = |effects: &[&'static dyn Effect]| {
             diagnose(&TipProblem::new(&log, effects, &logs.lines, n as u64))
         };
-        let diagnosed = with(catalogue);
-        let saved = SavedModel::new("exam", catalogue, &diagnosed);
+        let diagnosed = with(catalogue());
+        let saved = SavedModel::new("exam", &diagnosed);
         let again = q.content == Content::Single && n % LEFT_OUT_EVERY == 0;
         let left_out = again.then(|| {
-            let mut rest = effects::catalogue();
+            let mut rest = catalogue().to_vec();
             rest.retain(|e| e.name() != q.truth()[0]);
             with(&rest).document.verdict.kind
         });
         let answer = Answer {
-            fresh_closed: check(&saved, &fresh, catalogue).closed,
-            others: baseline::answer(&log, catalogue, &logs.lines, &diagnosed.found),
+            fresh_closed: check(&saved, &fresh).closed,
+            others: baseline::answer(&log, &logs.lines, &diagnosed.found),
             diagnosis: diagnosed.document,
             hidden: logs.hidden,
             left_out,

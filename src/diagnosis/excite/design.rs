@@ -62,21 +62,30 @@ pub struct Design {
     pub standard: DMatrix<f64>,
 }
 
-/// Two effects with their distance on the designed and on the standard schedule.
-pub type Pair = (&'static str, &'static str, f64, f64);
+/// Two effects with their distances, standard deviations.
+#[derive(Debug, Clone, Copy)]
+pub struct Pair {
+    /// Names.
+    pub names: [&'static str; 2],
+    /// On the designed schedule.
+    pub designed: f64,
+    /// On the standard schedule.
+    pub standard: f64,
+}
 
 impl Design {
     /// Pairs in question, nearest first.
     pub fn pairs(&self) -> Vec<Pair> {
         let place = |n: &&str| self.names.iter().position(|name| name == n);
         let focus: Vec<usize> = self.focus.iter().filter_map(place).collect();
-        let pair = |(i, j): (usize, usize)| {
-            let [designed, standard] = [&self.distances, &self.standard].map(|d| d[(i, j)]);
-            (self.names[i], self.names[j], designed, standard)
+        let pair = |(i, j): (usize, usize)| Pair {
+            names: [self.names[i], self.names[j]],
+            designed: self.distances[(i, j)],
+            standard: self.standard[(i, j)],
         };
         let pairs = (0..focus.len()).flat_map(|a| focus[a + 1..].iter().map(move |&j| (a, j)));
         let mut out: Vec<Pair> = pairs.map(|(a, j)| pair((focus[a], j))).collect();
-        out.sort_by(|a, b| a.2.total_cmp(&b.2));
+        out.sort_by(|a, b| a.designed.total_cmp(&b.designed));
         out
     }
 }
@@ -85,8 +94,8 @@ impl Design {
 pub fn design(request: &Request, progress: &mut dyn FnMut(usize)) -> Design {
     let mut rng = StdRng::seed_from_u64(request.seed);
     let (machine, like) = (&request.machine, request.like.as_ref());
-    let effects = catalogue().into_iter();
-    let rivals: Vec<Rival> = effects.map(|e| Rival::new(e, like, &mut rng)).collect();
+    let effects = catalogue().iter();
+    let rivals: Vec<Rival> = effects.map(|e| Rival::new(*e, like, &mut rng)).collect();
     let names: Vec<&'static str> = rivals.iter().map(|r| r.effect.name()).collect();
     let focus = focus(like, &names);
     let (tracker, seed) = (request.tracker, request.seed);
@@ -97,25 +106,34 @@ pub fn design(request: &Request, progress: &mut dyn FnMut(usize)) -> Design {
     let scale = sizes.iter().map(|s| s.iter().map(enlarged).collect());
     let scale: Vec<Vec<f64>> = scale.collect();
     let distances = |rows: &[ScheduleRow]| evaluate(rows).map(|i| i.distances(&scale));
-    let mut search = LocalSearch {
-        machine,
-        distances: &distances,
-        weight: weights(&names, &focus, tracker),
-        enough: ENOUGH[usize::from(focus.len() < names.len())],
-        best: Evaluated::default(),
+    let weight = weights(&names, &focus, tracker);
+    let enough = ENOUGH[usize::from(focus.len() < names.len())];
+    let evaluated = |list: Vec<Manoeuvre>| {
+        let short = is_short(machine, &list).then(|| schedule(machine, &list));
+        let distances = short.and_then(|rows| distances(&rows));
+        let cost = distances.as_ref().map(|d| cost(d, &weight, enough));
+        Evaluated {
+            list,
+            cost: cost.unwrap_or(f64::INFINITY),
+            distances,
+        }
     };
-    search.best = search.evaluate(first_guess(machine.rig.geometry.rest_length_mm));
+    let mut best = evaluated(first_guess(machine.rig.geometry.rest_length_mm));
     progress(1);
     for tried in 2..=request.rounds {
-        search.step(&mut rng);
+        let mut near = (0..ATTEMPTS).map(|_| neighbour(&best.list, machine, &mut rng));
+        let next = near.find(|list| is_short(machine, list)).map(evaluated);
+        if let Some(better) = next.filter(|next| next.cost < best.cost) {
+            best = better;
+        }
         progress(tried);
     }
-    let rows = schedule(machine, &search.best.list);
+    let rows = schedule(machine, &best.list);
     let empty = || DMatrix::zeros(names.len(), names.len());
-    let distances = search.best.distances.clone().unwrap_or_else(empty);
+    let distances = best.distances.unwrap_or_else(empty);
     let standard = standard.map_or_else(empty, |i| i.distances(&scale));
     Design {
-        names: names.clone(),
+        names,
         focus,
         distances,
         standard,
@@ -143,60 +161,26 @@ fn weights(names: &[&str], focus: &[&str], tracker: bool) -> DMatrix<f64> {
     })
 }
 
-/// A list of manoeuvres with its cost.
-#[derive(Default)]
+/// A list of manoeuvres with its [`cost`], infinite if the schedule is too long or cannot be diagnosed.
 struct Evaluated {
     list: Vec<Manoeuvre>,
     cost: f64,
     distances: Option<DMatrix<f64>>,
 }
 
-/// The search.
-struct LocalSearch<'a> {
-    machine: &'a Machine,
-    distances: &'a dyn Fn(&[ScheduleRow]) -> Option<DMatrix<f64>>,
-    weight: DMatrix<f64>,
-    enough: f64,
-    best: Evaluated,
+/// `Σ w / (1 + min(D, enough)²)`, dominated by the nearest pairs.
+fn cost(distances: &DMatrix<f64>, weight: &DMatrix<f64>, enough: f64) -> f64 {
+    let mut cost = 0.0;
+    for i in 0..distances.nrows() {
+        for j in 0..=i {
+            cost += weight[(i, j)] / (1.0 + distances[(i, j)].min(enough).powi(2));
+        }
+    }
+    cost
 }
 
-impl LocalSearch<'_> {
-    /// Cost `Σ w / (1 + min(D, enough)²)`, dominated by the nearest pairs; infinite for a schedule that is too long or
-    /// cannot be diagnosed.
-    fn evaluate(&self, list: Vec<Manoeuvre>) -> Evaluated {
-        let short = self.is_short(&list).then(|| schedule(self.machine, &list));
-        let distances = short.and_then(|rows| (self.distances)(&rows));
-        let cost = distances.as_ref().map_or(f64::INFINITY, |d| {
-            let mut cost = 0.0;
-            for i in 0..d.nrows() {
-                for j in 0..=i {
-                    cost += self.weight[(i, j)] / (1.0 + d[(i, j)].min(self.enough).powi(2));
-                }
-            }
-            cost
-        });
-        Evaluated {
-            list,
-            cost,
-            distances,
-        }
-    }
-
-    fn is_short(&self, list: &[Manoeuvre]) -> bool {
-        self.machine.duration_s(&schedule(self.machine, list)) <= LONGEST_S
-    }
-
-    /// Evaluates a neighbour that is short enough, and keeps it if it is better.
-    fn step(&mut self, rng: &mut StdRng) {
-        let mut near = (0..ATTEMPTS).map(|_| neighbour(&self.best.list, self.machine, rng));
-        let Some(list) = near.find(|l| self.is_short(l)) else {
-            return;
-        };
-        let next = self.evaluate(list);
-        if next.cost < self.best.cost {
-            self.best = next;
-        }
-    }
+fn is_short(machine: &Machine, list: &[Manoeuvre]) -> bool {
+    machine.duration_s(&schedule(machine, list)) <= LONGEST_S
 }
 
 /// A list with one manoeuvre changed, replaced, added, removed or moved.

@@ -8,10 +8,10 @@
 
 use crate::diagnosis::excite::{Machine, ScheduleRow, synthetic};
 use crate::diagnosis::tip::SavedModel;
-use crate::diagnosis::tip::model::{Model, residuals};
+use crate::diagnosis::tip::model::residuals;
 use crate::diagnosis::tip::observed::{CORRELATED_S, Observed};
 use crate::model::effects::{Effect, Param};
-use crate::model::{NOMINAL, nominal_theta};
+use crate::model::{Model, NOMINAL, nominal_theta};
 use nalgebra::DMatrix;
 use rand::RngExt;
 use rand::rngs::StdRng;
@@ -38,7 +38,7 @@ const EVENTS_S: (f64, f64) = (20.0, 150.0);
 /// An effect with the points at which it is evaluated; slopes are taken at the first.
 pub struct Rival {
     /// The effect.
-    pub effect: Box<dyn Effect>,
+    pub effect: &'static dyn Effect,
     /// Parameter vectors.
     pub points: Vec<Vec<f64>>,
 }
@@ -48,12 +48,12 @@ impl Rival {
     /// do not happen. The draws are taken in either case, so that they do not depend on the model. Distances grow with the sizes of the
     /// effects; the draws determine the direction only, and the design gives all effects the same size, so that a wide prior does not make an
     /// effect look easy to find.
-    pub fn new(effect: Box<dyn Effect>, model: Option<&SavedModel>, rng: &mut StdRng) -> Self {
-        let (params, counted) = (effect.params(), counted(effect.as_ref()));
+    pub fn new(effect: &'static dyn Effect, model: Option<&SavedModel>, rng: &mut StdRng) -> Self {
+        let (params, counted) = (effect.params(), counted(effect));
         let mut value = |(i, p): (usize, &Param)| if i < counted { draw(p, rng) } else { p.start };
         let mut point = || params.iter().enumerate().map(&mut value).collect();
         let drawn = (0..DRAWS).map(|_| point()).collect();
-        let saved = model.and_then(|m| m.params_of(effect.as_ref()));
+        let saved = model.and_then(|m| m.params_of(effect));
         let points = saved.map_or(drawn, |point| vec![point]);
         Self { effect, points }
     }
@@ -112,7 +112,7 @@ pub fn information(
     let each: Vec<Vec<Vec<f64>>> = each.collect();
     let mut spans = Vec::new();
     for (rival, own) in rivals.iter().zip(each) {
-        let (first, slopes) = (columns.len(), counted(rival.effect.as_ref()));
+        let (first, slopes) = (columns.len(), counted(rival.effect));
         spans.push(Span {
             slopes: first..first + slopes,
             points: first + slopes..first + own.len(),
@@ -132,11 +132,11 @@ fn difference(to: &[f64], from: &[f64], by: f64) -> Vec<f64> {
 
 /// Slopes at the first point in units of scale, then the change that each point makes.
 fn columns_of(log: &Observed, rival: &Rival, start: &[f64], base: &[f64]) -> Vec<Vec<f64>> {
-    let model = Model::new(&[rival.effect.as_ref()]);
+    let model = Model::new(&[rival.effect]);
     let at = |point: &[f64]| residual(log, &model, &[start, point].concat());
     let here = at(&rival.points[0]);
     let mut out = Vec::new();
-    let counted = counted(rival.effect.as_ref());
+    let counted = counted(rival.effect);
     for (i, p) in rival.effect.params().iter().take(counted).enumerate() {
         let mut moved = rival.points[0].clone();
         let beyond = moved[i] + STEP * p.scale > p.high;
@@ -151,7 +151,7 @@ fn columns_of(log: &Observed, rival: &Rival, start: &[f64], base: &[f64]) -> Vec
 }
 
 /// Weighted residuals, the bins of a hold pooled.
-fn residual(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Vec<f64> {
+fn residual(log: &Observed, model: &Model, theta: &[f64]) -> Vec<f64> {
     let residual = residuals(log, model, theta);
     let mut out = Vec::new();
     let mut k = 0;
@@ -240,7 +240,7 @@ mod tests {
         let mut rng = StdRng::seed_from_u64(5);
         for e in catalogue() {
             let params = e.params();
-            let r = Rival::new(e, None, &mut rng);
+            let r = Rival::new(*e, None, &mut rng);
             assert_eq!(r.points.len(), DRAWS);
             for point in &r.points {
                 assert!(

@@ -7,8 +7,7 @@
 use crate::diagnosis::tip::Rig;
 use crate::log::error::ReadError;
 use crate::log::table::{Schema, Table};
-use crate::model::{Bend, Geometry, Line, Shape, Side, SideState, Wanted};
-use crate::primitives::Mm;
+use crate::model::{Bend, Geometry, Line, Shape, Side, SideState};
 use nalgebra::Vector3;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -58,10 +57,8 @@ impl ScheduleRow {
 
     /// Change of bellow lengths, mm.
     pub fn lengths(&self, geometry: &Geometry) -> Vector3<f64> {
-        geometry.lengths(&Shape {
-            bend: Bend::from_deg(self.bend_deg, self.dir_deg),
-            length: Mm(self.len_mm),
-        })
+        let bend = Bend::from_deg(self.bend_deg, self.dir_deg);
+        geometry.lengths(&Shape::new(bend.0, self.len_mm))
     }
 
     /// The row rounded to the digits that a file holds, so that the designed schedule is the written one.
@@ -118,9 +115,7 @@ impl Machine {
         for row in rows {
             let q = row.lengths(&self.rig.geometry);
             let to = Vector3::from_fn(|i, _| {
-                let (q_mm, dt_s) = (q[i], 1.0);
-                let wanted = Wanted { q_mm, dt_s };
-                let (piston, next) = side.invert(&self.lines[i], states[i], &wanted);
+                let (piston, next) = side.invert(&self.lines[i], states[i], q[i], 1.0);
                 states[i] = next;
                 piston
             });
@@ -131,8 +126,11 @@ impl Machine {
                 if t > end_s {
                     break;
                 }
-                // a way of no length is done at once: what is not a number is not less than one
-                let share = ((t - begun_s) / move_s).min(1.0);
+                // a way of no length is done at once
+                let share = match move_s > 0.0 {
+                    true => ((t - begun_s) / move_s).min(1.0),
+                    false => 1.0,
+                };
                 out.t_s.push(t);
                 out.piston_mm.push(from + (to - from) * share);
             }

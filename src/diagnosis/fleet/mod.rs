@@ -113,7 +113,7 @@ enum Quantity {
 
 impl Quantity {
     fn all() -> Vec<Self> {
-        let effects = catalogue().into_iter().map(|e| Self::Effect(e.name()));
+        let effects = catalogue().iter().map(|e| Self::Effect(e.name()));
         effects.chain(GAINS.map(Self::Gain)).collect()
     }
 

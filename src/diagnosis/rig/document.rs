@@ -119,6 +119,7 @@ impl RigProblem<'_> {
         let (chosen, mut notes) = (judged.chosen(), notes(self.log));
         let entry = |s: &Set| self.entry(judged, &self.nominal, s);
         let mut effects: Vec<Entry> = judged.found.singles.iter().map(entry).collect();
+        // of equally probable effects, the one that closes most comes first
         effects.sort_by(|a, b| b.closed.total_cmp(&a.closed));
         effects.sort_by(|a, b| b.probability.total_cmp(&a.probability));
         if self.coarse {

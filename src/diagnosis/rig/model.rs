@@ -17,7 +17,15 @@ pub struct Member {
 }
 
 /// Effects whose answer replaces the immediate one of the nominal model.
-const TAKES_OVER: &str = "play hysteresis bouc_wen dead_band rate_limit lag delay";
+const TAKES_OVER: [&str; 7] = [
+    "play",
+    "hysteresis",
+    "bouc_wen",
+    "dead_band",
+    "rate_limit",
+    "lag",
+    "delay",
+];
 
 /// Largest nominal prediction on a fresh log, in half ranges of the fitted one.
 const OUTSIDE: f64 = 2.5;
@@ -106,7 +114,7 @@ impl MapBase {
         }
         // what creeps has answered at once, the same way, and creeps on that way, unless another effect takes the answer over
         let has = |name: &str| members.iter().any(|m| m.operator.name == name);
-        let (creeps, taken) = (has("creep"), TAKES_OVER.split(' ').any(has));
+        let (creeps, taken) = (has("creep"), TAKES_OVER.into_iter().any(has));
         if let ([weight], true, false) = (self.scale.weights.as_slice(), creeps, taken) {
             signs.push((1, if *weight < 0.0 { -1 } else { 1 }));
         }

@@ -3,7 +3,7 @@
 use crate::diagnosis::rig::{
     DRIVEN, Document, RESONANT, RigProblem, STILL, Set, closed_ci95, poor, variance,
 };
-use crate::diagnosis::verdict::{Claim, Head};
+use crate::diagnosis::verdict::{Claim, Feature, Head};
 use crate::diagnosis::{Candidates, Judged, Problem, Scored};
 use std::sync::LazyLock;
 
@@ -17,16 +17,33 @@ const SLIGHT: [f64; 2] = [0.03, 0.3];
 /// Logarithm of the part of the gap that a right effect of another form may leave.
 const FORM: f64 = -1.2;
 
-/// The features but for those of the operators. For every statement, what it gains over the nominal model (for `unknown`, the best set):
-/// the density of the long and of the short blocks, and the mean of both up to each of [`SLIGHT`]. For a set: the number of effects
-/// beyond the first, the number of columns, and the two claims of [`Candidates::claims`]. For `none`: one, and the logarithms of what is left
-/// above the noise over the noise, the same where it is negative, and over the output. For `unknown`: one, and the logarithms of what the best
-/// set leaves above the noise over the noise, the same where it is negative, over the gap, and the same above [`FORM`].
-const NAMES: [&str; 4] = [
-    "density_long density_short slight clear",
-    "further_effects columns claim second_claim",
-    "none none_noise none_below_noise none_output",
-    "unknown unknown_noise unknown_below_noise unknown_left unknown_much_left",
+/// The features but for those of the operators.
+const FEATURES: [&str; 17] = [
+    // of every statement, what it gains over the nominal model (for `unknown`, the best set): the density of the long and of the short blocks
+    "density_long",
+    "density_short",
+    // the mean of both up to each of `SLIGHT`
+    "slight",
+    "clear",
+    // of a set, the number of effects beyond the first
+    "further_effects",
+    // eighths of the number of columns
+    "columns",
+    // the two of `Candidates::claims`
+    "claim",
+    "second_claim",
+    // of `none`, one, and the logarithm of what is left above the noise over the noise, the same where it is negative, and over the output
+    "none",
+    "none_noise",
+    "none_below_noise",
+    "none_output",
+    // of `unknown`, one, and the logarithm of what the best set leaves above the noise over the noise, the same where it is negative, over
+    // the gap, and the same above `FORM`
+    "unknown",
+    "unknown_noise",
+    "unknown_below_noise",
+    "unknown_left",
+    "unknown_much_left",
 ];
 
 /// The weights that diagnoses use.
@@ -35,7 +52,7 @@ static HEAD: LazyLock<Head> = LazyLock::new(|| {
     let mut effects: Vec<&'static str> = operators.map(|o| o.name).collect();
     effects.sort_unstable();
     effects.dedup();
-    Head::built_in(include_str!("posterior.toml"), NAMES, effects)
+    Head::built_in(include_str!("posterior.toml"), &FEATURES, &effects)
 });
 
 /// Half the logarithm of a ratio of squares.
@@ -55,10 +72,9 @@ impl RigProblem<'_> {
         (set.energy() - self.noise * self.noise).max(0.0)
     }
 
-    /// One, and the logarithm of what a set leaves above the noise over the noise, and the same where it is negative.
-    fn noisy(&self, set: &Set) -> [f64; 3] {
-        let noise = ratio(self.above(set), self.noise * self.noise);
-        [1.0, noise, noise.min(0.0)]
+    /// The logarithm of what a set leaves above the noise over the noise.
+    fn noisy(&self, set: &Set) -> f64 {
+        ratio(self.above(set), self.noise * self.noise)
     }
 }
 
@@ -71,24 +87,46 @@ impl Problem for RigProblem<'_> {
     fn lack(&self, set: &Set) -> f64 {
         2.0 * PER_EFFECT * set.names.len() as f64 - self.gained(set).iter().sum::<f64>()
     }
-    fn density(&self, set: &Set) -> Vec<f64> {
+    fn density(&self, set: &Set) -> Vec<Feature> {
         let [long, short] = self.gained(set);
         let [slight, clear] = SLIGHT.map(|most| ((long + short) / 2.0 / most).min(1.0));
-        vec![long, short, slight, clear]
+        vec![
+            ("density_long", long),
+            ("density_short", short),
+            ("slight", slight),
+            ("clear", clear),
+        ]
     }
-    fn of_set(&self, found: &Candidates<Set>, set: &Set) -> Vec<f64> {
+    fn of_set(&self, found: &Candidates<Set>, set: &Set) -> Vec<Feature> {
         let columns: usize = set.members.iter().map(|m| m.columns.len()).sum();
-        let further = set.names.len() as f64 - 1.0;
-        let [claim, second] = found.claims(set);
-        vec![further, columns as f64 / 8.0, claim, second]
+        let [claim, second_claim] = found.claims(set);
+        vec![
+            ("further_effects", set.names.len() as f64 - 1.0),
+            ("columns", columns as f64 / 8.0),
+            ("claim", claim),
+            ("second_claim", second_claim),
+        ]
     }
-    fn of_none(&self) -> Vec<f64> {
+    fn of_none(&self) -> Vec<Feature> {
+        let noise = self.noisy(&self.nominal);
         let output = ratio(self.above(&self.nominal), variance(&self.log.output));
-        [self.noisy(&self.nominal).as_slice(), &[output]].concat()
+        vec![
+            ("none", 1.0),
+            ("none_noise", noise),
+            ("none_below_noise", noise.min(0.0)),
+            ("none_output", output),
+        ]
     }
-    fn of_unknown(&self, _: &Candidates<Set>, best: &Set) -> Vec<f64> {
+    fn of_unknown(&self, _: &Candidates<Set>, best: &Set) -> Vec<Feature> {
+        let noise = self.noisy(best);
         let left = ratio(self.above(best), self.above(&self.nominal));
-        [self.noisy(best).as_slice(), &[left, (left - FORM).max(0.0)]].concat()
+        vec![
+            ("unknown", 1.0),
+            ("unknown_noise", noise),
+            ("unknown_below_noise", noise.min(0.0)),
+            ("unknown_left", left),
+            ("unknown_much_left", (left - FORM).max(0.0)),
+        ]
     }
     /// The effects that surely close enough of the gap. What the set leaves of the gap beyond noise is unknown in proportion.
     fn claim(&self, found: &Candidates<Set>, set: &Set) -> Claim {

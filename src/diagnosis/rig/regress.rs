@@ -24,7 +24,7 @@ pub struct Task<'a> {
     blocks: [Vec<Option<usize>>; 2],
 }
 
-/// Block of each row, of so many; `None` in a margin.
+/// Block of each row of a signal that is divided into `count` blocks; `None` in a margin.
 fn blocks(rows: usize, count: usize) -> Vec<Option<usize>> {
     let length = rows as f64 / count as f64;
     let scored = |at: &f64| (MARGIN..1.0 - MARGIN).contains(&at.fract());

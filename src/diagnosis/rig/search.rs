@@ -200,8 +200,11 @@ impl Search for RigProblem<'_> {
             rest.remove(k);
             self.set(rest)
         };
-        let each = |set| (0..Set::names(set).len()).filter_map(move |k| without(set, k));
-        triples.iter().flat_map(each).collect()
+        let places = |set: &Set| 0..set.members.len();
+        let parts = triples
+            .iter()
+            .flat_map(|set| places(set).map(move |k| (set, k)));
+        parts.filter_map(|(set, k)| without(set, k)).collect()
     }
 }
 

@@ -1,11 +1,10 @@
 //! A saved model on a fresh log: whether it fits this machine, belongs to another unit, or does worse than nothing.
 
 use crate::diagnosis::tip::fit::{CLAIM_DEG, HeldOut, LeastSquares, fit, scored};
-use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::tip::{SavedGains, SavedModel};
-use crate::model::effects::Effect;
-use crate::model::{NOMINAL, nominal_theta};
+use crate::model::effects::catalogue;
+use crate::model::{Model, NOMINAL, nominal_theta};
 use crate::named;
 use serde::Serialize;
 
@@ -49,11 +48,11 @@ pub struct Checked {
 
 /// Runs both models over a fresh log. Only gravity, field and gyroscope bias (base frame and references) are solved again. Effects that
 /// happen once are left out.
-pub fn check(saved: &SavedModel, log: &Observed, catalogue: &[Box<dyn Effect>]) -> Checked {
+pub fn check(saved: &SavedModel, log: &Observed) -> Checked {
     let gains = |g: &SavedGains| nominal_theta(&g.lines(), g.lag_s);
     let names: Vec<&str> = saved.effect.iter().map(|e| e.name.as_str()).collect();
-    let effects = Model::named(catalogue, &names).effects.into_iter();
-    let (events, lasting): (Vec<&dyn Effect>, Vec<_>) = effects.partition(|e| e.info().is_event());
+    let effects = Model::named(catalogue(), &names).effects.into_iter();
+    let (events, lasting): (Vec<_>, Vec<_>) = effects.partition(|e| e.info().is_event());
     let (bare, with) = (Model::new(&[]), Model::new(&lasting));
     let mut theta = gains(&saved.with_effects);
     theta.extend(lasting.iter().filter_map(|e| saved.params_of(*e)).flatten());
@@ -86,7 +85,7 @@ pub fn check(saved: &SavedModel, log: &Observed, catalogue: &[Box<dyn Effect>]) 
 }
 
 /// Scores of the model with gains that are identified on the log, while the effects stay.
-fn refitted(log: &Observed, model: Model<'_>, theta: &[f64]) -> HeldOut {
+fn refitted(log: &Observed, model: Model, theta: &[f64]) -> HeldOut {
     let mut problem = LeastSquares::new(log, model);
     for (bound, value) in problem.bounds.iter_mut().zip(theta).skip(NOMINAL) {
         (bound.low, bound.high, bound.start) = (*value, *value, *value);

@@ -3,14 +3,13 @@
 use crate::diagnosis::tip::TipProblem;
 use crate::diagnosis::tip::fit::{Candidate, HeldOut, closed_ci95, score, scored};
 use crate::diagnosis::tip::location::{self, Location, credits, stages};
-use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::{
     CORRELATED_S, Depends, Observed, PerQuantity, Segment, dependences,
 };
 use crate::diagnosis::verdict::Verdict;
 use crate::diagnosis::{Candidates, Judged, Scored, diagnose};
-use crate::model::effects::{Effect, Param};
-use crate::model::{lines, nominal_theta};
+use crate::model::effects::{Effect, Param, by_name};
+use crate::model::{Model, lines, nominal_theta};
 use nalgebra::Vector3;
 use serde::Serialize;
 use std::ops::Range;
@@ -134,8 +133,9 @@ impl TipProblem<'_> {
     pub fn written(&self, judged: &Judged<Self>) -> Diagnosis {
         let (log, nominal, chosen) = (self.log, &self.nominal, judged.chosen());
         let verdict = judged.verdict.clone();
-        let all = self.catalogue.iter().map(AsRef::as_ref);
-        let mut effects: Vec<EffectEntry> = all.map(|e| self.entry(judged, e)).collect();
+        let all = self.catalogue.iter();
+        let mut effects: Vec<EffectEntry> = all.map(|e| self.entry(judged, *e)).collect();
+        // of equally probable effects, the one that closes most comes first
         effects.sort_by(|a, b| b.closed.total_cmp(&a.closed));
         effects.sort_by(|a, b| b.probability.total_cmp(&a.probability));
         let credits = credits(&judged.found, chosen, self.gap());
@@ -154,8 +154,8 @@ impl TipProblem<'_> {
                 noise_floor_deg: log.rms_deg(log.noise_energy()),
             },
             location: Location {
-                stages: stages(self.catalogue, &credits, &probabilities),
-                merged: self.merged(&verdict.equivalent),
+                stages: stages(&credits, &probabilities),
+                merged: Self::merged(&verdict.equivalent),
                 regions: location::regions(log, scores),
                 when: location::stretches(log, scores),
                 kinds: location::kinds(log, scores),
@@ -224,8 +224,7 @@ impl TipProblem<'_> {
 
     /// Parameters of an effect in a candidate, with intervals widened for correlated residuals.
     fn params(&self, e: &dyn Effect, c: &Candidate) -> Vec<ParamValue> {
-        let log = self.log;
-        let model = Model::named(self.catalogue, &c.names);
+        let (log, model) = (self.log, &c.model);
         let Some(i) = model.position(e.name()) else {
             return vec![];
         };
@@ -254,10 +253,9 @@ impl TipProblem<'_> {
     }
 
     /// Stages of each group that spans more than one.
-    fn merged(&self, groups: &[Vec<&'static str>]) -> Vec<Vec<&'static str>> {
+    fn merged(groups: &[Vec<&'static str>]) -> Vec<Vec<&'static str>> {
         let of = |group: &Vec<&'static str>| {
-            let effect = |name: &&str| self.catalogue.iter().find(|e| e.name() == *name);
-            let stage = |name| effect(name).map_or("", |e| e.stage().name());
+            let stage = |name: &&'static str| by_name(name).map_or("", |e| e.stage().name());
             let mut stages: Vec<&'static str> = group.iter().map(stage).collect();
             stages.dedup();
             stages

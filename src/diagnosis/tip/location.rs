@@ -3,7 +3,7 @@
 use crate::diagnosis::tip::fit::{Candidate, HeldOut};
 use crate::diagnosis::tip::observed::{Observed, Quantity};
 use crate::diagnosis::{Candidates, Scored};
-use crate::model::effects::{Effect, Stage};
+use crate::model::effects::{Stage, by_name};
 use crate::model::{Bend, Line};
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -79,7 +79,7 @@ const STRETCHES: u32 = 20;
 
 /// Bend vector of bin `k` as commanded: the counted pistons through the gains of `lines`, without play.
 pub fn commanded_bend(log: &Observed, lines: &[Line; 3], k: usize) -> Bend {
-    let u = log.piston_mm[log.bins[k].at];
+    let u = log.instants[log.bins[k].at].piston_mm;
     let q = Vector3::from_fn(|i, _| lines[i].bellow_mm(u[i]));
     log.rig.geometry.shape(&q).bend
 }
@@ -115,7 +115,7 @@ fn pooled(log: &Observed, scores: [&HeldOut; 2], pick: impl Fn(usize) -> bool) -
     (n > 0.0).then(|| sums.map(|sum| (sum / n).sqrt()))
 }
 
-/// The same by bend and direction.
+/// Errors by bend and direction.
 pub fn regions(log: &Observed, scores: [&HeldOut; 2]) -> Vec<Region> {
     let lines = [log.rig.prior; 3];
     let pose = |k| polar_deg(&commanded_bend(log, &lines, k));
@@ -137,7 +137,7 @@ pub fn regions(log: &Observed, scores: [&HeldOut; 2]) -> Vec<Region> {
     cells.filter_map(region).collect()
 }
 
-/// The same by time.
+/// Errors by time.
 pub fn stretches(log: &Observed, scores: [&HeldOut; 2]) -> Vec<When> {
     let length_s = log.duration_s() / f64::from(STRETCHES);
     let stretch = |k: u32| {
@@ -154,7 +154,7 @@ pub fn stretches(log: &Observed, scores: [&HeldOut; 2]) -> Vec<When> {
     (0..STRETCHES).filter_map(stretch).collect()
 }
 
-/// Part of the gap (deg²) that each effect of the set closes on held-out blocks. Each of several effects is credited with the mean of what it
+/// Part of the gap that each effect of the set closes on held-out blocks. Each of several effects is credited with the mean of what it
 /// closes when added first and when added last (of two effects that is Shapley's value, 1953), because effects together do not close the sum
 /// of what each closes alone.
 pub fn credits(
@@ -175,14 +175,12 @@ pub fn credits(
 /// Shares of the seven stages, the largest first. What the verdict leaves is attributed to the stages in proportion to the probabilities of
 /// their effects.
 pub fn stages(
-    catalogue: &[Box<dyn Effect>],
     credits: &[(&'static str, f64)],
     probabilities: &[(&'static str, f64)],
 ) -> Vec<StageShare> {
     let of = |list: &[(&'static str, f64)], stage: Stage| -> f64 {
-        let here = catalogue.iter().filter(|e| e.stage() == stage);
-        let names: Vec<&str> = here.map(|e| e.name()).collect();
-        let own = list.iter().filter(|(name, _)| names.contains(name));
+        let here = |name: &str| by_name(name).is_some_and(|e| e.stage() == stage);
+        let own = list.iter().filter(|(name, _)| here(name));
         own.map(|(_, share)| share).sum()
     };
     let [credited, probable] =
@@ -203,12 +201,10 @@ pub fn stages(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::catalogue;
 
     #[test]
     fn the_seven_shares_add_up_to_one() {
         let shares = stages(
-            &catalogue(),
             &[("leak", 0.6), ("gravity", 0.3)],
             &[("leak", 0.9), ("torsion", 0.1)],
         );
@@ -223,7 +219,7 @@ mod tests {
 
     #[test]
     fn without_a_verdict_the_shares_follow_the_probabilities() {
-        let shares = stages(&catalogue(), &[], &[("hard_iron", 0.3), ("leak", 0.1)]);
+        let shares = stages(&[], &[("hard_iron", 0.3), ("leak", 0.1)]);
         assert_eq!(shares[0].name, "sensor");
         assert!((shares[0].share - 0.75).abs() < 1e-6);
     }

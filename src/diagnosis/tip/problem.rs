@@ -5,7 +5,7 @@
 use crate::diagnosis::tip::fit::Candidate;
 use crate::diagnosis::tip::observed::{Quantity, dependences};
 use crate::diagnosis::tip::{Diagnosis, TipProblem, alike};
-use crate::diagnosis::verdict::{Claim, Head};
+use crate::diagnosis::verdict::{Claim, Feature, Head};
 use crate::diagnosis::{Candidates, Judged, Problem, Scored};
 use crate::model::effects::catalogue;
 use std::sync::LazyLock;
@@ -18,25 +18,39 @@ const PER_EFFECT: f64 = 0.15;
 /// other effects, fitted again without it, take over another part.
 const SHOWN: f64 = 2.0 / 3.0;
 
-/// The features but for those of the effects. For every statement, the density of the left-out short blocks: the mean over the sensors,
-/// and that of the gyroscope (for `unknown`, of the best set). For a set: the number of effects beyond the first; what the log tells about
-/// its parameters ([`crate::diagnosis::tip::fit::Fitted::information`]); the logarithm of the largest gain of a sensor over the least that is
-/// claimed, where it is less; for several effects, the same of the least of what each adds to the others; and the part of the parameters
-/// that no usual form of the cause has. For `none`, the logarithm of the largest RMS of a sensor above the noise, degrees. For `unknown`: the
-/// same with the best set, the density of its long blocks, that of the short blocks with the nominal model, the largest part of what a
-/// sensor leaves that some dependence predicts, and what the best set gains over the best single effect: several effects together imitate
-/// many a law.
-const NAMES: [&str; 4] = [
-    "density density_gyro",
-    "further_effects information claim second_claim unusual",
+/// The features but for those of the effects.
+const FEATURES: [&str; 13] = [
+    // of every statement, the density of the left-out short blocks (for `unknown`, of the best set): mean over the sensors, and gyroscope
+    "density",
+    "density_gyro",
+    // of a set, the number of effects beyond the first
+    "further_effects",
+    // what the log tells about its parameters: `Candidate::information`
+    "information",
+    // logarithm of the largest gain of a sensor over the least that is claimed, where it is less
+    "claim",
+    // of several effects, the same of the least of what each adds to the others
+    "second_claim",
+    // part of the parameters that no usual form of the cause has
+    "unusual",
+    // of `none`, logarithm of the largest RMS of a sensor above the noise, degrees
     "none_worst",
-    "unknown_worst unknown_best unknown_nominal unknown_share unknown_single",
+    // of `unknown`, the same with the best set
+    "unknown_worst",
+    // density of the long blocks of the best set
+    "unknown_best",
+    // density of the short blocks with the nominal model
+    "unknown_nominal",
+    // largest part of what a sensor leaves that some dependence predicts
+    "unknown_share",
+    // what the best set gains over the best single effect: several effects together imitate many a law
+    "unknown_single",
 ];
 
 /// The weights that diagnoses use.
 static HEAD: LazyLock<Head> = LazyLock::new(|| {
-    let effects = catalogue().iter().map(|e| e.name()).collect();
-    Head::built_in(include_str!("posterior.toml"), NAMES, effects)
+    let effects: Vec<&str> = catalogue().iter().map(|e| e.name()).collect();
+    Head::built_in(include_str!("posterior.toml"), &FEATURES, &effects)
 });
 
 impl TipProblem<'_> {
@@ -63,31 +77,42 @@ impl Problem for TipProblem<'_> {
         let long = self.log.mean(&set.held_out.density[0]);
         long + self.short(set) + 2.0 * PER_EFFECT * set.names.len() as f64
     }
-    fn density(&self, set: &Candidate) -> Vec<f64> {
+    fn density(&self, set: &Candidate) -> Vec<Feature> {
         let gyro = match self.log.has[Quantity::Gyro] {
             true => -set.held_out.density[1][Quantity::Gyro],
             false => 0.0,
         };
-        vec![-self.short(set), gyro]
+        vec![("density", -self.short(set)), ("density_gyro", gyro)]
     }
-    fn of_set(&self, found: &Candidates<Candidate>, set: &Candidate) -> Vec<f64> {
-        let further = set.names.len() as f64 - 1.0;
+    fn of_set(&self, found: &Candidates<Candidate>, set: &Candidate) -> Vec<Feature> {
         let information = (set.information - self.nominal.information) / 10.0;
-        let [claim, second] = found.claims(set);
-        vec![further, information, claim, second, set.unusual]
+        let [claim, second_claim] = found.claims(set);
+        vec![
+            ("further_effects", set.names.len() as f64 - 1.0),
+            ("information", information),
+            ("claim", claim),
+            ("second_claim", second_claim),
+            ("unusual", set.unusual),
+        ]
     }
-    fn of_none(&self) -> Vec<f64> {
-        vec![self.worst(&self.nominal)]
+    fn of_none(&self) -> Vec<Feature> {
+        vec![("none_worst", self.worst(&self.nominal))]
     }
-    fn of_unknown(&self, found: &Candidates<Candidate>, best: &Candidate) -> Vec<f64> {
+    fn of_unknown(&self, found: &Candidates<Candidate>, best: &Candidate) -> Vec<Feature> {
         let nominal = self.short(&self.nominal);
         let depends = dependences(self.log, &best.held_out.residual);
-        let share = depends.iter().map(|d| d.share).fold(0.0, f64::max);
         let singles = found.singles.iter().map(|s| self.short(s));
         let single = singles.fold(f64::INFINITY, f64::min);
-        let long = self.log.mean(&best.held_out.density[0]);
-        let beyond_single = self.short(best) - single.min(nominal);
-        vec![self.worst(best), long, nominal, share, beyond_single]
+        vec![
+            ("unknown_worst", self.worst(best)),
+            ("unknown_best", self.log.mean(&best.held_out.density[0])),
+            ("unknown_nominal", nominal),
+            (
+                "unknown_share",
+                depends.iter().map(|d| d.share).fold(0.0, f64::max),
+            ),
+            ("unknown_single", self.short(best) - single.min(nominal)),
+        ]
     }
     fn claim(&self, found: &Candidates<Candidate>, set: &Candidate) -> Claim {
         // what is below the bar counts as `none`

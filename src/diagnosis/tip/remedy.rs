@@ -4,19 +4,19 @@ use crate::model::effects::{Effect, Stage};
 use crate::named;
 
 named! {
-    /// What becomes of an effect; the name says what to do, as the end of a sentence.
+    /// What becomes of an effect; the advice says what to do, as the end of a sentence.
     #[derive(Debug, Clone, Copy, PartialEq, Eq)]
     pub enum Remedy {
         /// It happens once: its cause is mended, and nothing is fed forward.
-        Mend = "mend the cause, which acted once",
+        Mend = "mend": "mend the cause, which acted once",
         /// A calibration file holds it.
-        Calibrate = "write it into the calibration with `gap apply --calib`",
+        Calibrate = "calibrate": "write it into the calibration with `gap apply --calib`",
         /// It drifts, and the service estimates it while it runs.
-        Estimate = "leave it to the service, which estimates it while it runs",
+        Estimate = "estimate": "leave it to the service, which estimates it while it runs",
         /// `retroflex calibrate imu motors` identifies it.
-        Motors = "identify it with `calibrate imu motors`",
+        Motors = "motors": "identify it with `calibrate imu motors`",
         /// The feedforward follows its inverse.
-        Feedforward = "feed it forward with `gap apply`",
+        Feedforward = "feedforward": "feed it forward with `gap apply`",
     }
 }
 

@@ -1,10 +1,10 @@
 //! A diagnosis saved as TOML.
 
 use crate::diagnosis::tip::fit::{Candidate, best_predicting};
-use crate::diagnosis::tip::model::{LAG_MAX_S, Model};
+use crate::diagnosis::tip::model::LAG_MAX_S;
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::tip::{Diagnosed, confused_with};
-use crate::model::effects::{Effect, Param, catalogue};
+use crate::model::effects::{Effect, Param, by_name, catalogue};
 use crate::model::{DescribedMachine, Geometry, Line, RestReadings, lines, nominal_theta};
 use crate::primitives::{Check, Checker};
 use nalgebra::Vector3;
@@ -96,13 +96,12 @@ fn key(p: &Param) -> String {
 }
 
 /// The effects of a candidate with their values.
-fn saved_effects(catalogue: &[Box<dyn Effect>], from: &Candidate) -> Vec<SavedEffect> {
-    let one = |(e, p): (&dyn Effect, &[f64])| SavedEffect {
+fn saved_effects(from: &Candidate) -> Vec<SavedEffect> {
+    let one = |(e, p): (&'static dyn Effect, &[f64])| SavedEffect {
         name: e.name().to_owned(),
         params: e.params().iter().map(key).zip(p.iter().copied()).collect(),
     };
-    let model = Model::named(catalogue, &from.names);
-    model.each(&from.theta).map(one).collect()
+    from.model.each(&from.theta).map(one).collect()
 }
 
 /// Parameters of an effect among saved ones, in catalogue order.
@@ -114,7 +113,7 @@ fn params_of(saved: &[SavedEffect], effect: &dyn Effect) -> Option<Vec<f64>> {
 
 impl SavedModel {
     /// The model of a diagnosis of the log `source`.
-    pub fn new(source: &str, catalogue: &[Box<dyn Effect>], done: &Diagnosed) -> Self {
+    pub fn new(source: &str, done: &Diagnosed) -> Self {
         let owned = |group: &Vec<&'static str>| group.iter().map(|n| (*n).to_owned()).collect();
         Self {
             schema: 1,
@@ -122,7 +121,7 @@ impl SavedModel {
             nominal: SavedGains::new(&done.found.nominal.theta),
             with_effects: SavedGains::new(&done.chosen.theta),
             equivalent: done.document.verdict.equivalent.iter().map(owned).collect(),
-            effect: saved_effects(catalogue, &done.chosen),
+            effect: saved_effects(&done.chosen),
             rest: None,
             forecast: None,
         }
@@ -130,18 +129,13 @@ impl SavedModel {
 
     /// Adds the model that predicts the log best.
     #[must_use]
-    pub fn with_forecast(
-        self,
-        log: &Observed,
-        catalogue: &[Box<dyn Effect>],
-        done: &Diagnosed,
-    ) -> Self {
-        let best = best_predicting(log, catalogue, &done.found.nominal, &done.chosen);
+    pub fn with_forecast(self, log: &Observed, done: &Diagnosed) -> Self {
+        let best = best_predicting(log, &done.found.nominal, &done.chosen);
         Self {
             rest: Some(log.rest()),
             forecast: Some(SavedForecast {
                 gains: SavedGains::new(&best.theta),
-                effect: saved_effects(catalogue, &best),
+                effect: saved_effects(&best),
             }),
             ..self
         }
@@ -158,12 +152,12 @@ impl SavedModel {
             ..r
         };
         let rest = self.rest.map_or_else(RestReadings::default, readings);
-        let cause = |e: Box<dyn Effect>| params_of(effects, e.as_ref()).map(|p| (e, p));
+        let cause = |e: &&'static dyn Effect| Some((*e, params_of(effects, *e)?));
         DescribedMachine::new(
             geometry,
             rest,
             &nominal_theta(&gains.lines(), gains.lag_s),
-            catalogue().into_iter().filter_map(cause).collect(),
+            catalogue().iter().filter_map(cause).collect(),
         )
     }
 
@@ -190,9 +184,9 @@ impl SavedModel {
     }
 
     /// The first effect or parameter that the catalogue does not have, as a problem; `None` if there is none.
-    pub fn unknown_names(&self, catalogue: &[Box<dyn Effect>]) -> Option<String> {
+    pub fn unknown_names(&self) -> Option<String> {
         for s in self.all_effects() {
-            let Some(e) = catalogue.iter().find(|e| e.name() == s.name) else {
+            let Some(e) = by_name(&s.name) else {
                 return Some(format!("effect `{}` is not in the catalogue", s.name));
             };
             let keys: Vec<String> = e.params().iter().map(key).collect();
@@ -201,8 +195,8 @@ impl SavedModel {
                 return Some(format!("{has} parameter `{stray}`; it has {keys}"));
             }
         }
-        let known = |n: &str| catalogue.iter().any(|e| e.name() == n);
-        let stray = self.equivalent.iter().flatten().find(|n| !known(n));
+        let mut grouped = self.equivalent.iter().flatten();
+        let stray = grouped.find(|n| by_name(n).is_none());
         stray.map(|n| format!("equivalent: effect `{n}` is not in the catalogue"))
     }
 }

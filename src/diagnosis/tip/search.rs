@@ -6,13 +6,12 @@
 
 use crate::diagnosis::tip::fit::{
     Alone, BaseFit, CLAIM_DEG, Candidate, HeldOut, LeastSquares, Start, Tangent, alone, best_start,
-    dated_again, fit, schwarz, screen,
+    dated_again, fit, grown, schwarz, screen,
 };
-use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::{Candidates, Search};
 use crate::model::effects::Effect;
-use crate::model::{Line, nominal_theta};
+use crate::model::{Line, Model, nominal_theta};
 use rayon::prelude::*;
 
 /// Rounds of a fit.
@@ -29,7 +28,7 @@ pub struct TipProblem<'a> {
     /// The log.
     pub log: &'a Observed,
     /// The effects.
-    pub catalogue: &'a [Box<dyn Effect>],
+    pub catalogue: &'a [&'static dyn Effect],
     /// The calibration that the log was driven with, from which the recalibration starts.
     pub lines: &'a [Line; 3],
     /// Seed of the bootstrap.
@@ -43,7 +42,7 @@ impl<'a> TipProblem<'a> {
     /// The problem of a log that was driven with the calibration `lines`; `seed` is that of the bootstrap.
     pub fn new(
         log: &'a Observed,
-        catalogue: &'a [Box<dyn Effect>],
+        catalogue: &'a [&'static dyn Effect],
         lines: &'a [Line; 3],
         seed: u64,
     ) -> Self {
@@ -58,17 +57,12 @@ impl<'a> TipProblem<'a> {
         }
     }
 
-    fn model(&self, names: &[&str]) -> Model<'a> {
-        Model::named(self.catalogue, names)
-    }
-
     /// The fits of sets of effects, each from a start of its own.
-    fn fitted<N: AsRef<[&'static str]> + Sync>(&self, sets: &[(N, Vec<f64>)]) -> Vec<Candidate> {
-        let fit = |(names, start): &(N, Vec<f64>)| {
-            let problem = LeastSquares::new(self.log, self.model(names.as_ref()));
-            Candidate::new(&settle(problem, start))
-        };
-        sets.par_iter().map(fit).collect()
+    fn fitted(&self, sets: Vec<(Model, Vec<f64>)>) -> Vec<Candidate> {
+        let problem = |model| LeastSquares::new(self.log, model);
+        let sets = sets.into_par_iter();
+        sets.map(|(model, start)| Candidate::new(&settle(problem(model), &start)))
+            .collect()
     }
 
     /// The most that a sensor's RMSE is above its noise, degrees or °/s.
@@ -78,23 +72,17 @@ impl<'a> TipProblem<'a> {
     }
 
     /// The most promising extensions of a set by one effect, by Schwarz's criterion.
-    fn grown(&self, set: &Candidate, wanted: usize) -> Vec<Candidate> {
-        let seed = LeastSquares::new(self.log, self.model(&set.names));
-        let base = settle(seed, &set.theta);
-        let names = |e: &dyn Effect| [set.names.as_slice(), &[e.name()]].concat();
-        let start = |e: &'a dyn Effect| {
-            let to = LeastSquares::new(self.log, self.model(&names(e)));
-            best_start(&base, &to, e).map(|s| (e, s))
+    fn extensions(&self, set: &Candidate, wanted: usize) -> Vec<Candidate> {
+        let problem = LeastSquares::new(self.log, set.model.clone());
+        let base = settle(problem, &set.theta);
+        let criterion = |(_, s): &(Model, Start)| {
+            let params = s.theta.len() - base.point.theta.len();
+            schwarz(self.log, s.predicted, params)
         };
-        let others = self.catalogue.par_iter().map(AsRef::as_ref);
-        let others = others.filter(|e| !set.names.contains(&e.name()));
-        let mut promising: Vec<(&dyn Effect, Start)> = others.filter_map(start).collect();
-        let criterion =
-            |(e, s): &(&dyn Effect, Start)| schwarz(self.log, s.predicted, e.params().len());
-        promising.sort_by(|a, b| criterion(a).total_cmp(&criterion(b)));
-        let wanted = promising.into_iter().take(wanted);
-        let starts: Vec<_> = wanted.map(|(e, s)| (names(e), s.theta)).collect();
-        self.fitted(&starts)
+        let mut sets = grown(&base, self.catalogue);
+        sets.sort_by(|a, b| criterion(a).total_cmp(&criterion(b)));
+        let sets = sets.into_iter().take(wanted);
+        self.fitted(sets.map(|(model, s)| (model, s.theta)).collect())
     }
 }
 
@@ -107,14 +95,13 @@ impl Search for TipProblem<'_> {
     }
 
     fn singles(&self) -> Vec<Alone> {
-        let single = |e: &dyn Effect| {
-            let (base, to) = (&self.base, LeastSquares::new(self.log, Model::new(&[e])));
-            let start = best_start(base, &to, e).map(|s| s.theta);
+        let single = |e: &&'static dyn Effect| {
+            let (base, to) = (&self.base, LeastSquares::new(self.log, Model::new(&[*e])));
+            let start = best_start(base, &to, *e).map(|s| s.theta);
             let start = start.as_ref().unwrap_or(&base.point.theta);
             alone(base, settle(to, start))
         };
-        let all = self.catalogue.par_iter().map(AsRef::as_ref);
-        all.map(single).collect()
+        self.catalogue.par_iter().map(single).collect()
     }
 
     /// The pairs that are worth a fit: none where no two effects could be claimed, and half as many where the best single leaves less than
@@ -129,37 +116,37 @@ impl Search for TipProblem<'_> {
             left if left > CLAIM_DEG / 2.0 => FITTED.map(|n| n / 2),
             _ => return vec![],
         };
-        let mut out = self.grown(best, extended);
-        let known = |names: &[&str]| out.iter().any(|c| c.names == names);
+        let mut out = self.extensions(best, extended);
         let mut screen = screen(&self.base, self.catalogue, alone);
-        screen.retain(|(names, _)| !known(names));
+        screen.retain(|(model, _)| out.iter().all(|c| c.model != *model));
         screen.truncate(screened);
-        out.extend(self.fitted(&screen));
+        out.extend(self.fitted(screen));
         out
     }
 
     /// The triples that are worth a fit: none where the best pair leaves less than can be claimed.
     fn triples(&self, pair: &Candidate) -> Vec<Candidate> {
         let leaves = self.leaves(&pair.held_out) > CLAIM_DEG;
-        let further = leaves.then(|| self.grown(pair, FITTED[2]));
+        let further = leaves.then(|| self.extensions(pair, FITTED[2]));
         further.unwrap_or_default()
     }
 
     /// The pairs in these triples that have not been fitted.
     fn parts(&self, found: &Candidates<Candidate>, triples: &[Candidate]) -> Vec<Candidate> {
-        let mut missing: Vec<(Vec<&'static str>, Vec<f64>)> = Vec::new();
+        let mut missing: Vec<(Model, Vec<f64>)> = Vec::new();
         for triple in triples {
             for left_out in &triple.names {
-                let mut names = triple.names.clone();
-                names.retain(|n| n != left_out);
-                let (whole, part) = (self.model(&triple.names), self.model(&names));
-                let start = part.extended(&whole, &triple.theta, |_| vec![]);
-                if found.set(&names).is_none() && missing.iter().all(|(known, _)| *known != names) {
-                    missing.push((names, start));
+                let mut effects = triple.model.effects.clone();
+                effects.retain(|e| e.name() != *left_out);
+                let part = Model::new(&effects);
+                let unknown = missing.iter().all(|(known, _)| *known != part);
+                if unknown && found.without(triple, left_out).is_none() {
+                    let start = part.extended(&triple.model, &triple.theta, |_| vec![]);
+                    missing.push((part, start));
                 }
             }
         }
-        self.fitted(&missing)
+        self.fitted(missing)
     }
 }
 

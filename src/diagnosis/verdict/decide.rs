@@ -100,7 +100,8 @@ pub fn decide(
         best
     };
     let (best, p) = most(&mut sets());
-    let kind = VerdictKind::of(Some(best.as_slice()).filter(|_| doubt <= p));
+    let explained = (doubt <= p).then_some(best.as_slice());
+    let kind = VerdictKind::of(explained);
     let effects = 1.0 - doubt - posterior.set(&[]);
     let names = match kind {
         // of an unknown cause, a part may be explained
@@ -239,7 +240,7 @@ mod tests {
                 claim: Claim { names: (s.2 != 31).then(|| names(s.2 & s.0)), unexplained: s.3 },
             };
             let alike = [["delay", "latency"]];
-            let head = Head { common: ["p", "", "", ""], effects: vec![], weights: vec![1.0], conformal: 0.95 };
+            let head = Head { names: vec!["p".to_owned()], weights: vec![1.0], conformal: 0.95 };
             let p = Posterior::new(&head, said.iter().map(statement).collect()).shared(&alike);
             prop_assert!((p.ranked.iter().map(|s| s.1).sum::<f64>() - 1.0).abs() < 1e-9);
             let v = decide(&p, &alike, |_| vec![]);

@@ -5,5 +5,5 @@ pub mod posterior;
 
 pub use decide::{StatementEntry, Verdict, VerdictKind, decide};
 pub use posterior::{
-    Claim, Head, Posterior, Said, Statement, conformal_set, exchanged, probabilities,
+    Claim, Feature, Head, Posterior, Said, Statement, conformal_set, exchanged, probabilities,
 };

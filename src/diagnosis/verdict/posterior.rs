@@ -7,14 +7,14 @@
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-/// Features and their weights, and the level of the sets that are probable together.
+/// A feature by its name, with its value.
+pub type Feature = (&'static str, f64);
+
+/// Weights of features, and the level of the sets that are probable together.
 pub struct Head {
-    /// Names of the common features, with spaces between them: of every statement, of a set, of `none` and of `unknown`.
-    pub common: [&'static str; 4],
-    /// Effects, each of which has a feature, `form_` and its name, for `unknown` where the best set has the effect. A right effect whose law
-    /// has another form leaves something too, more for some effects than for others.
-    pub effects: Vec<&'static str>,
-    /// Weight of each feature, the common ones first.
+    /// Names of the features.
+    pub names: Vec<String>,
+    /// Weight of each feature.
     pub weights: Vec<f64>,
     /// Probability that the statements of a conformal set have together.
     pub conformal: f64,
@@ -29,7 +29,9 @@ struct HeadFile {
 }
 
 impl Head {
-    /// The weights of these features that are a part of the program.
+    /// The weights, a part of the program, of the features `common` and of one for each effect, `form_` and its name. That one is 1 for
+    /// `unknown` where the best set has the effect: a right effect whose law has another form leaves something too, more for some effects
+    /// than for others.
     ///
     /// # Panics
     /// On a text that is not TOML, or names another feature; a test reads each.
@@ -37,41 +39,35 @@ impl Head {
         clippy::expect_used,
         reason = "the text is a part of the program, and a test reads it"
     )]
-    pub fn built_in(text: &str, common: [&'static str; 4], effects: Vec<&'static str>) -> Self {
+    pub fn built_in(text: &str, common: &[&str], effects: &[&str]) -> Self {
         let mut file: HeadFile = toml::from_str(text).expect("a head is TOML");
-        let mut head = Self {
-            common,
-            effects,
-            weights: vec![],
-            conformal: file.conformal,
-        };
+        let common = common.iter().map(|name| (*name).to_owned());
+        let names: Vec<String> = common.chain(effects.iter().map(form)).collect();
         let mut weight = |name: &String| file.weight.remove(name).unwrap_or(0.0);
-        head.weights = head.names().iter().map(&mut weight).collect();
+        let weights = names.iter().map(&mut weight).collect();
         assert!(file.weight.is_empty(), "no features: {:?}", file.weight);
-        head
+        Self {
+            names,
+            weights,
+            conformal: file.conformal,
+        }
     }
 
-    /// Names of all features.
-    pub fn names(&self) -> Vec<String> {
-        let common = self
-            .common
-            .iter()
-            .flat_map(|names| names.split_whitespace());
-        let forms = self.effects.iter().map(|n| format!("form_{n}"));
-        common.map(str::to_owned).chain(forms).collect()
+    /// The values of all features: those of a statement, those of the effects in `best`, and 0 for all others.
+    pub fn features(&self, own: &[Feature], best: &[&str]) -> Vec<f64> {
+        let own = own.iter().map(|(name, value)| ((*name).to_owned(), *value));
+        let forms = best.iter().map(|effect| (form(effect), 1.0));
+        let known: BTreeMap<String, f64> = own.chain(forms).collect();
+        let is_feature = |name: &String| self.names.contains(name);
+        debug_assert!(known.keys().all(is_feature), "no features: {known:?}");
+        let value = |name: &String| known.get(name).copied().unwrap_or(0.0);
+        self.names.iter().map(value).collect()
     }
+}
 
-    /// All features: the common ones, 0 where they are not of the statement, and those of the effects in `best`.
-    pub fn features(&self, common: [&[f64]; 4], best: &[&str]) -> Vec<f64> {
-        let padded = |(names, own): (&&str, &[f64])| {
-            let mut own = own.to_vec();
-            own.resize(names.split_whitespace().count(), 0.0);
-            own
-        };
-        let form = |name: &&str| f64::from(u8::from(best.contains(name)));
-        let common = self.common.iter().zip(common).flat_map(padded);
-        common.chain(self.effects.iter().map(form)).collect()
-    }
+/// Name of the feature of an effect.
+fn form(effect: &&str) -> String {
+    format!("form_{effect}")
 }
 
 /// A statement about a log.
@@ -249,12 +245,12 @@ mod tests {
         let head = |name: &str| {
             Head::built_in(
                 &format!("conformal = 0.9\n[weight]\n{name} = 3.5\n"),
-                ["density", "claim unusual", "", ""],
-                vec!["leak"],
+                &["density", "claim", "unusual"],
+                &["leak"],
             )
         };
         assert_eq!(
-            head("claim").features([&[2.0], &[], &[], &[]], &["leak"]),
+            head("claim").features(&[("density", 2.0)], &["leak"]),
             [2.0, 0.0, 0.0, 1.0]
         );
         assert_eq!(head("claim").weights, [0.0, 3.5, 0.0, 0.0]);

@@ -20,8 +20,7 @@
 //! Another attitude of the base separates it.
 
 use crate::model::effects::prelude::*;
-use crate::model::{Bend, Geometry, Shape};
-use crate::primitives::Mm;
+use crate::model::{Geometry, Shape};
 
 /// Sag under the tip's weight.
 pub struct Gravity;
@@ -51,10 +50,7 @@ impl Effect for Gravity {
 /// Rise of the mass per bend: `up·∂ρ/∂b`.
 fn lift(bend: &Vector2<f64>, up: &Vector3<f64>, lever: f64) -> Vector2<f64> {
     // for a section of unit length: columns ∂x/∂b_x, ∂x/∂b_y, and x itself, which ends in sin β/β
-    let j = Geometry::default().position_jacobian(&Shape {
-        bend: Bend(*bend),
-        length: Mm(1.0),
-    });
+    let j = Geometry::default().position_jacobian(&Shape::new(*bend, 1.0));
     let (sinc, slope_x, slope_y) = (j[(2, 2)], j[(2, 0)], j[(2, 1)]);
     let tip_x = Vector3::new(sinc + bend.x * slope_x, -bend.y * slope_x, -sinc * bend.x);
     let tip_y = Vector3::new(bend.x * slope_y, -sinc - bend.y * slope_y, -sinc * bend.y);
@@ -67,6 +63,7 @@ fn lift(bend: &Vector2<f64>, up: &Vector3<f64>, lever: f64) -> Vector2<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::Bend;
     use crate::model::effects::tests::proof;
 
     #[test]
@@ -82,10 +79,7 @@ mod tests {
     /// Height of the mass above the base, per length: the function whose slope is `lift`.
     fn height(b: Vector2<f64>, up: &Vector3<f64>, lever: f64) -> f64 {
         let tip = Bend(b).rotation().apply(&Vector3::z());
-        let end = Geometry::default().position(&Shape {
-            bend: Bend(b),
-            length: Mm(1.0),
-        });
+        let end = Geometry::default().position(&Shape::new(b, 1.0));
         up.dot(&(tip * lever + end * (2.0 * (1.0 - lever))))
     }
 

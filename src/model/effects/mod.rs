@@ -39,6 +39,7 @@ pub mod transport_delay;
 
 use crate::named;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
+use std::fmt;
 
 named! {
     /// Part of the machine that an effect acts in.
@@ -233,41 +234,54 @@ pub trait Effect: Send + Sync {
     }
 }
 
+impl fmt::Debug for dyn Effect {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// Effects are equal if they have the same name.
+impl PartialEq for dyn Effect {
+    fn eq(&self, other: &Self) -> bool {
+        self.name() == other.name()
+    }
+}
+
 /// The whole catalogue, in the order of the signal and of the published table.
-pub fn catalogue() -> Vec<Box<dyn Effect>> {
-    vec![
-        Box::new(missed_steps::MissedSteps),
-        Box::new(gear_periodic::GearPeriodic),
-        Box::new(leak::Leak),
-        Box::new(gas_compression::GasCompression),
-        Box::new(line_lag::LineLag),
-        Box::new(thermal_drift::ThermalDrift),
-        Box::new(crosstalk::Crosstalk),
-        Box::new(stiffening::Stiffening),
-        Box::new(asymmetry::Asymmetry),
-        Box::new(hysteresis::Hysteresis),
-        Box::new(creep::Creep),
-        Box::new(softening::Softening),
-        Box::new(gravity::Gravity),
-        Box::new(curvature::Curvature),
-        Box::new(clocking::Clocking),
-        Box::new(cable_stiffness::CableStiffness),
-        Box::new(torsion::Torsion),
-        Box::new(contact::Contact),
-        Box::new(gyro_bias::GyroBias),
-        Box::new(accel_bias::AccelBias),
-        Box::new(hard_iron::HardIron),
-        Box::new(motor_field::MotorField),
-        Box::new(mount_misalignment::MountMisalignment),
-        Box::new(transport_delay::TransportDelay),
-        Box::new(sensor_latency::SensorLatency),
-        Box::new(base_motion::BaseMotion),
+pub fn catalogue() -> &'static [&'static dyn Effect] {
+    &[
+        &missed_steps::MissedSteps,
+        &gear_periodic::GearPeriodic,
+        &leak::Leak,
+        &gas_compression::GasCompression,
+        &line_lag::LineLag,
+        &thermal_drift::ThermalDrift,
+        &crosstalk::Crosstalk,
+        &stiffening::Stiffening,
+        &asymmetry::Asymmetry,
+        &hysteresis::Hysteresis,
+        &creep::Creep,
+        &softening::Softening,
+        &gravity::Gravity,
+        &curvature::Curvature,
+        &clocking::Clocking,
+        &cable_stiffness::CableStiffness,
+        &torsion::Torsion,
+        &contact::Contact,
+        &gyro_bias::GyroBias,
+        &accel_bias::AccelBias,
+        &hard_iron::HardIron,
+        &motor_field::MotorField,
+        &mount_misalignment::MountMisalignment,
+        &transport_delay::TransportDelay,
+        &sensor_latency::SensorLatency,
+        &base_motion::BaseMotion,
     ]
 }
 
 /// The effect of that name; `None` if the catalogue has no such effect.
-pub fn by_name(name: &str) -> Option<Box<dyn Effect>> {
-    catalogue().into_iter().find(|e| e.name() == name)
+pub fn by_name(name: &str) -> Option<&'static dyn Effect> {
+    catalogue().iter().copied().find(|e| e.name() == name)
 }
 
 /// Name in the catalogue of an effect or of its variant: what follows a dot is a variant, so `hysteresis.folds` is a hysteresis.

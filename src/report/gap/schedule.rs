@@ -11,16 +11,17 @@ const SHOWN: usize = 8;
 /// What a schedule separates; `out` is its file.
 pub fn summary(out: &Path, request: &Request, d: &Design) -> String {
     let pairs = d.pairs();
-    let within_reach = |p: &&Pair| separable(p.0, p.1, request.tracker);
-    let row = |(a, b, here, standard): &Pair| {
-        let [here, standard] = [here, standard].map(|x| format!("{x:.1} σ"));
-        [(*a).to_owned(), (*b).to_owned(), here, standard]
+    let within_reach = |p: &&Pair| separable(p.names[0], p.names[1], request.tracker);
+    let row = |p: &Pair| {
+        let [a, b] = p.names.map(str::to_owned);
+        let [here, standard] = [p.designed, p.standard].map(|x| format!("{x:.1} σ"));
+        [a, b, here, standard]
     };
     let shown = pairs.iter().filter(within_reach).take(SHOWN);
     let table = table("nearest pairs||here|standard", 2..4, shown.map(row));
-    let near = |p: &&Pair| p.2 < APART || !separable(p.0, p.1, request.tracker);
+    let near = |p: &&Pair| p.designed < APART || !within_reach(p);
     let lost = pairs.iter().filter(near);
-    let lost: Vec<String> = lost.map(|p| format!("{} and {}", p.0, p.1)).collect();
+    let lost: Vec<String> = lost.map(|p| p.names.join(" and ")).collect();
     let lost = match (lost.is_empty(), request.tracker) {
         (true, _) => "the schedule separates every pair in question".to_owned(),
         (false, true) => format!("the schedule does not separate {}", lost.join("; ")),

@@ -110,7 +110,7 @@ fn asked(d: &Diagnosis) -> String {
     }
     let mut all: Vec<&str> = Vec::new();
     for e in d.verdict.names.iter().filter_map(|n| by_name(n)) {
-        let advice = Remedy::of(e.as_ref()).name();
+        let advice = Remedy::of(e).advice();
         if !all.contains(&advice) {
             all.push(advice);
         }

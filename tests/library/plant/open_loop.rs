@@ -6,7 +6,7 @@ use nalgebra::{Matrix2, Vector2, Vector3};
 use retroflex::model::arc::{Geometry, Shape};
 use retroflex::model::bend::Bend;
 use retroflex::model::drive::Drive;
-use retroflex::model::transmission::{Line, Side, SideState, Wanted};
+use retroflex::model::transmission::{Line, Side, SideState};
 use retroflex::primitives::units::Mm;
 use retroflex::simulation::plant::{Output, Plant, PlantConfig};
 
@@ -104,14 +104,8 @@ impl Bench {
             Arm::None => q[i],
             Arm::Extension => lines[i].play_output_mm(q[i]),
             Arm::Backlash => {
-                let (u, next) = Side::Band { band_mm: 0.05 }.invert(
-                    &lines[i],
-                    self.sides[i],
-                    &Wanted {
-                        q_mm: q[i],
-                        dt_s: DT_S,
-                    },
-                );
+                let (u, next) =
+                    Side::Band { band_mm: 0.05 }.invert(&lines[i], self.sides[i], q[i], DT_S);
                 self.sides[i] = next;
                 u
             }

@@ -37,7 +37,7 @@ fn diagnosis_of(name: &'static str, n: usize) -> Diagnosis {
     };
     let logs = question.draw().unwrap();
     let log = Observed::new(&logs.log, &Rig::default()).unwrap();
-    diagnose(&TipProblem::new(&log, &catalogue(), &logs.lines, 1)).document
+    diagnose(&TipProblem::new(&log, catalogue(), &logs.lines, 1)).document
 }
 
 /// Whether the most probable effect is more likely than not, and is `name` or belongs to a stated group with it.
@@ -122,7 +122,7 @@ fn an_imu_on_the_base_explains_the_motion_of_the_base() {
         .unwrap();
         let verdict = |log: &BendLog| {
             let log = Observed::new(log, &Rig::default()).unwrap();
-            diagnose(&TipProblem::new(&log, &catalogue(), &lines, 1))
+            diagnose(&TipProblem::new(&log, catalogue(), &lines, 1))
                 .document
                 .verdict
         };

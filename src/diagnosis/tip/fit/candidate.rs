@@ -2,6 +2,7 @@
 
 use crate::diagnosis::Scored;
 use crate::diagnosis::tip::fit::{BaseFit, CLAIM_DEG, HeldOut, PRIOR_SLOPE, leave_out};
+use crate::model::Model;
 use nalgebra::DMatrix;
 
 /// A set of effects with its fit to the whole log and its scores.
@@ -9,6 +10,8 @@ use nalgebra::DMatrix;
 pub struct Candidate {
     /// Names, in catalogue order.
     pub names: Vec<&'static str>,
+    /// The effects, and the places of their parameters.
+    pub model: Model,
     /// Parameters: nominal, then effects.
     pub theta: Vec<f64>,
     /// Weighted sum of squares without the priors.
@@ -37,6 +40,7 @@ impl Candidate {
         let roots = normal.cholesky().map(|c| c.l().diagonal());
         Self {
             names: model.names(),
+            model: model.clone(),
             theta: theta.clone(),
             cost: fit.point.data(),
             covariance: DMatrix::from_fn(n, n, scaled),

@@ -7,14 +7,11 @@
 //! seen is returned.
 
 use crate::diagnosis::Scored;
-use crate::diagnosis::tip::fit::{
-    BaseFit, Candidate, LeastSquares, Start, best_start, fit, vanishing,
-};
-use crate::diagnosis::tip::model::Model;
+use crate::diagnosis::tip::fit::{BaseFit, Candidate, LeastSquares, Start, fit, grown, vanishing};
 use crate::diagnosis::tip::observed::Observed;
-use crate::model::effects::{Effect, Stage};
+use crate::model::Model;
+use crate::model::effects::{Effect, Stage, catalogue};
 use nalgebra::DVector;
-use rayon::prelude::*;
 
 /// Rounds of a fit.
 const ROUNDS: usize = 8;
@@ -33,31 +30,35 @@ const WALD_MIN: f64 = 2.0 * 40.0;
 const WORSE_MAX: f64 = 1.02;
 
 /// The model that leaves the least on unseen blocks, among those between `nominal` and the whole catalogue.
-pub fn best_predicting(
-    log: &Observed,
-    catalogue: &[Box<dyn Effect>],
-    nominal: &Candidate,
-    chosen: &Candidate,
-) -> Candidate {
-    let used = |e: &&dyn Effect| is_steady(*e) || chosen.names.contains(&e.name());
-    let named: Vec<&dyn Effect> = catalogue.iter().map(AsRef::as_ref).filter(used).collect();
-    let mut base = fitted(log, &named, &start(&named, catalogue, chosen));
+pub fn best_predicting(log: &Observed, nominal: &Candidate, chosen: &Candidate) -> Candidate {
+    // every effect that `from` lacks starts at its vanishing point
+    let fitted = |effects: &[&'static dyn Effect], from: &Candidate| {
+        let model = Model::new(effects);
+        let start = model.extended(&from.model, &from.theta, vanishing);
+        fit(LeastSquares::new(log, model), &start, ROUNDS)
+    };
+    let mut used = catalogue().to_vec();
+    used.retain(|e| is_steady(*e) || chosen.names.contains(&e.name()));
+    let mut base = fitted(&used, chosen);
     let mut all = vec![Candidate::new(&base)];
     for _ in 0..ADDED_MAX {
-        let Some((effects, start)) = promising(log, catalogue, &base) else {
+        let sets = grown(&base, catalogue()).into_iter();
+        let best = sets.min_by(|a, b| a.1.predicted.total_cmp(&b.1.predicted));
+        let promises = |s: &Start| s.predicted < PROMISE * base.point.total();
+        let Some((model, start)) = best.filter(|(_, start)| promises(start)) else {
             break;
         };
-        base = fitted(log, &effects, &start.theta);
+        base = fit(LeastSquares::new(log, model), &start.theta, ROUNDS);
         all.push(Candidate::new(&base));
     }
     let all = all.into_iter();
     let least = all.min_by(|a, b| a.energy().total_cmp(&b.energy()));
     let whole = least.unwrap_or_else(|| chosen.clone());
-    let last = whole.names == base.problem.model.names();
+    let last = whole.model == base.problem.model;
     let spared = if last { weak(&base) } else { vec![] };
-    let mut kept = Model::named(catalogue, &whole.names).effects;
+    let mut kept = whole.model.effects.clone();
     kept.retain(|e| !spared.contains(&e.name()));
-    let reduced = Candidate::new(&fitted(log, &kept, &start(&kept, catalogue, &whole)));
+    let reduced = Candidate::new(&fitted(&kept, &whole));
     let better = reduced.energy() <= WORSE_MAX * whole.energy();
     let best = if better { &reduced } else { &whole };
     let all = [best, nominal, chosen].into_iter();
@@ -72,35 +73,6 @@ fn is_steady(e: &dyn Effect) -> bool {
         && !matches!(info.stage, Stage::Timing | Stage::Base)
         && e.starts().len() <= STARTS_MAX;
     steady && (info.stage != Stage::Sensor || info.params.len() <= PARAMETERS_MAX)
-}
-
-/// The effects of `base` with the one more that promises most, and its starting point.
-fn promising<'a>(
-    log: &'a Observed,
-    catalogue: &'a [Box<dyn Effect>],
-    base: &BaseFit<'a>,
-) -> Option<(Vec<&'a dyn Effect>, Start)> {
-    let known = base.problem.model.names();
-    let tried = |e: &'a dyn Effect| {
-        let names: Vec<&str> = known.iter().copied().chain([e.name()]).collect();
-        let to = LeastSquares::new(log, Model::named(catalogue, &names));
-        best_start(base, &to, e).map(|s| (to.model.effects, s))
-    };
-    let all = catalogue.par_iter().map(Box::as_ref);
-    let fresh = all.filter(|e| !known.contains(&e.name()));
-    let tried = fresh.filter_map(tried);
-    let best = tried.min_by(|a, b| a.1.predicted.total_cmp(&b.1.predicted))?;
-    (best.1.predicted < PROMISE * base.point.total()).then_some(best)
-}
-
-/// Parameters at which the fit of `effects` starts: those of `from`, and the vanishing point of every other effect.
-fn start(effects: &[&dyn Effect], catalogue: &[Box<dyn Effect>], from: &Candidate) -> Vec<f64> {
-    let known = Model::named(catalogue, &from.names);
-    Model::new(effects).extended(&known, &from.theta, vanishing)
-}
-
-fn fitted<'a>(log: &'a Observed, effects: &[&'a dyn Effect], start: &[f64]) -> BaseFit<'a> {
-    fit(LeastSquares::new(log, Model::new(effects)), start, ROUNDS)
 }
 
 /// Effects whose parameters the log does not separate from their vanishing point.

@@ -6,8 +6,9 @@
 //! until a step gains next to nothing; its prediction is a full run.
 
 use crate::diagnosis::tip::fit::{BaseFit, Sums, step, weighted};
-use crate::diagnosis::tip::model::{Model, Motion, Residuals, every_bin, residuals, sense};
+use crate::diagnosis::tip::model::{Motion, Residuals, every_bin, residuals, sense};
 use crate::diagnosis::tip::observed::{BIN_S, Bin, Observed, PerQuantity, Quantity};
+use crate::model::Model;
 use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -190,7 +191,7 @@ pub fn density(log: &Observed, residual: &Residuals, block_s: f64) -> PerQuantit
 }
 
 /// Scores on all bins of a model with these parameters.
-pub fn scored(log: &Observed, model: &Model<'_>, theta: &[f64]) -> HeldOut {
+pub fn scored(log: &Observed, model: &Model, theta: &[f64]) -> HeldOut {
     score(log, residuals(log, model, theta), every_bin)
 }
 

@@ -1,7 +1,8 @@
 //! A model to be fitted to a log: priors, limits and the weighted residuals at a point of its parameter space.
 
-use crate::diagnosis::tip::model::{LAG_MAX_S, Model, Motion, Residuals, every_bin, run, sense};
+use crate::diagnosis::tip::model::{LAG_MAX_S, Motion, Residuals, every_bin, run, sense};
 use crate::diagnosis::tip::observed::Observed;
+use crate::model::Model;
 use crate::model::effects::Param;
 
 /// Slope of the priors, residual per unit of scale. One prior σ is one scale for white residuals; neighbouring bins
@@ -14,7 +15,7 @@ pub struct LeastSquares<'a> {
     /// The log.
     pub log: &'a Observed,
     /// The model.
-    pub model: Model<'a>,
+    pub model: Model,
     /// Prior and limits of each parameter, nominal ones first.
     pub bounds: Vec<Param>,
 }
@@ -46,7 +47,7 @@ impl Point {
 
 impl<'a> LeastSquares<'a> {
     /// The problem of fitting a model to a log.
-    pub fn new(log: &'a Observed, model: Model<'a>) -> Self {
+    pub fn new(log: &'a Observed, model: Model) -> Self {
         let prior = log.rig.prior;
         let (k_epsilon, lag_s) = ((1.0 + prior.k_epsilon).ln(), log.rig.prior_lag_s);
         let mut bounds = vec![Param::new("ln(1 + k_epsilon)", "", k_epsilon, 0.3, (0.0, 2.0)); 3];

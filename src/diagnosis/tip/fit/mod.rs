@@ -17,7 +17,7 @@ pub use forecast::best_predicting;
 pub use holdout::{BLOCKS_S, CLAIM_DEG, HeldOut, closed_ci95, density, leave_out, score, scored};
 pub use least_squares::{LeastSquares, PRIOR_SLOPE, Point, weighted, within};
 pub use screen::{Alone, alone, schwarz, screen};
-pub use start::{Start, best_start, dated_again, stepped, vanishing};
+pub use start::{Start, best_start, dated_again, grown, stepped, vanishing};
 pub use tangent::{BaseFit, Sums, Tangent};
 
 use crate::model::effects::Param;

@@ -7,10 +7,9 @@
 use crate::diagnosis::tip::fit::{
     BaseFit, Candidate, LeastSquares, Start, Sums, Tangent, stepped, within,
 };
-use crate::diagnosis::tip::model::Model;
 use crate::diagnosis::tip::observed::{CORRELATED_S, Observed};
-use crate::model::NOMINAL;
 use crate::model::effects::Effect;
+use crate::model::{Model, NOMINAL};
 use nalgebra::{DMatrix, DVector};
 
 /// The fit of one effect, and what the pairs with it need: the tangent at the fit, without that of the nominal gains, and the change of the
@@ -37,9 +36,9 @@ pub fn schwarz(log: &Observed, squares: f64, params: usize) -> f64 {
 /// All pairs, the most promising first, with parameters from where a fit starts.
 pub fn screen(
     nominal: &BaseFit<'_>,
-    catalogue: &[Box<dyn Effect>],
+    catalogue: &[&'static dyn Effect],
     alone: &[Alone],
-) -> Vec<([&'static str; 2], Vec<f64>)> {
+) -> Vec<(Model, Vec<f64>)> {
     let (mut all, mut at) = (nominal.tangent.clone(), vec![NOMINAL]);
     for (_, own) in alone {
         all.columns.extend_from_slice(&own.columns);
@@ -47,13 +46,13 @@ pub fn screen(
     }
     let sums = all.whole(&nominal.point, nominal.problem.log.bins.len());
     let gram = Gram { sums, at };
-    let mut out: Vec<([&'static str; 2], f64, Start)> = Vec::new();
+    let mut out: Vec<(Model, f64, Start)> = Vec::new();
     for a in 0..alone.len() {
         out.extend((0..a).filter_map(|b| gram.pair(nominal, catalogue, alone, [a, b])));
     }
     out.sort_by(|a, b| a.1.total_cmp(&b.1));
     let out = out.into_iter();
-    out.map(|(names, _, start)| (names, start.theta)).collect()
+    out.map(|(model, _, start)| (model, start.theta)).collect()
 }
 
 /// Products of all columns with each other and with the residuals of the nominal model.
@@ -64,19 +63,18 @@ struct Gram {
 }
 
 impl Gram {
-    /// Names, [`schwarz`], and the start of a fit of two singles.
+    /// The model, [`schwarz`], and the start of a fit of two singles.
     fn pair(
         &self,
         nominal: &BaseFit<'_>,
-        catalogue: &[Box<dyn Effect>],
+        catalogue: &[&'static dyn Effect],
         alone: &[Alone],
         of: [usize; 2],
-    ) -> Option<([&'static str; 2], f64, Start)> {
+    ) -> Option<(Model, f64, Start)> {
         let log = nominal.problem.log;
         let model = Model::named(catalogue, &of.map(|k| alone[k].0.names[0]));
         let problem = LeastSquares::new(log, model);
-        let names: [&'static str; 2] = problem.model.names().try_into().ok()?;
-        let of = match alone[of[0]].0.names[0] == names[0] {
+        let of = match alone[of[0]].0.names == [problem.model.effects[0].name()] {
             true => of,
             false => [of[1], of[0]],
         };
@@ -100,6 +98,6 @@ impl Gram {
         sums.add_prior(&problem, &theta);
         let squares = squares + problem.prior(&theta);
         let start = stepped(&problem, &theta, squares, &sums, nominal)?;
-        Some((names, schwarz(log, start.predicted, n), start))
+        Some((problem.model, schwarz(log, start.predicted, n), start))
     }
 }

@@ -5,10 +5,11 @@
 //! respect to the time of an event; a linear least-squares scan over all times of the log finds it.
 
 use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, Sums, Tangent, step};
-use crate::diagnosis::tip::model::Event;
 use crate::diagnosis::tip::observed::Segment;
 use crate::model::effects::{Effect, Stage};
+use crate::model::{Event, Model};
 use nalgebra::{DVector, Matrix3, Vector3};
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Time to which an event is moved so that its offsets act on the whole log, s after the start: within the rest.
@@ -43,6 +44,18 @@ pub fn best_start(base: &BaseFit<'_>, to: &LeastSquares<'_>, added: &dyn Effect)
     }
     let predicted = starts.iter().filter_map(|s| predict(base, to, s));
     predicted.min_by(|a, b| a.predicted.total_cmp(&b.predicted))
+}
+
+/// The sets with one effect of a catalogue more than a fit, each with its most promising start.
+pub fn grown(base: &BaseFit<'_>, catalogue: &[&'static dyn Effect]) -> Vec<(Model, Start)> {
+    let known = base.problem.model.names();
+    let one = |e: &&'static dyn Effect| {
+        let names = [known.as_slice(), &[e.name()]].concat();
+        let to = LeastSquares::new(base.problem.log, Model::named(catalogue, &names));
+        best_start(base, &to, *e).map(|start| (to.model, start))
+    };
+    let others = catalogue.par_iter().filter(|e| !known.contains(&e.name()));
+    others.filter_map(one).collect()
 }
 
 /// Parameters at which an effect vanishes.
@@ -80,8 +93,8 @@ pub fn stepped(
     })
 }
 
-/// Dates the events of one effect, each while the others stay, so many times, by what their offsets would change from the rest of a log on.
-/// That is found with all of them absent: an event changes little of what another one does.
+/// Dates the events of one effect, each while the others stay, and all of them `rounds` times. What their offsets would change from the rest
+/// of a log on tells the date. It is found with all of them absent: an event changes little of what another one does.
 fn date(problem: &LeastSquares<'_>, theta: &mut [f64], events: &[Event], rounds: usize) {
     let Some(first) = events.first() else { return };
     let (log, mut without) = (problem.log, theta.to_vec());

@@ -4,135 +4,25 @@
 //! signal at its own stage. The lag integrates a straight line between two instants exactly, so a step may be longer
 //! than τ₀. [`mod@crate::diagnosis::tip::model::sense`] turns the motion into readings.
 
-use crate::diagnosis::tip::observed::{Observed, Segment};
-use crate::model::effects::{Effect, Memory, Pose};
-use crate::model::{Bend, Chain, NOMINAL, places};
+use crate::diagnosis::tip::observed::{Observed, Row, Segment, piston_after};
+use crate::model::effects::{Memory, Pose};
+use crate::model::{Bend, Chain, Model};
 use nalgebra::{Matrix3, Vector3};
 use std::borrow::Cow;
-use std::ops::Range;
 
 /// Largest mechanical lag that counts as nominal, s.
 pub const LAG_MAX_S: f64 = 0.05;
 /// Time step assumed at the first instant, s.
 pub const FIRST_STEP_S: f64 = 0.01;
 
-/// A set of effects in catalogue order, and the place of their parameters in the parameter vector θ.
-#[derive(Clone)]
-pub struct Model<'a> {
-    /// The effects.
-    pub effects: Vec<&'a dyn Effect>,
-    /// First parameter of each effect, and one past the last of all.
-    pub at: Vec<usize>,
-}
-
-impl<'a> Model<'a> {
-    /// The nominal model with these effects.
-    pub fn new(effects: &[&'a dyn Effect]) -> Self {
-        Self {
-            effects: effects.to_vec(),
-            at: places(effects),
-        }
-    }
-
-    /// The nominal model with the named effects of a catalogue.
-    pub fn named(catalogue: &'a [Box<dyn Effect>], names: &[&str]) -> Self {
-        let mut effects: Vec<&dyn Effect> = catalogue.iter().map(AsRef::as_ref).collect();
-        effects.retain(|e| names.contains(&e.name()));
-        Self::new(&effects)
-    }
-
-    /// Names of the effects.
-    pub fn names(&self) -> Vec<&'static str> {
-        self.effects.iter().map(|e| e.name()).collect()
-    }
-
-    /// Place of the named effect among those of the model.
-    pub fn position(&self, name: &str) -> Option<usize> {
-        self.effects.iter().position(|e| e.name() == name)
-    }
-
-    /// Parameters of effect `i`.
-    pub fn of<'p, T>(&self, theta: &'p [T], i: usize) -> &'p [T] {
-        &theta[self.place(i)]
-    }
-
-    /// Place of the parameters of effect `i`.
-    pub fn place(&self, i: usize) -> Range<usize> {
-        self.at[i]..self.at[i + 1]
-    }
-
-    /// Effects with their parameters.
-    pub fn each<'p>(
-        &'p self,
-        theta: &'p [f64],
-    ) -> impl Iterator<Item = (&'a dyn Effect, &'p [f64])> {
-        let effects = self.effects.iter().enumerate();
-        effects.map(move |(i, e)| (*e, self.of(theta, i)))
-    }
-
-    /// Parameters of this model from those of another one: shared effects keep theirs, a new effect takes those of `fresh`.
-    pub fn extended(
-        &self,
-        from: &Model<'_>,
-        theta: &[f64],
-        fresh: impl Fn(&dyn Effect) -> Vec<f64>,
-    ) -> Vec<f64> {
-        let mut out = theta[..NOMINAL].to_vec();
-        for e in &self.effects {
-            match from.position(e.name()) {
-                Some(i) => out.extend_from_slice(from.of(theta, i)),
-                None => out.extend(fresh(*e)),
-            }
-        }
-        out
-    }
-
-    /// Events of all effects.
-    pub fn all_events(&self) -> impl Iterator<Item = Event> {
-        (0..self.effects.len()).flat_map(|i| self.events(i))
-    }
-
-    /// Events of effect `i`, which has one group of parameters per event.
-    pub fn events(&self, i: usize) -> impl Iterator<Item = Event> + use<> {
-        let (e, first) = (self.effects[i], self.at[i]);
-        let events = e.info().events;
-        let size = e.params().len() / events.max(1);
-        (0..events).map(move |k| {
-            let from = first + k * size;
-            Event {
-                time: from,
-                lasting: (size > 4).then_some(from + 1),
-                offsets: std::array::from_fn(|i| from + size - 3 + i),
-            }
-        })
-    }
-
-    /// Whether parameter `j` changes only the readings, not the motion.
-    pub fn sensing_only(&self, j: usize) -> bool {
-        let mut effects = self.effects.iter().enumerate();
-        effects.any(|(i, e)| self.place(i).contains(&j) && e.sensing_only())
-    }
-}
-
 /// Tip in the base frame, instant by instant; zero at instants that no sensor samples.
 pub type Motion = Vec<Matrix3<f64>>;
-
-/// One event of an effect that happens once: indices in θ of its time, of its duration if it has one, and of its offsets.
-#[derive(Debug, Clone, Copy)]
-pub struct Event {
-    /// Time, s after the start of the first log.
-    pub time: usize,
-    /// Duration, s.
-    pub lasting: Option<usize>,
-    /// Offsets of the three channels or axes.
-    pub offsets: [usize; 3],
-}
 
 /// Parameters as a segment has them: the times of its own events count from its start, and other segments' events are absent.
 pub fn parameters<'p>(
     log: &Observed,
     segment: &Segment,
-    model: &Model<'_>,
+    model: &Model,
     theta: &'p [f64],
 ) -> Cow<'p, [f64]> {
     if log.segments.len() == 1 {
@@ -152,8 +42,8 @@ pub fn parameters<'p>(
 }
 
 /// Runs the model through the whole log.
-pub fn run(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Motion {
-    let mut out = Vec::with_capacity(log.t_s.len());
+pub fn run(log: &Observed, model: &Model, theta: &[f64]) -> Motion {
+    let mut out = Vec::with_capacity(log.instants.len());
     for segment in &log.segments {
         let own = parameters(log, segment, model, theta);
         append(log, segment, model, &own, &mut out);
@@ -168,34 +58,37 @@ pub fn run(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Motion {
 }
 
 /// Appends the motion of one segment, which starts at rest.
-fn append(log: &Observed, segment: &Segment, model: &Model<'_>, theta: &[f64], out: &mut Motion) {
+fn append(log: &Observed, segment: &Segment, model: &Model, theta: &[f64], out: &mut Motion) {
     let lag_s = theta[6].max(1e-3);
     let behind_s: f64 = model.each(theta).map(|(e, p)| e.transport_s(p)).sum();
     // a late sensor also samples between the middles of bins
     let every = model.each(theta).any(|(e, p)| e.latency_s(p) > 0.0);
-    let chain = Chain::new(log.rig.geometry, &model.effects, &model.at, theta);
+    let chain = Chain::new(log.rig.geometry, model, theta);
     let mut memory = vec![Memory::default(); model.effects.len()];
     let mut at = chain.moment(segment.up_base, FIRST_STEP_S);
     // the pistons as counted a dead time ago; called with increasing instants
     let mut row = segment.rows.start;
-    let mut counted_mm = |k: usize| {
+    let mut counted_mm = |now: &Row| {
         if behind_s <= 0.0 {
-            return log.piston_mm[k];
+            return now.piston_mm;
         }
-        let (rows, t) = (&log.rows, log.t_s[k] - behind_s);
-        while rows.t_s.get(row + 1).is_some_and(|&next| next <= t) {
+        let t_s = now.t_s - behind_s;
+        while log.rows.get(row + 1).is_some_and(|next| next.t_s <= t_s) {
             row += 1;
         }
-        rows.piston_after(row, t)
+        piston_after(&log.rows, row, t_s)
     };
     let (mut w, mut lagged, mut before) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
     let (mut keep, mut keep_dt) = (0.0, -1.0);
-    let first = segment.instants.start;
-    let step_s = |k: usize| log.t_s[k] - log.t_s[k - 1];
+    let mut middles = log.bins[segment.bins.clone()].iter().peekable();
+    let mut last_s = None;
     for k in segment.instants.clone() {
-        let dt_s = if k == first { FIRST_STEP_S } else { step_s(k) };
-        (at.t_s, at.dt_s) = (log.t_s[k] - segment.start_s, dt_s);
-        (at.counted_mm, at.idle_s) = (counted_mm(k), log.idle_s[k]);
+        let now = &log.instants[k];
+        let dt_s = last_s
+            .replace(now.t_s)
+            .map_or(FIRST_STEP_S, |last_s: f64| now.t_s - last_s);
+        (at.t_s, at.dt_s) = (now.t_s - segment.start_s, dt_s);
+        (at.counted_mm, at.idle_s) = (counted_mm(now), now.idle_s);
         if (dt_s - keep_dt).abs() > 1e-7 {
             (keep, keep_dt) = ((-dt_s / lag_s).exp(), dt_s);
         }
@@ -205,7 +98,8 @@ fn append(log: &Observed, segment: &Segment, model: &Model<'_>, theta: &[f64], o
         let behind = (q - before) * (lag_s / dt_s);
         lagged = q - behind + (lagged - before + behind) * keep;
         before = q;
-        out.push(match every || log.middle[k] {
+        let middle = middles.next_if(|bin| bin.at == k).is_some();
+        out.push(match every || middle {
             true => orientation(&chain.pose(&mut memory, &at, &lagged)),
             false => Matrix3::zeros(),
         });

@@ -3,5 +3,5 @@
 pub mod chain;
 pub mod sense;
 
-pub use chain::{Event, FIRST_STEP_S, LAG_MAX_S, Model, Motion, parameters, run};
+pub use chain::{FIRST_STEP_S, LAG_MAX_S, Motion, parameters, run};
 pub use sense::{Residuals, every_bin, residuals, sense};

@@ -3,10 +3,11 @@
 //! Gravity and field in the base frame and the constant gyroscope bias enter linearly. Every evaluation solves them
 //! (variable projection, Golub & Pereyra 1973) from the bins that a mask selects.
 
-use crate::diagnosis::tip::model::{FIRST_STEP_S, Model, Motion, parameters, run};
+use crate::diagnosis::tip::model::{FIRST_STEP_S, Motion, parameters, run};
 use crate::diagnosis::tip::observed::{
     Bin, G_M_S2, Observed, PerQuantity, Quantity, Segment, between,
 };
+use crate::model::Model;
 use crate::model::effects::{ImuPrediction, Memory, Moment, Stage};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
@@ -26,7 +27,7 @@ pub fn every_bin(_: usize) -> bool {
 /// Residuals of a motion; gravity, field and gyroscope bias of each log are solved on the bins that `mask` selects.
 pub fn sense(
     log: &Observed,
-    model: &Model<'_>,
+    model: &Model,
     theta: &[f64],
     motion: &Motion,
     mask: impl Fn(usize) -> bool,
@@ -49,7 +50,7 @@ pub fn sense(
 }
 
 /// Residuals of the motion with these parameters, with every bin selected.
-pub fn residuals(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Residuals {
+pub fn residuals(log: &Observed, model: &Model, theta: &[f64]) -> Residuals {
     sense(log, model, theta, &run(log, model, theta), every_bin)
 }
 
@@ -58,7 +59,7 @@ struct Part<'a> {
     log: &'a Observed,
     segment: &'a Segment,
     bins: &'a [Bin],
-    model: &'a Model<'a>,
+    model: &'a Model,
     theta: &'a [f64],
     motion: &'a Motion,
     mask: &'a dyn Fn(usize) -> bool,
@@ -86,16 +87,22 @@ impl Part<'_> {
         }
     }
 
+    /// The bins that the mask selects.
+    fn selected(&self) -> impl Iterator<Item = (usize, &Bin)> {
+        let bins = self.bins.iter().enumerate();
+        bins.filter(|(k, _)| (self.mask)(*k))
+    }
+
     fn moment(&self, row: usize, t_s: f64) -> Moment {
         let Observed { rig, rows, .. } = self.log;
         Moment {
             t_s: t_s - self.segment.start_s,
             dt_s: FIRST_STEP_S,
-            counted_mm: rows.piston_mm[row],
+            counted_mm: rows[row].piston_mm,
             up_base: self.segment.up_base,
             k_epsilon: Vector3::repeat(rig.prior.k_epsilon),
             r_mm: rig.geometry.r_mm,
-            idle_s: rows.idle_s[row],
+            idle_s: rows[row].idle_s,
         }
     }
 
@@ -134,19 +141,22 @@ impl Imu {
         let mount = Some(mount).filter(|m| m.angle() > 0.0).map(matrix);
         let base_moves = model.effects.iter().any(|e| e.stage() == Stage::Base);
         // the motion as a late sensor samples it; called with increasing instants
-        let (motion, times) = (part.motion, &part.log.t_s);
+        let (motion, instants) = (part.motion, &part.log.instants);
         let mut a = part.segment.instants.start;
         let mut sampled = |k: usize| {
             if behind_s <= 0.0 {
                 return motion[k];
             }
-            let t = times[k] - behind_s;
-            while a + 1 < k && times[a + 1] <= t {
+            let t = instants[k].t_s - behind_s;
+            while a + 1 < k && instants[a + 1].t_s <= t {
                 a += 1;
             }
-            let b = (a + 1).min(times.len() - 1);
+            let b = (a + 1).min(instants.len() - 1);
             let share = match b > a {
-                true => ((t - times[a]) / (times[b] - times[a])).clamp(0.0, 1.0),
+                true => {
+                    let (from, to) = (instants[a].t_s, instants[b].t_s);
+                    ((t - from) / (to - from)).clamp(0.0, 1.0)
+                }
                 false => 0.0,
             };
             motion[a] * (1.0 - share) + motion[b] * share
@@ -171,12 +181,7 @@ impl Imu {
     /// Gravity (of known length), field and gyroscope bias that fit best.
     fn solve(&self, part: &Part<'_>) -> Readings {
         let (mut sum, mut weight) = (Readings::default(), [1e-12; 2]);
-        for (k, bin) in part
-            .bins
-            .iter()
-            .enumerate()
-            .filter(|(k, _)| (part.mask)(*k))
-        {
+        for (k, bin) in part.selected() {
             let [_, acc, mag, gyr] = bin.weight.0.map(|x| x * x);
             if acc > 0.0 {
                 sum.acc += self.tip[k] * (bin.acc - self.change[k].acc) * acc;
@@ -210,8 +215,10 @@ impl Imu {
     /// Age of the gyroscope samples, s, within what sampling explains.
     fn rate_age_s(&self, part: &Part<'_>, bias: &Vector3<f64>) -> f64 {
         let (mut up, mut down) = (0.0, 1e-12);
-        let used = |(k, b): &(usize, &Bin)| (part.mask)(*k) && b.weight[Quantity::Gyro] > 0.0;
-        for (k, bin) in part.bins.iter().enumerate().filter(used) {
+        let rates = part
+            .selected()
+            .filter(|(_, b)| b.weight[Quantity::Gyro] > 0.0);
+        for (k, bin) in rates {
             let (slope, w) = (self.rate_slope(part, k), bin.weight[Quantity::Gyro].powi(2));
             up -= w * slope.dot(&(bin.gyr - self.change[k].gyr - self.rate[k] - bias));
             down += w * slope.norm_squared();
@@ -253,7 +260,7 @@ impl Imu {
 fn rows_of(log: &Observed, bin: &Bin, follows_motors: bool) -> std::ops::Range<usize> {
     let (from, to) = bin.rows;
     let moving =
-        || log.rows.piston_mm[from] != log.rows.piston_mm[to - 1] || bin.idle_s < bin.lasting_s;
+        || log.rows[from].piston_mm != log.rows[to - 1].piston_mm || bin.idle_s < bin.lasting_s;
     let middle = (from + to - 1) / 2;
     match follows_motors && moving() {
         true => from..to,

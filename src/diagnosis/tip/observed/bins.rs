@@ -51,56 +51,50 @@ pub struct Bin {
     pub speed_mm_s: f64,
 }
 
-/// Pistons row by row.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Rows {
-    /// Times, s.
-    pub t_s: Vec<f64>,
+/// The pistons at one time.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Row {
+    /// Time, s.
+    pub t_s: f64,
     /// Counted pistons, mm.
-    pub piston_mm: Vec<Vector3<f64>>,
+    pub piston_mm: Vector3<f64>,
     /// Time since a piston last moved, s.
-    pub idle_s: Vec<f64>,
+    pub idle_s: f64,
 }
 
-impl Rows {
-    /// The rows of a log.
-    pub fn new(log: &BendLog) -> Self {
-        let mut idle_s = vec![IDLE_BEFORE_S];
-        for k in 1..log.t_s.len() {
-            idle_s.push(match log.piston_mm[k] == log.piston_mm[k - 1] {
-                true => idle_s[k - 1] + log.t_s[k] - log.t_s[k - 1],
+/// The rows of a log.
+pub fn rows(log: &BendLog) -> Vec<Row> {
+    let mut out: Vec<Row> = Vec::with_capacity(log.t_s.len());
+    for (&t_s, &piston_mm) in log.t_s.iter().zip(&log.piston_mm) {
+        let idle_s = out
+            .last()
+            .map_or(IDLE_BEFORE_S, |last| match piston_mm == last.piston_mm {
+                true => last.idle_s + t_s - last.t_s,
                 false => 0.0,
             });
-        }
-        Self {
-            t_s: log.t_s.clone(),
-            piston_mm: log.piston_mm.clone(),
+        out.push(Row {
+            t_s,
+            piston_mm,
             idle_s,
-        }
+        });
     }
+    out
+}
 
-    /// Appends later rows.
-    pub fn append(&mut self, mut later: Self) {
-        self.t_s.append(&mut later.t_s);
-        self.piston_mm.append(&mut later.piston_mm);
-        self.idle_s.append(&mut later.idle_s);
-    }
+/// Whether a piston starts, stops or reverses at row `k`, which has neighbours.
+pub fn turns(rows: &[Row], k: usize) -> bool {
+    let [before, after] = [k - 1, k].map(|k| rows[k + 1].piston_mm - rows[k].piston_mm);
+    let mut lines = before.iter().zip(&after);
+    lines.any(|(a, b)| a * b <= 0.0 && a != b)
+}
 
-    /// Whether a piston starts, stops or reverses at a row that has neighbours.
-    pub fn turns(&self, k: usize) -> bool {
-        let [before, after] = [k - 1, k].map(|k| self.piston_mm[k + 1] - self.piston_mm[k]);
-        let mut lines = before.iter().zip(&after);
-        lines.any(|(a, b)| a * b <= 0.0 && a != b)
-    }
-
-    /// Counted pistons at time `t_s`, interpolated linearly between rows `k` and `k + 1`.
-    pub fn piston_after(&self, k: usize, t_s: f64) -> Vector3<f64> {
-        let Some(next) = self.t_s.get(k + 1) else {
-            return self.piston_mm[k];
-        };
-        let share = ((t_s - self.t_s[k]) / (next - self.t_s[k])).clamp(0.0, 1.0);
-        self.piston_mm[k].lerp(&self.piston_mm[k + 1], share)
-    }
+/// Counted pistons at time `t_s`, interpolated linearly between rows `k` and `k + 1`.
+pub fn piston_after(rows: &[Row], k: usize, t_s: f64) -> Vector3<f64> {
+    let (here, Some(next)) = (rows[k], rows.get(k + 1)) else {
+        return rows[k].piston_mm;
+    };
+    let share = ((t_s - here.t_s) / (next.t_s - here.t_s)).clamp(0.0, 1.0);
+    here.piston_mm.lerp(&next.piston_mm, share)
 }
 
 /// Mean of the values that are not missing.
@@ -114,7 +108,8 @@ fn mean_or_nan(values: impl Iterator<Item = Vector3<f64>>) -> Vector3<f64> {
     mean(values).unwrap_or(Vector3::repeat(f64::NAN))
 }
 
-/// The log averaged down to about 100 Hz if it is faster than 120 Hz; the pistons keep their last count.
+/// The log averaged down to about 100 Hz if it is faster than 120 Hz, without the columns that no diagnosis reads; the pistons keep their last
+/// count.
 pub fn thinned(log: &BendLog) -> Cow<'_, BendLog> {
     let rate = (log.t_s.len() - 1) as f64 / (log.t_s[log.t_s.len() - 1] - log.t_s[0]);
     let by = (rate / 100.0).round() as usize;
@@ -123,12 +118,10 @@ pub fn thinned(log: &BendLog) -> Cow<'_, BendLog> {
     }
     let group = |g| (g * by, (g + 1) * by);
     let groups: Vec<(usize, usize)> = (0..log.t_s.len() / by).map(group).collect();
-    let last = |v: &[Vector3<f64>]| groups.iter().map(|g| v[g.1 - 1]).collect::<Vec<_>>();
     let average = |v: &[Vector3<f64>]| {
         let of = |g: &(usize, usize)| mean_or_nan(v[g.0..g.1].iter().copied());
         groups.iter().map(of).collect::<Vec<_>>()
     };
-    let ends = |v: &Vec<f64>| groups.iter().map(|g| v[g.1 - 1]).collect::<Vec<f64>>();
     let middles = |r: &Vec<_>| groups.iter().map(|g| r[(g.0 + g.1) / 2]).collect();
     let imu = |i: &ImuColumns| ImuColumns {
         acc: average(&i.acc),
@@ -136,16 +129,13 @@ pub fn thinned(log: &BendLog) -> Cow<'_, BendLog> {
         mag: average(&i.mag),
     };
     Cow::Owned(BendLog {
-        t_s: ends(&log.t_s),
-        command: last(&log.command),
-        piston_mm: last(&log.piston_mm),
+        t_s: groups.iter().map(|g| log.t_s[g.1 - 1]).collect(),
+        piston_mm: groups.iter().map(|g| log.piston_mm[g.1 - 1]).collect(),
         imu: log.imu.as_ref().map(imu),
         base: log.base.as_ref().map(imu),
         reference: log.reference.as_ref().map(middles),
-        pressure_kpa: log.pressure_kpa.as_ref().map(|p| average(p)),
-        temp_c: log.temp_c.as_ref().map(ends),
         file: log.file.clone(),
-        ignored: log.ignored.clone(),
+        ..BendLog::default()
     })
 }
 
@@ -171,14 +161,14 @@ pub fn compared(bins: Vec<Bin>) -> Vec<Bin> {
 }
 
 /// Bins of a log, without weights.
-pub fn bins(log: &BendLog, rows: &Rows) -> Vec<Bin> {
+pub fn bins(log: &BendLog, rows: &[Row]) -> Vec<Bin> {
     let mut out: Vec<Bin> = Vec::new();
     let (mut from, mut middle) = (0, 0);
     while from < log.t_s.len() {
-        let long = rows.idle_s[from] > HOLD_AFTER_S && rows.t_s[from] - rows.t_s[0] > 1.0;
+        let long = rows[from].idle_s > HOLD_AFTER_S && rows[from].t_s - rows[0].t_s > 1.0;
         let until = log.t_s[from] + if long { HOLD_BIN_S } else { BIN_S } - 1e-6;
         // a long bin ends where the motion begins
-        let ends = |k: usize| log.t_s[k] >= until || (long && rows.idle_s[k] == 0.0);
+        let ends = |k: usize| log.t_s[k] >= until || (long && rows[k].idle_s == 0.0);
         let to = (from + 1..log.t_s.len()).find(|&k| ends(k));
         let to = to.unwrap_or(log.t_s.len());
         out.push(bin(log, rows, (from, to), middle));
@@ -189,7 +179,7 @@ pub fn bins(log: &BendLog, rows: &Rows) -> Vec<Bin> {
 }
 
 /// One bin; its rate is averaged from row `since`, the middle of the bin before, to its own middle.
-fn bin(log: &BendLog, rows: &Rows, (from, to): (usize, usize), since: usize) -> Bin {
+fn bin(log: &BendLog, rows: &[Row], (from, to): (usize, usize), since: usize) -> Bin {
     let nan = Vector3::repeat(f64::NAN);
     let of = |pick: fn(&ImuColumns) -> &Vec<Vector3<f64>>| {
         let mean = |i| mean_or_nan(pick(i)[from..to].iter().copied());
@@ -198,10 +188,11 @@ fn bin(log: &BendLog, rows: &Rows, (from, to): (usize, usize), since: usize) -> 
     let tracked = log.reference.as_ref().map_or(&[][..], |r| &r[from..to]);
     let seen = tracked.iter().flatten();
     let seen: Vec<Matrix3<f64>> = seen.map(|q| q.to_rotation_matrix().into_inner()).collect();
+    // of no orientations, the mean is not a number
     let reference = seen.iter().sum::<Matrix3<f64>>() / seen.len() as f64;
     let step_s = (log.t_s[to - 1] - log.t_s[from]) / (to - from).max(2).saturating_sub(1) as f64;
     let speed = |k: usize| {
-        (rows.piston_mm[k] - rows.piston_mm[k - 1]).amax() / (rows.t_s[k] - rows.t_s[k - 1])
+        (rows[k].piston_mm - rows[k - 1].piston_mm).amax() / (rows[k].t_s - rows[k - 1].t_s)
     };
     // trapezoids: both ends at half weight
     let rate = |i: &ImuColumns| {
@@ -220,7 +211,7 @@ fn bin(log: &BendLog, rows: &Rows, (from, to): (usize, usize), since: usize) -> 
         mag: of(|i| &i.mag),
         gyr: log.imu.as_ref().map_or(nan, rate),
         base: Matrix3::identity(),
-        idle_s: rows.idle_s[to - 1],
+        idle_s: rows[to - 1].idle_s,
         speed_mm_s: (from.max(1)..to).map(speed).fold(0.0, f64::max),
         ..Bin::default()
     }

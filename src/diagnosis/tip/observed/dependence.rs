@@ -123,9 +123,9 @@ fn regressed(
 fn motion(log: &Observed) -> Vec<[Vector3<f64>; 2]> {
     let (mut side, mut recent_mm) = (Vector3::zeros(), Vector3::zeros());
     let first = log.bins.first();
-    let mut before = first.map_or_else(Vector3::zeros, |b| log.piston_mm[b.at]);
+    let mut before = first.map_or_else(Vector3::zeros, |b| log.instants[b.at].piston_mm);
     let one = |bin: &Bin| {
-        let moved = log.piston_mm[bin.at] - before;
+        let moved = log.instants[bin.at].piston_mm - before;
         before += moved;
         side = side.zip_map(&moved, |s: f64, m| if m == 0.0 { s } else { m.signum() });
         recent_mm = recent_mm * (-bin.lasting_s / MEMORY_S).exp() + moved;
@@ -143,7 +143,8 @@ fn inputs(
     [side, recent_mm]: &[Vector3<f64>; 2],
     residual: &Vector3<f64>,
 ) -> Inputs {
-    let (bin, u) = (&log.bins[k], log.piston_mm[log.bins[k].at]);
+    let bin = &log.bins[k];
+    let u = log.instants[bin.at].piston_mm;
     let t = (bin.t_s - log.start_s()) / log.duration_s() * 2.0 - 1.0;
     let read = || reading(log, q, k).unwrap_or_default();
     let power = |n| Vector3::new(t.powi(n), t.powi(n + 1), t.powi(n + 2));
@@ -191,7 +192,7 @@ fn reading(log: &Observed, q: Quantity, k: usize) -> Option<Vector3<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::tip::observed::PerQuantity;
+    use crate::diagnosis::tip::observed::{PerQuantity, Row};
 
     /// A gyroscope in motion for four minutes, whose residual is `law` of the reading and the time (s) and some noise.
     fn strongest(law: impl Fn(Vector3<f64>, f64) -> Vector3<f64>) -> Depends {
@@ -219,8 +220,12 @@ mod tests {
                 at: k as usize,
                 ..Bin::default()
             });
-            log.piston_mm.push(Vector3::zeros());
-            log.rows.t_s.push(t_s);
+            let row = Row {
+                t_s,
+                ..Row::default()
+            };
+            log.instants.push(row);
+            log.rows.push(row);
             residual[Quantity::Gyro].push(left);
         }
         dependences(&log, &residual)

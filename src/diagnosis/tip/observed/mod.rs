@@ -9,13 +9,13 @@ pub mod dependence;
 pub mod quantity;
 pub mod refuse;
 
-pub use bins::{BIN_S, Bin, G_M_S2, between};
+pub use bins::{BIN_S, Bin, G_M_S2, Row, between, piston_after};
 pub use dependence::{Depends, dependences};
 pub use quantity::{PerQuantity, Quantity};
 pub use refuse::ObserveError;
 
 use crate::diagnosis::tip::Rig;
-use crate::diagnosis::tip::observed::bins::{Rows, bins, compared, mean, noise, thinned};
+use crate::diagnosis::tip::observed::bins::{bins, compared, mean, noise, rows, thinned, turns};
 use crate::diagnosis::tip::observed::refuse::refuse;
 use crate::estimation::fusion::align::AlignConfig;
 use crate::estimation::fusion::base::{BaseConfig, BaseTracker};
@@ -73,16 +73,10 @@ pub struct Segment {
 pub struct Observed {
     /// The machine.
     pub rig: Rig,
-    /// Instants at which the model runs, s.
-    pub t_s: Vec<f64>,
-    /// Counted pistons at the instants, mm.
-    pub piston_mm: Vec<Vector3<f64>>,
-    /// Time since a piston last moved at the instants, s.
-    pub idle_s: Vec<f64>,
-    /// Whether an instant is the middle of a bin.
-    pub middle: Vec<bool>,
+    /// Instants at which the model runs: the middles of the bins among them.
+    pub instants: Vec<Row>,
     /// The logs' own rows.
-    pub rows: Rows,
+    pub rows: Vec<Row>,
     /// Bins.
     pub bins: Vec<Bin>,
     /// Which quantities are logged.
@@ -131,10 +125,10 @@ impl Observed {
         self.has = PerQuantity::from_fn(|q| self.has[q] || other.has[q]);
         let start_s = self.start_s() + ((self.duration_s() / APART_S).ceil() + 1.0) * APART_S;
         let later_s = start_s - other.start_s();
-        let (rows, instants, bins) = (self.rows.t_s.len(), self.t_s.len(), self.bins.len());
-        let starts = other.segments.iter_mut().map(|s| &mut s.start_s);
-        let times = other.t_s.iter_mut().chain(&mut other.rows.t_s);
-        times.chain(starts).for_each(|t_s| *t_s += later_s);
+        let (rows, instants, bins) = (self.rows.len(), self.instants.len(), self.bins.len());
+        for row in other.rows.iter_mut().chain(&mut other.instants) {
+            row.t_s += later_s;
+        }
         for bin in &mut other.bins {
             bin.t_s += later_s;
             bin.at += instants;
@@ -142,15 +136,13 @@ impl Observed {
         }
         let after = |range: &mut Range<usize>, n| *range = range.start + n..range.end + n;
         for s in &mut other.segments {
+            s.start_s += later_s;
             after(&mut s.rows, rows);
             after(&mut s.instants, instants);
             after(&mut s.bins, bins);
         }
-        self.t_s.append(&mut other.t_s);
-        self.piston_mm.append(&mut other.piston_mm);
-        self.idle_s.append(&mut other.idle_s);
-        self.middle.append(&mut other.middle);
-        self.rows.append(other.rows);
+        self.rows.append(&mut other.rows);
+        self.instants.append(&mut other.instants);
         self.bins.append(&mut other.bins);
         self.segments.append(&mut other.segments);
     }
@@ -162,7 +154,7 @@ impl Observed {
     pub fn new(log: &BendLog, rig: &Rig) -> Result<Self, ObserveError> {
         refuse(log)?;
         let log = &*thinned(log);
-        let rows = Rows::new(log);
+        let rows = rows(log);
         let mut bins = bins(log, &rows);
         let moving = bins.iter().position(|b| b.speed_mm_s > 0.0);
         let rest = moving.unwrap_or(bins.len()).max(1);
@@ -179,7 +171,7 @@ impl Observed {
             ..Self::default()
         };
         o.place_instants();
-        let (rows, instants, bins) = (0..o.rows.t_s.len(), 0..o.t_s.len(), 0..o.bins.len());
+        let (rows, instants, bins) = (0..o.rows.len(), 0..o.instants.len(), 0..o.bins.len());
         o.segments.push(Segment {
             file: log.file.clone(),
             start_s: o.start_s(),
@@ -204,27 +196,23 @@ impl Observed {
             let bin = self.bins[k];
             let row = (bin.rows.0 + bin.rows.1 - 1) / 2;
             let skipped = k > 0 && bin.rows.0 > self.bins[k - 1].rows.1;
-            if self.rows.idle_s[row] < self.rows.t_s[row] - self.rows.t_s[before] {
-                for between in before + 1..row {
-                    let t_s = self.rows.t_s[between];
-                    let last_s = self.t_s.last().copied().unwrap_or(f64::NEG_INFINITY);
-                    let near = !skipped || bin.t_s - t_s < AHEAD_S;
-                    if near || t_s - last_s >= SPARSE_S || self.rows.turns(between) {
-                        self.push_instant(t_s, self.rows.piston_mm[between], between, false);
+            if self.rows[row].idle_s < self.rows[row].t_s - self.rows[before].t_s {
+                for (k, between) in self.rows.iter().enumerate().take(row).skip(before + 1) {
+                    let last_s = self.instants.last().map_or(f64::NEG_INFINITY, |i| i.t_s);
+                    let near = !skipped || bin.t_s - between.t_s < AHEAD_S;
+                    if near || between.t_s - last_s >= SPARSE_S || turns(&self.rows, k) {
+                        self.instants.push(*between);
                     }
                 }
             }
-            self.bins[k].at = self.t_s.len();
-            self.push_instant(bin.t_s, self.rows.piston_after(row, bin.t_s), row, true);
+            self.bins[k].at = self.instants.len();
+            self.instants.push(Row {
+                t_s: bin.t_s,
+                piston_mm: piston_after(&self.rows, row, bin.t_s),
+                idle_s: self.rows[row].idle_s,
+            });
             before = row;
         }
-    }
-
-    fn push_instant(&mut self, t_s: f64, piston_mm: Vector3<f64>, row: usize, middle: bool) {
-        self.middle.push(middle);
-        self.t_s.push(t_s);
-        self.piston_mm.push(piston_mm);
-        self.idle_s.push(self.rows.idle_s[row]);
     }
 
     /// Sets the weights of all bins and which quantities are logged.
@@ -276,19 +264,20 @@ impl Observed {
 
     /// Time from the first row of the first log to the last row of the last, s.
     pub fn duration_s(&self) -> f64 {
-        self.rows.t_s.last().copied().unwrap_or(0.0) - self.start_s()
+        self.rows.last().map_or(0.0, |row| row.t_s) - self.start_s()
     }
 
     /// Time of the first row, s.
     pub fn start_s(&self) -> f64 {
-        self.rows.t_s.first().copied().unwrap_or(0.0)
+        self.rows.first().map_or(0.0, |row| row.t_s)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::tip::model::{Model, run};
+    use crate::diagnosis::tip::model::run;
+    use crate::model::Model;
     use crate::model::effects::{Effect, catalogue};
     use crate::model::{Line, nominal_theta};
     use rand::rngs::StdRng;
@@ -315,14 +304,14 @@ mod tests {
             log.t_s.push(f64::from(k) * 0.02);
             log.piston_mm.push(at);
         }
-        let rows = Rows::new(&log);
+        let rows = rows(&log);
         let mut o = Observed {
             bins: keep(bins(&log, &rows)),
             rows,
             ..Observed::default()
         };
         o.place_instants();
-        let (rows, instants, bins) = (0..o.rows.t_s.len(), 0..o.t_s.len(), 0..o.bins.len());
+        let (rows, instants, bins) = (0..o.rows.len(), 0..o.instants.len(), 0..o.bins.len());
         let (up_base, field_base_ut) = (Vector3::z(), Vector3::x());
         o.segments.push(Segment {
             file: String::new(),
@@ -341,10 +330,10 @@ mod tests {
     fn the_model_runs_through_what_is_not_compared() {
         let (part, whole, all) = (long_log(compared), long_log(|bins| bins), catalogue());
         assert!(
-            part.t_s.len() < whole.t_s.len() / 2,
+            part.instants.len() < whole.instants.len() / 2,
             "{} of {}",
-            part.t_s.len(),
-            whole.t_s.len()
+            part.instants.len(),
+            whole.instants.len()
         );
         let nominal = nominal_theta(
             &[Line {
@@ -361,7 +350,7 @@ mod tests {
             (&["creep"], 0.05),
             (&["line_lag"], 0.15),
         ] {
-            let model = Model::named(&all, names);
+            let model = Model::named(all, names);
             let fresh = |e: &dyn Effect| {
                 e.params()
                     .iter()
