@@ -116,7 +116,7 @@ pub fn run(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench,
         control.join().map_err(|_| StartError::Died)
     })?;
     let elapsed_s = (monotonic_ns() - start_ns) as f64 * 1e-9;
-    let (steps, _) = stepper.finish().ok_or(StartError::Died)?;
+    let steps = stepper.finish().ok_or(StartError::Died)?;
     drop(load);
     Ok(RtBench {
         config: *config,

@@ -5,7 +5,7 @@ use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::error::HardwareError;
 use crate::hardware::machine::gauges::{GaugeConfig, GaugeWatch};
 use crate::hardware::machine::sensor::{ImuSection, Sensor, slowness};
-use crate::hardware::pins::{self, BoardPins, PinsConfig};
+use crate::hardware::pins::{self, PinsConfig};
 use crate::hardware::rt::monotonic_ns;
 use crate::hardware::stepper::Stepper;
 use crate::motion::{Drive, DriveLimits, EmergencyStop, StepGenerator, StepperConfig};
@@ -39,7 +39,7 @@ pub struct MachineConfig {
 
 /// A machine with drivers that are pulsed and sensors that are read.
 pub struct Hardware {
-    drive: Drive<Stepper<BoardPins>>,
+    drive: Drive<Stepper>,
     imu: Option<Sensor>,
     base_imu: Option<Sensor>,
     gauges: GaugeWatch,
