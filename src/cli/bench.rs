@@ -1,6 +1,6 @@
 //! `retroflex bench rt`: timing of the step thread on this machine.
 
-use crate::cli::{ResultFile, inputs, manual_motion, output, within};
+use crate::cli::{inputs, manual_motion, output, within};
 use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
 use crate::hardware::pins::{self, Backend, Pins, PinsConfig};
 use crate::hardware::stepper::StartError;
@@ -31,9 +31,6 @@ pub struct Rt {
     /// Number of threads that load the processors meanwhile.
     #[arg(long, default_value_t = 0)]
     load: usize,
-    /// Write the histograms as one SVG drawing (`-`: standard output).
-    #[arg(long)]
-    svg: Option<ResultFile>,
 }
 
 /// Runs the command.
@@ -59,7 +56,6 @@ pub fn run(args: &Rt) -> Result<bool> {
         }
     };
     output::print(format!("through {through}\n{}\n", bench.table()));
-    output::write_some(&args.svg, || Ok(bench.svg()))?;
     Ok(bench.is_good())
 }
 

@@ -199,9 +199,11 @@ fn real_time(board: &Board) -> Vec<Finding> {
     let line = |(name, grant): (&'static str, Grant)| match grant {
         Grant::NotRequested => None,
         Grant::Granted => Some(Finding::new(name, Pass, "granted", "")),
-        Grant::Denied(d) => {
-            let found = format!("{} denied", d.request);
-            Some(Finding::new(name, Warn, found, d.remedy))
+        Grant::Denied {
+            request, remedy, ..
+        } => {
+            let found = format!("{request} denied");
+            Some(Finding::new(name, Warn, found, remedy))
         }
     };
     status.into_iter().filter_map(line).collect()

@@ -72,7 +72,7 @@ fn by_switches(args: &Args, board: &Board) -> Result<String> {
     let (_, mut machine) = manual_motion::open(&args.board, |c| {
         without_sensors(c);
         // the position is still unknown, so the count may exceed the length of the rack
-        c.motion.travel_max_mm = search_max_mm + 2.0 * travel_mm;
+        c.motion.limits.travel_max_mm = search_max_mm + 2.0 * travel_mm;
     })?;
     let report = |e| match e {
         HomingError::Motion(e) => motion_error(e),

@@ -76,7 +76,7 @@ pub fn hardware_error(path: &Path, error: HardwareError) -> miette::Report {
     }
     let what = match &error {
         HardwareError::Pins(_) | HardwareError::InUse(_) => "the GPIO",
-        HardwareError::Stepper(_) | HardwareError::Thread(_) => "the scheduler",
+        HardwareError::Stepper(_) | HardwareError::Thread(..) => "the scheduler",
         _ => "the IMU",
     };
     Unreachable::report(what, error)

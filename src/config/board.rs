@@ -106,7 +106,7 @@ impl Board {
             pins: self.pins.clone()?,
             stepper: self.stepper,
             emergency_stop,
-            motion: self.motion_limits(),
+            motion: self.drive_limits(),
             imu: self.imu.clone(),
             base_imu: self.base_imu.clone(),
             imu_priority: self.machine.imu_priority,

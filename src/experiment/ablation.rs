@@ -5,8 +5,8 @@ use crate::control::LoopConfig;
 use crate::estimation::fusion::estimator::EstimatorName;
 use crate::estimation::fusion::registry::FilterName;
 use crate::experiment::arm::{percentile, root_mean};
+use crate::experiment::error::ExperimentError;
 use crate::experiment::evaluation::Arm;
-use crate::experiment::rig::RigError;
 use crate::experiment::schedule::HOLD_S;
 use crate::experiment::sweep::{Condition, Study, rows};
 use rayon::prelude::*;
@@ -91,15 +91,15 @@ type Outcome = (f64, Vec<Option<f64>>);
 /// Runs every row; `progress` is called after each unit of a condition, from several threads.
 ///
 /// # Errors
-/// [`RigError`] from a plant.
+/// [`ExperimentError`] from a plant.
 pub fn run(
     study: &Study,
     mechanisms: &[Mechanism],
     conditions: &[Condition],
     progress: &(dyn Fn() + Sync),
-) -> Result<Vec<AblationRow>, RigError> {
+) -> Result<Vec<AblationRow>, ExperimentError> {
     let rows = rows(conditions);
-    let without = |&(_, change): &Mechanism| -> Result<Vec<Outcome>, RigError> {
+    let without = |&(_, change): &Mechanism| -> Result<Vec<Outcome>, ExperimentError> {
         let mut config = study.config.clone();
         change(&mut config);
         let outcome = |&(condition, value): &(&Condition, f64)| {

@@ -3,7 +3,8 @@
 //! The true bend is that of the estimator, [`Bend::nearest`]: where the tip has twisted, half of the twist is in its
 //! direction. The bend angle β is the same in every definition.
 
-use crate::experiment::rig::{Rig, RigError};
+use crate::experiment::error::ExperimentError;
+use crate::experiment::rig::Rig;
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::{Bend, Line, Shape};
 use crate::primitives::{Base, Mm, Rotation, Tip};
@@ -92,13 +93,13 @@ const SETTLED_DEG: f64 = 1.0;
 /// Runs an arm; `progress` is called after every scored state.
 ///
 /// # Errors
-/// [`RigError`] from the world or the alignment, or if there is no reference.
+/// [`ExperimentError`] from the world or the alignment, or if there is no reference.
 pub fn run(
     name: &str,
     rig: &mut Rig<'_>,
     poses: &[Pose],
     progress: &mut dyn FnMut(),
-) -> Result<ArmResult, RigError> {
+) -> Result<ArmResult, ExperimentError> {
     rig.align()?;
     let mut held = Vec::with_capacity(poses.len());
     for pose in poses {
@@ -145,7 +146,7 @@ fn floor(want: &Bend, truth: &Rotation<Base, Tip>) -> f64 {
     2.0 * ((want.beta() / 2.0).cos() * half_twist.sin()).abs().asin()
 }
 
-fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
+fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, ExperimentError> {
     let dt_s = rig.period_s();
     let ticks = (HOLD_S / dt_s).round() as usize;
     let scored_from = ticks - (SCORED_S / dt_s).round() as usize;
@@ -163,7 +164,7 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
     let (mut settled_since, mut low, mut high) = (0, f64::INFINITY, f64::NEG_INFINITY);
     for k in 0..ticks {
         let (frame, reply) = rig.advance(command.take())?;
-        let truth = reply.truth.ok_or(RigError::NoReference)?;
+        let truth = reply.truth.ok_or(ExperimentError::NoReference)?;
         let error_deg = pose.bend_deg - Bend::nearest(&truth).beta().to_degrees();
         held.blocked |= frame.blocked;
         held.base_moved |= frame.base_moved || frame.base_doubted;

@@ -8,7 +8,7 @@
 use crate::diagnosis::tip::fit::{BLOCKS_S, HeldOut, score, weighted};
 use crate::diagnosis::tip::model::{Motion, Residuals, every_bin, sense};
 use crate::diagnosis::tip::observed::Observed;
-use crate::experiment::rig::RigError;
+use crate::experiment::error::ExperimentError;
 use crate::model::{Model, nominal_theta};
 use crate::primitives::Steps;
 use crate::simulation::world::World;
@@ -48,8 +48,8 @@ pub struct Compared {
 /// The motion of the tip of `world` at the instants of a log, from rest. The counts of a row hold until the next.
 ///
 /// # Errors
-/// [`RigError`]: the world fails, or does not tell how its tip is oriented.
-pub fn drive(world: &mut dyn World, log: &Observed) -> Result<Motion, RigError> {
+/// [`ExperimentError`]: the world fails, or does not tell how its tip is oriented.
+pub fn drive(world: &mut dyn World, log: &Observed) -> Result<Motion, ExperimentError> {
     let (period_s, step_mm) = (world.info().period_s, world.info().step_mm);
     let start_s = log.start_s();
     let (mut motion, mut row, mut n) = (Motion::with_capacity(log.instants.len()), 0, 0.0);
@@ -65,7 +65,7 @@ pub fn drive(world: &mut dyn World, log: &Observed) -> Result<Motion, RigError> 
             .piston_mm
             .map(|mm| (mm / step_mm).round() as i32);
         let reply = world.step(&Steps([counted.x, counted.y, counted.z]))?;
-        let now = reply.truth.ok_or(RigError::NoReference)?.quat();
+        let now = reply.truth.ok_or(ExperimentError::NoReference)?.quat();
         let last = before.replace(now).unwrap_or(now);
         while let Some(at_s) = log.instants.get(motion.len()).map(|i| i.t_s - start_s) {
             if at_s > t_s {

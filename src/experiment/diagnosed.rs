@@ -5,8 +5,7 @@ use crate::diagnosis::excite::{Machine, rounded, standard};
 use crate::diagnosis::tip::fit::best_predicting;
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::tip::{Rig, recalibrated};
-use crate::experiment::identify::IdentifyError;
-use crate::experiment::rig::RigError;
+use crate::experiment::error::ExperimentError;
 use crate::log::bend_log::{BendLog, ImuColumns};
 use crate::model::DescribedMachine;
 use crate::simulation::world::World;
@@ -22,17 +21,17 @@ const ROUNDED_S: f64 = 0.12;
 /// the smallest set that explains the log, which names causes, is left out: a feedforward needs the set that predicts best.
 ///
 /// # Errors
-/// [`IdentifyError`] from the world, or if the log cannot be diagnosed.
+/// [`ExperimentError`] from the world, or if the log cannot be diagnosed.
 pub fn described(
     config: &LoopConfig,
     rig: &Rig,
     world: &mut dyn World,
-) -> Result<DescribedMachine, IdentifyError> {
+) -> Result<DescribedMachine, ExperimentError> {
     let rig = Rig {
         geometry: config.geometry,
         ..*rig
     };
-    let log = record(config, &rig, world).map_err(RigError::from)?;
+    let log = record(config, &rig, world)?;
     let log = Observed::new(&log, &rig)?;
     let nominal = recalibrated(&log, &config.lines);
     let found = best_predicting(&log, &nominal, &nominal);

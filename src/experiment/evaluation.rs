@@ -5,19 +5,18 @@ use crate::control::learning::batch::Estimate;
 use crate::diagnosis;
 use crate::experiment::arm::{self, ArmResult};
 use crate::experiment::diagnosed;
-use crate::experiment::identify::{self, Identified, IdentifyError};
+use crate::experiment::error::ExperimentError;
+use crate::experiment::identify::{self, Identified};
 use crate::experiment::path::PathFile;
-use crate::experiment::rig::{Rig, RigError};
+use crate::experiment::rig::Rig;
 use crate::experiment::schedule::{DIRECTIONS, arrivals, paper};
 use crate::experiment::track::{self, TrackResult};
-use crate::log::error::ReadError;
 use crate::model::{DescribedMachine, nominal_theta};
 use crate::simulation::described::Described;
 use crate::simulation::world::World;
 use crate::supervisor::MachineError;
 use serde::Serialize;
 use std::sync::Arc;
-use thiserror::Error;
 
 /// An arm: what the controller compensates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -76,14 +75,14 @@ impl Arm {
     /// `progress` is called after every scored state.
     ///
     /// # Errors
-    /// [`RigError`] as of [`arm::run`].
+    /// [`ExperimentError`] as of [`arm::run`].
     pub fn run(
         self,
         base: &LoopConfig,
         world: &mut dyn World,
         directions: usize,
         progress: &mut dyn FnMut(),
-    ) -> Result<ArmResult, RigError> {
+    ) -> Result<ArmResult, ExperimentError> {
         let mut rig = Rig::new(self.config(&for_world(base, world)), world);
         arm::run(self.name(), &mut rig, &arrivals(directions), progress)
     }
@@ -210,34 +209,17 @@ pub struct Track {
     pub live: bool,
 }
 
-/// Why an evaluation failed.
-#[derive(Debug, Error)]
-pub enum EvaluationError {
-    /// The world, the alignment or the identification failed.
-    #[error(transparent)]
-    Run(#[from] IdentifyError),
-    /// The path leaves the reach of the identified machine.
-    #[error(transparent)]
-    Path(#[from] ReadError),
-}
-
-impl From<RigError> for EvaluationError {
-    fn from(e: RigError) -> Self {
-        Self::Run(e.into())
-    }
-}
-
 /// Runs an evaluation; `progress` receives a description after every held state.
 ///
 /// # Errors
-/// [`EvaluationError`] from a world, if the data do not determine the gains, or if the path is out of reach.
+/// [`ExperimentError`] from a world, if the data do not determine the gains, or if the path is out of reach.
 pub fn run(
     plan: &Plan,
     open: &mut Open<'_>,
     progress: &mut dyn FnMut(&str),
-) -> Result<Evaluation, EvaluationError> {
+) -> Result<Evaluation, ExperimentError> {
     let (mut base, mut found, mut plant) = (plan.config.clone(), None, String::new());
-    let mut opened = |purpose| -> Result<Box<dyn World>, RigError> {
+    let mut opened = |purpose| -> Result<Box<dyn World>, ExperimentError> {
         let world = open(purpose)?;
         plant.clone_from(&world.info().name);
         Ok(world)
@@ -305,7 +287,7 @@ fn identified(
     base: &mut LoopConfig,
     world: &mut dyn World,
     progress: &mut dyn FnMut(&str),
-) -> Result<Identified, IdentifyError> {
+) -> Result<Identified, ExperimentError> {
     let config = for_world(base, world);
     let mut told = |pass| progress(&format!("identify, pass {pass}"));
     let found = identify::algorithm_1(&config, world, &paper(), None, &mut told)?;
@@ -320,7 +302,7 @@ fn followed(
     config: &LoopConfig,
     world: &mut dyn World,
     progress: &mut dyn FnMut(),
-) -> Result<TrackResult, RigError> {
+) -> Result<TrackResult, ExperimentError> {
     let mut rig = Rig::new(for_world(config, world), world);
     track::run(&mut rig, &wanted.path.path, wanted.live, progress)
 }
@@ -338,7 +320,7 @@ fn foretell(
     machine: &DescribedMachine,
     seed: u64,
     arms: &[ArmResult],
-) -> Result<Vec<Predicted>, RigError> {
+) -> Result<Vec<Predicted>, ExperimentError> {
     let theta = nominal_theta(&base.lines, base.dynamics.expected.lag_s);
     let nominal = DescribedMachine::new(machine.geometry, machine.rest, &theta, vec![]);
     let run = |machine: &DescribedMachine, arm: Arm| {

@@ -3,46 +3,19 @@
 //! The IMU measures the bend; the counted steps give the side of each piston ([`super::pose`]). The last pass also yields
 //! lag and dead time.
 
-use crate::control::learning::batch::{Estimate, Prior, Unidentifiable, relative_step, solve};
+use crate::control::learning::batch::{Estimate, Prior, relative_step, solve};
 use crate::control::{DynamicsPrior, LoopConfig};
-use crate::diagnosis::tip::observed::ObserveError;
+use crate::experiment::error::ExperimentError;
 use crate::experiment::pose::{Round, Step};
-use crate::experiment::rig::{Rig, RigError};
+use crate::experiment::rig::Rig;
 use crate::experiment::schedule::Pose;
 use crate::model::Line;
 use crate::simulation::world::World;
-use thiserror::Error;
 
 /// The paper's criterion: relative step below 2 %.
 pub const CONVERGED: f64 = 0.02;
 /// Largest number of passes.
 pub const PASSES_MAX: usize = 12;
-
-/// Why the identification failed.
-#[derive(Debug, Error)]
-pub enum IdentifyError {
-    /// The rig failed.
-    #[error(transparent)]
-    Rig(#[from] RigError),
-    /// The data do not determine the gains.
-    #[error("identification: {0}")]
-    Unidentifiable(#[from] Unidentifiable),
-    /// The log for the diagnosis cannot be diagnosed.
-    #[error("arm diagnosed: {0}")]
-    Undiagnosed(#[from] ObserveError),
-    /// A gain is outside the physical range.
-    #[error(
-        "identification: channel {channel} yields k_ε = {k_epsilon:.2}, k_λ = {k_lambda_mm:.2} mm; k_ε must lie in 0 to 10 and k_λ in 0 to 3 mm. Check that line {channel} reaches bellow {channel} and that the motor turns the right way"
-    )]
-    Unphysical {
-        /// Channel, 1 to 3.
-        channel: usize,
-        /// Estimate.
-        k_epsilon: f64,
-        /// Estimate, mm.
-        k_lambda_mm: f64,
-    },
-}
 
 /// Result of an identification.
 #[derive(Debug, Clone, PartialEq)]
@@ -76,14 +49,14 @@ impl Identified {
 /// one pass: the short calibration of a new tip.
 ///
 /// # Errors
-/// [`IdentifyError`] from the world or the data.
+/// [`ExperimentError`] from the world or the data.
 pub fn algorithm_1(
     config: &LoopConfig,
     world: &mut dyn World,
     poses: &[Pose],
     prior: Option<&[Prior; 3]>,
     progress: &mut dyn FnMut(usize),
-) -> Result<Identified, IdentifyError> {
+) -> Result<Identified, ExperimentError> {
     let mut now = prior.map_or(config.lines, |p| p.map(|p| p.line));
     let open = LoopConfig {
         feedback: None,
@@ -115,12 +88,12 @@ pub fn algorithm_1(
 /// The gains of `channels`, if they are within the physical range.
 ///
 /// # Errors
-/// [`IdentifyError::Unphysical`].
-pub fn plausible(channels: &[Estimate; 3]) -> Result<[Line; 3], IdentifyError> {
+/// [`ExperimentError::Unphysical`].
+pub fn plausible(channels: &[Estimate; 3]) -> Result<[Line; 3], ExperimentError> {
     for (i, e) in channels.iter().enumerate() {
         let (k_epsilon, k_lambda_mm) = (e.line.k_epsilon, e.line.k_lambda_mm);
         if !(0.0..=10.0).contains(&k_epsilon) || !(-0.3..=3.0).contains(&k_lambda_mm) {
-            return Err(IdentifyError::Unphysical {
+            return Err(ExperimentError::Unphysical {
                 channel: i + 1,
                 k_epsilon,
                 k_lambda_mm,
@@ -135,7 +108,11 @@ pub fn plausible(channels: &[Estimate; 3]) -> Result<[Line; 3], IdentifyError> {
 }
 
 /// Holds all poses once.
-fn hold(rig: &mut Rig<'_>, round: &mut Round, progress: &mut dyn FnMut()) -> Result<(), RigError> {
+fn hold(
+    rig: &mut Rig<'_>,
+    round: &mut Round,
+    progress: &mut dyn FnMut(),
+) -> Result<(), ExperimentError> {
     let mut command = Some(round.command());
     loop {
         let (frame, sensed) = rig.advance(command.take())?;

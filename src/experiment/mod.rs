@@ -5,6 +5,7 @@ pub mod ablation;
 pub mod arm;
 pub mod compare;
 pub mod diagnosed;
+pub mod error;
 pub mod evaluation;
 pub mod identify;
 pub mod path;

@@ -1,33 +1,15 @@
 //! A loop and a world in lockstep. The pistons follow the loop's targets as those of the hardware do ([`Lockstep`]).
 
 use crate::control::tick::{Frame, Input, LoopConfig, LoopState, Reference, tick};
+use crate::experiment::error::ExperimentError;
 use crate::model::Shape;
 use crate::primitives::Seconds;
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::world::World;
-use crate::supervisor::{Machine, MachineError, Sensed};
-use thiserror::Error;
+use crate::supervisor::{Machine, Sensed};
 
 /// Longest duration of the alignment, s.
 const ALIGN_MAX_S: f64 = 20.0;
-
-/// Why an experiment failed.
-#[derive(Debug, Error)]
-pub enum RigError {
-    /// The world failed.
-    #[error(transparent)]
-    World(#[from] MachineError),
-    /// The tip did not come to rest.
-    #[error(
-        "the tip was not still within {0} s of the start ({1}); the alignment needs 2 s of rest with the pistons at zero"
-    )]
-    NotStill(f64, String),
-    /// The world has no reference for the score.
-    #[error(
-        "the plant gives no `ref`, the true orientation of its tip, which it is judged by; it must answer with \"ref\":{{\"quat\":[w,x,y,z]}}"
-    )]
-    NoReference,
-}
 
 /// A loop and its world.
 pub struct Rig<'w> {
@@ -65,7 +47,7 @@ impl<'w> Rig<'w> {
     ///
     /// # Errors
     /// Those of the world.
-    pub fn advance(&mut self, command: Option<Shape>) -> Result<(Frame, Sensed), RigError> {
+    pub fn advance(&mut self, command: Option<Shape>) -> Result<(Frame, Sensed), ExperimentError> {
         self.input.command = command;
         self.input.reference = self.reference.take();
         let frame = tick(&self.config, &mut self.state, &self.input);
@@ -86,13 +68,13 @@ impl<'w> Rig<'w> {
     /// Waits for the alignment.
     ///
     /// # Errors
-    /// [`RigError::NotStill`] after 20 s, or those of the world.
-    pub fn align(&mut self) -> Result<(), RigError> {
+    /// [`ExperimentError::NotStill`] after 20 s, or those of the world.
+    pub fn align(&mut self) -> Result<(), ExperimentError> {
         while self.state.fusion.estimate().is_none() {
             let (frame, _) = self.advance(None)?;
             if frame.t.0 > ALIGN_MAX_S {
                 let waiting_for = self.state.fusion.waiting_for();
-                return Err(RigError::NotStill(ALIGN_MAX_S, waiting_for));
+                return Err(ExperimentError::NotStill(ALIGN_MAX_S, waiting_for));
             }
         }
         Ok(())

@@ -5,8 +5,8 @@
 
 use crate::control::LoopConfig;
 use crate::experiment::arm::{ArmResult, percentile, root_mean};
+use crate::experiment::error::ExperimentError;
 use crate::experiment::evaluation::Arm;
-use crate::experiment::rig::RigError;
 use crate::simulation::plant::PlantConfig;
 use crate::simulation::sim::Sim;
 use crate::supervisor::MachineError;
@@ -177,14 +177,14 @@ impl Study {
     /// An arm on a unit.
     ///
     /// # Errors
-    /// [`RigError`] from the plant.
+    /// [`ExperimentError`] from the plant.
     pub fn run(
         &self,
         config: &LoopConfig,
         arm: Arm,
         unit: &PlantConfig,
         n: u64,
-    ) -> Result<ArmResult, RigError> {
+    ) -> Result<ArmResult, ExperimentError> {
         let noise = 10 * (self.seed + n) + arm as u64;
         let mut world = Sim::new(unit, 0, noise, self.make.period_s).map_err(MachineError::from)?;
         arm.run(config, &mut world, DIRECTIONS, &mut || ())
@@ -194,12 +194,12 @@ impl Study {
 /// Runs every row of `conditions`; `progress` is called after each unit of a row, from several threads.
 ///
 /// # Errors
-/// [`RigError`] from a plant.
+/// [`ExperimentError`] from a plant.
 pub fn run(
     study: &Study,
     conditions: &[Condition],
     progress: &(dyn Fn() + Sync),
-) -> Result<Vec<SweepRow>, RigError> {
+) -> Result<Vec<SweepRow>, ExperimentError> {
     let row = |&(condition, value): &(&Condition, f64)| {
         let unit = |n: u64| {
             let unit = study.unit_under(condition, value, n);

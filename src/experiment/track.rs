@@ -2,7 +2,8 @@
 
 use crate::control::Path;
 use crate::experiment::arm::{percentile, root_mean};
-use crate::experiment::rig::{Rig, RigError};
+use crate::experiment::error::ExperimentError;
+use crate::experiment::rig::Rig;
 use crate::model::Bend;
 use nalgebra::Vector2;
 use serde::Serialize;
@@ -40,13 +41,13 @@ pub struct TrackResult {
 /// Moves to the first point of a path and drives it; `progress` is called every second.
 ///
 /// # Errors
-/// [`RigError`] from the world or the alignment, or if there is no reference.
+/// [`ExperimentError`] from the world or the alignment, or if there is no reference.
 pub fn run(
     rig: &mut Rig<'_>,
     path: &Path,
     live: bool,
     progress: &mut dyn FnMut(),
-) -> Result<TrackResult, RigError> {
+) -> Result<TrackResult, ExperimentError> {
     let config = &rig.config;
     let demand = path.demand(&config.geometry, &config.lines, &config.motion.limits);
     let time_scale = if live { 1.0 } else { demand.max(1.0) };
@@ -73,7 +74,7 @@ pub fn run(
             path.at(now_s + ahead_s)
         });
         let (frame, reply) = rig.advance(None)?;
-        let truth = Bend::nearest(&reply.truth.ok_or(RigError::NoReference)?).0;
+        let truth = Bend::nearest(&reply.truth.ok_or(ExperimentError::NoReference)?).0;
         samples.push(truth);
         if now_s < duration_s {
             estimate_sq.extend(frame.estimate.map(|e| (e.bend.0 - truth).norm_squared()));

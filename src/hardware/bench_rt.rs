@@ -14,8 +14,7 @@ use crate::motion::{
     EmergencyStop, Histogram, Inputs, Levels, MotionLimits, StepGenerator, StepperConfig,
     StepperMode,
 };
-use crate::report::chart::{Axis, Chart, Series, Stroke, sheet};
-use crate::report::{Ink, table};
+use crate::report::table;
 use std::fmt::Write;
 use std::sync::Arc;
 
@@ -77,13 +76,9 @@ impl<P: Pins> Pins for NoCurrent<P> {
     }
 }
 
-/// Percentiles in the table.
-const QUANTILES: [(&str, f64); 4] = [
-    ("50 %", 0.5),
-    ("99 %", 0.99),
-    ("99.9 %", 0.999),
-    ("99.99 %", 0.9999),
-];
+/// Header of the table, and the quantiles in it.
+const HEADER: &str = "µs|mean|50 %|99 %|99.9 %|99.99 %|longest|count";
+const QUANTILES: [f64; 4] = [0.5, 0.99, 0.999, 0.9999];
 
 /// Length of a control tick, s.
 const TICK_S: f64 = 2e-3;
@@ -121,7 +116,7 @@ pub fn run(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench,
         control.join().map_err(|_| StartError::Died)
     })?;
     let elapsed_s = (monotonic_ns() - start_ns) as f64 * 1e-9;
-    let (steps, _) = stepper.finish().ok_or(StartError::Died)?;
+    let steps = stepper.finish().ok_or(StartError::Died)?;
     drop(load);
     Ok(RtBench {
         config: *config,
@@ -205,17 +200,14 @@ impl RtBench {
 
     /// Percentiles in µs and the granted real-time settings as a table.
     pub fn table(&self) -> String {
-        let mut header = vec!["µs", "mean"];
-        header.extend(QUANTILES.iter().map(|q| q.0));
-        header.extend(["longest", "count"]);
         let rows = self.rows().map(|(name, h)| {
             let us = |ns: f64| format!("{:.1}", ns * 1e-3);
             let mut row = vec![name.to_string(), us(h.mean_ns())];
-            row.extend(QUANTILES.iter().map(|q| us(h.quantile_ns(q.1) as f64)));
+            row.extend(QUANTILES.map(|q| us(h.quantile_ns(q) as f64)));
             row.extend([us(h.max_ns() as f64), h.count().to_string()]);
             row
         });
-        let table = table(&header.join("|"), 1..header.len(), rows);
+        let table = table(HEADER, 1..8, rows);
         let report = &self.steps.report;
         let steps = report.lateness.count();
         let rate = steps as f64 / self.elapsed_s;
@@ -230,60 +222,6 @@ impl RtBench {
             let _ = write!(text, "\nFAULT: {fault}");
         }
         text
-    }
-
-    /// Histograms of wake-up lateness, step lateness and interval error as one SVG drawing with
-    /// logarithmic axes.
-    pub fn svg(&self) -> String {
-        let [wake, steps, intervals, _] = self.rows();
-        let chart = |(name, h)| histogram(name, h, self.config.stepper.late_max_us);
-        let charts = [wake, steps, intervals].map(chart);
-        sheet("Lateness of the step thread", &charts, 3)
-    }
-}
-
-/// The chart of a histogram, with a line at `late_max_us`, beyond which a step is a fault.
-fn histogram(name: &str, h: &Histogram, late_max_us: f64) -> Chart {
-    let x = |ns: f64| (ns.max(100.0) * 1e-3).log10();
-    let y = |n: u32| (f64::from(n) + 1.0).log10();
-    let most = h.filled().map(|b| b.2).max().unwrap_or(1).max(10);
-    let corners = |(from, until, n)| {
-        [(from, 0), (from, n), (until, n), (until, 0)].map(|(ns, n)| (x(ns as f64), y(n)))
-    };
-    let outline: Vec<(f64, f64)> = h.filled().flat_map(corners).collect();
-    let area = outline.iter().map(|&(x, y)| (x, 0.0, y)).collect();
-    let times = [
-        "0.1 µs", "1 µs", "10 µs", "100 µs", "1 ms", "10 ms", "100 ms",
-    ];
-    let times = times
-        .iter()
-        .zip(-1..)
-        .map(|(t, k)| (f64::from(k), (*t).to_owned()));
-    let counts = (0..9).map(|k| 10u32.pow(k)).take_while(|n| *n <= most);
-    let limit = x(late_max_us * 1e3);
-    let limit = vec![(limit, 0.0), (limit, y(most))];
-    Chart {
-        title: format!("{name}, {} times", h.count()),
-        x: Axis {
-            label: "time".to_owned(),
-            low: -1.0,
-            high: 5.0,
-            ticks: times.collect(),
-        },
-        y: Axis {
-            label: "count".to_owned(),
-            low: 0.0,
-            high: y(most),
-            ticks: counts.map(|n| (y(n), n.to_string())).collect(),
-        },
-        series: vec![
-            Series::band(Ink::BLUE, area),
-            Series {
-                name: None,
-                ..Series::line("", Ink::BLUE, Stroke::Solid, outline)
-            },
-            Series::line("limit of a fault", Ink::RED, Stroke::Dashed, limit),
-        ],
     }
 }
 
@@ -341,11 +279,5 @@ mod tests {
         ] {
             assert!(table.contains(words), "{table}");
         }
-        let svg = bench.svg();
-        assert!(
-            svg.starts_with("<svg")
-                && svg.matches("limit of a fault").count() == 3
-                && !svg.contains("NaN")
-        );
     }
 }

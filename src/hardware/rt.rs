@@ -79,19 +79,14 @@ pub enum Grant {
     /// Granted.
     Granted,
     /// Denied.
-    Denied(Denial),
-}
-
-/// A request that the kernel denied.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{request} denied ({}): {remedy}", io::Error::from_raw_os_error(*.errno))]
-pub struct Denial {
-    /// The request.
-    pub request: &'static str,
-    /// The kernel's error number.
-    pub errno: i32,
-    /// The remedy.
-    pub remedy: &'static str,
+    Denied {
+        /// The request.
+        request: &'static str,
+        /// The kernel's error number.
+        errno: i32,
+        /// The remedy.
+        remedy: &'static str,
+    },
 }
 
 impl fmt::Display for Grant {
@@ -99,7 +94,14 @@ impl fmt::Display for Grant {
         match self {
             Self::NotRequested => f.write_str("not requested"),
             Self::Granted => f.write_str("granted"),
-            Self::Denied(denial) => denial.fmt(f),
+            Self::Denied {
+                request,
+                errno,
+                remedy,
+            } => {
+                let error = io::Error::from_raw_os_error(*errno);
+                write!(f, "{request} denied ({error}): {remedy}")
+            }
         }
     }
 }
@@ -113,11 +115,11 @@ fn grant(
     let grant = match asked {
         None => Grant::NotRequested,
         Some(Ok(())) => Grant::Granted,
-        Some(Err(e)) => Grant::Denied(Denial {
+        Some(Err(e)) => Grant::Denied {
             request,
             errno: e.raw_os_error().unwrap_or(0),
             remedy,
-        }),
+        },
     };
     (request, grant)
 }

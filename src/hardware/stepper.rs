@@ -80,15 +80,14 @@ struct Shell<P> {
 }
 
 impl<P: Pins> Shell<P> {
-    /// Repeats [`Shell::run_once`] until the core has finished; returns the summary and the pins.
-    fn run(mut self) -> (Summary, P) {
+    /// Repeats [`Shell::run_once`] until the core has finished.
+    fn run(mut self) -> Summary {
         while self.run_once() {}
-        let summary = Summary {
+        Summary {
             report: self.core.report(monotonic_ns()),
             wake: self.wake,
             interval_error: self.core.interval_error,
-        };
-        (summary, self.pins)
+        }
     }
 
     /// One cycle: orders, inputs and one action of the core. Returns false when the core has finished.
@@ -166,7 +165,7 @@ impl<P: Pins> Shell<P> {
 
 /// The loop's handle on the step thread.
 #[derive(Debug)]
-pub struct Stepper<P> {
+pub struct Stepper {
     feeder: Feeder,
     orders: rtrb::Producer<StepperOrder>,
     reports: rtrb::Consumer<StepperReport>,
@@ -176,16 +175,16 @@ pub struct Stepper<P> {
     pin_error_text: Arc<OnceLock<String>>,
     energised: bool,
     started_ns: u64,
-    thread: Option<JoinHandle<(Summary, P)>>,
+    thread: Option<JoinHandle<Summary>>,
 }
 
-impl<P: Pins + 'static> Stepper<P> {
-    /// Starts the thread. It owns the pins until [`Stepper::finish`].
+impl Stepper {
+    /// Starts the thread, which owns the pins.
     ///
     /// # Errors
     /// [`StartError`].
     pub fn start(
-        pins: P,
+        pins: impl Pins + 'static,
         config: &StepperConfig,
         motion: &MotionLimits,
         step_mm: f64,
@@ -244,14 +243,27 @@ impl<P: Pins + 'static> Stepper<P> {
         })
     }
 
-    /// Brakes within the limits, releases the drivers, ends the thread and returns its results and the
-    /// pins; `None` if the thread has panicked.
-    pub fn finish(mut self) -> Option<(Summary, P)> {
+    /// Brakes within the limits, releases the drivers, ends the thread and returns its results; `None` if the thread has
+    /// panicked.
+    pub fn finish(mut self) -> Option<Summary> {
         self.join()
+    }
+
+    /// The message of the first failure of the pins.
+    pub fn pin_error(&self) -> Option<&str> {
+        self.pin_error_text.get().map(String::as_str)
+    }
+
+    fn join(&mut self) -> Option<Summary> {
+        // A full ring of orders is retried until the thread has taken one, or has ended.
+        while self.orders.push(StepperOrder::Finish).is_err() && !self.orders.is_abandoned() {
+            std::thread::yield_now();
+        }
+        self.thread.take()?.join().ok()
     }
 }
 
-impl<P> StepGenerator for Stepper<P> {
+impl StepGenerator for Stepper {
     fn sync(&mut self, now_ns: u64) -> SyncStatus {
         while let Ok(report) = self.reports.pop() {
             self.latest = Some(report);
@@ -288,22 +300,7 @@ impl<P> StepGenerator for Stepper<P> {
     }
 }
 
-impl<P> Stepper<P> {
-    /// The message of the first failure of the pins.
-    pub fn pin_error(&self) -> Option<&str> {
-        self.pin_error_text.get().map(String::as_str)
-    }
-
-    fn join(&mut self) -> Option<(Summary, P)> {
-        // A full ring of orders is retried until the thread has taken one, or has ended.
-        while self.orders.push(StepperOrder::Finish).is_err() && !self.orders.is_abandoned() {
-            std::thread::yield_now();
-        }
-        self.thread.take()?.join().ok()
-    }
-}
-
-impl<P> Drop for Stepper<P> {
+impl Drop for Stepper {
     /// As [`Stepper::finish`], without the results.
     fn drop(&mut self) {
         let _ = self.join();

@@ -162,7 +162,6 @@ impl<G: StepGenerator> Drive<G> {
             if self.generator.lead_ns(now_ns) >= self.lead_ns {
                 break;
             }
-
             let segment = match pausing {
                 true => self.motion.brake(self.period_s),
                 false => self.motion.tick(target_mm, self.period_s),
@@ -172,7 +171,6 @@ impl<G: StepGenerator> Drive<G> {
                 return DriveState::Busy;
             }
         }
-
         match pausing {
             true => DriveState::Busy,
             false => DriveState::Ready,

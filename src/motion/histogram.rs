@@ -69,12 +69,6 @@ impl Histogram {
         }
         self.max_ns
     }
-
-    /// Lower edge, ns, upper edge, ns, and count of every bucket that is not empty, in order.
-    pub fn filled(&self) -> impl Iterator<Item = (u64, u64, u32)> + '_ {
-        let filled = self.buckets.iter().enumerate().filter(|(_, n)| **n > 0);
-        filled.map(|(i, &n)| (edge_ns(i), edge_ns(i + 1), n))
-    }
 }
 
 /// The bucket of a duration. Within an octave, the three bits below the leading one are its number.

@@ -6,7 +6,8 @@
 
 use crate::control::DynamicsPrior;
 use crate::control::learning::batch::{Prior, relative_step, solve};
-use crate::experiment::identify::{CONVERGED, IdentifyError, PASSES_MAX, plausible};
+use crate::experiment::error::ExperimentError;
+use crate::experiment::identify::{CONVERGED, PASSES_MAX, plausible};
 use crate::experiment::pose::{Round, Step};
 use crate::model::{Line, Shape};
 use crate::supervisor::{CycleOutput, Mode};
@@ -108,7 +109,7 @@ impl Session {
     }
 
     fn conclude(&mut self) -> Next {
-        let found = solve(&self.round.data, self.prior.as_ref()).map_err(IdentifyError::from);
+        let found = solve(&self.round.data, self.prior.as_ref()).map_err(ExperimentError::from);
         let next = match found.and_then(|channels| plausible(&channels)) {
             Ok(next) => next,
             Err(e) => return Next::Done(Err(e.to_string())),

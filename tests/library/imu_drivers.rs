@@ -648,8 +648,43 @@ fn each_wrong_identity_has_an_advice_that_can_be_followed() {
             }
             let message = imu.init(&mut bus.delay()).unwrap_err().to_string();
             assert!(message.contains(words), "{have:?}: {message}");
+            if let Some(read) = have {
+                let (part, own) = if two {
+                    ("LSM6DSO", 0x6C)
+                } else {
+                    ("ICM-20948", 0xEA)
+                };
+                let ids = format!(
+                    "WHO_AM_I at {address:#04x} is {read:#04x}, that of the {part} is {own:#04x}"
+                );
+                assert!(message.contains(&ids), "{message}");
+            }
         }
     }
+    // another part at the address of the separate magnetometer
+    let bus = lsm_bus(Noise::TYPICAL, Axes::ALIGNED);
+    bus.machine().spoil(LIS, |q| q.wrong_id = Some(0x3D));
+    let mut lsm = Lsm6dsoLis2mdl::new(
+        bus.clone(),
+        &lsm6dso::LsmConfig::default(),
+        lsm6dso::Variant::Dso,
+    )
+    .unwrap();
+    let error = lsm.init(&mut bus.delay()).unwrap_err();
+    let chip = Chip {
+        part: Part::Lis2mdl,
+        address: LIS,
+    };
+    assert_eq!(
+        error,
+        ImuError::WrongId {
+            chip,
+            have: 0x3D,
+            want: 0x40
+        }
+    );
+    let ids = "WHO_AM_I at 0x1e is 0x3d, that of the LIS2MDL is 0x40";
+    assert!(error.to_string().contains(ids), "{error}");
     // the magnetometer inside the chip is dead, or a separate one does not answer
     let bus = icm_bus(Noise::TYPICAL);
     bus.machine().spoil(ICM, |q| q.mag_dead = true);

@@ -4,8 +4,8 @@ use retroflex::hardware::pins::map::LineMap;
 use retroflex::hardware::pins::{PinError, Pins};
 use retroflex::hardware::rt::monotonic_ns;
 use retroflex::motion::lines::{Inputs, Levels};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 /// A line of a driver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -50,13 +50,22 @@ pub fn edges(t_ns: u64, old: &Levels, new: &Levels) -> impl Iterator<Item = Edge
         .flatten()
 }
 
-/// Pins that record edges.
+/// What was written.
 #[derive(Debug)]
+pub struct Record {
+    /// The present levels.
+    pub levels: Levels,
+    /// The edges in order.
+    pub edges: Vec<Edge>,
+    /// Number of edges beyond the capacity.
+    pub dropped: u64,
+}
+
+/// Pins that record edges. Clones share the record.
+#[derive(Debug, Clone)]
 pub struct RecordingPins {
     map: LineMap,
-    levels: Levels,
-    record: Vec<Edge>,
-    dropped: u64,
+    record: Arc<Mutex<Record>>,
     inputs: Arc<AtomicU64>,
     fail_after: Option<u64>,
     found_energised: bool,
@@ -66,11 +75,14 @@ pub struct RecordingPins {
 impl RecordingPins {
     /// Pins of a map that record up to `capacity` edges and count the rest.
     pub fn new(map: LineMap, capacity: usize) -> Self {
+        let record = Record {
+            levels: Levels::default(),
+            edges: Vec::with_capacity(capacity),
+            dropped: 0,
+        };
         Self {
             map,
-            levels: Levels::default(),
-            record: Vec::with_capacity(capacity),
-            dropped: 0,
+            record: Arc::new(Mutex::new(record)),
             inputs: Arc::default(),
             fail_after: None,
             found_energised: false,
@@ -86,7 +98,8 @@ impl RecordingPins {
 
     /// Reports the drivers as found energised.
     pub fn energised(mut self) -> Self {
-        (self.levels.enable, self.found_energised) = (true, true);
+        self.record().levels.enable = true;
+        self.found_energised = true;
         self
     }
 
@@ -95,19 +108,9 @@ impl RecordingPins {
         self.inputs.clone()
     }
 
-    /// The recorded edges in order.
-    pub fn record(&self) -> &[Edge] {
-        &self.record
-    }
-
-    /// Number of edges beyond the capacity.
-    pub fn dropped(&self) -> u64 {
-        self.dropped
-    }
-
-    /// The present levels.
-    pub fn levels(&self) -> &Levels {
-        &self.levels
+    /// What was written so far.
+    pub fn record(&self) -> MutexGuard<'_, Record> {
+        self.record.lock().unwrap()
     }
 }
 
@@ -117,14 +120,16 @@ impl Pins for RecordingPins {
         if self.fail_after.is_some_and(|n| self.writes > n) {
             return Err(PinError::Pin("write", "the mock was set to fail".into()));
         }
-        for edge in edges(monotonic_ns(), &self.levels, levels) {
-            if self.record.len() < self.record.capacity() {
-                self.record.push(edge);
+        let mut record = self.record();
+        let old = record.levels;
+        for edge in edges(monotonic_ns(), &old, levels) {
+            if record.edges.len() < record.edges.capacity() {
+                record.edges.push(edge);
             } else {
-                self.dropped += 1;
+                record.dropped += 1;
             }
         }
-        self.levels = *levels;
+        record.levels = *levels;
         Ok(())
     }
 

@@ -727,11 +727,7 @@ fn mock(emergency_stop: Option<InputPin>) -> RecordingPins {
 }
 
 /// Feeds a stepper until the motion rests at its target or the thread reports something else.
-fn drive(
-    stepper: &mut Stepper<RecordingPins>,
-    motion: &mut Motion,
-    target: [f64; 3],
-) -> SyncStatus {
+fn drive(stepper: &mut Stepper, motion: &mut Motion, target: [f64; 3]) -> SyncStatus {
     for _ in 0..4000 {
         let now = retroflex::hardware::rt::monotonic_ns();
         match stepper.sync(now) {
@@ -762,8 +758,9 @@ fn drive(
 #[test]
 fn the_thread_pulses_what_the_loop_feeds() {
     let c = patient();
+    let pins = mock(None);
     let mut stepper = Stepper::start(
-        mock(None),
+        pins.clone(),
         &c,
         &MotionLimits::default(),
         STEP_MM,
@@ -774,19 +771,21 @@ fn the_thread_pulses_what_the_loop_feeds() {
     for target in [[3.0, -2.0, 1.0], [-1.0, 0.5, 2.0]] {
         assert_eq!(drive(&mut stepper, &mut motion, target), SyncStatus::Ready);
     }
-    let (summary, pins) = stepper.finish().unwrap();
+    let summary = stepper.finish().unwrap();
+    let record = pins.record();
     assert_eq!(
         summary.report.counted.0,
         [-1.0, 0.5, 2.0_f64].map(|p| (p / STEP_MM).round() as i32)
     );
     assert_eq!(
-        (summary.report.mode, pins.dropped(), pins.levels().enable),
+        (summary.report.mode, record.dropped, record.levels.enable),
         (StepperMode::Resting, 0, false)
     );
-    check_record(pins.record(), &timing(&c)).unwrap();
+    check_record(&record.edges, &timing(&c)).unwrap();
     assert_eq!(
         summary.report.lateness.count(),
-        pins.record()
+        record
+            .edges
             .iter()
             .filter(|e| e.high && matches!(e.line, LineName::Step(_)))
             .count() as u64
@@ -800,8 +799,9 @@ fn drivers_found_energised_stay_so_until_they_are_told() {
         idle_release_s: Some(3600.0),
         ..patient()
     };
+    let pins = mock(None).energised();
     let mut stepper = Stepper::start(
-        mock(None).energised(),
+        pins.clone(),
         &c,
         &MotionLimits::default(),
         STEP_MM,
@@ -816,9 +816,10 @@ fn drivers_found_energised_stay_so_until_they_are_told() {
         SyncStatus::Ready
     );
     assert!(stepper.is_energised());
-    let (_, pins) = stepper.finish().unwrap();
-    let enable: Vec<bool> = pins
-        .record()
+    stepper.finish().unwrap();
+    let record = pins.record();
+    let enable: Vec<bool> = record
+        .edges
         .iter()
         .filter(|e| e.line == LineName::Enable)
         .map(|e| e.high)
@@ -828,7 +829,7 @@ fn drivers_found_energised_stay_so_until_they_are_told() {
         [false],
         "only the end of the thread releases the drivers"
     );
-    assert!(pins.record().len() > 10);
+    assert!(record.edges.len() > 10);
 }
 
 #[test]
@@ -840,7 +841,7 @@ fn the_thread_stops_for_the_emergency_stop_and_reports_it() {
     }));
     let button = pins.inputs();
     let mut stepper = Stepper::start(
-        pins,
+        pins.clone(),
         &patient(),
         &MotionLimits::default(),
         STEP_MM,
@@ -856,8 +857,8 @@ fn the_thread_stops_for_the_emergency_stop_and_reports_it() {
         drive(&mut stepper, &mut motion, [20.0; 3]),
         SyncStatus::Faulted(StepperFault::EmergencyStop)
     );
-    let (summary, pins) = stepper.finish().unwrap();
-    assert!(!pins.levels().enable && summary.report.inputs.emergency_stop);
+    let summary = stepper.finish().unwrap();
+    assert!(!pins.record().levels.enable && summary.report.inputs.emergency_stop);
 }
 
 /// Pins whose inputs cannot be read for as long as the flag is set: the call does not return.

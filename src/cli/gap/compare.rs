@@ -7,7 +7,7 @@ use crate::diagnosis::tip::TipProblem;
 use crate::diagnosis::tip::model::Motion;
 use crate::diagnosis::tip::observed::Observed;
 use crate::experiment::compare::{Compared, Knob, compare, drive};
-use crate::experiment::rig::RigError;
+use crate::experiment::error::ExperimentError;
 use crate::log::columns::{self, Column};
 use crate::model::effects::catalogue;
 use crate::report::gap::compare::{document, said};
@@ -76,7 +76,7 @@ fn simulated(args: &Args, log: &Observed) -> Result<(String, Compared)> {
     let bar = output::bar(0, "{pos} runs of the simulator,");
     let mut name = String::new();
     bar.enable_steady_tick(std::time::Duration::from_millis(200));
-    let run = |values: &[f64]| -> std::result::Result<Motion, RigError> {
+    let run = |values: &[f64]| -> std::result::Result<Motion, ExperimentError> {
         let mut arguments = arguments.clone();
         for (knob, value) in args.fit.iter().zip(values) {
             arguments.extend(["--param".to_owned(), format!("{}={value}", knob.name)]);

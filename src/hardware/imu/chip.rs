@@ -32,12 +32,14 @@ impl Chip {
 
     /// Checks the content of an identity register.
     pub(super) fn identify(self, have: u8, want: u8) -> Result<(), ImuError> {
-        let wrong = ImuError::WrongId {
+        if have == want {
+            return Ok(());
+        }
+        Err(ImuError::WrongId {
             chip: self,
             have,
             want,
-        };
-        (have == want).then_some(()).ok_or(wrong)
+        })
     }
 
     /// Compares consecutive registers with their values, each under a mask.
@@ -50,11 +52,12 @@ impl Chip {
         let mut have = [0; 8];
         let n = want.len().min(have.len());
         self.read(bus, from, &mut have[..n])?;
-        let mut registers = (from..).zip(have.iter().zip(want));
-        let differs = registers.find(|(_, (have, (want, mask)))| *have & mask != want & mask);
-        differs.map_or(Ok(()), |(register, (have, (want, _)))| {
-            Err(self.part.reset_to_defaults(register, *have, *want))
-        })
+        for (register, (have, (want, mask))) in (from..).zip(have.into_iter().zip(want)) {
+            if have & mask != want & mask {
+                return Err(self.part.reset_to_defaults(register, have, *want));
+            }
+        }
+        Ok(())
     }
 
     /// Polls a register every millisecond until the bit of a reset is clear. A missing acknowledge counts as busy, because a chip may

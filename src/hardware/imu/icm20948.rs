@@ -202,7 +202,9 @@ impl<I: I2c> Icm20948<I> {
         let want = self.settings.mag_mode;
         self.aux(delay, reg::AK_CNTL2, Some(want))?;
         let have = self.aux(delay, reg::AK_CNTL2, None)?;
-        mode_lost(have, want).map_or(Ok(()), Err)?;
+        if let Some(lost) = mode_lost(have, want) {
+            return Err(lost);
+        }
         self.bank(3)?;
         self.set(reg::I2C_SLV0_ADDR, 0x80 | AK_ADDRESS)?;
         self.set(reg::I2C_SLV0_REG, reg::AK_ST1)?;

@@ -1,17 +1,17 @@
 //! Distinguishes a missing chip from a bus fault on Linux.
 //!
 //! The Pi's controller (i2c-bcm2835) reports an address without acknowledge as EREMOTEIO (121) and a
-//! clock line held low as ETIMEDOUT (110). Both hardware crates map these to
+//! clock line held low as ETIMEDOUT (110). `linux-embedded-hal` maps both to
 //! `embedded_hal::i2c::ErrorKind::Other`, so a driver could not distinguish a pulled plug from a short.
-//! [`Classified`] wraps either bus and restores the distinction (Linux fault codes,
+//! [`Classified`] wraps its bus and restores the distinction (Linux fault codes,
 //! Documentation/i2c/fault-codes.rst).
 //!
-//! `linux-embedded-hal` sends a register read as one I2C_RDWR with a repeated start, and opens the bus
-//! file again whenever the address changes; each driver therefore needs a handle of its own. `rppal`
-//! sends a write and a read with a stop between them. The parts keep their register pointer across the
-//! stop, but another program that uses the same chip could interfere.
+//! The crate sends a register read as one I2C_RDWR with a repeated start, and opens the bus
+//! file again whenever the address changes; each driver therefore needs a handle of its own.
 
 use embedded_hal::i2c::{Error, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
+use linux_embedded_hal::i2cdev::linux::LinuxI2CError;
+use linux_embedded_hal::{I2CError, I2cdev};
 
 /// Longest transfer, in the kernel's unit of 10 ms. The longest regular one takes 2.4 ms at 100 kHz.
 const TIMEOUT_10MS: libc::c_ulong = 2;
@@ -35,34 +35,8 @@ pub fn bound_transfers(bus: &std::fs::File) -> std::io::Result<()> {
     Ok(())
 }
 
-/// A bus error that may carry the kernel's error number.
-pub trait Errno {
-    /// The error number, if there is one.
-    fn errno(&self) -> Option<i32>;
-}
-
-impl Errno for rppal::i2c::Error {
-    fn errno(&self) -> Option<i32> {
-        match self {
-            Self::Io(e) => e.raw_os_error(),
-            _ => None,
-        }
-    }
-}
-
-impl Errno for linux_embedded_hal::I2CError {
-    fn errno(&self) -> Option<i32> {
-        use linux_embedded_hal::i2cdev::linux::LinuxI2CError;
-        match self.inner() {
-            LinuxI2CError::Errno(n) => Some(*n),
-            LinuxI2CError::Io(e) => e.raw_os_error(),
-        }
-    }
-}
-
 /// A bus whose errors are classified by the kernel's error number.
-#[derive(Debug)]
-pub struct Classified<I>(pub I);
+pub struct Classified(pub I2cdev);
 
 /// The class of an error number of an I²C transfer; `None` for an unspecific one.
 fn class_of(errno: i32) -> Option<ErrorKind> {
@@ -77,25 +51,26 @@ fn class_of(errno: i32) -> Option<ErrorKind> {
     }
 }
 
-impl<I: I2c> ErrorType for Classified<I>
-where
-    I::Error: Errno,
-{
+/// The kernel's error number of a bus error, if it carries one.
+fn errno(error: &I2CError) -> Option<i32> {
+    match error.inner() {
+        LinuxI2CError::Errno(n) => Some(*n),
+        LinuxI2CError::Io(e) => e.raw_os_error(),
+    }
+}
+
+impl ErrorType for Classified {
     type Error = ErrorKind;
 }
 
-impl<I: I2c> I2c for Classified<I>
-where
-    I::Error: Errno,
-{
+impl I2c for Classified {
     fn transaction(
         &mut self,
         address: u8,
         operations: &mut [Operation<'_>],
     ) -> Result<(), ErrorKind> {
-        self.0
-            .transaction(address, operations)
-            .map_err(|e| e.errno().and_then(class_of).unwrap_or(e.kind()))
+        let done = self.0.transaction(address, operations);
+        done.map_err(|e| errno(&e).and_then(class_of).unwrap_or(e.kind()))
     }
 }
 
@@ -113,13 +88,9 @@ mod tests {
     }
 
     #[test]
-    fn the_error_number_of_both_crates_is_recovered() {
-        let raw = || std::io::Error::from_raw_os_error(libc::EREMOTEIO);
-        let rppal = rppal::i2c::Error::Io(raw());
-        assert_eq!((rppal.kind(), rppal.errno()), (ErrorKind::Other, Some(121)));
-        let linux = linux_embedded_hal::I2CError::from(
-            linux_embedded_hal::i2cdev::linux::LinuxI2CError::Io(raw()),
-        );
-        assert_eq!((linux.kind(), linux.errno()), (ErrorKind::Other, Some(121)));
+    fn the_error_number_is_recovered() {
+        let raw = std::io::Error::from_raw_os_error(libc::EREMOTEIO);
+        let error = I2CError::from(LinuxI2CError::Io(raw));
+        assert_eq!((error.kind(), errno(&error)), (ErrorKind::Other, Some(121)));
     }
 }

@@ -68,8 +68,8 @@ choices! {
 impl Axis {
     /// Index of the component, and its sign.
     fn parts(self) -> (usize, f64) {
-        let (index, negative) = (self as usize / 2, self as usize % 2);
-        (index, [1.0, -1.0][negative])
+        let is_negative = self as usize % 2 == 1;
+        (self as usize / 2, if is_negative { -1.0 } else { 1.0 })
     }
 }
 

@@ -42,9 +42,9 @@ pub enum HardwareError {
     /// The part does not support a setting.
     #[error(transparent)]
     Setting(#[from] Invalid),
-    /// The operating system created no thread.
-    #[error("the IMU thread could not be started: {0}")]
-    Thread(#[from] std::io::Error),
+    /// The operating system did not create the thread of this name.
+    #[error("the {0} thread could not be started: {1}")]
+    Thread(String, #[source] std::io::Error),
     /// The program was built without the feature `hw`.
     #[error("this program was built without hardware support: build with `--features hw`")]
     NotBuilt,

@@ -5,11 +5,10 @@ use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::error::HardwareError;
 use crate::hardware::machine::gauges::{GaugeConfig, GaugeWatch};
 use crate::hardware::machine::sensor::{ImuSection, Sensor, slowness};
-use crate::hardware::pins::{self, BoardPins, PinsConfig};
+use crate::hardware::pins::{self, PinsConfig};
 use crate::hardware::rt::monotonic_ns;
 use crate::hardware::stepper::Stepper;
-use crate::motion::EmergencyStop;
-use crate::motion::{Drive, DriveLimits, MotionLimits, StepGenerator, StepperConfig};
+use crate::motion::{Drive, DriveLimits, EmergencyStop, StepGenerator, StepperConfig};
 use crate::primitives::{Seconds, Steps};
 use crate::supervisor::{Machine, MachineError, MachineInfo, Sensed};
 
@@ -27,7 +26,7 @@ pub struct MachineConfig {
     /// Reaction of the step thread to the emergency stop.
     pub emergency_stop: EmergencyStop,
     /// Limits of motion.
-    pub motion: MotionLimits,
+    pub motion: DriveLimits,
     /// IMU of the tip.
     pub imu: Option<ImuSection>,
     /// IMU of the base.
@@ -40,7 +39,7 @@ pub struct MachineConfig {
 
 /// A machine with drivers that are pulsed and sensors that are read.
 pub struct Hardware {
-    drive: Drive<Stepper<BoardPins>>,
+    drive: Drive<Stepper>,
     imu: Option<Sensor>,
     base_imu: Option<Sensor>,
     gauges: GaugeWatch,
@@ -66,15 +65,12 @@ impl Hardware {
         let stepper = Stepper::start(
             pins,
             &config.stepper,
-            &config.motion,
+            &config.motion.limits,
             config.info.step_mm,
             config.emergency_stop,
         )?;
-        let motion = DriveLimits {
-            limits: config.motion,
-            lead_s: config.stepper.lead_ms * 1e-3,
-        };
-        let drive = Drive::new(stepper, &motion, config.info.step_mm, config.info.period_s);
+        let (step_mm, period_s) = (config.info.step_mm, config.info.period_s);
+        let drive = Drive::new(stepper, &config.motion, step_mm, period_s);
         Ok(Self {
             drive,
             imu,
@@ -90,15 +86,16 @@ impl Hardware {
 /// The newest reading of a sensor with its time on the loop's clock, and its temperature; readings from before the loop's
 /// zero are at zero.
 fn newest(sensor: &mut Option<Sensor>, zero_ns: u64) -> (ImuReading, Option<f64>) {
-    let newest = sensor.as_mut().and_then(Sensor::newest);
-    match newest.map(|read| (read.reading, read)) {
-        Some((ImuReading::Sample(mut sample, quality), read)) => {
-            sample.t = Seconds(read.t_ns.saturating_sub(zero_ns) as f64 * 1e-9);
-            (ImuReading::Sample(sample, quality), read.temp_c)
+    let Some(mut newest) = sensor.as_mut().and_then(Sensor::newest) else {
+        return (ImuReading::Nothing, None);
+    };
+    match &mut newest.reading {
+        ImuReading::Sample(sample, _) => {
+            sample.t = Seconds(newest.t_ns.saturating_sub(zero_ns) as f64 * 1e-9);
         }
-        Some((failed, _)) => (failed, None),
-        None => (ImuReading::Nothing, None),
+        _ => newest.temp_c = None,
     }
+    (newest.reading, newest.temp_c)
 }
 
 impl Machine for Hardware {

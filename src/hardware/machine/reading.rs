@@ -21,7 +21,8 @@ pub(super) fn start<R: Send + 'static, T: Send + 'static>(
     let (sender, started) = channel();
     std::thread::Builder::new()
         .name(name.to_lowercase())
-        .spawn(move || run(output, sender))?;
+        .spawn(move || run(output, sender))
+        .map_err(|e| HardwareError::Thread(name.to_owned(), e))?;
     let bus = bus.to_owned();
     let silent = |e| match e {
         RecvTimeoutError::Timeout => HardwareError::BusHangs(bus, setup_max.as_secs_f64()),

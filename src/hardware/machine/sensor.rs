@@ -9,8 +9,8 @@ use crate::hardware::imu::{self, ChipConfig, Identity, Imu, ImuRecovery, POLL_SH
 use crate::hardware::machine::error::HardwareError;
 use crate::hardware::machine::reading;
 use crate::hardware::rt::{self, RtRequest, monotonic_ns};
+use crate::parameters;
 use crate::primitives::Seconds;
-use crate::{choices, parameters};
 use embedded_hal::delay::DelayNs;
 use nalgebra::{UnitQuaternion, Vector3};
 use std::sync::mpsc::Sender;
@@ -21,25 +21,12 @@ const SETUP_MAX: Duration = Duration::from_secs(5);
 /// Capacity of the ring: an eighth of a second at 500 Hz.
 const READINGS: usize = 64;
 
-choices! {
-    /// How the bus is reached.
-    pub enum BusBackend {
-        /// The kernel's bus file, through `linux-embedded-hal`.
-        Linux = "linux",
-        /// The same file, through `rppal`.
-        Rppal = "rppal",
-    }
-}
-
 parameters! {
     /// An IMU and its mounting.
     pub struct ImuSection {
         /// Device file of the bus. On a Raspberry Pi it is on pins 3 and 5 of the header and needs
         /// `dtparam=i2c_arm_baudrate=400000` in config.txt.
         bus: String = "/dev/i2c-1".to_owned();
-        /// How the bus is reached: `linux`, the kernel's file with a repeated start in every reading; `rppal`, the same file
-        /// with a stop between register and data.
-        backend: BusBackend = BusBackend::Linux;
         /// GPIO numbers of SDA and SCL on the header of a Raspberry Pi. With them the driver frees a bus whose SDA a chip holds
         /// low, by up to nine clock pulses; it needs access to the registers (/dev/gpiomem). Leave it out on other computers.
         bus_lines: Option<[u32; 2]> = None;
@@ -245,23 +232,10 @@ pub(super) fn open_bus(path: &str) -> Result<std::fs::File, HardwareError> {
 #[cfg(feature = "hw")]
 fn open(config: &ImuSection) -> Result<(Box<dyn Imu + Send>, bool), HardwareError> {
     use crate::hardware::imu::linux::{Classified, bound_transfers};
-    let path = &config.bus;
-    let failed = |problem: String| HardwareError::Bus(path.clone(), problem);
-    let bounded = bound_transfers(&open_bus(path)?).is_ok();
-    let driver = match config.backend {
-        BusBackend::Linux => {
-            let bus = linux_embedded_hal::I2cdev::new(path).map_err(|e| failed(e.to_string()))?;
-            imu::open(&config.chip, Classified(bus))
-        }
-        BusBackend::Rppal => {
-            let number = path.strip_prefix("/dev/i2c-").and_then(|n| n.parse().ok());
-            let form = || failed("rppal requires a path of the form /dev/i2c-N".to_owned());
-            let bus = rppal::i2c::I2c::with_bus(number.ok_or_else(form)?);
-            let bus = bus.map_err(|e| failed(e.to_string()))?;
-            imu::open(&config.chip, Classified(bus))
-        }
-    };
-    Ok((driver?, bounded))
+    let bounded = bound_transfers(&open_bus(&config.bus)?).is_ok();
+    let bus = linux_embedded_hal::I2cdev::new(&config.bus)
+        .map_err(|e| HardwareError::Bus(config.bus.clone(), e.to_string()))?;
+    Ok((imu::open(&config.chip, Classified(bus))?, bounded))
 }
 
 #[cfg(not(feature = "hw"))]

@@ -49,9 +49,9 @@ pub fn open(map: LineMap) -> Result<BoardPins, PinError> {
 
 /// One line of the header.
 fn get(gpio: &Gpio, pin: u32) -> Result<Pin, PinError> {
-    // the library refuses 255
-    let number = u8::try_from(pin).unwrap_or(u8::MAX);
-    gpio.get(number).map_err(|e| pin_error(e, pin))
+    let number = u8::try_from(pin).map_err(|_| Error::PinNotAvailable(u8::MAX));
+    let line = number.and_then(|number| gpio.get(number));
+    line.map_err(|e| pin_error(e, pin))
 }
 
 /// Converts an error of the crate.

@@ -270,7 +270,9 @@ impl StepCore {
         let idle_ns = self.timing.idle_ns;
         let over = idle_ns.is_some_and(|idle_ns| now_ns > self.moved_ns + idle_ns);
         let moves = self.mode == StepperMode::Stopping || !self.stream.is_empty();
-        self.enable &= !(over && self.levels.enable && !moves);
+        if over && self.levels.enable && !moves {
+            self.enable = false;
+        }
     }
 
     /// The levels that the lines should have now. At most one line of a channel changes at a time.
