@@ -78,10 +78,12 @@ impl Covariance {
             (VELOCITY, ATTITUDE + 1, pull),
             (VELOCITY + 1, ATTITUDE, -pull),
         ]);
-        self.couple(&std::array::from_fn::<_, 27, _>(|n| match (n / 9, n % 9) {
-            (row, col @ 0..3) => (ATTITUDE + row, BIAS + col, -turned_s[(row, col)]),
-            (row, col) => (ATTITUDE + row, BIAS + col, skewed[(row, col - 3)]),
-        }));
+        // per axis of the attitude: three errors of the bias, and six of scale and skew
+        let links: [_; 27] = std::array::from_fn(|n| match (n / 9, n % 9) {
+            (row, k @ 0..3) => (ATTITUDE + row, BIAS + k, -turned_s[(row, k)]),
+            (row, k) => (ATTITUDE + row, SCALE + k - 3, skewed[(row, k - 3)]),
+        });
+        self.couple(&links);
     }
 
     /// `error[to] += gain * error[from]` for every link; no `from` may also be a `to`.
