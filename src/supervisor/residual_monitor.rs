@@ -222,7 +222,8 @@ impl ResidualMonitor {
         self.smooth = since + (self.smooth - since) * keep;
         let threshold_rad = self.config.jump_deg.to_radians();
         let path_rad = moved.max(gapless);
-        (self.jump).step(threshold_rad, residual, path_rad, input.dt_s);
+        self.jump
+            .step(threshold_rad, residual, path_rad, input.dt_s);
         self.assess(input)
     }
 
@@ -242,9 +243,10 @@ impl ResidualMonitor {
 
     fn assess(&mut self, input: &ResidualInput) -> Option<Suspicion> {
         let net = (input.given - self.baseline.1).norm();
-        let (least_deg, moved) = match self.settled {
-            true => (self.config.rest_deg, net),
-            false => (self.config.motion_deg, net.max(self.path_rad)),
+        let (least_deg, moved) = if self.settled {
+            (self.config.rest_deg, net)
+        } else {
+            (self.config.motion_deg, net.max(self.path_rad))
         };
         let allowed = least_deg.to_radians() + self.config.share * moved;
         let sudden = self.jump.is_recent();

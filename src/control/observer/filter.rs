@@ -200,7 +200,8 @@ impl Observer {
 
     /// One tick with the counted pistons. `given` is the bend of a described machine, in place of the nominal one, rad.
     pub fn follow(&mut self, piston_mm: &Vector3<f64>, given: Option<Vector2<f64>>, dt_s: f64) {
-        (self.now).advance(&self.lines, &self.geometry, piston_mm, dt_s);
+        self.now
+            .advance(&self.lines, &self.geometry, piston_mm, dt_s);
         self.given = given.unwrap_or_else(|| self.now.nominal());
         self.head = (self.head + 1) % HISTORY;
         self.history[self.head] = (*piston_mm, self.given);
@@ -210,7 +211,8 @@ impl Observer {
         let ago = |n: usize| self.history[(self.head + HISTORY - n) % HISTORY];
         let ((later_mm, later), (earlier_mm, earlier)) = (ago(whole), ago(whole + 1));
         let then_mm = later_mm.lerp(&earlier_mm, part);
-        (self.then).advance(&self.lines, &self.geometry, &then_mm, dt_s);
+        self.then
+            .advance(&self.lines, &self.geometry, &then_mm, dt_s);
         let from = given.map_or_else(|| self.then.nominal(), |_| later.lerp(&earlier, part));
         let before = self.predicted();
         let Dynamics { lag_s, .. } = self.dynamics;
@@ -238,7 +240,8 @@ impl Observer {
         given: Option<Vector2<f64>>,
         at: &Vector2<f64>,
     ) {
-        (self.now).advance(&self.lines, &self.geometry, piston_mm, 0.0);
+        self.now
+            .advance(&self.lines, &self.geometry, piston_mm, 0.0);
         self.then = self.now;
         self.given = given.unwrap_or_else(|| self.now.nominal());
         self.history.fill((*piston_mm, self.given));
@@ -248,7 +251,8 @@ impl Observer {
             ..Answer::default()
         };
         let residual = at - self.settled_by_laws();
-        (self.known).reset_residual(&residual, config.residual_deg.to_radians());
+        self.known
+            .reset_residual(&residual, config.residual_deg.to_radians());
     }
 
     /// The channels have the play outputs `w_mm` with the pistons at `piston_mm`, and have rested there.
@@ -257,7 +261,7 @@ impl Observer {
             let w_mm = self.lines[i].play(w_mm[i], piston_mm[i]);
             let (off_mm, half_width_mm) = (piston_mm[i] - w_mm, self.lines[i].k_lambda_mm);
             let mm_per_rad = self.mm_per_rad(i);
-            (self.now).rest(i, w_mm, off_mm, half_width_mm, mm_per_rad);
+            self.now.rest(i, w_mm, off_mm, half_width_mm, mm_per_rad);
         }
     }
 
@@ -346,7 +350,8 @@ impl Observer {
             let along = axes.column(axis);
             let row = rows[0] * along[0] + rows[1] * along[1];
             let innovation = (bend - self.predicted() - self.residual()).dot(&along);
-            (self.known).correct(&row, innovation, certain + doubt_2[axis], laws);
+            self.known
+                .correct(&row, innovation, certain + doubt_2[axis], laws);
         }
         self.take_times();
         self.take_plays();
@@ -377,9 +382,10 @@ impl Observer {
         for i in 0..3 {
             let change = std::mem::take(&mut self.known.x[laws::PLAY + i]);
             let now_mm = self.lines[i].k_lambda_mm;
-            let next_mm = match change {
-                0.0 => now_mm,
-                _ => (now_mm + change).clamp(HALF_WIDTH_MM[0], HALF_WIDTH_MM[1]),
+            let next_mm = if change == 0.0 {
+                now_mm
+            } else {
+                (now_mm + change).clamp(HALF_WIDTH_MM[0], HALF_WIDTH_MM[1])
             };
             let spread_mm = self.half_width_sigma_mm(i).max(SPREAD_MIN_MM);
             let spread_mm = spread_mm.min(SPREAD_MAX * next_mm);

@@ -55,7 +55,7 @@ pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, input
         pace.acceleration = pace.acceleration.min(gentle);
     }
     match &input.reference {
-        Some(reference) => (state.setpoint).follow(config, reference, &pace, input.dt_s),
+        Some(reference) => state.setpoint.follow(config, reference, &pace, input.dt_s),
         None => state.setpoint.approach(config, &pace, input.dt_s),
     }
 }
@@ -114,8 +114,8 @@ impl Decision<'_> {
             _ if stop_mm.is_some() => allowed_mm,
             Some(f) if rests => {
                 let error_rad = (state.setpoint.target.bend.0 - self.estimate).norm();
-                let (observer, from_mm) = (&state.observer, &state.targets_mm);
-                let slow_mm = (state.rule).slowly(&f.calm, observer, from_mm, error_rad, dt_s);
+                let (rule, observer) = (&state.rule, &state.observer);
+                let slow_mm = rule.slowly(&f.calm, observer, &state.targets_mm, error_rad, dt_s);
                 ease(&mut state.hold, slow_mm, dt_s)
             }
             _ => ease(&mut state.hold, allowed_mm, dt_s),
@@ -172,7 +172,8 @@ impl Decision<'_> {
         let bend = self.bounded(f, &at, &bend);
         self.state.feedback = bend - self.state.setpoint.bend.at;
         let nominal = self.through_machine(&bend);
-        match (self.state.setpoint).bellow_motion(&self.config.geometry, lead_s) {
+        let setpoint = &self.state.setpoint;
+        match setpoint.bellow_motion(&self.config.geometry, lead_s) {
             Some(motion) => self.pass(&nominal, &motion),
             None => self.go(f, &nominal, None),
         }
@@ -207,7 +208,9 @@ impl Decision<'_> {
         let change = bend - given;
         let risk = inverse::risk(&state.observer, &change, f.free_length_mm);
         let (dynamics, disturbed) = (state.observer.dynamics, state.periodic.hertz().is_some());
-        (state.rule).answer(&dynamics, &self.estimate, disturbed, self.dt_s);
+        state
+            .rule
+            .answer(&dynamics, &self.estimate, disturbed, self.dt_s);
         let step = f.step_deg.to_radians();
         let worth = |rule: &Rule, gain_2: f64| rule.moves(&dynamics, gain_2, risk, step, f.caution);
         if state.hold.is_holding() || !worth(&state.rule, change.norm_squared()) {
@@ -364,8 +367,9 @@ impl Decision<'_> {
             estimate,
             error,
         };
-        (state.obstruction).step(&f.obstruction, moving, &push, answer_s, dt_s);
-        if state.obstruction.blocked && !was_blocked {
+        let obstruction = &mut state.obstruction;
+        obstruction.step(&f.obstruction, moving, &push, answer_s, dt_s);
+        if obstruction.blocked && !was_blocked {
             // what was learned against the obstruction says nothing about the tip
             state.return_to_known(&estimate, f64::INFINITY);
         }

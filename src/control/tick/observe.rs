@@ -50,8 +50,8 @@ pub(super) fn learn(
     if state.setpoint.acceleration.is_none() {
         let least = f.observer.noise_deg.to_radians().powi(2);
         let (noise, moved) = (observer.variance.max(least), observer.rate().norm() * dt_s);
-        let unexplained = &state.unexplained;
-        (state.periodic).step(&f.periodic, unexplained, 2.0 * noise, moved, dt_s);
+        let (periodic, unexplained) = (&mut state.periodic, &state.unexplained);
+        periodic.step(&f.periodic, unexplained, 2.0 * noise, moved, dt_s);
     }
     let sway_2 = state.before_base.sway_rad.powi(2);
     let measured = Measured {

@@ -152,7 +152,8 @@ impl Search<'_, '_> {
             return Ok(());
         }
         let target = self.towards(-mm);
-        (self.drive).go(target, self.config.speed_mm_s, &mut |_| false)?;
+        self.drive
+            .go(target, self.config.speed_mm_s, &mut |_| false)?;
         if self.drive.turn()?.inputs.home[i] {
             return Err(HomingError::NeverOpened { channel, mm });
         }

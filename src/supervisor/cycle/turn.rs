@@ -27,7 +27,9 @@ impl Supervisor {
         let input = self.tick_input(sensed, dt_s);
         let frame = tick(&self.config.tick, &mut self.state, &input);
         self.setpoint = frame.setpoint;
-        let raised = (self.sensors).step(&self.state.fusion, &frame, dt_s, input.dt_s);
+        let raised = self
+            .sensors
+            .step(&self.state.fusion, &frame, dt_s, input.dt_s);
         self.follow_alignment(&frame);
         let tripped = self.pass_gate(&frame, sensed, dt_s);
         self.follow_motion(&frame);
@@ -103,7 +105,8 @@ impl Supervisor {
         }
         match self.position {
             Position::Known => {
-                (self.state).stand(&self.config.tick, &self.sent, Bend::STRAIGHT);
+                self.state
+                    .stand(&self.config.tick, &self.sent, Bend::STRAIGHT);
                 self.straight = self.state.keep(&self.sent).rest;
                 self.occur(Event::Aligned);
             }

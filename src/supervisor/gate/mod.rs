@@ -188,12 +188,14 @@ impl Gate {
 
     /// One tick.
     pub fn pass(&mut self, input: &GateInput) -> GateOutput {
-        (self.following).step(&self.limits, input.following, input.dt_s);
+        self.following
+            .step(&self.limits, input.following, input.dt_s);
         if self.motion == Motion::Passing && !input.armed {
             // the counts of pistons at rest may be declared anew
             self.history = History::resting(&input.counted, &self.limits);
         }
-        (self.history).push(input.counted, input.dt_s, input.counted_age_s);
+        self.history
+            .push(input.counted, input.dt_s, input.counted_age_s);
         let agrees = input.counted == self.sent;
         self.agreed_s = lasting(agrees, self.agreed_s, self.elapsed_s(input.dt_s));
         let tripped = self.check(input);

@@ -21,7 +21,8 @@ impl Mekf {
         let (v, still) = (self.estimate.velocity_m_s, self.standstill.standstill());
         let near_zero = c.velocity_sigma_m_s.powi(2) * c.velocity_memory_s / dt_s;
         let at_zero = STILL_VELOCITY_M_S.powi(2) * STILL_VELOCITY_MEMORY_S / dt_s;
-        let variance = near_zero.min(if still { at_zero } else { near_zero });
+        let bound = if still { at_zero } else { f64::INFINITY };
+        let variance = near_zero.min(bound);
         let mut observe = |k, off, variance| {
             self.covariance.observe(errors, &[(k, 1.0)], off, variance);
         };
