@@ -49,11 +49,11 @@ pub struct Observer {
     /// The channels at the counted steps, and at those of the dead time ago.
     pub now: Channels,
     pub(super) then: Channels,
-    /// Counted pistons and given bend of the last ticks; on the heap, so that a state is moved cheaply.
+    /// Counted pistons and modelled bend of the last ticks; on the heap, so that a state is moved cheaply.
     pub(super) history: Box<[(Vector3<f64>, Vector2<f64>)]>,
     pub(super) head: usize,
     /// Bend of the model without learned columns at the counted steps, rad.
-    pub given: Vector2<f64>,
+    pub modelled: Vector2<f64>,
     pub(super) answer: Answer,
     /// Lag and dead time by the bank.
     pub(super) bank: Dynamics,
@@ -94,7 +94,7 @@ impl Observer {
             then: Channels::default(),
             history: vec![(Vector3::zeros(), Vector2::zeros()); HISTORY].into(),
             head: 0,
-            given: Vector2::zeros(),
+            modelled: Vector2::zeros(),
             answer: Answer::default(),
             bank: dynamics.best,
             dynamics: dynamics.best,
@@ -154,13 +154,13 @@ impl Observer {
         laws::mm_per_rad(&self.lines[i], &self.geometry)
     }
 
-    /// One tick with the counted pistons. `given` is the bend of a described machine, in place of the nominal one, rad.
-    pub fn follow(&mut self, piston_mm: &Vector3<f64>, given: Option<Vector2<f64>>, dt_s: f64) {
+    /// One tick with the counted pistons. `modelled` is the bend of a described machine, in place of the nominal one, rad.
+    pub fn follow(&mut self, piston_mm: &Vector3<f64>, modelled: Option<Vector2<f64>>, dt_s: f64) {
         self.now
             .advance(&self.lines, &self.geometry, piston_mm, dt_s);
-        self.given = given.unwrap_or_else(|| self.now.nominal());
+        self.modelled = modelled.unwrap_or_else(|| self.now.nominal());
         self.head = (self.head + 1) % HISTORY;
-        self.history[self.head] = (*piston_mm, self.given);
+        self.history[self.head] = (*piston_mm, self.modelled);
         let ticks = self.dynamics.delay_s / dt_s.max(f64::MIN_POSITIVE);
         let whole = (ticks.floor() as usize).min(HISTORY - 2);
         let part = (ticks - whole as f64).clamp(0.0, 1.0);
@@ -169,7 +169,7 @@ impl Observer {
         let then_mm = later_mm.lerp(&earlier_mm, part);
         self.then
             .advance(&self.lines, &self.geometry, &then_mm, dt_s);
-        let from = given.map_or_else(|| self.then.nominal(), |_| later.lerp(&earlier, part));
+        let from = modelled.map_or_else(|| self.then.nominal(), |_| later.lerp(&earlier, part));
         let before = self.predicted();
         let Dynamics { lag_s, .. } = self.dynamics;
         let keep = (-dt_s / lag_s.max(1e-3)).exp();
@@ -193,16 +193,16 @@ impl Observer {
         &mut self,
         config: &ObserverConfig,
         piston_mm: &Vector3<f64>,
-        given: Option<Vector2<f64>>,
+        modelled: Option<Vector2<f64>>,
         at: &Vector2<f64>,
     ) {
         self.now
             .advance(&self.lines, &self.geometry, piston_mm, 0.0);
         self.then = self.now;
-        self.given = given.unwrap_or_else(|| self.now.nominal());
-        self.history.fill((*piston_mm, self.given));
+        self.modelled = modelled.unwrap_or_else(|| self.now.nominal());
+        self.history.fill((*piston_mm, self.modelled));
         self.answer = Answer {
-            lagged: self.given,
+            lagged: self.modelled,
             columns: self.now.columns(&self.lines, &self.geometry),
             ..Answer::default()
         };
@@ -242,16 +242,16 @@ impl Observer {
 
     /// Bend by the laws once the tip has settled at the counted steps, without g, rad.
     pub fn settled_by_laws(&self) -> Vector2<f64> {
-        self.given + self.now.columns(&self.lines, &self.geometry) * self.theta()
+        self.modelled + self.now.columns(&self.lines, &self.geometry) * self.theta()
     }
 
     /// Bend once the pistons have reached `piston_mm`, with g, rad; and the channels there.
     pub fn at(&self, piston_mm: &Vector3<f64>) -> (Vector2<f64>, Channels) {
         let mut there = self.now;
         there.advance(&self.lines, &self.geometry, piston_mm, 0.0);
-        let given = self.given + there.nominal() - self.now.nominal();
+        let modelled = self.modelled + there.nominal() - self.now.nominal();
         let columns = there.columns(&self.lines, &self.geometry);
-        (given + columns * self.theta() + self.residual(), there)
+        (modelled + columns * self.theta() + self.residual(), there)
     }
 
     /// Variance of the settled bend with the channels at `there`, rad², summed over both axes.

@@ -198,14 +198,14 @@ impl Decision<'_> {
     /// The set-point rests: moves if the rule says so.
     fn correct(&mut self, f: &FeedbackConfig) -> Vector2<f64> {
         let foreseen = self.foresee();
-        let (believed, given) = (foreseen.believed, foreseen.given);
+        let (believed, channels) = (foreseen.believed, foreseen.channels);
         let theta = self.state.observer.theta();
         let error = self.state.setpoint.target.bend.0 - believed - self.state.disturbed();
-        let bend = given + rule::unrotated(error * f.kp, theta[ROTATION]);
+        let bend = channels + rule::unrotated(error * f.kp, theta[ROTATION]);
         let at = self.state.setpoint.bend.at;
         let bend = self.bounded(f, &at, &bend);
         let state = &mut *self.state;
-        let change = bend - given;
+        let change = bend - channels;
         let risk = inverse::risk(&state.observer, &change, f.free_length_mm);
         let (dynamics, disturbed) = (state.observer.dynamics, state.periodic.hertz().is_some());
         state
@@ -214,7 +214,7 @@ impl Decision<'_> {
         let step = f.step_deg.to_radians();
         let worth = |rule: &Rule, gain_2: f64| rule.moves(&dynamics, gain_2, risk, step, f.caution);
         if state.hold.is_holding() || !worth(&state.rule, change.norm_squared()) {
-            return given;
+            return channels;
         }
         let stays = state.rule;
         // a described machine is believed anew in the next tick: the slope of its laws need not be known
@@ -225,7 +225,7 @@ impl Decision<'_> {
             let left = error - (state.observer.at(&allowed_mm).0 - believed);
             if !worth(&stays, error.norm_squared() - left.norm_squared()) {
                 state.rule = stays;
-                return given;
+                return channels;
             }
         }
         state.feedback = bend - at;
@@ -245,11 +245,11 @@ impl Decision<'_> {
         let theta = observer.theta();
         let Some(described) = &mut self.state.described else {
             let (believed, there) = observer.at(goal_mm);
-            let given = bend_of(&there.outputs(&theta));
+            let channels = bend_of(&there.outputs(&theta));
             return Foreseen {
                 believed,
-                given,
-                nominal: given,
+                channels,
+                nominal: channels,
             };
         };
         let (by_nominal, there) = observer.at(&described.pistons_at(goal_mm));
@@ -258,8 +258,8 @@ impl Decision<'_> {
         let beside = bend - there.nominal();
         Foreseen {
             believed: by_nominal + bend
-                - (observer.given + there.nominal() - observer.now.nominal()),
-            given: nominal + beside,
+                - (observer.modelled + there.nominal() - observer.now.nominal()),
+            channels: nominal + beside,
             nominal,
         }
     }
@@ -361,9 +361,8 @@ impl Decision<'_> {
         let was_blocked = state.obstruction.blocked;
         let response_s = state.observer.dynamics.response_s();
         let answer_s = response_s + state.dynamics.error_max_s() + ANSWERED_S;
-        let given = state.observer.given;
         let push = Push {
-            given,
+            given: state.observer.modelled,
             estimate,
             error,
         };
@@ -395,6 +394,6 @@ struct Foreseen {
     /// The bend of the tip.
     believed: Vector2<f64>,
     /// The bend of the channels, and of the nominal channels if a described machine bends by others.
-    given: Vector2<f64>,
+    channels: Vector2<f64>,
     nominal: Vector2<f64>,
 }

@@ -233,7 +233,7 @@ impl Supervisor {
         }
         let input = ResidualInput {
             dt_s,
-            given: frame.bend_from_pistons.0,
+            predicted: frame.bend_from_pistons.0,
             gapless: self.bend_without_play(sensed),
             estimate: estimate.bend.0,
             answer_s: frame.dynamics.response_s(),
