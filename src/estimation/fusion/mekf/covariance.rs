@@ -18,8 +18,6 @@ use nalgebra::{Matrix3, SMatrix, SVector};
 
 /// Number of error states.
 pub const DIM: usize = 20;
-/// Gravity, m/s². An error of a percent is negligible, since the direction dominates.
-pub const GRAVITY_M_S2: f64 = 9.81;
 /// First attitude error; the third one is the heading.
 pub const ATTITUDE: usize = 0;
 /// First gyroscope bias error.
