@@ -239,14 +239,15 @@ impl Gate {
     /// passed.
     fn check(&self, input: &GateInput) -> Option<TripCause> {
         let passing = self.motion == Motion::Passing;
-        if input.emergency_stop && (passing || !self.reported[0]) {
-            return Some(TripCause::EmergencyStop);
-        }
-        if input.alarm && (passing || !self.reported[1]) {
-            return Some(TripCause::StepGenerator);
-        }
-        if input.overpressure && (passing || !self.reported[2]) {
-            return Some(TripCause::Pressure);
+        let reports = [
+            (input.emergency_stop, TripCause::EmergencyStop),
+            (input.alarm, TripCause::StepGenerator),
+            (input.overpressure, TripCause::Pressure),
+        ];
+        for ((now, cause), before) in reports.into_iter().zip(self.reported) {
+            if now && (passing || !before) {
+                return Some(cause);
+            }
         }
         if !passing {
             return None;
