@@ -207,7 +207,9 @@ impl Supervisor {
             && !self.stopped
             && self.gate.latched().is_none()
             && !self.gate.is_busy()
-            && (self.off_straight_rad()).is_some_and(|rad| rad <= straight_rad)
+            && self
+                .off_straight_rad()
+                .is_some_and(|rad| rad <= straight_rad)
     }
 
     /// Angle of the tip from straight, rad: by the estimate while the position is known, otherwise between measured and
