@@ -225,7 +225,7 @@ mod tests {
             limits: &LIMITS,
             there: &observer.now,
             theta: &observer.theta(),
-            estimate: &observer.given,
+            estimate: &observer.modelled,
             keep: None,
             length: 0.0,
             free_mm,
@@ -248,7 +248,7 @@ mod tests {
                 limits: &LIMITS,
                 there: &observer.now,
                 theta: &observer.theta(),
-                estimate: &observer.given,
+                estimate: &observer.modelled,
                 keep: None,
                 length: 0.0,
                 free_mm: 0.25,
@@ -266,7 +266,7 @@ mod tests {
             (0..24)
                 .map(|k| {
                     let (sin, cos) = (0.2618 * f64::from(k)).sin_cos();
-                    let to = observer.given + Vector2::new(cos, sin) * 0.012;
+                    let to = observer.modelled + Vector2::new(cos, sin) * 0.012;
                     let choice = chosen(&observer, &to, free_mm);
                     let turned = |i: &usize| {
                         choice.sides[*i] != 0.0 && reverses(&observer.now, *i, choice.sides[*i])

@@ -122,8 +122,10 @@ impl Path {
     /// The same path with its time stretched by `factor`.
     pub fn slowed(&self, factor: f64) -> Self {
         let mut slowed = self.clone();
-        slowed.t_s.iter_mut().for_each(|t| *t *= factor);
-        (slowed.second.iter_mut()).for_each(|m| *m /= factor * factor);
+        for (t, second) in slowed.t_s.iter_mut().zip(&mut slowed.second) {
+            *t *= factor;
+            *second /= factor * factor;
+        }
         slowed
     }
 }

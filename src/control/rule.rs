@@ -1,4 +1,4 @@
-//! The outer orientation PI loop, written once, and the rule for when to move.
+//! The feedback, an orientation PI loop written once, and the rule for when to move.
 //!
 //! The observer believes that the tip, once it has settled at the counted pistons, bends by `b = laws + g`. The proportional part
 //! moves the laws by `kp (target − b)`; the integral part is g itself, which follows what the laws leave at rest with the rate `ki`

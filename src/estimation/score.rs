@@ -276,6 +276,7 @@ mod tests {
             let error = score(&recording, &mut *filter).unwrap_err();
             assert!(error.to_string().contains("still.csv"), "{error}");
         }
+        assert!(run(&[], None, true).unwrap().is_empty());
     }
 
     #[test]

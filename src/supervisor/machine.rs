@@ -13,8 +13,7 @@
 //! The built-in plant, a foreign plant and the hardware all implement [`Machine`] and are interchangeable.
 
 use crate::estimation::fusion::health::ImuReading;
-use crate::motion::{Drive, DriveState, StepGenerator};
-use crate::motion::{Inputs, StepperFault, StepperMode};
+use crate::motion::{Drive, DriveState, Inputs, StepGenerator, StepperFault, StepperMode};
 use crate::primitives::{Base, ImuSample, Rotation, Seconds, Steps, Tip};
 use thiserror::Error;
 

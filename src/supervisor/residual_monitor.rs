@@ -49,7 +49,7 @@ pub struct ResidualInput {
     /// Time since the last tick, s.
     pub dt_s: f64,
     /// Bend that the counted steps cause according to the transmission model, rad.
-    pub given: Vector2<f64>,
+    pub predicted: Vector2<f64>,
     /// The same without play, rad: the model's position within the backlash is uncertain.
     pub gapless: Vector2<f64>,
     /// Estimated bend, rad.
@@ -162,7 +162,7 @@ pub struct ResidualMonitor {
     settled: bool,
     /// Path of the predicted bend since the baseline, rad.
     path_rad: f64,
-    last_given: Vector2<f64>,
+    last_predicted: Vector2<f64>,
     last_gapless: Option<Vector2<f64>>,
     /// Residual minus baseline, smoothed.
     smooth: Vector2<f64>,
@@ -198,19 +198,19 @@ impl ResidualMonitor {
         // the bend from the pistons after a first-order lag
         let keep = (-input.dt_s / input.answer_s.max(1e-3)).exp();
         let from = self.model.unwrap_or(input.estimate);
-        let model = input.given + (from - input.given) * keep;
+        let model = input.predicted + (from - input.predicted) * keep;
         self.model = Some(model);
         let residual = input.estimate - model;
-        let moved = (input.given - self.last_given).norm();
+        let moved = (input.predicted - self.last_predicted).norm();
         self.path_rad += moved;
-        self.last_given = input.given;
+        self.last_predicted = input.predicted;
         let before = self.last_gapless.replace(input.gapless);
         let gapless = (input.gapless - before.unwrap_or(input.gapless)).norm();
         self.rested_s = lasting(!input.moving, self.rested_s, input.dt_s);
         let departs = input.moving && self.settled;
         let settles = !self.settled && self.rested_s > SETTLE_S + 4.0 * input.answer_s;
         if (departs || settles) && self.verdict.is_none() && self.beyond_s == 0.0 {
-            (self.baseline, self.path_rad) = ((residual, input.given), 0.0);
+            (self.baseline, self.path_rad) = ((residual, input.predicted), 0.0);
             self.smooth = Vector2::zeros();
         }
         self.settled = !input.moving && (self.settled || settles);
@@ -222,7 +222,8 @@ impl ResidualMonitor {
         self.smooth = since + (self.smooth - since) * keep;
         let threshold_rad = self.config.jump_deg.to_radians();
         let path_rad = moved.max(gapless);
-        (self.jump).step(threshold_rad, residual, path_rad, input.dt_s);
+        self.jump
+            .step(threshold_rad, residual, path_rad, input.dt_s);
         self.assess(input)
     }
 
@@ -231,7 +232,7 @@ impl ResidualMonitor {
         let Some(verdict) = &mut self.verdict else {
             return;
         };
-        let moved = (input.given - self.baseline.1).norm();
+        let moved = (input.predicted - self.baseline.1).norm();
         let allowed = self.config.rest_deg.to_radians() + self.config.share * moved;
         let good = self.smooth.norm() < GOOD_SHARE * allowed;
         verdict.good_moves = if good { verdict.good_moves + 1 } else { 0 };
@@ -241,10 +242,11 @@ impl ResidualMonitor {
     }
 
     fn assess(&mut self, input: &ResidualInput) -> Option<Suspicion> {
-        let net = (input.given - self.baseline.1).norm();
-        let (least_deg, moved) = match self.settled {
-            true => (self.config.rest_deg, net),
-            false => (self.config.motion_deg, net.max(self.path_rad)),
+        let net = (input.predicted - self.baseline.1).norm();
+        let (least_deg, moved) = if self.settled {
+            (self.config.rest_deg, net)
+        } else {
+            (self.config.motion_deg, net.max(self.path_rad))
         };
         let allowed = least_deg.to_radians() + self.config.share * moved;
         let sudden = self.jump.is_recent();
@@ -295,8 +297,8 @@ impl ResidualMonitor {
         let j = longer(longer(0, 1), 2);
         let x_mm = -1.5 * self.r_mm * along[j];
         let bellow_mm = |bend: &Vector2<f64>| -self.r_mm * Geometry::spoke(j).dot(bend);
-        let motion_mm = bellow_mm(&(input.given - self.baseline.1));
-        let deflection_mm = bellow_mm(&input.given);
+        let motion_mm = bellow_mm(&(input.predicted - self.baseline.1));
+        let deflection_mm = bellow_mm(&input.predicted);
         let of = |kind, share| Suspicion {
             kind,
             channel: Some(j as u8 + 1),

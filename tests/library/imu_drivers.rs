@@ -1025,11 +1025,11 @@ fn a_sensor_with_errors_is_calibrated_through_the_driver() {
         before > 0.1 && after < 0.012,
         "{before} {after}: what remains is the noise of 0.5 of 49 uT"
     );
-    assert!((correction.gyro_bias_rad_s - gyro_bias).amax() < 4e-4);
+    assert!((correction.gyro.bias - gyro_bias).amax() < 4e-4);
     assert!(
-        (correction.mag_bias_ut - hard_ut).amax() < 0.2,
+        (correction.mag.bias - hard_ut).amax() < 0.2,
         "{}",
-        correction.mag_bias_ut
+        correction.mag.bias
     );
     let still: Vec<_> = rest
         .iter()

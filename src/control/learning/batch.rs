@@ -130,8 +130,9 @@ fn solve_channel(
         (k, inverse, condition) = solved(&weights)?;
     }
     let weighted = rows.iter().zip(&weights);
-    let squares = weighted.map(|((a, b, _), w)| w * (b - a.dot(&k)).powi(2));
-    let squares: f64 = squares.sum();
+    let squares: f64 = weighted
+        .map(|((a, b, _), w)| w * (b - a.dot(&k)).powi(2))
+        .sum();
     let variance = if rows.len() > 2 {
         squares / (rows.len() - 2) as f64
     } else {

@@ -6,76 +6,32 @@
 //! and dead time.
 
 use super::config::{ObserverConfig, standard_deviations};
-use super::knowledge::{DELAY, Knowledge, LAG, RESIDUAL, State};
+use super::knowledge::{Knowledge, RESIDUAL, row_of};
 use super::laws::{self, Channels, Columns, LAWS, Theta};
 use crate::control::dynamics::{Dynamics, DynamicsRange};
 use crate::model::{Geometry, Line};
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 
 /// Ticks of history: 1.2 s at a period of 1 ms.
 const HISTORY: usize = 1200;
-/// Interval between two measurements, s.
-const PERIOD_S: f64 = 0.01;
 /// Speed above which a change of the prediction is no motion but a change of the dead time, rad/s.
 const SPEED_MAX: f64 = 2.5;
-/// Time constants with which the rate of the residual and its noise are smoothed, s.
-const RESIDUAL_RATE_S: f64 = 0.03;
-const NOISE_S: f64 = 2.0;
-/// Standard deviation of an estimate that is not doubted, rad (0.6°).
-const SIGMA_RAD: f64 = 0.01;
-/// Innovation in standard deviations of the estimate from which the tip has moved, for certain.
-const DOUBTED_SIGMAS: f64 = 3.0;
-/// Largest square of a change in units of the noise that counts as noise.
-const OUTLIER_2: f64 = 9.0;
 /// Standard deviations by which the largest plausible error of the response time counts for how long a motion is in flight: half of three.
 const TIMING_SIGMAS: f64 = 1.5;
-/// Rate of the residual that a settled pose may have, rad/s.
-const SETTLED_RAD_S: f64 = 0.03;
-/// How long an error of timing has the same sign, s: with and without states for lag and dead time.
-const SAME_SIGN_S: [f64; 2] = [0.1, 3.0];
-/// Largest corrections of lag and dead time as shares of both, and in s; how sure the bank must be before they are corrected.
-const CORRECTION_SHARE: [f64; 2] = [0.4, 0.15];
-const CORRECTION_S: f64 = 0.012;
-const SURE_SHARE: f64 = 0.5;
-const SURE_S: f64 = 0.03;
-/// Standard deviation of lag and of dead time about those of the bank: a share and a constant, s.
-const TIMES_SIGMA: [(f64, f64); 2] = [(0.15, 0.003), (0.06, 0.002)];
-/// Half-widths that a line can have, mm.
-const HALF_WIDTH_MM: [f64; 2] = [0.05, 1.6];
-/// Spread of a half-width, mm, at least, and at most as a share of it.
-const SPREAD_MIN_MM: f64 = 0.02;
-const SPREAD_MAX: f64 = 0.8;
-/// Bend that no tip has, rad: a filter that believes it has diverged and begins anew.
-const BELIEVED_MAX: f64 = 2.0 * std::f64::consts::PI;
-/// Weight of a pose in the size of g, with the least, rad, and the largest square, rad².
-const SIZE_GAIN: f64 = 0.15;
-const SIZE_MIN: f64 = 0.003;
-const SIZE_MAX_2: f64 = 0.003;
-
-/// What the observer is told of the tip.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Measured {
-    /// Estimated bend, less a periodic disturbance, rad.
-    pub bend: Vector2<f64>,
-    /// Covariance of the estimate, rad²; zero if it is not known.
-    pub covariance: Matrix2<f64>,
-    /// The laws learn too, not g alone.
-    pub laws: bool,
-}
 
 /// How the tip answers the channels, delayed and lagged.
 #[derive(Debug, Clone, Copy, Default)]
-struct Answer {
+pub(super) struct Answer {
     /// Bend of the model without learned columns, rad, and the columns.
-    lagged: Vector2<f64>,
-    columns: Columns,
+    pub(super) lagged: Vector2<f64>,
+    pub(super) columns: Columns,
     /// Rate of the predicted bend, rad/s, the largest within the response time, and the derivative with respect to the lag.
-    rate: Vector2<f64>,
-    recent_rate: f64,
-    lag_derivative: Vector2<f64>,
+    pub(super) rate: Vector2<f64>,
+    pub(super) recent_rate: f64,
+    pub(super) lag_derivative: Vector2<f64>,
     /// What the tip did otherwise at the last measurement, rad, and its rate, rad/s.
-    residual: Vector2<f64>,
-    residual_rate: f64,
+    pub(super) residual: Vector2<f64>,
+    pub(super) residual_rate: f64,
 }
 
 /// The observer.
@@ -85,30 +41,30 @@ pub struct Observer {
     pub geometry: Geometry,
     /// Gains before the learned columns, with the half-widths in use.
     pub lines: [Line; 3],
-    sigma: Theta,
+    pub(super) sigma: Theta,
     /// Gains and half-widths are not learned.
-    fixed: bool,
+    pub(super) fixed: bool,
     /// What the filter knows, apart from the state of the channels. The half-widths in use are in [`Self::lines`].
     pub known: Knowledge,
     /// The channels at the counted steps, and at those of the dead time ago.
     pub now: Channels,
-    then: Channels,
-    /// Counted pistons and given bend of the last ticks; on the heap, so that a state is moved cheaply.
-    history: Box<[(Vector3<f64>, Vector2<f64>)]>,
-    head: usize,
+    pub(super) then: Channels,
+    /// Counted pistons and modelled bend of the last ticks; on the heap, so that a state is moved cheaply.
+    pub(super) history: Box<[(Vector3<f64>, Vector2<f64>)]>,
+    pub(super) head: usize,
     /// Bend of the model without learned columns at the counted steps, rad.
-    pub given: Vector2<f64>,
-    answer: Answer,
+    pub modelled: Vector2<f64>,
+    pub(super) answer: Answer,
     /// Lag and dead time by the bank.
-    bank: Dynamics,
+    pub(super) bank: Dynamics,
     /// The same with their corrections.
     pub dynamics: Dynamics,
-    timing_error_s: f64,
-    noise_2: f64,
+    pub(super) timing_error_s: f64,
+    pub(super) noise_2: f64,
     /// Variance of the last measurement per axis, rad².
     pub variance: f64,
-    due_s: f64,
-    path: f64,
+    pub(super) due_s: f64,
+    pub(super) path: f64,
 }
 
 impl Observer {
@@ -138,7 +94,7 @@ impl Observer {
             then: Channels::default(),
             history: vec![(Vector3::zeros(), Vector2::zeros()); HISTORY].into(),
             head: 0,
-            given: Vector2::zeros(),
+            modelled: Vector2::zeros(),
             answer: Answer::default(),
             bank: dynamics.best,
             dynamics: dynamics.best,
@@ -198,20 +154,22 @@ impl Observer {
         laws::mm_per_rad(&self.lines[i], &self.geometry)
     }
 
-    /// One tick with the counted pistons. `given` is the bend of a described machine, in place of the nominal one, rad.
-    pub fn follow(&mut self, piston_mm: &Vector3<f64>, given: Option<Vector2<f64>>, dt_s: f64) {
-        (self.now).advance(&self.lines, &self.geometry, piston_mm, dt_s);
-        self.given = given.unwrap_or_else(|| self.now.nominal());
+    /// One tick with the counted pistons. `modelled` is the bend of a described machine, in place of the nominal one, rad.
+    pub fn follow(&mut self, piston_mm: &Vector3<f64>, modelled: Option<Vector2<f64>>, dt_s: f64) {
+        self.now
+            .advance(&self.lines, &self.geometry, piston_mm, dt_s);
+        self.modelled = modelled.unwrap_or_else(|| self.now.nominal());
         self.head = (self.head + 1) % HISTORY;
-        self.history[self.head] = (*piston_mm, self.given);
+        self.history[self.head] = (*piston_mm, self.modelled);
         let ticks = self.dynamics.delay_s / dt_s.max(f64::MIN_POSITIVE);
         let whole = (ticks.floor() as usize).min(HISTORY - 2);
         let part = (ticks - whole as f64).clamp(0.0, 1.0);
         let ago = |n: usize| self.history[(self.head + HISTORY - n) % HISTORY];
         let ((later_mm, later), (earlier_mm, earlier)) = (ago(whole), ago(whole + 1));
         let then_mm = later_mm.lerp(&earlier_mm, part);
-        (self.then).advance(&self.lines, &self.geometry, &then_mm, dt_s);
-        let from = given.map_or_else(|| self.then.nominal(), |_| later.lerp(&earlier, part));
+        self.then
+            .advance(&self.lines, &self.geometry, &then_mm, dt_s);
+        let from = modelled.map_or_else(|| self.then.nominal(), |_| later.lerp(&earlier, part));
         let before = self.predicted();
         let Dynamics { lag_s, .. } = self.dynamics;
         let keep = (-dt_s / lag_s.max(1e-3)).exp();
@@ -235,20 +193,22 @@ impl Observer {
         &mut self,
         config: &ObserverConfig,
         piston_mm: &Vector3<f64>,
-        given: Option<Vector2<f64>>,
+        modelled: Option<Vector2<f64>>,
         at: &Vector2<f64>,
     ) {
-        (self.now).advance(&self.lines, &self.geometry, piston_mm, 0.0);
+        self.now
+            .advance(&self.lines, &self.geometry, piston_mm, 0.0);
         self.then = self.now;
-        self.given = given.unwrap_or_else(|| self.now.nominal());
-        self.history.fill((*piston_mm, self.given));
+        self.modelled = modelled.unwrap_or_else(|| self.now.nominal());
+        self.history.fill((*piston_mm, self.modelled));
         self.answer = Answer {
-            lagged: self.given,
+            lagged: self.modelled,
             columns: self.now.columns(&self.lines, &self.geometry),
             ..Answer::default()
         };
         let residual = at - self.settled_by_laws();
-        (self.known).reset_residual(&residual, config.residual_deg.to_radians());
+        self.known
+            .reset_residual(&residual, config.residual_deg.to_radians());
     }
 
     /// The channels have the play outputs `w_mm` with the pistons at `piston_mm`, and have rested there.
@@ -257,7 +217,7 @@ impl Observer {
             let w_mm = self.lines[i].play(w_mm[i], piston_mm[i]);
             let (off_mm, half_width_mm) = (piston_mm[i] - w_mm, self.lines[i].k_lambda_mm);
             let mm_per_rad = self.mm_per_rad(i);
-            (self.now).rest(i, w_mm, off_mm, half_width_mm, mm_per_rad);
+            self.now.rest(i, w_mm, off_mm, half_width_mm, mm_per_rad);
         }
     }
 
@@ -282,147 +242,16 @@ impl Observer {
 
     /// Bend by the laws once the tip has settled at the counted steps, without g, rad.
     pub fn settled_by_laws(&self) -> Vector2<f64> {
-        self.given + self.now.columns(&self.lines, &self.geometry) * self.theta()
+        self.modelled + self.now.columns(&self.lines, &self.geometry) * self.theta()
     }
 
     /// Bend once the pistons have reached `piston_mm`, with g, rad; and the channels there.
     pub fn at(&self, piston_mm: &Vector3<f64>) -> (Vector2<f64>, Channels) {
         let mut there = self.now;
         there.advance(&self.lines, &self.geometry, piston_mm, 0.0);
-        let given = self.given + there.nominal() - self.now.nominal();
+        let modelled = self.modelled + there.nominal() - self.now.nominal();
         let columns = there.columns(&self.lines, &self.geometry);
-        (given + columns * self.theta() + self.residual(), there)
-    }
-
-    /// Takes a measurement. At rest g follows it with the rate `ki_1_s`: the steady rate of a filter for a random walk of variance rate d²
-    /// in noise of density r is √(d²/r).
-    pub fn measure(&mut self, config: &ObserverConfig, ki_1_s: f64, measured: &Measured) {
-        let (bend, laws) = (measured.bend, measured.laws);
-        if self.due_s < PERIOD_S - 1e-9 {
-            return;
-        }
-        let dt_s = std::mem::take(&mut self.due_s);
-        let path = std::mem::take(&mut self.path);
-        self.sigma = standard_deviations(config, self.fixed);
-        let drift_2 = (ki_1_s * config.noise_deg.to_radians()).powi(2) * PERIOD_S;
-        self.known.predict(config, &self.sigma, drift_2, path, dt_s);
-        let residual = bend - self.predicted();
-        let answer = &mut self.answer;
-        let change = residual - std::mem::replace(&mut answer.residual, residual);
-        let rate = change.norm() / dt_s;
-        answer.residual_rate += (rate - answer.residual_rate) * (dt_s / RESIDUAL_RATE_S).min(1.0);
-        let least = config.noise_deg.to_radians().powi(2);
-        let noise_2 = (change.norm_squared() / 4.0).min(OUTLIER_2 * least.max(self.noise_2));
-        if answer.recent_rate < SETTLED_RAD_S {
-            self.noise_2 += (noise_2 - self.noise_2) * (dt_s / NOISE_S).min(1.0);
-        }
-        let response_s = self.dynamics.response_s();
-        let corrects = self.timing_error_s / 3.0 < SURE_SHARE * response_s + SURE_S;
-        let mut timing_s = config.timing_s + config.timing_share * response_s;
-        if !corrects {
-            timing_s = timing_s.max(self.timing_error_s / 3.0);
-        }
-        let unsettled = config.unsettled_s * (answer.residual_rate - SETTLED_RAD_S).max(0.0);
-        let timing_2 = (timing_s * answer.recent_rate).powi(2) + unsettled.powi(2);
-        let same_sign = (SAME_SIGN_S[usize::from(!corrects)] / dt_s).max(1.0);
-        self.variance = least.max(self.noise_2);
-        if laws {
-            self.variance += timing_2 * same_sign;
-        }
-        let (axes, doubt_2) = doubt(measured.covariance, &(residual - self.residual()), dt_s);
-        let certain = self.variance;
-        self.variance += doubt_2.mean();
-        let rows = [0, 1].map(|axis| {
-            // what the laws may have wrong is g's if they do not learn
-            let columns = laws.then_some(&self.answer.columns);
-            let mut row = row_of(columns, axis);
-            if laws && corrects {
-                row[LAG] = self.answer.lag_derivative[axis];
-                row[DELAY] = -self.answer.rate[axis];
-            }
-            row
-        });
-        for axis in 0..2 {
-            let along = axes.column(axis);
-            let row = rows[0] * along[0] + rows[1] * along[1];
-            let innovation = (bend - self.predicted() - self.residual()).dot(&along);
-            (self.known).correct(&row, innovation, certain + doubt_2[axis], laws);
-        }
-        self.take_times();
-        self.take_plays();
-        let believed = (self.settled_by_laws() + self.residual()).norm();
-        if believed.is_nan() || believed > BELIEVED_MAX {
-            self.forget();
-            self.believe(&bend, f64::INFINITY);
-        }
-    }
-
-    /// Takes the estimated errors of lag and dead time into both.
-    fn take_times(&mut self) {
-        let bank = [self.bank.lag_s, self.bank.delay_s];
-        let mut now = [self.dynamics.lag_s, self.dynamics.delay_s];
-        for k in 0..2 {
-            let most = CORRECTION_SHARE[k] * bank[k] + CORRECTION_S;
-            now[k] = (now[k] + std::mem::take(&mut self.known.x[LAG + k]))
-                .clamp(bank[k] - most, bank[k] + most);
-        }
-        self.dynamics = Dynamics {
-            lag_s: now[0].max(0.002),
-            delay_s: now[1].max(0.0),
-        };
-    }
-
-    /// Takes the estimated errors of the half-widths into the channels.
-    fn take_plays(&mut self) {
-        for i in 0..3 {
-            let change = std::mem::take(&mut self.known.x[laws::PLAY + i]);
-            let now_mm = self.lines[i].k_lambda_mm;
-            let next_mm = match change {
-                0.0 => now_mm,
-                _ => (now_mm + change).clamp(HALF_WIDTH_MM[0], HALF_WIDTH_MM[1]),
-            };
-            let spread_mm = self.half_width_sigma_mm(i).max(SPREAD_MIN_MM);
-            let spread_mm = spread_mm.min(SPREAD_MAX * next_mm);
-            let (change_mm, mm_per_rad) = (next_mm - now_mm, self.mm_per_rad(i));
-            self.lines[i].k_lambda_mm = next_mm;
-            self.now.widen(i, change_mm, spread_mm, mm_per_rad);
-            self.then.widen(i, change_mm, spread_mm, mm_per_rad);
-            self.answer.lagged += self.answer.columns.column(laws::PLAY + i) * change_mm;
-        }
-    }
-
-    /// Takes over what the bank knows about lag and dead time.
-    pub fn take_dynamics(&mut self, range: &DynamicsRange, moving: bool) {
-        self.timing_error_s = range.error_max_s();
-        if moving || range.best == self.bank {
-            return;
-        }
-        (self.bank, self.dynamics) = (range.best, range.best);
-        for (k, variance) in self.times_variance().into_iter().enumerate() {
-            self.known.reset(LAG + k, variance);
-        }
-    }
-
-    /// Variances of lag and of dead time about those of the bank, s².
-    fn times_variance(&self) -> [f64; 2] {
-        let times_s = [self.bank.lag_s, self.bank.delay_s];
-        std::array::from_fn(|k| {
-            let (share, least_s) = TIMES_SIGMA[k];
-            let sigma_s = (share * times_s[k] + least_s).max(self.timing_error_s / 3.0);
-            sigma_s * sigma_s
-        })
-    }
-
-    /// A new pose begins: the next motion has its own speed, and what the last pose was off by tells how rough the map is.
-    pub fn depart(&mut self) {
-        for (k, most) in self.times_variance().into_iter().enumerate() {
-            self.known.p[(LAG + k, LAG + k)] += 0.5 * most;
-            self.known.cap(LAG + k, most);
-        }
-        let size_2 = (self.residual().norm_squared() / 2.0).min(SIZE_MAX_2);
-        let before_2 = self.known.residual_size.powi(2);
-        let mean_2 = before_2 * (1.0 - SIZE_GAIN) + SIZE_GAIN * size_2;
-        self.known.residual_size = mean_2.sqrt().max(SIZE_MIN);
+        (modelled + columns * self.theta() + self.residual(), there)
     }
 
     /// Variance of the settled bend with the channels at `there`, rad², summed over both axes.
@@ -444,199 +273,5 @@ impl Observer {
 
     fn sigma_of(&self, k: usize) -> f64 {
         self.known.p[(k, k)].max(0.0).sqrt()
-    }
-}
-
-/// Derivatives of the bend along an axis with respect to the states: of the laws, if they count, and of g.
-fn row_of(columns: Option<&Columns>, axis: usize) -> State {
-    let mut row = State::zeros();
-    if let Some(columns) = columns {
-        let of_laws = columns.row(axis).transpose();
-        row.fixed_rows_mut::<LAWS>(0).copy_from(&of_laws);
-    }
-    row[RESIDUAL + axis] = 1.0;
-    row
-}
-
-/// Principal axes of the covariance of the estimate, rad², and the measurement noise along each, rad². An error of the estimate lasts for
-/// seconds, and an innovation beyond [`DOUBTED_SIGMAS`] is none of it.
-fn doubt(
-    covariance: Matrix2<f64>,
-    innovation: &Vector2<f64>,
-    dt_s: f64,
-) -> (Matrix2<f64>, Vector2<f64>) {
-    let known = covariance.symmetric_eigen();
-    let doubt_2 = Vector2::from_fn(|k, _| {
-        let sigma = known.eigenvalues[k].max(0.0).sqrt();
-        let most = DOUBTED_SIGMAS * sigma.max(SIGMA_RAD);
-        let off = innovation.dot(&known.eigenvectors.column(k)) / most;
-        let doubted = (sigma - SIGMA_RAD).max(0.0).powi(2) * (1.0 - off * off).max(0.0);
-        doubted * SAME_SIGN_S[1] / dt_s
-    });
-    (known.eigenvectors, doubt_2)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::control::dynamics::DynamicsPrior;
-
-    const DT_S: f64 = 0.01;
-    const LINES: [Line; 3] = [Line {
-        k_epsilon: 2.2,
-        k_lambda_mm: 0.9,
-    }; 3];
-
-    fn known(lag_s: f64) -> DynamicsRange {
-        let expected = Dynamics {
-            lag_s,
-            delay_s: 0.01,
-        };
-        DynamicsPrior::calibrated(expected).range()
-    }
-
-    /// A tip whose lines have other gains and half-widths, with a lag of 30 ms.
-    struct Tip {
-        lines: [Line; 3],
-        w_mm: Vector3<f64>,
-        bend: Vector2<f64>,
-    }
-
-    impl Tip {
-        fn step(&mut self, piston_mm: &Vector3<f64>) -> Vector2<f64> {
-            self.w_mm = Vector3::from_fn(|i, _| self.lines[i].play(self.w_mm[i], piston_mm[i]));
-            let v = std::array::from_fn(|i| {
-                self.w_mm[i] / laws::mm_per_rad(&self.lines[i], &Geometry::default())
-            });
-            let to = laws::bend_of(&v);
-            self.bend = to + (self.bend - to) * (-DT_S / 0.03f64).exp();
-            self.bend
-        }
-    }
-
-    /// Pistons for a bend by the nominal gains, pushing away from zero.
-    fn pistons(bend: &Vector2<f64>) -> Vector3<f64> {
-        Vector3::from_fn(|i, _| {
-            let v = -Geometry::spoke(i).dot(bend);
-            v * laws::mm_per_rad(&LINES[i], &Geometry::default()) + 0.9 * v.signum()
-        })
-    }
-
-    /// An observer that has seen `poses` held poses of a tip, and its error at a last one that it has not seen, rad.
-    fn learned(poses: usize, truth: [Line; 3]) -> (Observer, f64) {
-        let (config, geometry) = (ObserverConfig::default(), Geometry::default());
-        let mut observer = Observer::new(
-            &config,
-            &geometry,
-            LINES,
-            Some([[0.6, 0.25]; 3]),
-            &known(0.03),
-        );
-        let mut tip = Tip {
-            lines: truth,
-            w_mm: Vector3::zeros(),
-            bend: Vector2::zeros(),
-        };
-        let mut at = Vector3::zeros();
-        let mut error = 0.0;
-        for n in 0..=poses {
-            let angle = 2.4 * n as f64;
-            let target = Vector2::new(angle.cos(), angle.sin()) * (0.3 + 0.25 * (n % 4) as f64);
-            observer.depart();
-            for _ in 0..150 {
-                let to = pistons(&target);
-                at += (to - at).cap_magnitude(20.0 * DT_S);
-                let bend = tip.step(&at);
-                observer.follow(&at, None, DT_S);
-                if n < poses {
-                    observer.measure(&config, 23.0, &seen(bend, true));
-                }
-            }
-            error = (observer.settled_by_laws() - tip.bend).norm();
-        }
-        (observer, error)
-    }
-
-    fn seen(bend: Vector2<f64>, laws: bool) -> Measured {
-        Measured {
-            bend,
-            covariance: Matrix2::zeros(),
-            laws,
-        }
-    }
-
-    fn other(gains: [f64; 3], widths_mm: [f64; 3]) -> [Line; 3] {
-        Line::each(gains, widths_mm)
-    }
-
-    #[test]
-    fn poses_teach_gains_and_backlash_for_poses_that_were_not_seen() {
-        let truth = other([1.8, 2.6, 2.3], [0.7, 1.1, 0.85]);
-        let (before, after) = (learned(1, truth).1, learned(30, truth).1);
-        assert!(before > 0.05 && after < 0.006, "{before} then {after} rad");
-        let (observer, _) = learned(30, truth);
-        for (i, line) in truth.iter().enumerate() {
-            let found = observer.lines[i].k_lambda_mm;
-            let sigma = observer.half_width_sigma_mm(i);
-            assert!(
-                (found - line.k_lambda_mm).abs() < (3.0 * sigma).max(0.05),
-                "{found} ± {sigma} mm: {line:?}"
-            );
-        }
-    }
-
-    #[test]
-    fn at_rest_the_residual_follows_and_the_laws_stay() {
-        let (mut observer, _) = learned(30, LINES);
-        let config = ObserverConfig::default();
-        let at = observer.history[observer.head].0;
-        let (laws, bend) = (observer.theta(), observer.settled_by_laws());
-        let pushed = bend + Vector2::new(0.1, -0.05);
-        for k in 0..100 {
-            observer.follow(&at, None, DT_S);
-            observer.measure(&config, 23.0, &seen(pushed, false));
-            if k == 30 {
-                let left = (observer.settled_by_laws() + observer.residual() - pushed).norm();
-                assert!(left < 0.01, "{left} rad after 0.3 s");
-            }
-        }
-        assert_eq!(observer.theta(), laws);
-    }
-
-    #[test]
-    fn an_estimate_is_doubted_along_the_axis_that_it_does_not_know() {
-        let covariance = Matrix2::new(0.05f64.powi(2), 0.0, 0.0, 0.001f64.powi(2));
-        let along = |innovation: Vector2<f64>| {
-            let (axes, doubt_2) = doubt(covariance, &innovation, DT_S);
-            axes * Matrix2::from_diagonal(&doubt_2) * axes.transpose()
-        };
-        let small = along(Vector2::new(0.02, 0.02));
-        assert!(small[(0, 0)] > 0.1 && small[(1, 1)].abs() < 1e-9, "{small}");
-        let large = along(Vector2::new(0.2, 0.0));
-        assert!(large.norm() < 1e-9, "four standard deviations: {large}");
-    }
-
-    #[test]
-    fn fixed_gains_are_not_learned() {
-        let config = ObserverConfig::default();
-        let mut observer = Observer::new(&config, &Geometry::default(), LINES, None, &known(0.03));
-        for k in 0..500 {
-            let at = Vector3::new(0.02, -0.01, -0.01) * f64::from(k);
-            observer.follow(&at, None, DT_S);
-            observer.measure(
-                &config,
-                23.0,
-                &seen(Vector2::new(0.002 * f64::from(k), 0.0), true),
-            );
-        }
-        assert!(observer.theta().rows(laws::GAIN, 3).norm() < 1e-9);
-        assert!(observer.lines == LINES && observer.gain_sigma(0) == 0.0);
-    }
-
-    #[test]
-    fn the_covariance_stays_a_covariance() {
-        let (observer, _) = learned(60, other([1.2, 3.4, 2.0], [0.4, 1.3, 0.9]));
-        let least = observer.known.p.symmetric_eigenvalues().min();
-        assert!(least > -1e-9, "{least}");
     }
 }

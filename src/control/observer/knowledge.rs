@@ -1,7 +1,7 @@
 //! Mean and covariance of the observer: how both change with time, path and measurements.
 
 use super::config::ObserverConfig;
-use super::laws::{self, LAWS, Theta};
+use super::laws::{self, Columns, LAWS, Theta};
 use nalgebra::{SMatrix, SVector, Vector2};
 
 /// First state of g, and of the errors of lag and dead time.
@@ -108,4 +108,15 @@ impl Knowledge {
             self.x[RESIDUAL + axis] = residual[axis];
         }
     }
+}
+
+/// Derivatives of the bend along an axis with respect to the states: of the laws, if they count, and of g.
+pub(super) fn row_of(columns: Option<&Columns>, axis: usize) -> State {
+    let mut row = State::zeros();
+    if let Some(columns) = columns {
+        let of_laws = columns.row(axis).transpose();
+        row.fixed_rows_mut::<LAWS>(0).copy_from(&of_laws);
+    }
+    row[RESIDUAL + axis] = 1.0;
+    row
 }

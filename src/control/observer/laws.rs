@@ -191,8 +191,9 @@ impl Channels {
 
     /// Q of channel `i` at `v`, from the present state of plies and creep on. Extrapolated no steeper or flatter than a tip can be.
     pub fn output(&self, i: usize, v: f64, theta: &Theta) -> f64 {
-        let creep = (0..CREEPS).map(|j| theta[CREEP + j] * self.creep[i][j]);
-        let creep: f64 = creep.sum();
+        let creep: f64 = (0..CREEPS)
+            .map(|j| theta[CREEP + j] * self.creep[i][j])
+            .sum();
         let smooth = |v: f64| {
             v * (1.0 + theta[GAIN + i]) + theta[EVEN + i] * even(v) + theta[ODD + i] * odd(v)
         };

@@ -5,9 +5,11 @@ mod config;
 mod filter;
 mod knowledge;
 pub mod laws;
+mod measure;
 pub mod periodic;
 
 pub use config::ObserverConfig;
-pub use filter::{Measured, Observer};
+pub use filter::Observer;
 pub use knowledge::Knowledge;
+pub use measure::Measured;
 pub use periodic::{Periodic, PeriodicConfig};

@@ -49,9 +49,10 @@ pub(super) fn invert(
         side: before.side + (direction - before.side).clamp(-most, most),
         direction,
     };
+    let speed_max = limits.speed_max_mm_s;
     let passes = MotionState {
         position_mm: passing.w_mm + half_width_mm * next.side,
-        velocity_mm_s: (passing.speed).clamp(-limits.speed_max_mm_s, limits.speed_max_mm_s),
+        velocity_mm_s: passing.speed.clamp(-speed_max, speed_max),
         acceleration_mm_s2: 0.0,
     };
     (Stop::from(passes, limits).end_mm, next)

@@ -55,7 +55,7 @@ pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, input
         pace.acceleration = pace.acceleration.min(gentle);
     }
     match &input.reference {
-        Some(reference) => (state.setpoint).follow(config, reference, &pace, input.dt_s),
+        Some(reference) => state.setpoint.follow(config, reference, &pace, input.dt_s),
         None => state.setpoint.approach(config, &pace, input.dt_s),
     }
 }
@@ -114,8 +114,8 @@ impl Decision<'_> {
             _ if stop_mm.is_some() => allowed_mm,
             Some(f) if rests => {
                 let error_rad = (state.setpoint.target.bend.0 - self.estimate).norm();
-                let (observer, from_mm) = (&state.observer, &state.targets_mm);
-                let slow_mm = (state.rule).slowly(&f.calm, observer, from_mm, error_rad, dt_s);
+                let (rule, observer) = (&state.rule, &state.observer);
+                let slow_mm = rule.slowly(&f.calm, observer, &state.targets_mm, error_rad, dt_s);
                 ease(&mut state.hold, slow_mm, dt_s)
             }
             _ => ease(&mut state.hold, allowed_mm, dt_s),
@@ -171,7 +171,8 @@ impl Decision<'_> {
         let bend = self.bounded(f, &at, &bend);
         self.state.feedback = bend - self.state.setpoint.bend.at;
         let nominal = self.through_machine(&bend);
-        match (self.state.setpoint).bellow_motion(&self.config.geometry, lead_s) {
+        let setpoint = &self.state.setpoint;
+        match setpoint.bellow_motion(&self.config.geometry, lead_s) {
             Some(motion) => self.pass(&nominal, &motion),
             None => self.go(f, &nominal, None),
         }
@@ -196,21 +197,23 @@ impl Decision<'_> {
     /// The set-point rests: moves if the rule says so.
     fn correct(&mut self, f: &FeedbackConfig) -> Vector2<f64> {
         let foreseen = self.foresee();
-        let (believed, given) = (foreseen.believed, foreseen.given);
+        let (believed, channels) = (foreseen.believed, foreseen.channels);
         let theta = self.state.observer.theta();
         let error = self.state.setpoint.target.bend.0 - believed - self.state.disturbed();
-        let bend = given + rule::unrotated(error * f.kp, theta[ROTATION]);
+        let bend = channels + rule::unrotated(error * f.kp, theta[ROTATION]);
         let at = self.state.setpoint.bend.at;
         let bend = self.bounded(f, &at, &bend);
         let state = &mut *self.state;
-        let change = bend - given;
+        let change = bend - channels;
         let risk = inverse::risk(&state.observer, &change, f.free_length_mm);
         let (dynamics, disturbed) = (state.observer.dynamics, state.periodic.hertz().is_some());
-        (state.rule).answer(&dynamics, &self.estimate, disturbed, self.dt_s);
+        state
+            .rule
+            .answer(&dynamics, &self.estimate, disturbed, self.dt_s);
         let step = f.step_deg.to_radians();
         let worth = |rule: &Rule, gain_2: f64| rule.moves(&dynamics, gain_2, risk, step, f.caution);
         if state.hold.is_holding() || !worth(&state.rule, change.norm_squared()) {
-            return given;
+            return channels;
         }
         let stays = state.rule;
         // a described machine is believed anew in the next tick: the slope of its laws need not be known
@@ -221,7 +224,7 @@ impl Decision<'_> {
             let left = error - (state.observer.at(&allowed_mm).0 - believed);
             if !worth(&stays, error.norm_squared() - left.norm_squared()) {
                 state.rule = stays;
-                return given;
+                return channels;
             }
         }
         state.feedback = bend - at;
@@ -241,11 +244,11 @@ impl Decision<'_> {
         let theta = observer.theta();
         let Some(described) = &mut self.state.described else {
             let (believed, there) = observer.at(goal_mm);
-            let given = bend_of(&there.outputs(&theta));
+            let channels = bend_of(&there.outputs(&theta));
             return Foreseen {
                 believed,
-                given,
-                nominal: given,
+                channels,
+                nominal: channels,
             };
         };
         let (by_nominal, there) = observer.at(&described.pistons_at(goal_mm));
@@ -254,8 +257,8 @@ impl Decision<'_> {
         let beside = bend - there.nominal();
         Foreseen {
             believed: by_nominal + bend
-                - (observer.given + there.nominal() - observer.now.nominal()),
-            given: nominal + beside,
+                - (observer.modelled + there.nominal() - observer.now.nominal()),
+            channels: nominal + beside,
             nominal,
         }
     }
@@ -357,14 +360,14 @@ impl Decision<'_> {
         let was_blocked = state.obstruction.blocked;
         let response_s = state.observer.dynamics.response_s();
         let answer_s = response_s + state.dynamics.error_max_s() + ANSWERED_S;
-        let given = state.observer.given;
         let push = Push {
-            given,
+            given: state.observer.modelled,
             estimate,
             error,
         };
-        (state.obstruction).step(&f.obstruction, moving, &push, answer_s, dt_s);
-        if state.obstruction.blocked && !was_blocked {
+        let obstruction = &mut state.obstruction;
+        obstruction.step(&f.obstruction, moving, &push, answer_s, dt_s);
+        if obstruction.blocked && !was_blocked {
             // what was learned against the obstruction says nothing about the tip
             state.return_to_known(&estimate, f64::INFINITY);
         }
@@ -390,6 +393,6 @@ struct Foreseen {
     /// The bend of the tip.
     believed: Vector2<f64>,
     /// The bend of the channels, and of the nominal channels if a described machine bends by others.
-    given: Vector2<f64>,
+    channels: Vector2<f64>,
     nominal: Vector2<f64>,
 }

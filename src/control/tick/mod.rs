@@ -143,7 +143,7 @@ fn belief(state: &LoopState) -> Belief {
 fn senses(state: &LoopState, estimate: Option<TipEstimate>) -> Senses {
     let fusion = &state.fusion;
     Senses {
-        action: (fusion.verdict()).map_or(HealthAction::Use, |v| v.action()),
+        action: fusion.verdict().map_or(HealthAction::Use, |v| v.action()),
         in_force: fusion.in_force(),
         held: state.hold.is_holding(),
         disagrees: estimate.is_some_and(|e| e.disagrees),

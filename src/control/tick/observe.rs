@@ -17,14 +17,14 @@ const CUBIC: f64 = 0.6;
 /// Follows the counted steps.
 pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &Steps, dt_s: f64) {
     let mut piston_mm = config.drive.piston_mm(steps);
-    let mut given = None;
+    let mut modelled = None;
     if let Some(described) = &mut state.described {
         piston_mm = described.pistons(&piston_mm);
         let play_output_mm = state.observer.play_outputs(&piston_mm);
-        given = Some(described.advance(&play_output_mm, dt_s).bend.0);
+        modelled = Some(described.advance(&play_output_mm, dt_s).bend.0);
     }
-    state.observer.follow(&piston_mm, given, dt_s);
-    let from = given.unwrap_or_else(|| state.observer.played_by(&state.accepted)[1]);
+    state.observer.follow(&piston_mm, modelled, dt_s);
+    let from = modelled.unwrap_or_else(|| state.observer.played_by(&state.accepted)[1]);
     let keep = (-dt_s / state.observer.dynamics.lag_s.max(1e-3)).exp();
     state.shown_by_accepted = from + (state.shown_by_accepted - from) * keep;
 }
@@ -41,7 +41,7 @@ pub(super) fn learn(
     let (bend, observer) = (estimate.bend.0, &mut state.observer);
     let disturbance = state.periodic.at(0.0).0;
     let laws = !state.obstruction.blocked && state.rule.held_s < TEACHES_S;
-    if f.learn_dynamics && laws && state.bank.step(observer.given, bend - disturbance, dt_s) {
+    if f.learn_dynamics && laws && state.bank.step(observer.modelled, bend - disturbance, dt_s) {
         state.dynamics = state.bank.assess(&state.before, &state.dynamics);
         observer.take_dynamics(&state.dynamics, moving);
     }
@@ -50,8 +50,8 @@ pub(super) fn learn(
     if state.setpoint.acceleration.is_none() {
         let least = f.observer.noise_deg.to_radians().powi(2);
         let (noise, moved) = (observer.variance.max(least), observer.rate().norm() * dt_s);
-        let unexplained = &state.unexplained;
-        (state.periodic).step(&f.periodic, unexplained, 2.0 * noise, moved, dt_s);
+        let (periodic, unexplained) = (&mut state.periodic, &state.unexplained);
+        periodic.step(&f.periodic, unexplained, 2.0 * noise, moved, dt_s);
     }
     let sway_2 = state.before_base.sway_rad.powi(2);
     let measured = Measured {

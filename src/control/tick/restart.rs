@@ -148,7 +148,7 @@ impl LoopState {
         };
         self.dynamics = self.before.range();
         let published = remembered.k_epsilon;
-        let gains = (remembered.laws).map_or(published, |laws| laws.k_epsilon);
+        let gains = remembered.laws.map_or(published, |laws| laws.k_epsilon);
         self.set_lines(config, Line::each(gains, remembered.k_lambda_mm));
         if let Some(laws) = &remembered.laws {
             self.observer.assume(&laws.parameters);
@@ -157,7 +157,8 @@ impl LoopState {
             self.lines = Line::each(published, remembered.k_lambda_mm);
         }
         let piston_mm = config.drive.piston_mm(&remembered.steps);
-        (self.observer).rest(&remembered.play_output_mm.into(), &piston_mm);
+        self.observer
+            .rest(&remembered.play_output_mm.into(), &piston_mm);
         self.stand(config, &remembered.steps, Bend(remembered.bend_rad.into()));
     }
 }

@@ -64,7 +64,8 @@ pub(super) fn watch_base(
     let by_pistons = quiet.estimate + played - quiet.played;
     if input.realign {
         let moved = state.base.moved;
-        (state.fusion).realign(if moved { Bend(by_pistons) } else { estimate });
+        let bend = if moved { Bend(by_pistons) } else { estimate };
+        state.fusion.realign(bend);
         return;
     }
     if state.fusion.realigning() {

@@ -134,8 +134,8 @@ impl SetPoint {
 
 /// The shape within the range of the bellows.
 fn within_reach(config: &LoopConfig, shape: &Shape) -> (Shape, Cut) {
-    let geometry = &config.geometry;
-    let (q_mm, cut) = (config.limits).bellows(&geometry.lengths(shape), geometry.rest_length_mm);
+    let (geometry, limits) = (&config.geometry, &config.limits);
+    let (q_mm, cut) = limits.bellows(&geometry.lengths(shape), geometry.rest_length_mm);
     match cut {
         Cut::None => (*shape, cut),
         _ => (geometry.shape(&q_mm), cut),

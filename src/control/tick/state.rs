@@ -232,7 +232,7 @@ impl LoopState {
     /// Bend that the counted steps cause by the accepted gains or, where a machine is described, by its laws, rad.
     pub(super) fn played(&self) -> Vector2<f64> {
         match self.described {
-            Some(_) => self.observer.given,
+            Some(_) => self.observer.modelled,
             None => self.observer.played_by(&self.accepted)[0],
         }
     }
@@ -338,11 +338,11 @@ impl LoopState {
         let play_output_mm = self.observer.play_outputs(&piston_mm);
         let bellow_mm = Vector3::from_fn(|i, _| self.lines[i].bellow_mm(play_output_mm[i]));
         let mut length_mm = rest_length_mm + bellow_mm.sum() / 3.0;
-        let mut given = None;
+        let mut modelled = None;
         if let Some(machine) = config.feedforward.clone() {
             let described = self.described.insert(Feedforward::new(machine));
             let shape = described.advance(&play_output_mm, SETTLED_S);
-            (given, length_mm) = (Some(shape.bend.0), shape.length.0);
+            (modelled, length_mm) = (Some(shape.bend.0), shape.length.0);
         }
         // within its plays and the free length, a tip at its rest length has that length
         let f = config.feedback.unwrap_or_default();
@@ -353,7 +353,8 @@ impl LoopState {
         }
         let possible_mm = length_mm.clamp(0.5 * rest_length_mm, 2.0 * rest_length_mm);
         self.setpoint = SetPoint::resting(Shape::new(at.0, possible_mm));
-        self.observer.stand(&f.observer, &piston_mm, given, &at.0);
+        self.observer
+            .stand(&f.observer, &piston_mm, modelled, &at.0);
         self.begin();
         self.accept_lines(config);
         self.shown_by_accepted = self.played();

@@ -42,7 +42,7 @@ pub struct LoopConfig {
     pub motion: DriveLimits,
     /// Static limits of the pistons and bellows.
     pub limits: ActuatorLimits,
-    /// Settings of the outer loop; `None` for an open loop.
+    /// Settings of the feedback; `None` for an open loop.
     pub feedback: Option<FeedbackConfig>,
     /// The machine as a diagnosis describes it, for the feedforward; `None` for the nominal model. Its gains are [`Self::lines`].
     pub feedforward: Option<Arc<DescribedMachine>>,

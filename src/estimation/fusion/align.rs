@@ -149,14 +149,15 @@ impl AlignState {
         if self.gyro.n < MEAN_SAMPLES {
             return None;
         }
-        let turn = (sample.gyro_rad_s - self.gyro.mean).amax();
-        let shake = (sample.acc_m_s2 - self.acc.mean).amax();
-        let bias = self.gyro.mean.norm();
-        let (turns, shakes) = (turn > config.gyro_band_rad_s, shake > config.acc_band_m_s2);
-        let rotates = bias > config.gyro_bias_max_rad_s && self.gyro.n > BIAS_SAMPLES;
-        (turns.then_some(NotStill::Turning))
-            .or(shakes.then_some(NotStill::Shaking))
-            .or(rotates.then_some(NotStill::BiasTooLarge))
+        if (sample.gyro_rad_s - self.gyro.mean).amax() > config.gyro_band_rad_s {
+            Some(NotStill::Turning)
+        } else if (sample.acc_m_s2 - self.acc.mean).amax() > config.acc_band_m_s2 {
+            Some(NotStill::Shaking)
+        } else if self.gyro.mean.norm() > config.gyro_bias_max_rad_s && self.gyro.n > BIAS_SAMPLES {
+            Some(NotStill::BiasTooLarge)
+        } else {
+            None
+        }
     }
 
     fn result(&self, duration_s: f64) -> Alignment {

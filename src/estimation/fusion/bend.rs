@@ -45,6 +45,7 @@ mod config;
 mod corrections;
 mod kalman;
 mod laws;
+mod prediction;
 mod reacquisition;
 mod state;
 #[cfg(test)]

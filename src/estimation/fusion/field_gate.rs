@@ -6,7 +6,8 @@
 //! quantity to protect.
 
 use super::health::FieldShape;
-use super::intake::{held_s, share};
+use super::intake::share;
+use crate::primitives::lasting;
 use nalgebra::Vector3;
 
 /// Largest relative difference of the strength from the reference.
@@ -64,8 +65,9 @@ impl FieldGate {
         let now = FieldShape::of(field_world);
         let reference = self.reference.get_or_insert(now);
         let candidate = self.candidate.get_or_insert(now);
-        self.agreed_s = held_s(self.agreed_s, now.near(reference), dt_s);
-        if !now.near(reference) {
+        let agrees = now.near(reference);
+        self.agreed_s = lasting(agrees, self.agreed_s, dt_s);
+        if !agrees {
             self.disturbed = true;
         } else if self.agreed_s >= REGAIN_S {
             self.disturbed = false;

@@ -7,6 +7,8 @@
 use crate::primitives::ImuSample;
 use nalgebra::Vector3;
 
+/// Gravity, m/s², where nothing has measured it: an error of a percent is negligible, since the direction dominates.
+pub const GRAVITY_M_S2: f64 = 9.81;
 /// Longest step that is integrated, s. After a longer one a filter levels itself again.
 pub const GAP_MAX_S: f64 = 1.0;
 /// Largest plausible angular rate, rad/s: above the range of every MEMS gyroscope (4000 °/s), with margin.

@@ -19,45 +19,36 @@ use super::field_gate::FieldGate;
 use super::filter::{FilterStatus, OrientationFilter, level};
 use super::intake::{self, Step};
 use super::standstill::StandstillDetector;
+use crate::parameters;
 use crate::primitives::{ImuSample, Rotation, Sensor, World};
 use ahrs::Ahrs;
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// Largest plausible bias, rad/s on one axis (5 °/s).
-const BIAS_MAX_RAD_S: f64 = 0.0873;
-/// Time after levelling in which neither the levelling correction nor the dip of the field is used, s: the error
-/// of a start in motion decays during it.
-const SETTLING_S: f64 = 10.0;
-/// Time constant of the bias at standstill, s.
-const BIAS_STILL_TAU_S: f64 = 1.0;
-/// Part of the levelling correction that is integrated as bias, 1/s. A larger value follows bias drift faster and
-/// lets hand motion into the bias.
-const BIAS_MOTION_PER_S: f64 = 0.001;
-/// Rotation that both descents may make after levelling, rad: their gains are at least this over the time since. It
-/// removes the error of a start in motion.
-const SETTLING_TURN_RAD: f64 = 0.3;
-
-/// Settings of the Madgwick filter.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MadgwickConfig {
-    /// Gain β of the descent on gravity (half the angular rate), rad/s. Default 0.02. A larger value corrects a
-    /// wrong tilt faster and lets more hand motion into the tilt.
-    pub beta_gravity: f64,
-    /// Gain β of the descent on the magnetic field, rad/s. Default 0.008. A larger value follows gyroscope drift
-    /// faster, and a distorted field too.
-    pub beta_field: f64,
-    /// Time constant of the force and field low-passes, s. Default 2. A larger value averages hand motion better
-    /// and gyroscope errors worse.
-    pub input_tau_s: f64,
-}
-
-impl Default for MadgwickConfig {
-    fn default() -> Self {
-        Self {
-            beta_gravity: 0.02,
-            beta_field: 0.008,
-            input_tau_s: 2.0,
-        }
+parameters! {
+    /// Settings of the Madgwick filter.
+    pub struct MadgwickConfig: Copy {
+        /// Gain β of the descent on gravity (half the angular rate), rad/s. A larger value corrects a wrong tilt faster and lets
+        /// more hand motion into the tilt.
+        beta_gravity: f64 = 0.02;
+        /// Gain β of the descent on the magnetic field, rad/s. A larger value follows gyroscope drift faster, and a distorted
+        /// field too.
+        beta_field: f64 = 0.008;
+        /// Time constant of the force and field low-passes, s. A larger value averages hand motion better and gyroscope errors
+        /// worse.
+        input_tau_s: f64 = 2.0;
+        /// Largest plausible bias, rad/s on one axis (5 °/s). A larger value serves worse gyroscopes.
+        bias_max_rad_s: f64 = 0.0873;
+        /// Time constant of the bias at standstill, s. A larger value needs a longer rest and averages more noise.
+        bias_still_tau_s: f64 = 1.0;
+        /// Part of the levelling correction that is integrated as bias, 1/s. A larger value follows bias drift faster and
+        /// lets hand motion into the bias.
+        bias_motion_per_s: f64 = 0.001;
+        /// Time after levelling in which neither the levelling correction nor the dip of the field is used, s: the error of a
+        /// start in motion decays during it. A larger value uses both later.
+        settling_s: f64 = 10.0;
+        /// Rotation that both descents may make after levelling, rad: their gains are at least this over the time since. A
+        /// larger value removes more of the error of a start in motion.
+        settling_turn_rad: f64 = 0.3;
     }
 }
 
@@ -95,7 +86,7 @@ impl Madgwick {
         match acc {
             Some(acc) if self.standstill.update(&gyro, &acc, dt_s) => {
                 let off = self.standstill.gyro_mean_rad_s() - self.bias;
-                self.bias += intake::share(dt_s, BIAS_STILL_TAU_S) * off;
+                self.bias += intake::share(dt_s, self.config.bias_still_tau_s) * off;
             }
             Some(_) => {}
             None => self.standstill.miss(dt_s),
@@ -112,7 +103,7 @@ impl Madgwick {
 
     /// Gain of a descent: higher shortly after levelling.
     fn gain(&self, beta: f64) -> f64 {
-        beta.max(SETTLING_TURN_RAD / (1.0 + self.age_s))
+        beta.max(self.config.settling_turn_rad / (1.0 + self.age_s))
     }
     /// Fraction of a new reading in its low-pass: that of a plain mean until the time constant has passed.
     fn input_share(&self, dt_s: f64) -> f64 {
@@ -130,10 +121,11 @@ impl Madgwick {
         let Ok(&levelled) = filter.update_imu(&self.rate, &force) else {
             return by_gyro;
         };
-        if !self.standstill.standstill() && self.age_s > SETTLING_S {
+        if !self.standstill.standstill() && self.age_s > self.config.settling_s {
             let turned = (by_gyro.inverse() * levelled).scaled_axis();
-            self.bias -= turned * BIAS_MOTION_PER_S;
-            self.bias = self.bias.map(|b| b.clamp(-BIAS_MAX_RAD_S, BIAS_MAX_RAD_S));
+            self.bias -= turned * self.config.bias_motion_per_s;
+            let most = self.config.bias_max_rad_s;
+            self.bias = self.bias.map(|b| b.clamp(-most, most));
         }
         levelled
     }
@@ -197,7 +189,7 @@ impl OrientationFilter for Madgwick {
         self.quat = Some(quat);
         if let Some(mag) = usable.mag_ut {
             let since_s = std::mem::take(&mut self.field_age_s);
-            if self.age_s < SETTLING_S {
+            if self.age_s < self.config.settling_s {
                 self.gate = FieldGate::default();
             }
             let weight = self.gate.update(&(quat * mag), self.rate.norm(), since_s);

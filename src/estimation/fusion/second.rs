@@ -7,9 +7,9 @@
 
 use crate::estimation::fusion::estimator::Estimator;
 use crate::estimation::fusion::filter::{TipEstimator, TipSample};
-use crate::estimation::fusion::intake::{self, Mean};
+use crate::estimation::fusion::intake::Mean;
 use crate::parameters;
-use crate::primitives::ImuSample;
+use crate::primitives::{ImuSample, lasting};
 use nalgebra::{UnitQuaternion, Vector3};
 
 parameters! {
@@ -115,7 +115,7 @@ impl Second {
         let allowed = config.angle_deg.to_radians() + config.angle_per_rate_s * rate_rad_s;
         let differs = self.angle_rad > allowed;
         let changes = differs != self.disagrees;
-        self.changed_s = intake::held_s(self.changed_s, changes, config.period_s);
+        self.changed_s = lasting(changes, self.changed_s, config.period_s);
         if self.changed_s >= config.time_s {
             (self.disagrees, self.changed_s) = (differs, 0.0);
         }

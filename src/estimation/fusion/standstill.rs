@@ -4,7 +4,8 @@
 //! slow steady rotation satisfies this too. It is told from standstill by the bias of the previous standstill,
 //! which changes only slowly.
 
-use super::intake::{held_s, share};
+use super::intake::share;
+use crate::primitives::lasting;
 use nalgebra::Vector3;
 
 /// Longest run of lost samples that does not end a standstill, s.
@@ -47,7 +48,7 @@ impl StandstillDetector {
         let mean = *gyro_mean;
         let still = (gyro - mean).norm() < GYRO_DEVIATION_DEG_S.to_radians()
             && (acc - *acc_mean).norm() < ACC_DEVIATION_M_S2;
-        self.still_s = held_s(self.still_s, still && self.may_be_bias(&mean), dt_s);
+        self.still_s = lasting(still && self.may_be_bias(&mean), self.still_s, dt_s);
         if self.standstill() {
             self.known = Some((mean, 0.0));
         } else if let Some((_, since_s)) = &mut self.known {

@@ -42,7 +42,7 @@ impl Vqf {
     /// published.
     pub fn new(periods: Periods, tau_mag_s: f64) -> Self {
         let params = vqf_rs::Params {
-            tau_mag: tau_mag_s,
+            tau_mag: tau_mag_s.max(0.0),
             ..vqf_rs::Params::default()
         };
         let imu_s = period_or(periods.imu_s, 0.005);

@@ -3,16 +3,14 @@
 //! Six positions (each face up once) give bias and scale per axis. The classic rule, half sum and half difference of
 //! opposite faces, errs by 1 − cos θ if a face is not level. It is the start for a fit of |S (a − b)| = g over all
 //! rests, which holds in any attitude. Twenty or more rests in all directions also give the cross-axis terms, by the
-//! ellipsoid.
+//! ellipsoid. The scale refers to [`GRAVITY_M_S2`].
 
 use super::ellipsoid::{self, Distance, Measured, VectorFit, check_residual, coverage};
 use super::refusal::Refusal;
 use super::still::Rest;
+use crate::estimation::fusion::intake::GRAVITY_M_S2;
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{Matrix3, SVector, Vector3};
-
-/// Gravity, m/s². The scale of the result refers to it.
-pub const GRAVITY_M_S2: f64 = 9.81;
 
 const FACES: [&str; 6] = ["+x", "-x", "+y", "-y", "+z", "-z"];
 

@@ -88,13 +88,14 @@ impl ImuCalibration {
         let mount = UnitQuaternion::from_scaled_axis(vector(&self.mount_deg).map(f64::to_radians))
             .to_rotation_matrix()
             .into_inner();
+        let affine = |bias, matrix| Affine {
+            bias: vector(bias),
+            matrix,
+        };
         Correction {
-            gyro_bias_rad_s: vector(&self.gyro_bias_rad_s),
-            gyro_matrix: mount,
-            acc_bias_m_s2: vector(&self.acc_bias_m_s2),
-            acc_matrix: mount * table(&self.acc_matrix),
-            mag_bias_ut: vector(&self.mag_bias_ut),
-            mag_matrix: mount * table(&self.mag_matrix),
+            gyro: affine(&self.gyro_bias_rad_s, mount),
+            acc: affine(&self.acc_bias_m_s2, mount * table(&self.acc_matrix)),
+            mag: affine(&self.mag_bias_ut, mount * table(&self.mag_matrix)),
         }
     }
 }
@@ -102,18 +103,27 @@ impl ImuCalibration {
 /// A calibration reduced to its values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Correction {
-    /// Subtracted from the gyroscope, rad/s.
-    pub gyro_bias_rad_s: Vector3<f64>,
-    /// Applied to the gyroscope after that: the mount.
-    pub gyro_matrix: Matrix3<f64>,
-    /// Subtracted from the accelerometer, m/s².
-    pub acc_bias_m_s2: Vector3<f64>,
-    /// Applied to the accelerometer after that: scale, then the mount.
-    pub acc_matrix: Matrix3<f64>,
-    /// Subtracted from the magnetometer, µT.
-    pub mag_bias_ut: Vector3<f64>,
-    /// Applied to the magnetometer after that: soft iron, then the mount.
-    pub mag_matrix: Matrix3<f64>,
+    /// Of the gyroscope, rad/s.
+    pub gyro: Affine,
+    /// Of the accelerometer, m/s².
+    pub acc: Affine,
+    /// Of the magnetometer, µT.
+    pub mag: Affine,
+}
+
+/// Correction of one sensor, in its unit: `x = matrix (x_raw − bias)`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Affine {
+    /// Subtracted first.
+    pub bias: Vector3<f64>,
+    /// Scale and skew or soft iron, then the mount.
+    pub matrix: Matrix3<f64>,
+}
+
+impl Affine {
+    fn apply(&self, raw: Vector3<f64>) -> Vector3<f64> {
+        self.matrix * (raw - self.bias)
+    }
 }
 
 impl Correction {
@@ -121,9 +131,9 @@ impl Correction {
     pub fn apply(&self, raw: &ImuSample) -> ImuSample {
         ImuSample {
             t: raw.t,
-            gyro_rad_s: self.gyro_matrix * (raw.gyro_rad_s - self.gyro_bias_rad_s),
-            acc_m_s2: self.acc_matrix * (raw.acc_m_s2 - self.acc_bias_m_s2),
-            mag_ut: raw.mag_ut.map(|m| self.mag_matrix * (m - self.mag_bias_ut)),
+            gyro_rad_s: self.gyro.apply(raw.gyro_rad_s),
+            acc_m_s2: self.acc.apply(raw.acc_m_s2),
+            mag_ut: raw.mag_ut.map(|m| self.mag.apply(m)),
         }
     }
 }

@@ -81,12 +81,7 @@ pub fn with_switches(
     let mut repeat_mm = [0.0; 3];
     let mut closed_mm = [0.0; 3];
     for i in 0..3 {
-        let mut search = Search {
-            drive,
-            config,
-            i,
-            channel: i + 1,
-        };
+        let mut search = Search { drive, config, i };
         search.leave()?;
         search.close(config.speed_mm_s, config.search_max_mm)?;
         search.leave()?;
@@ -118,9 +113,8 @@ pub fn with_switches(
 struct Search<'h, 'a> {
     drive: &'h mut ManualMotion<'a>,
     config: &'h HomingConfig,
+    /// The channel, from 0.
     i: usize,
-    /// The channel, from 1.
-    channel: usize,
 }
 
 impl Search<'_, '_> {
@@ -133,7 +127,7 @@ impl Search<'_, '_> {
 
     /// Approaches until the switch closes; returns the position of the closing, mm.
     fn close(&mut self, speed_mm_s: f64, most_mm: f64) -> Result<f64, HomingError> {
-        let (i, channel, mm) = (self.i, self.channel, most_mm);
+        let (i, channel, mm) = (self.i, self.i + 1, most_mm);
         let (step_mm, target) = (self.drive.step_mm(), self.towards(most_mm));
         let mut at = None;
         self.drive.go(target, speed_mm_s, &mut |s| {
@@ -147,12 +141,13 @@ impl Search<'_, '_> {
 
     /// Backs off from a closed switch by the whole distance.
     fn leave(&mut self) -> Result<(), HomingError> {
-        let (i, channel, mm) = (self.i, self.channel, self.config.back_off_mm);
+        let (i, channel, mm) = (self.i, self.i + 1, self.config.back_off_mm);
         if !self.drive.turn()?.inputs.home[i] {
             return Ok(());
         }
         let target = self.towards(-mm);
-        (self.drive).go(target, self.config.speed_mm_s, &mut |_| false)?;
+        self.drive
+            .go(target, self.config.speed_mm_s, &mut |_| false)?;
         if self.drive.turn()?.inputs.home[i] {
             return Err(HomingError::NeverOpened { channel, mm });
         }

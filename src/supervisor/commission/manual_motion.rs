@@ -156,9 +156,10 @@ impl<'a> ManualMotion<'a> {
         let way_mm = ways_mm.fold(0.0, f64::max);
         let began_s = self.now.0;
         loop {
-            let share = match way_mm > 0.0 {
-                true => ((self.now.0 - began_s) * speed_mm_s / way_mm).min(1.0),
-                false => 1.0,
+            let share = if way_mm > 0.0 {
+                ((self.now.0 - began_s) * speed_mm_s / way_mm).min(1.0)
+            } else {
+                1.0
             };
             self.wanted_mm =
                 std::array::from_fn(|i| from_mm[i] + share * (target_mm[i] - from_mm[i]));

@@ -67,8 +67,7 @@ impl Wiring {
         }
         if self.turned_rad.abs() >= TURN_SMALL_RAD {
             let deg = self.turned_rad.to_degrees();
-            let turned = format!("the sensor is turned by {deg:.0}° about the tip axis");
-            text.push_str(&turned);
+            let _ = write!(text, "the sensor is turned by {deg:.0}° about the tip axis");
         }
         text.trim_end_matches("; ").to_owned()
     }

@@ -1,7 +1,6 @@
 //! Orders to the supervisor, and the reasons for refusing them.
 
-use crate::model::Line;
-use crate::model::Shape;
+use crate::model::{Line, Shape};
 use crate::supervisor::Mode;
 
 /// Largest bend that may be ordered, rad (135°).

@@ -124,7 +124,7 @@ impl Supervisor {
         let bend = Bend::from_axis(&self.untwisted(&wanted.apply(&Vector3::z())));
         let (config, lines) = (&self.config.tick, self.state.lines());
         let shape = Shape { bend, length };
-        let share = (config.limits).largest_share(&config.geometry, lines, &shape);
+        let share = config.limits.largest_share(&config.geometry, lines, &shape);
         (Shape::new(bend.0 * share, length.0), share >= 1.0)
     }
 

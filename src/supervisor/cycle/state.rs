@@ -44,7 +44,7 @@ pub struct Supervisor {
     pub(super) stream_until_s: Option<f64>,
     /// While relaxing: the gate has sent the last step, and the machine has not counted it yet.
     pub(super) arriving: bool,
-    /// While calibrating: the settings of the outer loop, without which a calibration runs, and the gains in use before it.
+    /// While calibrating: the settings of the feedback, without which a calibration runs, and the gains in use before it.
     pub(super) set_aside: Option<(Option<FeedbackConfig>, [Line; 3])>,
     pub(super) position: Position,
     pub(super) gate: Gate,
@@ -207,7 +207,9 @@ impl Supervisor {
             && !self.stopped
             && self.gate.latched().is_none()
             && !self.gate.is_busy()
-            && (self.off_straight_rad()).is_some_and(|rad| rad <= straight_rad)
+            && self
+                .off_straight_rad()
+                .is_some_and(|rad| rad <= straight_rad)
     }
 
     /// Angle of the tip from straight, rad: by the estimate while the position is known, otherwise between measured and

@@ -27,7 +27,9 @@ impl Supervisor {
         let input = self.tick_input(sensed, dt_s);
         let frame = tick(&self.config.tick, &mut self.state, &input);
         self.setpoint = frame.setpoint;
-        let raised = (self.sensors).step(&self.state.fusion, &frame, dt_s, input.dt_s);
+        let raised = self
+            .sensors
+            .step(&self.state.fusion, &frame, dt_s, input.dt_s);
         self.follow_alignment(&frame);
         let tripped = self.pass_gate(&frame, sensed, dt_s);
         self.follow_motion(&frame);
@@ -103,7 +105,8 @@ impl Supervisor {
         }
         match self.position {
             Position::Known => {
-                (self.state).stand(&self.config.tick, &self.sent, Bend::STRAIGHT);
+                self.state
+                    .stand(&self.config.tick, &self.sent, Bend::STRAIGHT);
                 self.straight = self.state.keep(&self.sent).rest;
                 self.occur(Event::Aligned);
             }
@@ -230,7 +233,7 @@ impl Supervisor {
         }
         let input = ResidualInput {
             dt_s,
-            given: frame.bend_from_pistons.0,
+            predicted: frame.bend_from_pistons.0,
             gapless: self.bend_without_play(sensed),
             estimate: estimate.bend.0,
             answer_s: frame.dynamics.response_s(),

@@ -188,12 +188,14 @@ impl Gate {
 
     /// One tick.
     pub fn pass(&mut self, input: &GateInput) -> GateOutput {
-        (self.following).step(&self.limits, input.following, input.dt_s);
+        self.following
+            .step(&self.limits, input.following, input.dt_s);
         if self.motion == Motion::Passing && !input.armed {
             // the counts of pistons at rest may be declared anew
             self.history = History::resting(&input.counted, &self.limits);
         }
-        (self.history).push(input.counted, input.dt_s, input.counted_age_s);
+        self.history
+            .push(input.counted, input.dt_s, input.counted_age_s);
         let agrees = input.counted == self.sent;
         self.agreed_s = lasting(agrees, self.agreed_s, self.elapsed_s(input.dt_s));
         let tripped = self.check(input);
@@ -237,14 +239,15 @@ impl Gate {
     /// passed.
     fn check(&self, input: &GateInput) -> Option<TripCause> {
         let passing = self.motion == Motion::Passing;
-        if input.emergency_stop && (passing || !self.reported[0]) {
-            return Some(TripCause::EmergencyStop);
-        }
-        if input.alarm && (passing || !self.reported[1]) {
-            return Some(TripCause::StepGenerator);
-        }
-        if input.overpressure && (passing || !self.reported[2]) {
-            return Some(TripCause::Pressure);
+        let reports = [
+            (input.emergency_stop, TripCause::EmergencyStop),
+            (input.alarm, TripCause::StepGenerator),
+            (input.overpressure, TripCause::Pressure),
+        ];
+        for ((now, cause), before) in reports.into_iter().zip(self.reported) {
+            if now && (passing || !before) {
+                return Some(cause);
+            }
         }
         if !passing {
             return None;

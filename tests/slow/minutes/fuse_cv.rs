@@ -132,6 +132,7 @@ fn madgwick_grid() -> Vec<(String, Maker)> {
                     beta_field,
                     input_tau_s,
                     beta_gravity,
+                    ..MadgwickConfig::default()
                 };
                 let name =
                     format!("field {beta_field}, inputs {input_tau_s} s, gravity {beta_gravity}");

@@ -3,13 +3,14 @@
 use super::bank::{M, Noise, Reading, SWAYS};
 use super::kalman::{ACC, BASE, FIELD, GYRO, MAG, MOUNT, N, Row, TWIST};
 use super::laws::{TWIST_OFFSET_RAD, Twist, right_jacobian_inverse};
-use super::state::{BendFilter, FIELD_NIS_MAX, GYRO_SIGMA_MIN_RAD_S};
+use super::state::{BendFilter, FIELD_NIS_MAX};
 use crate::estimation::fusion::filter::TipEstimator;
 use nalgebra::{Matrix3, Vector3};
 
 /// NIS beyond which the noise model does not explain an innovation: four standard deviations.
 pub(super) const NIS_GATE: f64 = 16.0;
-/// Smallest noise of accelerometer, m/s², and magnetometer, µT: a simulated source may be noise-free.
+/// Smallest noise of gyroscope, rad/s, accelerometer, m/s², and magnetometer, µT: a simulated source may be noise-free.
+const GYRO_SIGMA_MIN_RAD_S: f64 = 1e-3;
 const ACC_SIGMA_MIN_M_S2: f64 = 0.005;
 const MAG_SIGMA_MIN_UT: f64 = 0.05;
 /// Time constant of the NIS of the twist, s: a few poses.

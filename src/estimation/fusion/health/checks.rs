@@ -5,11 +5,9 @@ use super::config::HealthConfig;
 use super::reading::{FieldShape, ImuReading, Quality, ReadFault, dip};
 use super::repetition::Repetition;
 use crate::estimation::fusion::align::Alignment;
+use crate::estimation::fusion::intake::GRAVITY_M_S2;
 use crate::primitives::ImuSample;
 use nalgebra::{Rotation3, Vector3};
-
-/// Standard gravity, m/s²: assumed until the alignment has measured the norm of the specific force.
-const GRAVITY_M_S2: f64 = 9.81;
 
 /// Estimated errors of the sensor, which are not disturbances.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]

@@ -4,7 +4,8 @@
 //! 35 ms) from these sums, which is exact to first order in the errors and keeps the cost per sample close to that
 //! of a filter without a covariance.
 
-use super::covariance::{ATTITUDE, FIELD, GRAVITY_M_S2, IRON, LATENCY, SCALE_AXES};
+use super::covariance::{ATTITUDE, FIELD, IRON, LATENCY, SCALE_AXES};
+use crate::estimation::fusion::intake::GRAVITY_M_S2;
 use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector2, Vector3};
 
 /// Sums over a block, all zero at its start.

@@ -6,22 +6,15 @@ use super::covariance::{BIAS, Errors, IRON, VELOCITY};
 use crate::estimation::fusion::intake;
 use nalgebra::Vector3;
 
-/// Velocity of a sensor at standstill, m/s, 1 σ, and its correlation time, s.
-const STILL_VELOCITY_M_S: f64 = 0.02;
-const STILL_VELOCITY_MEMORY_S: f64 = 0.1;
-/// Correlation time of an error of the gyroscope's slow mean, s.
-const STILL_BIAS_MEMORY_S: f64 = 0.5;
-/// Largest ratio of the misfit of a single reading to its running mean: it limits the effect of one reading.
-const MISFIT_STEP_MAX: f64 = 100.0;
-
 impl Mekf {
     /// Observes a velocity near zero; at standstill a velocity of zero and the gyroscope bias.
     pub(super) fn observe_motion(&mut self, errors: &mut Errors, dt_s: f64) {
         let c = &self.config;
         let (v, still) = (self.estimate.velocity_m_s, self.standstill.standstill());
         let near_zero = c.velocity_sigma_m_s.powi(2) * c.velocity_memory_s / dt_s;
-        let at_zero = STILL_VELOCITY_M_S.powi(2) * STILL_VELOCITY_MEMORY_S / dt_s;
-        let variance = near_zero.min(if still { at_zero } else { near_zero });
+        let at_zero = c.rest_velocity_sigma_m_s.powi(2) * c.rest_velocity_memory_s / dt_s;
+        let bound = if still { at_zero } else { f64::INFINITY };
+        let variance = near_zero.min(bound);
         let mut observe = |k, off, variance| {
             self.covariance.observe(errors, &[(k, 1.0)], off, variance);
         };
@@ -31,8 +24,9 @@ impl Mekf {
         if still {
             let off = self.standstill.gyro_mean_rad_s() - self.estimate.bias_rad_s;
             let sigma = c.rest_bias_sigma_deg_s.to_radians();
+            let variance = sigma.powi(2) * c.rest_bias_memory_s / dt_s;
             for k in 0..3 {
-                observe(BIAS + k, off[k], sigma.powi(2) * STILL_BIAS_MEMORY_S / dt_s);
+                observe(BIAS + k, off[k], variance);
             }
         }
     }
@@ -69,6 +63,6 @@ impl Mekf {
     fn track_misfit(&mut self, now_ut2: f64, dt_s: f64) -> f64 {
         let (c, running) = (&self.config, &mut self.misfit_ut2);
         *running += intake::share(dt_s, c.misfit_tau_s) * (now_ut2 - *running);
-        running.max(now_ut2.min(MISFIT_STEP_MAX * running.max(c.field_sigma_ut.powi(2))))
+        running.max(now_ut2.min(c.misfit_step_max * running.max(c.field_sigma_ut.powi(2))))
     }
 }

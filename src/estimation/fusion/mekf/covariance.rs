@@ -18,8 +18,6 @@ use nalgebra::{Matrix3, SMatrix, SVector};
 
 /// Number of error states.
 pub const DIM: usize = 20;
-/// Gravity, m/s². An error of a percent is negligible, since the direction dominates.
-pub const GRAVITY_M_S2: f64 = 9.81;
 /// First attitude error; the third one is the heading.
 pub const ATTITUDE: usize = 0;
 /// First gyroscope bias error.
@@ -78,10 +76,12 @@ impl Covariance {
             (VELOCITY, ATTITUDE + 1, pull),
             (VELOCITY + 1, ATTITUDE, -pull),
         ]);
-        self.couple(&std::array::from_fn::<_, 27, _>(|n| match (n / 9, n % 9) {
-            (row, col @ 0..3) => (ATTITUDE + row, BIAS + col, -turned_s[(row, col)]),
-            (row, col) => (ATTITUDE + row, BIAS + col, skewed[(row, col - 3)]),
-        }));
+        // per axis of the attitude: three errors of the bias, and six of scale and skew
+        let links: [_; 27] = std::array::from_fn(|n| match (n / 9, n % 9) {
+            (row, k @ 0..3) => (ATTITUDE + row, BIAS + k, -turned_s[(row, k)]),
+            (row, k) => (ATTITUDE + row, SCALE + k - 3, skewed[(row, k - 3)]),
+        });
+        self.couple(&links);
     }
 
     /// `error[to] += gain * error[from]` for every link; no `from` may also be a `to`.

@@ -32,32 +32,13 @@ pub mod saturation;
 pub use config::MekfConfig;
 
 use super::filter::{FilterStatus, OrientationFilter, level};
-use super::intake::{self, Step, Usable};
+use super::intake::{self, GRAVITY_M_S2, Step, Usable};
 use super::standstill::StandstillDetector;
 use crate::primitives::{ImuSample, Rotation, Sensor, World};
 use block::Block;
-use covariance::{
-    ATTITUDE, BIAS, Covariance, DIM, Errors, FIELD, GRAVITY_M_S2, IRON, LATENCY, SCALE, VELOCITY,
-};
+use covariance::{ATTITUDE, BIAS, Covariance, DIM, Errors, FIELD, IRON, LATENCY, SCALE, VELOCITY};
 use nalgebra::{SVector, UnitQuaternion, Vector2, Vector3};
 use saturation::Saturation;
-
-/// Rate that a lost gyroscope sample may have missed, rad/s, 1 σ.
-const MISSED_RATE_RAD_S: f64 = 1.0;
-/// Rate beyond the range of a saturated gyroscope, as a share of the range, 1 σ.
-const SATURATED_EXCESS: f64 = 0.3;
-/// Specific force that a lost accelerometer sample may have missed, m/s², 1 σ.
-const MISSED_FORCE_M_S2: f64 = 3.0;
-/// Rate above which the first sample counts as taken in motion, rad/s, and the additional tilt error of its
-/// levelling, rad.
-const MOVING_RAD_S: f64 = 0.2;
-const MOVING_TILT_RAD: f64 = 0.2;
-/// Largest tilt uncertainty at which a field reading may define north, rad: the dip turns tilt into heading.
-const LEVEL_ENOUGH_RAD: f64 = 0.06;
-/// Heading uncertainty before north is found, rad: large, but small enough for the linearisation.
-const HEADING_UNKNOWN_RAD: f64 = 1.0;
-/// Uncertainty of the Earth's field before the first reading, µT.
-const FIELD_UNKNOWN_UT: f64 = 30.0;
 
 /// The estimate to which the error states refer.
 #[derive(Debug, Clone, Copy, Default)]
@@ -122,10 +103,14 @@ impl Mekf {
         self.estimate.provisional_rad = 0.0;
         self.last_mag = None;
         self.block = Block::default();
-        let moving = gyro.is_some_and(|w| w.norm() > MOVING_RAD_S);
+        let moving = gyro.is_some_and(|w| w.norm() > self.config.moving_rad_s);
         let tilt = self.config.first_tilt_deg.to_radians()
             + (acc.norm() / GRAVITY_M_S2 - 1.0).abs().min(1.0)
-            + if moving { MOVING_TILT_RAD } else { 0.0 };
+            + if moving {
+                self.config.moving_tilt_rad
+            } else {
+                0.0
+            };
         let mut fresh = first_sigmas(&self.config);
         fresh.rows_mut(ATTITUDE, 2).fill(tilt);
         let velocity_and_field = (VELOCITY..VELOCITY + 2).chain(FIELD..FIELD + 2);
@@ -142,7 +127,7 @@ impl Mekf {
             _ => self.standstill.miss(dt_s),
         }
         let Some(gyro) = usable.gyro_rad_s else {
-            self.block.missed_turn_rad2 += squared(MISSED_RATE_RAD_S * dt_s);
+            self.block.missed_turn_rad2 += squared(self.config.missed_rate_rad_s * dt_s);
             return;
         };
         if let Some(limit_rad_s) = self.saturation.update(&gyro) {
@@ -165,7 +150,9 @@ impl Mekf {
         self.block.add_turning(&to_world, &self.rate, dt_s);
         match usable.acc_m_s2 {
             Some(acc) => self.block.add_force(&(rotation * acc), dt_s),
-            None => self.block.missed_velocity_m2_s2 += squared(MISSED_FORCE_M_S2 * dt_s),
+            None => {
+                self.block.missed_velocity_m2_s2 += squared(self.config.missed_force_m_s2 * dt_s)
+            }
         }
         let Some(mag) = usable.mag_ut.filter(|m| self.last_mag != Some(*m)) else {
             return;
@@ -184,7 +171,7 @@ impl Mekf {
     fn find_north(&mut self, world_ut: &Vector3<f64>) {
         self.estimate.provisional_rad = world_ut.y.atan2(world_ut.x);
         let tilt = |axis: usize| self.covariance.sigma(ATTITUDE + axis);
-        if tilt(0).max(tilt(1)) > LEVEL_ENOUGH_RAD {
+        if tilt(0).max(tilt(1)) > self.config.level_enough_rad {
             return;
         }
         let turn = about_up(-std::mem::take(&mut self.estimate.provisional_rad));
@@ -236,7 +223,7 @@ impl Mekf {
         let wander = c.gyro_wander_deg_rt_s.to_radians() * if still { 0.1 } else { 1.0 };
         let turn =
             (squared(wander) + squared(c.gyro_nonlinearity_rt_s) * block.turning_sq()) * dt_s;
-        let saturated = squared(SATURATED_EXCESS * block.saturated_rad);
+        let saturated = squared(c.saturated_excess * block.saturated_rad);
         let push =
             (squared(c.acc_floor_m_s_rt_s) + squared(c.acc_fault_rt_s) * block.force_sq()) * dt_s;
         let bias = squared(c.bias_wander_deg_s_rt_s.to_radians()) * dt_s;
@@ -291,12 +278,12 @@ fn first_sigmas(c: &MekfConfig) -> Errors {
     let mut s = Errors::zeros();
     let mut set = |first: usize, count: usize, sigma: f64| s.rows_mut(first, count).fill(sigma);
     set(ATTITUDE, 2, c.first_tilt_deg.to_radians());
-    set(ATTITUDE + 2, 1, HEADING_UNKNOWN_RAD);
+    set(ATTITUDE + 2, 1, c.heading_unknown_rad);
     set(BIAS, 3, c.bias_sigma_deg_s.to_radians());
     set(SCALE, 3, c.scale_sigma);
     set(SCALE + 3, 3, 0.5 * c.scale_sigma);
     set(VELOCITY, 2, c.velocity_sigma_m_s);
-    set(FIELD, 2, FIELD_UNKNOWN_UT);
+    set(FIELD, 2, c.field_unknown_ut);
     set(IRON, 3, c.iron_sigma_ut);
     set(LATENCY, 1, c.latency_sigma_ms * 1e-3);
     debug_assert_eq!(LATENCY + 1, DIM);
