@@ -144,10 +144,12 @@ impl Procedure<'_> {
             let is_simulated = self.board.hardware().is_none();
             let options = &options[..if is_simulated { 4 } else { 2 }];
             let service = Daemon::start_with(&self.program, &self.folder.join("service"), options);
-            let service = self.service.insert(service.into_diagnostic()?);
+            let service = service.into_diagnostic()?;
             let is_aligned = |s: &Value| s["mode"] == "disarmed" || s["mode"] == "lost";
             let aligned = service.until(30.0, "alignment", is_aligned);
             aligned.into_diagnostic()?;
+            // a service that is not aligned ends with this step
+            self.service = Some(service);
         }
         for line in &step.commands {
             if let Some(service) = &self.service {
