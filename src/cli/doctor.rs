@@ -63,7 +63,11 @@ impl Finding {
     }
 
     fn line(&self) -> String {
-        let mark = ["pass", "WARN", "FAIL"][self.verdict as usize];
+        let mark = match self.verdict {
+            Pass => "pass",
+            Warn => "WARN",
+            Fail => "FAIL",
+        };
         let line = format!("{mark}  {:<18} {}\n", self.what, self.found);
         match self.remedy.as_str() {
             "" => line,

@@ -61,8 +61,10 @@ pub fn run(args: &Args) -> Result<bool> {
             "{file}: cannot be replayed, because it does not begin with the start of a supervisor: the part before is missing"
         );
     }
-    let shown = Some(&ending).filter(|ending| **ending != Ending::COMPLETE);
-    let shown = shown.map_or(String::new(), |ending| format!("; {ending}"));
+    let shown = match ending == Ending::COMPLETE {
+        true => String::new(),
+        false => format!("; {ending}"),
+    };
     println!("{cycles} cycles replayed, {different} differ{shown}");
     for (before, t_s, lost) in &replay.gaps {
         println!("gap: {lost} cycles are missing before cycle {before} at {t_s:.3} s");

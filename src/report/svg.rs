@@ -81,7 +81,11 @@ impl Svg {
     }
 
     pub(crate) fn text(&mut self, at: (f64, f64), anchor: Anchor, ink: Ink, text: &str) {
-        let anchor = ["start", "middle", "end"][anchor as usize];
+        let anchor = match anchor {
+            Anchor::Start => "start",
+            Anchor::Middle => "middle",
+            Anchor::End => "end",
+        };
         let style = format!("font-size=\"11\" text-anchor=\"{anchor}\"");
         self.styled_text(at.0, at.1, ink, &style, text);
     }

@@ -50,7 +50,10 @@ impl At {
 
 /// True if a service listens on this socket, whether it answers or hangs.
 fn listens(path: &Path) -> bool {
-    connect_within(path, PROBE_MAX).map_or_else(|e| e.kind() == ErrorKind::WouldBlock, |_| true)
+    match connect_within(path, PROBE_MAX) {
+        Ok(_) => true,
+        Err(e) => e.kind() == ErrorKind::WouldBlock,
+    }
 }
 
 /// A failure of the service as a report.

@@ -133,8 +133,8 @@ pub fn settle(connection: &mut Connection, request: &Request, sent_to: Bend) -> 
             }
             None => format!("mode {mode}"),
         };
-        let suspicion = s.suspicion.iter().map(|text| format!("; {text}"));
-        let suspicion: String = suspicion.collect();
+        let suspicion = s.suspicion.as_ref();
+        let suspicion = suspicion.map_or(String::new(), |text| format!("; {text}"));
         Some((false, format!("not settled: {why}{suspicion}\n")))
     })?;
     drop(bar);

@@ -29,7 +29,7 @@ pub(super) fn run(
         config: assemble(board, &inputs::calibration(args.calib.as_deref())?, gains),
         make: section.make(),
         seed: args.seed,
-        units: [ABLATION_UNITS, SWEEP_UNITS][usize::from(args.sweep)],
+        units: if args.sweep { SWEEP_UNITS } else { ABLATION_UNITS },
     };
     let conditions = conditions(args)?;
     match args.sweep {

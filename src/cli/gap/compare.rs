@@ -5,7 +5,7 @@ use crate::cli::{ResultFile, inputs, logging, output};
 use crate::diagnosis::diagnose;
 use crate::diagnosis::tip::TipProblem;
 use crate::diagnosis::tip::model::Motion;
-use crate::diagnosis::tip::observed::Observed;
+use crate::diagnosis::tip::observed::{Observed, Quantity};
 use crate::experiment::compare::{Compared, Knob, compare, drive};
 use crate::experiment::rig::RigError;
 use crate::log::columns::{self, Column};
@@ -104,7 +104,7 @@ fn residuals(log: &Observed, compared: &Compared) -> Result<Vec<u8>> {
         add(name, &|k| log.piston_mm[log.bins[k].at][i]);
     }
     for q in log.quantities() {
-        let unit = ["deg", "deg_s"][usize::from(q.name() == "gyroscope")];
+        let unit = if q == Quantity::Gyro { "deg_s" } else { "deg" };
         for (i, axis) in ["x", "y", "z"].into_iter().enumerate() {
             let name = format!("{}_{axis}_{unit}", q.name());
             add(name, &|k| match log.bins[k].weight[q] > 0.0 {
