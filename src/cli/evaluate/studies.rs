@@ -29,7 +29,11 @@ pub(super) fn run(
         config: assemble(board, &inputs::calibration(args.calib.as_deref())?, gains),
         make: section.make(),
         seed: args.seed,
-        units: if args.sweep { SWEEP_UNITS } else { ABLATION_UNITS },
+        units: if args.sweep {
+            SWEEP_UNITS
+        } else {
+            ABLATION_UNITS
+        },
     };
     let conditions = conditions(args)?;
     match args.sweep {

@@ -45,9 +45,6 @@ pub enum HardwareError {
     /// The operating system created no thread.
     #[error("the IMU thread could not be started: {0}")]
     Thread(#[from] std::io::Error),
-    /// The program was built without the feature `hw`.
-    #[error("this program was built without hardware support: build with `--features hw`")]
-    NotBuilt,
 }
 
 impl HardwareError {
