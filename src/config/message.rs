@@ -12,14 +12,14 @@ pub fn plain(message: &str, key: &str, row: Option<&Parameter>) -> String {
         true => key.trim_end_matches(|c: char| "[]".contains(c) || c.is_ascii_digit()),
         false => key,
     };
-    let text = match quoted(message) {
-        [Some(name), ..] if message.starts_with("unknown field") => {
+    let text = match message.split('`').nth(1) {
+        Some(name) if message.starts_with("unknown field") => {
             return format!("`{key}` is not a known key{}", instead(name, message));
         }
-        [Some(name), ..] if message.starts_with("unknown variant") => {
+        Some(name) if message.starts_with("unknown variant") => {
             format!("`{name}` is not a known value{}", instead(name, message))
         }
-        [Some(name), ..] if message.starts_with("missing field") => {
+        Some(name) if message.starts_with("missing field") => {
             format!("the key `{name}` is missing")
         }
         _ => typed(message, row),
@@ -28,12 +28,6 @@ pub fn plain(message: &str, key: &str, row: Option<&Parameter>) -> String {
         "" => text,
         key => format!("{key}: {text}"),
     }
-}
-
-/// The first two texts between backticks.
-fn quoted(message: &str) -> [Option<&str>; 2] {
-    let mut parts = message.split('`').skip(1).step_by(2);
-    [parts.next(), parts.next()]
 }
 
 /// The most similar of the accepted words or, if none is similar and they are few, all of them.
