@@ -298,10 +298,7 @@ fn histogram(name: &str, h: &Histogram, late_max_us: f64) -> Chart {
         },
         series: vec![
             Series::band(Ink::BLUE, area),
-            Series {
-                name: None,
-                ..Series::line("", Ink::BLUE, Stroke::Solid, outline)
-            },
+            Series::line("", Ink::BLUE, Stroke::Solid, outline),
             Series::line("limit of a fault", Ink::RED, Stroke::Dashed, limit),
         ],
     }

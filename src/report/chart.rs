@@ -41,8 +41,8 @@ pub enum Mark {
 /// One mark with its colour.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
-    /// Name in the legend; `None` leaves the series out of it.
-    pub name: Option<String>,
+    /// Name in the legend, which leaves out a series without one.
+    pub name: String,
     /// Colour.
     pub ink: Ink,
     /// Shape and points.
@@ -50,19 +50,19 @@ pub struct Series {
 }
 
 impl Series {
-    /// A named line.
+    /// A line.
     pub fn line(name: &str, ink: Ink, stroke: Stroke, points: Vec<(f64, f64)>) -> Self {
-        let (name, mark) = (Some(name.to_owned()), Mark::Line(points, stroke));
+        let (name, mark) = (name.to_owned(), Mark::Line(points, stroke));
         Self { name, ink, mark }
     }
     /// A band without a name; it belongs to the line of the same colour.
     pub fn band(ink: Ink, points: Vec<(f64, f64, f64)>) -> Self {
-        let (name, mark) = (None, Mark::Band(points));
+        let (name, mark) = (String::new(), Mark::Band(points));
         Self { name, ink, mark }
     }
     /// Dots without a name.
     pub fn dots(ink: Ink, points: Vec<(f64, f64)>) -> Self {
-        let (name, mark) = (None, Mark::Dots(points));
+        let (name, mark) = (String::new(), Mark::Dots(points));
         Self { name, ink, mark }
     }
 }
@@ -206,9 +206,8 @@ impl Chart {
     /// Draws the names with samples of their lines and returns the number of rows.
     fn legend(&self, out: &mut Svg) -> usize {
         let (mut x, mut rows) = (LEFT, 0);
-        for s in &self.series {
-            let Some(name) = &s.name else { continue };
-            let width = LEGEND_SAMPLE + CHARACTER * name.chars().count() as f64;
+        for s in self.series.iter().filter(|s| !s.name.is_empty()) {
+            let width = LEGEND_SAMPLE + CHARACTER * s.name.chars().count() as f64;
             if rows == 0 || x + width > WIDTH {
                 (x, rows) = (LEFT, rows + 1);
             }
@@ -218,7 +217,7 @@ impl Chart {
                 style += stroke.dash();
             }
             out.line((x, y), (x + 22.0, y), s.ink, &style);
-            out.text((x + 27.0, y + 4.0), Start, Ink::LABEL, name);
+            out.text((x + 27.0, y + 4.0), Start, Ink::LABEL, &s.name);
             x += width;
         }
         rows

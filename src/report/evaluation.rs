@@ -118,9 +118,7 @@ fn desired() -> Axis {
 
 fn bends(e: &Evaluation, heading: &str, arms: &[Arm]) -> Option<Figure> {
     let ideal = vec![(0.0, 0.0), (90.0, 90.0)];
-    let mut ideal = Series::line("", Ink::GREY, Stroke::Dotted, ideal);
-    ideal.name = None;
-    let mut series = vec![ideal];
+    let mut series = vec![Series::line("", Ink::GREY, Stroke::Dotted, ideal)];
     for (arm, result) in self::arms(e).filter(|(arm, _)| arms.contains(arm)) {
         let ((name, ink, _), measured) = (look(arm), |h: &Held| h.bend_deg - h.bend_error_deg);
         series.extend(out_and_back(result, name, ink, measured));

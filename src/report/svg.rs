@@ -69,8 +69,10 @@ impl Svg {
 
     /// Draws into the rectangle `[x, y, width, height]`, with the origin at its corner, and clips at its edges.
     pub(crate) fn inset(&mut self, frame: [f64; 4], draw: impl FnOnce(&mut Self)) {
-        self.open("svg", &["x", "y", "width", "height"], &frame);
-        self.0.push_str(" overflow=\"hidden\">");
+        let [x, y, width, height] = frame;
+        self.push(format_args!(
+            r#"<svg x="{x:.1}" y="{y:.1}" width="{width:.1}" height="{height:.1}" overflow="hidden">"#
+        ));
         draw(self);
         self.0.push_str("</svg>");
     }
@@ -92,40 +94,38 @@ impl Svg {
 
     /// Text with any further attributes.
     pub(crate) fn styled_text(&mut self, x: f64, y: f64, ink: Ink, style: &str, text: &str) {
-        self.open("text", &["x", "y"], &[x, y]);
         let (fill, text) = (ink.0, escape(text));
-        self.push(format_args!(" fill=\"{fill}\" {style}>{text}</text>"));
+        self.push(format_args!(
+            r#"<text x="{x:.1}" y="{y:.1}" fill="{fill}" {style}>{text}</text>"#
+        ));
     }
 
     /// A straight line; `style` holds further attributes.
     pub(crate) fn line(&mut self, from: (f64, f64), to: (f64, f64), ink: Ink, style: &str) {
-        let ends = [from.0, from.1, to.0, to.1];
-        self.open("line", &["x1", "y1", "x2", "y2"], &ends);
-        self.push(format_args!(" stroke=\"{}\" {style}/>", ink.0));
+        let ((x1, y1), (x2, y2), ink) = (from, to, ink.0);
+        self.push(format_args!(
+            r#"<line x1="{x1:.1}" y1="{y1:.1}" x2="{x2:.1}" y2="{y2:.1}" stroke="{ink}" {style}/>"#
+        ));
     }
 
     /// A filled rectangle `[x, y, width, height]`.
     pub(crate) fn rect(&mut self, frame: [f64; 4], fill: &str, opacity: f64) {
-        self.open("rect", &["x", "y", "width", "height"], &frame);
-        let style = format!("fill=\"{fill}\" fill-opacity=\"{opacity}\"");
-        self.push(format_args!(" {style}/>"));
+        let [x, y, width, height] = frame;
+        self.push(format_args!(
+            r#"<rect x="{x:.1}" y="{y:.1}" width="{width:.1}" height="{height:.1}" fill="{fill}" fill-opacity="{opacity}"/>"#
+        ));
     }
 
     pub(crate) fn circle(&mut self, centre: (f64, f64), radius: f64, style: &str) {
-        self.open("circle", &["cx", "cy", "r"], &[centre.0, centre.1, radius]);
-        self.push(format_args!(" {style}/>"));
+        let (x, y) = centre;
+        self.push(format_args!(
+            r#"<circle cx="{x:.1}" cy="{y:.1}" r="{radius:.1}" {style}/>"#
+        ));
     }
 
     /// A path with the data `d`; `style` holds all other attributes.
     pub(crate) fn path(&mut self, d: &str, style: &str) {
-        self.push(format_args!("<path d=\"{d}\" {style}/>"));
-    }
-
-    fn open(&mut self, name: &str, keys: &[&str], values: &[f64]) {
-        self.push(format_args!("<{name}"));
-        for (key, value) in keys.iter().zip(values) {
-            self.push(format_args!(" {key}=\"{value:.1}\""));
-        }
+        self.push(format_args!(r#"<path d="{d}" {style}/>"#));
     }
 
     fn push(&mut self, markup: impl Display) {
