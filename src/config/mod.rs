@@ -55,5 +55,5 @@ pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> Loop
 }
 
 /// A driver that has not stepped for this long runs at its idle current, s: the shortest setting of common
-/// drivers' standstill timers, and what `calibrate imu motors` takes unless it is told otherwise.
-const MOTORS_IDLE_AFTER_S: f64 = 0.35;
+/// drivers' standstill timers.
+pub const MOTORS_IDLE_AFTER_S: f64 = 0.35;
