@@ -156,7 +156,7 @@ impl Procedure<'_> {
                 let rest = service.until(60.0, "rest", |s| s["mode"] != "relaxing");
                 rest.into_diagnostic()?;
             }
-            let words: Vec<String> = line.split(' ').flat_map(|word| self.words(word)).collect();
+            let words: Vec<String> = line.split(' ').map(|word| self.word(word)).collect();
             if !self.command(&words)? {
                 return Ok(false);
             }
@@ -165,21 +165,16 @@ impl Procedure<'_> {
     }
 
     /// What a word of a command line stands for.
-    fn words(&self, word: &str) -> Vec<String> {
+    fn word(&self, word: &str) -> String {
         let file = |name: &str| self.folder.join(name).display().to_string();
         let switches = self.board.homing.method == HomingMethod::Switches;
-        let one = match word {
+        match word {
             "BOARD" => self.shown.clone(),
-            "PINS" if self.board.pins.is_some() => {
-                return vec!["--board".to_owned(), self.shown.clone()];
-            }
-            "PINS" => return vec![],
             "CONFIRMED" => if switches { "--vented" } else { "--at-rest" }.to_owned(),
             "SCHEDULE" => file("schedule.csv"),
             "LOG" => file("service/state/recordings/accept.csv.gz"),
             word => word.to_owned(),
-        };
-        vec![one]
+        }
     }
 
     /// Prints a line and keeps it for the report.

@@ -193,7 +193,8 @@ fn print_result(value: &Value) {
 
 /// A result in words: the recording or the gains file that it names.
 pub(super) fn words(value: &Value) -> String {
-    let replay = if value["replayable"] == true {
+    let is_replayable = value["replayable"] == true;
+    let replay = if is_replayable {
         ", can be replayed"
     } else {
         ""

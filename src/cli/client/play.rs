@@ -249,11 +249,8 @@ fn arrive_and_hold(
             let text = format!("the schedule ended at bend {bend_deg}° toward {dir_deg}°: {why}");
             return Some(Err(Refused(text).into()));
         }
-        let late_max_s = if s.mode == Some(Mode::Tracking) {
-            LATE_MAX_S
-        } else {
-            0.0
-        };
+        let is_on_its_way = s.mode == Some(Mode::Tracking);
+        let late_max_s = if is_on_its_way { LATE_MAX_S } else { 0.0 };
         if s.t - started_s >= seconds + late_max_s {
             arrived_s.get_or_insert(s.t);
         }

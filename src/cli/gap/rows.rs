@@ -179,11 +179,10 @@ fn collect(path: &Path, folder: &Path, into: &mut Vec<Task>) -> Result<()> {
 
 /// Rows of an earlier run, by log: those of its table, and those of its journal if it did not end.
 fn known(table: &Path, journal: &Path) -> Result<HashMap<String, FleetRow>> {
-    let mut rows = if table.is_file() {
-        read(table)?
-    } else {
-        Vec::new()
-    };
+    let mut rows = Vec::new();
+    if table.is_file() {
+        rows = read(table)?;
+    }
     let text = fs::read(journal).unwrap_or_default();
     let lines = text.split(|b| *b == b'\n');
     // a row that was being written as the run ended is no row
