@@ -59,7 +59,7 @@ fn knob(text: &str) -> std::result::Result<Knob, String> {
 /// A report that names the faulty input, or says what the program did.
 pub fn run(args: &Args) -> Result<bool> {
     let lines = args.driven.lines()?;
-    let log = input::observe(&args.log, &args.driven.machine.rig()?)?;
+    let log = input::observe(&args.log, &args.driven.rig()?)?;
     let (name, compared) = simulated(args, &log)?;
     let diagnosis = diagnose(&TipProblem::new(&log, &catalogue(), &lines, args.seed)).document;
     let document = document(&args.fit, &log, name, &compared, &diagnosis);

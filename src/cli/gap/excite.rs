@@ -19,8 +19,9 @@ pub struct Args {
     /// separated first.
     #[arg(long, value_name = "MODEL.toml")]
     like: Option<PathBuf>,
-    #[command(flatten)]
-    machine: input::MachineArgs,
+    /// Board file of the machine; default: the machine of the paper.
+    #[arg(long, value_name = "FILE.toml")]
+    board: Option<PathBuf>,
     /// Schedule to write: rows `bend_deg,dir_deg,len_mm,hold_s,speed_mm_s`.
     #[arg(long, value_name = "SCHEDULE.csv")]
     out: ResultFile,
@@ -53,7 +54,7 @@ pub fn run(args: &Args) -> Result<()> {
     };
     let bar = output::bar(args.rounds as u64, "{pos} of {len} schedules");
     let request = Request {
-        machine: Machine::new(args.machine.rig()?, lines),
+        machine: Machine::new(input::rig(&args.board)?, lines),
         like,
         tracker: args.tracker,
         seed: args.seed,

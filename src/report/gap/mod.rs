@@ -29,7 +29,14 @@ pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence, made: &[[String; 2
     for limit in words::limits(d) {
         page.text(&limit);
     }
-    page.table("gap, RMS over all sensors|degrees", &figures(d));
+    let row = |name: &str, deg: f64| [name.to_owned(), format!("{deg:.2}")];
+    let figures = [
+        row("as configured", d.gap.as_configured_deg),
+        row("recalibrated", d.gap.recalibrated_deg),
+        row("with the verdict's effects", d.gap.explained_deg),
+        row("noise", d.gap.noise_floor_deg),
+    ];
+    page.table("gap, RMS over all sensors|degrees", &figures);
     page.quiet("All numbers except the first are scored on parts of the log that the fit has not seen. Recalibration identifies the gains of the nominal model again on this log; what it closes is not credited to an effect.");
     page.heading("Next");
     for step in words::next(d) {
@@ -57,17 +64,6 @@ pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence, made: &[[String; 2
     page.table("|", made);
     page.quiet("docs/gap.md of the program explains how to read this page.");
     page.html()
-}
-
-fn figures(d: &Diagnosis) -> [[String; 2]; 4] {
-    let g = &d.gap;
-    let row = |name: &str, deg: f64| [name.to_owned(), format!("{deg:.2}")];
-    [
-        row("as configured", g.as_configured_deg),
-        row("recalibrated", g.recalibrated_deg),
-        row("with the verdict's effects", g.explained_deg),
-        row("noise", g.noise_floor_deg),
-    ]
 }
 
 /// Two maps with one scale, and the residual over time.
