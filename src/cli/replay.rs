@@ -265,9 +265,9 @@ impl Replay<'_> {
         self.cycles += 1;
         if let Some(fields) = cycle.differences(&output) {
             self.different += 1;
-            let first = self.first.get_or_insert((number, t_s, Vec::new()));
-            if first.2.is_empty() {
-                first.2 = fields;
+            let (.., named) = self.first.get_or_insert((number, t_s, Vec::new()));
+            if named.is_empty() {
+                *named = fields;
             }
         }
         if let Some(altered) = &mut self.altered {

@@ -62,8 +62,8 @@ pub fn run(args: &Args) -> Result<bool> {
     let log = input::observe(&args.log, &args.driven.rig()?)?;
     let (name, compared) = simulated(args, &log)?;
     let diagnosis = diagnose(&TipProblem::new(&log, &catalogue(), &lines, args.seed)).document;
-    let document = document(&args.fit, &log, name, &compared, &diagnosis);
     output::write_some(&args.residuals, || residuals(&log, &compared))?;
+    let document = document(&log, name, compared, &diagnosis);
     let (text, good) = said(&document);
     output::answer(&args.json, &document, text)?;
     Ok(good)
