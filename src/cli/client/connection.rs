@@ -193,11 +193,9 @@ fn print_result(value: &Value) {
 
 /// A result in words: the recording or the gains file that it names.
 pub(super) fn words(value: &Value) -> String {
-    let is_replayable = value["replayable"] == true;
-    let replay = if is_replayable {
-        ", can be replayed"
-    } else {
-        ""
+    let replay = match value["replayable"] == true {
+        true => ", can be replayed",
+        false => "",
     };
     let file = value["path"].as_str();
     match (file, value["rows"].as_u64(), value["gains"].as_str()) {

@@ -90,10 +90,9 @@ pub fn bend(args: &BendArgs) -> Result<bool> {
         dir_deg,
         length_mm: args.length,
         speed_deg_s: args.speed,
-        frame: if args.world {
-            Frame::World
-        } else {
-            Frame::Base
+        frame: match args.world {
+            true => Frame::World,
+            false => Frame::Base,
         },
     };
     match args.wait {
