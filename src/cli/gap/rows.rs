@@ -27,15 +27,12 @@ use std::thread;
 #[derive(Debug, Clone, Copy)]
 pub struct Shard(u64, u64);
 
-impl std::str::FromStr for Shard {
-    type Err = String;
-
-    fn from_str(text: &str) -> std::result::Result<Self, String> {
-        let parts = text.split_once('/');
-        let parts = parts.and_then(|(k, n)| Some(Self(k.parse().ok()?, n.parse().ok()?)));
-        let parts = parts.filter(|Self(k, n)| (1..=*n).contains(k));
-        parts.ok_or("expected K/N with K from 1 to N, for example 2/8".to_owned())
-    }
+/// A part as `--shard` names it.
+fn shard(text: &str) -> std::result::Result<Shard, String> {
+    let parts = text.split_once('/');
+    let parts = parts.and_then(|(k, n)| Some(Shard(k.parse().ok()?, n.parse().ok()?)));
+    let parts = parts.filter(|Shard(k, n)| (1..=*n).contains(k));
+    parts.ok_or("expected K/N with K from 1 to N, for example 2/8".to_owned())
 }
 
 /// A log and its row, which may not be filled in yet.
@@ -52,7 +49,7 @@ pub struct RowsArgs {
     #[arg(long, value_name = "ROWS.parquet", conflicts_with_all = ["map", "json", "html", "save"])]
     pub rows: Option<ResultFile>,
     /// With --rows: diagnose only the K-th of N parts of the logs.
-    #[arg(long, value_name = "K/N", requires = "rows")]
+    #[arg(long, value_name = "K/N", requires = "rows", value_parser = shard)]
     shard: Option<Shard>,
     /// With --rows: table `log,unit,lot,date` of what the logs are of; by default a log is a unit and its folder the lot.
     #[arg(long, value_name = "UNITS.csv", requires = "rows")]
