@@ -207,7 +207,15 @@ impl Replay<'_> {
             self.altered = Some(altered.clone().supervisor());
         }
         if self.out.is_some() {
-            let written = self.header_of(header, &used, &altered.config)?;
+            let texts = used.texts(header, self.args).map_err(|e| e.to_string())?;
+            let written = Header {
+                program: env!("CARGO_PKG_VERSION").to_owned(),
+                config_hash: hash(texts.iter().map(String::as_str)),
+                texts,
+                lines: altered.config.tick.lines,
+                dynamics: altered.config.tick.dynamics,
+                ..header.clone()
+            };
             self.events.push(Arc::new(Event::Start(written)));
         }
         (self.next, self.began) = (header.cycle, Some(header.cycle));
@@ -215,24 +223,6 @@ impl Replay<'_> {
         self.machine = Some((settings, start.config.clone()));
         self.supervisor = Some(start.supervisor());
         Ok(())
-    }
-
-    /// The header of the log to write.
-    fn header_of(
-        &self,
-        read: &Header,
-        settings: &Settings,
-        config: &SupervisorConfig,
-    ) -> Result<Header, String> {
-        let texts = settings.texts(read, self.args).map_err(|e| e.to_string())?;
-        Ok(Header {
-            program: env!("CARGO_PKG_VERSION").to_owned(),
-            config_hash: hash(texts.iter().map(String::as_str)),
-            texts,
-            lines: config.tick.lines,
-            dynamics: config.tick.dynamics,
-            ..read.clone()
-        })
     }
 
     fn reload(&mut self, gains: &str, lines: [Line; 3]) -> Result<(), String> {

@@ -121,7 +121,7 @@ fn trace(t: &Trace) -> Option<Chart> {
     let column = |i: usize| within(from).map(|p| (p[0], p[i])).collect();
     let x = Axis::new("time / s", from, from + TRACE_S, 5);
     let angles = within(from).flat_map(|p| p[1..].to_vec());
-    let y = Axis::around("angle / °", angles, &[], 5);
+    let y = Axis::around("angle / °", angles, 5);
     let series = vec![
         Series::line("measured", Ink::GREY, Stroke::Solid, column(1)),
         Series::line("recalibrated", Ink::RED, Stroke::Dotted, column(2)),
