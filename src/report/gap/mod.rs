@@ -58,6 +58,11 @@ pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence, made: &[[String; 2
         page.table("parameter|of|channel|value|95 %|unit", &values);
     }
     page.heading("By sensor");
+    let sensor = |k: &QuantityShare| {
+        let [before, after] = [k.rmse_deg, k.explained_deg].map(|x| format!("{x:.2}"));
+        let unit = words::unit_of(k.name).to_owned();
+        [k.name.to_owned(), before, after, unit]
+    };
     let sensors: Vec<_> = d.location.kinds.iter().map(sensor).collect();
     page.table("sensor|recalibrated|with effects|unit", &sensors);
     page.heading("Made from");
@@ -179,10 +184,4 @@ fn parameters(e: &EffectEntry) -> impl Iterator<Item = [String; 6]> {
             or_dash(p.unit),
         ]
     })
-}
-
-fn sensor(k: &QuantityShare) -> [String; 4] {
-    let [before, after] = [k.rmse_deg, k.explained_deg].map(|x| format!("{x:.2}"));
-    let unit = words::unit_of(k.name).to_owned();
-    [k.name.to_owned(), before, after, unit]
 }
