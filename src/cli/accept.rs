@@ -2,9 +2,10 @@
 //! what they printed.
 
 use crate::cli::{ResultFile, demo, inputs, output};
-use crate::config::{Board, HomingMethod};
+use crate::config::Board;
 use crate::drill::process::daemon::Daemon;
 use crate::report::page::Page;
+use crate::supervisor::commission::homing::HomingMethod;
 use miette::{IntoDiagnostic, Result, bail};
 use serde::Deserialize;
 use serde_json::Value;

@@ -24,7 +24,7 @@ pub use board::{Board, PlantSection};
 pub use calib::{Calibration, DynamicsSection, TransmissionSection};
 pub use gains::Gains;
 pub use pressure_bound::PressureBound;
-pub use sections::{Header, HomingMethod};
+pub use sections::Header;
 pub use service::ServiceSection;
 
 use crate::control::LoopConfig;
