@@ -234,8 +234,7 @@ fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Re
         let defect = |_| Err(io::Error::other("a diagnosis failed"));
         let ends = workers.into_iter().map(|w| w.join().unwrap_or_else(defect));
         // all end before the first error counts
-        let ends: Vec<_> = ends.collect();
-        ends.into_iter().collect::<io::Result<()>>()
+        ends.fold(Ok(()), io::Result::and)
     });
     done.map_err(failed)
 }
