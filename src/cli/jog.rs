@@ -6,11 +6,6 @@ use crate::supervisor::commission::manual_motion::ManualMotion;
 use miette::Result;
 use std::path::PathBuf;
 
-/// Longest jog, mm: about a third of the travel.
-const DISTANCE_MAX_MM: f64 = 10.0;
-/// Highest speed, mm/s.
-const SPEED_MAX_MM_S: f64 = 10.0;
-
 /// Arguments of `jog`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -21,10 +16,10 @@ pub struct Args {
     #[arg(long, value_parser = clap::value_parser!(u8).range(1..=3))]
     channel: u8,
     /// Distance, mm, at most 10; positive elongates the bellow.
-    #[arg(long, allow_negative_numbers = true, value_parser = within(-DISTANCE_MAX_MM..=DISTANCE_MAX_MM, "mm"))]
+    #[arg(long, allow_negative_numbers = true, value_parser = within(-10.0..=10.0, "mm"))]
     mm: f64,
     /// Speed, mm/s, at most 10.
-    #[arg(long, default_value_t = 2.0, value_parser = within(0.01..=SPEED_MAX_MM_S, "mm/s"))]
+    #[arg(long, default_value_t = 2.0, value_parser = within(0.01..=10.0, "mm/s"))]
     speed: f64,
     /// Time to hold there, s.
     #[arg(long, default_value_t = 1.0, value_parser = within(0.0..=60.0, "s"))]

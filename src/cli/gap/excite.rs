@@ -8,9 +8,6 @@ use crate::report::gap::schedule::summary;
 use miette::Result;
 use std::path::PathBuf;
 
-/// Schedules evaluated by default.
-const ROUNDS: u32 = 240;
-
 /// Arguments of `gap excite`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -31,7 +28,7 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Schedules to evaluate; fewer take less time and separate less.
-    #[arg(long, default_value_t = ROUNDS, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, default_value_t = 240, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     rounds: u32,
 }
 
