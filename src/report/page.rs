@@ -1,7 +1,7 @@
 //! An HTML report: one self-contained file, styled for screen and paper, without scripts or external resources.
 
 use crate::report::svg::escape;
-use std::fmt::{Display, Write};
+use std::fmt::Display;
 
 const STYLE: &str = include_str!("page.css");
 
@@ -62,8 +62,7 @@ impl Page {
         self.line("</div>");
     }
     fn line(&mut self, markup: impl Display) {
-        // writing to a `String` cannot fail
-        let _ = writeln!(self.0, "{markup}");
+        self.0 += &format!("{markup}\n");
     }
     /// The complete file.
     pub fn html(&self) -> String {

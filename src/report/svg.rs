@@ -4,8 +4,6 @@
 //! `NaN` into paths; `plotters` splits dashed lines into segments. Neither draws a map of polar cells or writes an
 //! accessible label. Both need more adapter code than the elements below.
 
-use std::fmt::{Display, Write};
-
 const FONT: &str =
     "font-family=\"system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif\" font-size=\"12\"";
 
@@ -63,18 +61,18 @@ impl Svg {
 
     /// The finished document.
     pub fn finish(mut self) -> String {
-        self.0.push_str("</svg>\n");
+        self.0 += "</svg>\n";
         self.0
     }
 
     /// Draws into the rectangle `[x, y, width, height]`, with the origin at its corner, and clips at its edges.
     pub(crate) fn inset(&mut self, frame: [f64; 4], draw: impl FnOnce(&mut Self)) {
         let [x, y, width, height] = frame;
-        self.push(format_args!(
+        self.0 += &format!(
             r#"<svg x="{x:.1}" y="{y:.1}" width="{width:.1}" height="{height:.1}" overflow="hidden">"#
-        ));
+        );
         draw(self);
-        self.0.push_str("</svg>");
+        self.0 += "</svg>";
     }
 
     pub(crate) fn heading(&mut self, x: f64, text: &str) {
@@ -95,42 +93,33 @@ impl Svg {
     /// Text with any further attributes.
     pub(crate) fn styled_text(&mut self, x: f64, y: f64, ink: Ink, style: &str, text: &str) {
         let (fill, text) = (ink.0, escape(text));
-        self.push(format_args!(
-            r#"<text x="{x:.1}" y="{y:.1}" fill="{fill}" {style}>{text}</text>"#
-        ));
+        self.0 += &format!(r#"<text x="{x:.1}" y="{y:.1}" fill="{fill}" {style}>{text}</text>"#);
     }
 
     /// A straight line; `style` holds further attributes.
     pub(crate) fn line(&mut self, from: (f64, f64), to: (f64, f64), ink: Ink, style: &str) {
         let ((x1, y1), (x2, y2), ink) = (from, to, ink.0);
-        self.push(format_args!(
+        self.0 += &format!(
             r#"<line x1="{x1:.1}" y1="{y1:.1}" x2="{x2:.1}" y2="{y2:.1}" stroke="{ink}" {style}/>"#
-        ));
+        );
     }
 
     /// A filled rectangle `[x, y, width, height]`.
     pub(crate) fn rect(&mut self, frame: [f64; 4], fill: &str, opacity: f64) {
         let [x, y, width, height] = frame;
-        self.push(format_args!(
+        self.0 += &format!(
             r#"<rect x="{x:.1}" y="{y:.1}" width="{width:.1}" height="{height:.1}" fill="{fill}" fill-opacity="{opacity}"/>"#
-        ));
+        );
     }
 
     pub(crate) fn circle(&mut self, centre: (f64, f64), radius: f64, style: &str) {
         let (x, y) = centre;
-        self.push(format_args!(
-            r#"<circle cx="{x:.1}" cy="{y:.1}" r="{radius:.1}" {style}/>"#
-        ));
+        self.0 += &format!(r#"<circle cx="{x:.1}" cy="{y:.1}" r="{radius:.1}" {style}/>"#);
     }
 
     /// A path with the data `d`; `style` holds all other attributes.
     pub(crate) fn path(&mut self, d: &str, style: &str) {
-        self.push(format_args!(r#"<path d="{d}" {style}/>"#));
-    }
-
-    fn push(&mut self, markup: impl Display) {
-        // writing to a `String` cannot fail
-        let _ = write!(self.0, "{markup}");
+        self.0 += &format!(r#"<path d="{d}" {style}/>"#);
     }
 }
 
@@ -140,7 +129,8 @@ pub(crate) fn polyline(points: impl Iterator<Item = (f64, f64)>) -> String {
     for (x, y) in points {
         let is_there = x.is_finite() && y.is_finite();
         if is_there {
-            let _ = write!(d, "{}{x:.1} {y:.1}", if pen_down { 'L' } else { 'M' });
+            let step = if pen_down { 'L' } else { 'M' };
+            d += &format!("{step}{x:.1} {y:.1}");
         }
         pen_down = is_there;
     }
