@@ -22,11 +22,6 @@
 //! | [`drill`] | every fault that the project claims to survive | processes |
 //! | [`cli`] | one file a command | everything |
 
-#![cfg_attr(
-    not(feature = "hw"),
-    allow(unused, reason = "without `hw` nothing opens a bus")
-)]
-
 /// The name under which the integration tests know this crate, for the test support that both compile.
 #[cfg(test)]
 extern crate self as retroflex;

@@ -52,7 +52,7 @@ struct Args {
 /// Records and searches the logs that are missing, and writes the weights.
 fn main() -> Result<()> {
     let args = Args::parse();
-    output::check(&[("--out", &args.out)], &[])?;
+    output::check(&[("out", &args.out)], &[])?;
     let (file, mut cases) = open(&args.cases)?;
     let seeds = args.seed..args.seed.saturating_add(args.logs);
     cases.retain(|c| seeds.contains(&c.seed));

@@ -2,9 +2,10 @@
 //! what they printed.
 
 use crate::cli::{ResultFile, demo, inputs, output};
-use crate::config::{Board, HomingMethod};
+use crate::config::Board;
 use crate::drill::process::daemon::Daemon;
 use crate::report::page::Page;
+use crate::supervisor::commission::homing::HomingMethod;
 use miette::{IntoDiagnostic, Result, bail};
 use serde::Deserialize;
 use serde_json::Value;
@@ -144,17 +145,19 @@ impl Procedure<'_> {
             let is_simulated = self.board.hardware().is_none();
             let options = &options[..if is_simulated { 4 } else { 2 }];
             let service = Daemon::start_with(&self.program, &self.folder.join("service"), options);
-            let service = self.service.insert(service.into_diagnostic()?);
+            let service = service.into_diagnostic()?;
             let is_aligned = |s: &Value| s["mode"] == "disarmed" || s["mode"] == "lost";
             let aligned = service.until(30.0, "alignment", is_aligned);
             aligned.into_diagnostic()?;
+            // a service that is not aligned ends with this step
+            self.service = Some(service);
         }
         for line in &step.commands {
             if let Some(service) = &self.service {
                 let rest = service.until(60.0, "rest", |s| s["mode"] != "relaxing");
                 rest.into_diagnostic()?;
             }
-            let words: Vec<String> = line.split(' ').flat_map(|word| self.words(word)).collect();
+            let words: Vec<String> = line.split(' ').map(|word| self.word(word)).collect();
             if !self.command(&words)? {
                 return Ok(false);
             }
@@ -163,21 +166,16 @@ impl Procedure<'_> {
     }
 
     /// What a word of a command line stands for.
-    fn words(&self, word: &str) -> Vec<String> {
+    fn word(&self, word: &str) -> String {
         let file = |name: &str| self.folder.join(name).display().to_string();
         let switches = self.board.homing.method == HomingMethod::Switches;
-        let one = match word {
+        match word {
             "BOARD" => self.shown.clone(),
-            "PINS" if self.board.pins.is_some() => {
-                return vec!["--board".to_owned(), self.shown.clone()];
-            }
-            "PINS" => return vec![],
             "CONFIRMED" => if switches { "--vented" } else { "--at-rest" }.to_owned(),
             "SCHEDULE" => file("schedule.csv"),
             "LOG" => file("service/state/recordings/accept.csv.gz"),
             word => word.to_owned(),
-        };
-        vec![one]
+        }
     }
 
     /// Prints a line and keeps it for the report.

@@ -2,10 +2,9 @@
 
 use crate::cli::{inputs, manual_motion, output, within};
 use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
-use crate::hardware::pins::{self, Backend, Pins, PinsConfig};
-use crate::hardware::stepper::StartError;
+use crate::hardware::pins::{self, Backend, PinsConfig};
 use clap::Args;
-use miette::{IntoDiagnostic, Result, bail, miette};
+use miette::{IntoDiagnostic, Result, bail};
 use std::path::{Path, PathBuf};
 
 commands! {
@@ -52,13 +51,15 @@ pub fn run(args: &Rt) -> Result<bool> {
                 ..PinsConfig::default()
             };
             let pins = pins::open(&mock, 16).into_diagnostic()?;
-            (measure(&base, pins)?, "the mock".to_owned())
+            let bench = bench_rt::run(&base, pins).into_diagnostic()?;
+            (bench, "the mock".to_owned())
         }
     };
     output::print(format!("through {through}\n{}\n", bench.table()));
     Ok(bench.is_good())
 }
 
+/// The bench on the pins of a board, and what it went through.
 fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
     let board = inputs::board(Some(path))?;
     let file = path.display();
@@ -81,13 +82,6 @@ fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
     config.stepper = board.stepper;
     config.stepper.step_interval_min_us = step_interval_min_us;
     let through = format!("{:?} on {}", wiring.backend, board.machine.name).to_lowercase();
-    Ok((measure(&config, NoCurrent(pins))?, through))
-}
-
-fn measure(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench> {
-    match bench_rt::run(config, pins) {
-        Ok(bench) => Ok(bench),
-        Err(StartError::Config(e)) => Err(miette!("{e}")),
-        Err(e) => Err(e).into_diagnostic(),
-    }
+    let bench = bench_rt::run(&config, NoCurrent(pins)).into_diagnostic()?;
+    Ok((bench, through))
 }

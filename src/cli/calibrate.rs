@@ -5,6 +5,7 @@
 
 use crate::cli::client::follow::{TransmissionArgs, transmission};
 use crate::cli::{Refused, ResultFile, output, within};
+use crate::config::MOTORS_IDLE_AFTER_S;
 use crate::estimation::imu_calibration::{
     ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, from_log, gyro, mag, motor,
     mount, still,
@@ -52,9 +53,6 @@ pub struct Args {
     /// Day of the recording, YYYY-MM-DD; the default is today.
     #[arg(long, value_parser = day)]
     date: Option<String>,
-    /// Time after its last step at which a driver reduces its current, s (motors only).
-    #[arg(long, default_value_t = 0.35, value_parser = within(0.0..=60.0, "s"))]
-    idle_after: f64,
 }
 
 /// A quantity that can be identified.
@@ -131,7 +129,7 @@ fn identify(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Resul
         Step::Gyro => gyro_bias(&read()?, from, into),
         Step::Accel => accel_bias(&read()?, from, into),
         Step::Mag => hard_iron(&read()?, from, into),
-        Step::Motors => motor::fit(&from_log::of_motors(&log()?, args.idle_after), from).map(|fit| {
+        Step::Motors => motor::fit(&from_log::of_motors(&log()?, MOTORS_IDLE_AFTER_S), from).map(|fit| {
             let strongest = fit.field.cos_ut.iter().chain(&fit.field.sin_ut).map(|r| Vector3::from(*r).norm()).fold(0.0, f64::max);
             into.motor_field = Some(fit.field);
             let coverage = 100.0 * fit.coverage.into_iter().fold(1.0, f64::min);

@@ -30,7 +30,7 @@ pub struct Args {
 /// Result of one check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Verdict {
+enum Verdict {
     /// As required.
     Pass,
     /// The machine works, but less well.
@@ -41,15 +41,15 @@ pub enum Verdict {
 
 /// One line of the result.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Finding {
+struct Finding {
     /// What was checked.
-    pub what: String,
+    what: String,
     /// The result.
-    pub verdict: Verdict,
+    verdict: Verdict,
     /// What was found.
-    pub found: String,
+    found: String,
     /// What to do about it; empty if nothing is to be done.
-    pub remedy: String,
+    remedy: String,
 }
 
 impl Finding {
@@ -63,7 +63,11 @@ impl Finding {
     }
 
     fn line(&self) -> String {
-        let mark = ["pass", "WARN", "FAIL"][self.verdict as usize];
+        let mark = match self.verdict {
+            Pass => "pass",
+            Warn => "WARN",
+            Fail => "FAIL",
+        };
         let line = format!("{mark}  {:<18} {}\n", self.what, self.found);
         match self.remedy.as_str() {
             "" => line,
@@ -78,7 +82,12 @@ impl Finding {
 /// A report that names what is wrong with the board file.
 pub fn run(args: &Args) -> Result<bool> {
     let board = inputs::board(args.board.as_deref())?;
-    let findings = examine(&board);
+    let mut findings = vec![model(), kernel(), pressure(&board)];
+    findings.extend(devices(&board));
+    findings.extend(real_time(&board));
+    let paths = Paths::of(&board.service);
+    let sockets = socket_folder(paths.control.parent());
+    findings.extend([clock(), power(), disk(&paths.state), sockets]);
     let text: String = findings.iter().map(Finding::line).collect();
     output::answer(&args.json, &findings, text)?;
     Ok(findings.iter().all(|f| f.verdict != Fail))
@@ -86,17 +95,6 @@ pub fn run(args: &Args) -> Result<bool> {
 
 fn pass_or_warn(good: bool) -> Verdict {
     if good { Pass } else { Warn }
-}
-
-/// All checks that need no motion.
-pub fn examine(board: &Board) -> Vec<Finding> {
-    let mut findings = vec![model(), kernel(), pressure(board)];
-    findings.extend(devices(board));
-    findings.extend(real_time(board));
-    let paths = Paths::of(&board.service);
-    let sockets = socket_folder(paths.control.parent());
-    findings.extend([clock(), power(), disk(&paths.state), sockets]);
-    findings
 }
 
 fn read(path: &str) -> Option<String> {

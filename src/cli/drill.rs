@@ -7,7 +7,6 @@ use crate::drill::process::{self, Harm};
 use crate::drill::row::FaultResult;
 use crate::drill::run::{Allowance, fly};
 use crate::drill::{list, soak};
-use crate::report::page::Page;
 use crate::service::memory::Memory;
 use crate::service::store::Store;
 use miette::{IntoDiagnostic, Result, bail};
@@ -21,9 +20,6 @@ pub struct Args {
     /// Write the rows as JSON; `-` is standard output.
     #[arg(long)]
     json: Option<ResultFile>,
-    /// Write the rows as a page.
-    #[arg(long, value_name = "FILE", conflicts_with = "soak")]
-    html: Option<ResultFile>,
     /// Inject only faults whose name contains this text.
     #[arg(long)]
     only: Option<String>,
@@ -87,7 +83,7 @@ pub fn run(args: &Args) -> Result<bool> {
             "--only {only}: no fault has a name that contains this text; in flight there are {names}"
         );
     }
-    show(&rows, args)?;
+    show(&rows, &args.json)?;
     Ok(rows.iter().all(|r| r.ok))
 }
 
@@ -141,14 +137,12 @@ fn run_soak(args: &Args, config: &BenchConfig, hours: f64) -> Result<bool> {
     Ok(soak.ok)
 }
 
-fn show(rows: &[FaultResult], args: &Args) -> Result<()> {
+fn show(rows: &[FaultResult], json: &Option<ResultFile>) -> Result<()> {
     let time = |s: f64| match s < 1.0 {
         true => format!("{:.0} ms", s * 1e3),
         false => format!("{s:.1} s"),
     };
-    let cells = |r: &FaultResult| {
-        let (ok, why) = if r.ok { ("yes", "") } else { ("NO", &*r.why) };
-        let between = if r.ok { "" } else { " · " };
+    let row = |r: &FaultResult| {
         [
             r.fault.clone(),
             r.detected_s.map_or("–".to_owned(), time),
@@ -156,24 +150,17 @@ fn show(rows: &[FaultResult], args: &Args) -> Result<()> {
             r.state.clone(),
             format!("{:.1}°", r.error_deg_during),
             format!("{:.1}°", r.error_deg_after),
-            ok.to_owned(),
-            format!("{why}{between}{}", r.message),
+            if r.ok { "yes" } else { "NO" }.to_owned(),
         ]
     };
-    let cells: Vec<_> = rows.iter().map(cells).collect();
     let header = "fault|detected|steps|state|error during|after|ok";
-    let failed = rows.iter().filter(|r| !r.ok).count();
-    let all = format!("{} faults, {failed} failed", rows.len());
-    output::write_some(&args.html, || {
-        let mut page = Page::new("retroflex drill");
-        page.text(&all);
-        page.table(&format!("{header}|message"), &cells);
-        Ok(page.html())
-    })?;
-    let why = rows.iter().zip(&cells).filter(|(r, _)| !r.ok);
-    let why = why.map(|(r, cells)| format!("{}: {}\n", r.fault, cells[7]));
-    let why: String = why.collect();
-    let table = output::table(header, 1..6, cells.iter().map(|cells| cells[..7].to_vec()));
-    let text = format!("{table}\n{why}{all}\n");
-    output::answer(&args.json, &json!({ "rows": rows }), text)
+    let mut text = format!("{}\n", output::table(header, 1..6, rows.iter().map(row)));
+    let failed = rows.iter().filter(|r| !r.ok);
+    text.extend(
+        failed
+            .clone()
+            .map(|r| format!("{}: {} · {}\n", r.fault, r.why, r.message)),
+    );
+    text += &format!("{} faults, {} failed\n", rows.len(), failed.count());
+    output::answer(json, &json!({ "rows": rows }), text)
 }

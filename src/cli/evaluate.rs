@@ -31,9 +31,10 @@ const FOLLOWED_DEG: f64 = 3.0;
 /// A report that says what was wrong with the input or the plant.
 pub fn run(args: &Args) -> Result<bool> {
     let arms = args.arms.as_deref().unwrap_or_default();
-    let mut twice = (0..arms.len()).filter(|n| arms[..*n].contains(&arms[*n]));
-    if let Some(arm) = twice.next().map(|n| arms[n]) {
-        bail!("--arms names `{}` twice; name each arm once", arm.name());
+    for (n, arm) in arms.iter().enumerate() {
+        if arms[..n].contains(arm) {
+            bail!("--arms names `{}` twice; name each arm once", arm.name());
+        }
     }
     let board = inputs::board(args.board.as_deref())?;
     let gains = inputs::gains(args.gains.as_deref())?;
@@ -55,7 +56,7 @@ pub fn run(args: &Args) -> Result<bool> {
         arms: args.arms.clone().unwrap_or(usual.to_vec()),
         track,
         seed: args.seed,
-        rig: gap::input::rig(args.board.as_deref())?,
+        rig: gap::input::rig(&args.board)?,
         feedforward: feedforward.map(|(_, machine)| machine),
     };
     let bar = output::bar(0, "{msg:<18} {pos} states held,");
@@ -81,8 +82,8 @@ fn track(args: &Args, config: &LoopConfig) -> Result<Option<Track>> {
     };
     let path = path::PathFile::open(file, &config.geometry).into_diagnostic()?;
     let within = path.within(&config.limits, &config.geometry, &config.lines);
-    let live = args.live;
     within.into_diagnostic()?;
+    let live = args.live;
     Ok(Some(Track { path, live }))
 }
 

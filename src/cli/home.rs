@@ -2,11 +2,11 @@
 
 use crate::cli::manual_motion::{self, motion_error, with_manual_control, without_sensors};
 use crate::cli::{inputs, output};
-use crate::config::{Board, HomingMethod};
+use crate::config::Board;
 use crate::primitives::Steps;
 use crate::service::paths::Paths;
 use crate::service::store::Store;
-use crate::supervisor::commission::homing::{self, HomingConfig, HomingError};
+use crate::supervisor::commission::homing::{self, HomingError, HomingMethod};
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::io::BufRead;
 use std::path::PathBuf;
@@ -60,15 +60,8 @@ fn by_switches(args: &Args, board: &Board) -> Result<String> {
             "homing drives every piston to the end of its travel: remove the tip or vent its lines, then add --vented"
         );
     }
-    let (h, travel_mm) = (board.homing, board.limits.travel_mm);
-    let search_max_mm = 2.0 * travel_mm + h.back_off_mm;
-    let config = HomingConfig {
-        speed_mm_s: h.speed_mm_s,
-        back_off_mm: h.back_off_mm,
-        repeat_max_mm: h.repeat_max_mm,
-        at_mm: h.at_mm,
-        search_max_mm,
-    };
+    let (config, travel_mm) = (&board.homing, board.limits.travel_mm);
+    let search_max_mm = 2.0 * travel_mm + config.back_off_mm;
     let (_, mut machine) = manual_motion::open(&args.board, |c| {
         without_sensors(c);
         // the position is still unknown, so the count may exceed the length of the rack
@@ -80,7 +73,7 @@ fn by_switches(args: &Args, board: &Board) -> Result<String> {
     };
     let homed = with_manual_control(machine.as_mut(), report, |hand| {
         hand.energise(true)?;
-        let homed = homing::with_switches(hand, &config)?;
+        let homed = homing::with_switches(hand, config, search_max_mm)?;
         hand.energise(false)?;
         Ok(homed)
     })?;

@@ -3,13 +3,8 @@
 
 use crate::cli::{manual_motion, output, within};
 use crate::supervisor::commission::manual_motion::ManualMotion;
-use miette::{Result, bail};
+use miette::Result;
 use std::path::PathBuf;
-
-/// Longest jog, mm: about a third of the travel.
-const DISTANCE_MAX_MM: f64 = 10.0;
-/// Highest speed, mm/s.
-const SPEED_MAX_MM_S: f64 = 10.0;
 
 /// Arguments of `jog`.
 #[derive(Debug, clap::Args)]
@@ -21,20 +16,14 @@ pub struct Args {
     #[arg(long, value_parser = clap::value_parser!(u8).range(1..=3))]
     channel: u8,
     /// Distance, mm, at most 10; positive elongates the bellow.
-    #[arg(long, allow_negative_numbers = true, value_parser = within(-DISTANCE_MAX_MM..=DISTANCE_MAX_MM, "mm"))]
+    #[arg(long, allow_negative_numbers = true, value_parser = within(-10.0..=10.0, "mm"))]
     mm: f64,
     /// Speed, mm/s, at most 10.
-    #[arg(long, default_value_t = 2.0, value_parser = within(0.01..=SPEED_MAX_MM_S, "mm/s"))]
+    #[arg(long, default_value_t = 2.0, value_parser = within(0.01..=10.0, "mm/s"))]
     speed: f64,
     /// Time to hold there, s.
     #[arg(long, default_value_t = 1.0, value_parser = within(0.0..=60.0, "s"))]
     hold: f64,
-    /// Stay there instead of returning. The drivers are released, so pressure will push the piston.
-    #[arg(long)]
-    stay: bool,
-    /// Number of strokes.
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    times: u32,
 }
 
 /// Runs the command.
@@ -42,24 +31,16 @@ pub struct Args {
 /// # Errors
 /// A report: bad input, hardware that does not answer, or the reason that ended the motion.
 pub fn run(args: &Args) -> Result<()> {
-    if args.stay && args.times != 1 {
-        let times = args.times;
-        bail!("--stay and --times {times} contradict each other; omit one of them");
-    }
     let (_, mut machine) = manual_motion::open(&args.board, manual_motion::without_sensors)?;
     let channel = usize::from(args.channel) - 1;
     let stroke = |hand: &mut ManualMotion<'_>| {
         hand.energise(true)?;
-        let (mut target, mut out) = ([0.0; 3], 0.0);
+        let mut target = [0.0; 3];
         target[channel] = args.mm;
-        for _ in 0..args.times {
-            hand.go(target, args.speed, &mut |_| false)?;
-            out = hand.stands_mm()[channel];
-            hand.stand(args.hold, &mut |_| ())?;
-            if !args.stay {
-                hand.go([0.0; 3], args.speed, &mut |_| false)?;
-            }
-        }
+        hand.go(target, args.speed, &mut |_| false)?;
+        let out = hand.stands_mm()[channel];
+        hand.stand(args.hold, &mut |_| ())?;
+        hand.go([0.0; 3], args.speed, &mut |_| false)?;
         hand.energise(false)?;
         Ok((out, hand.stands_mm()[channel]))
     };

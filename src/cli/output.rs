@@ -4,6 +4,7 @@
 
 use crate::config::Calibration;
 use crate::hardware::rt;
+use crate::primitives::Parameters;
 pub use crate::report::table::table;
 use clap::ArgMatches;
 use indicatif::{ProgressBar, ProgressFinish, ProgressStyle};
@@ -223,22 +224,16 @@ fn may_replace(option: &str, path: &Path, old: &[u8]) -> bool {
     let text = || std::fs::read_to_string(path).ok();
     let table = || text()?.parse::<toml::Table>().ok();
     let has = |key: &str| table().is_some_and(|table| table.contains_key(key));
-    let is_calibration = || {
-        let mut gains = toml::toml! { [transmission]
-            k_epsilon = [2.2, 2.2, 2.2]
-            k_lambda_mm = [0.8, 0.8, 0.8]
-        };
-        // a file with nothing but `[imu]` is one, too
-        gains.extend(table()?);
-        gains.try_into::<Calibration>().ok()
-    };
+    // a file with nothing but `[imu]` is a calibration, too
+    let known = <Calibration as Parameters>::TABLE;
+    let is_calibration = |table: toml::Table| table.keys().all(|key| known.row(key).is_some());
     match (option, path.extension().and_then(|e| e.to_str())) {
         ("json", _) => matches!(old[0], b'{' | b'['),
         ("html" | "svg", _) => old[0] == b'<',
         ("parquet" | "rows" | "merged", _) => old.starts_with(b"PAR1"),
         ("save", _) => has("with_effects"),
         ("calib" | "prior", _) | ("out", Some("toml")) => {
-            is_calibration().is_some() || has("conformal")
+            table().is_some_and(is_calibration) || has("conformal")
         }
         ("csv", _) | ("out", Some("csv")) => {
             old.starts_with(b"\x1f\x8b")

@@ -61,8 +61,10 @@ pub fn run(args: &Args) -> Result<bool> {
             "{file}: cannot be replayed, because it does not begin with the start of a supervisor: the part before is missing"
         );
     }
-    let shown = Some(&ending).filter(|ending| **ending != Ending::COMPLETE);
-    let shown = shown.map_or(String::new(), |ending| format!("; {ending}"));
+    let shown = match ending == Ending::COMPLETE {
+        true => String::new(),
+        false => format!("; {ending}"),
+    };
     println!("{cycles} cycles replayed, {different} differ{shown}");
     for (before, t_s, lost) in &replay.gaps {
         println!("gap: {lost} cycles are missing before cycle {before} at {t_s:.3} s");
@@ -205,7 +207,15 @@ impl Replay<'_> {
             self.altered = Some(altered.clone().supervisor());
         }
         if self.out.is_some() {
-            let written = self.header_of(header, &used, &altered.config)?;
+            let texts = used.texts(header, self.args).map_err(|e| e.to_string())?;
+            let written = Header {
+                program: env!("CARGO_PKG_VERSION").to_owned(),
+                config_hash: hash(texts.iter().map(String::as_str)),
+                texts,
+                lines: altered.config.tick.lines,
+                dynamics: altered.config.tick.dynamics,
+                ..header.clone()
+            };
             self.events.push(Arc::new(Event::Start(written)));
         }
         (self.next, self.began) = (header.cycle, Some(header.cycle));
@@ -213,24 +223,6 @@ impl Replay<'_> {
         self.machine = Some((settings, start.config.clone()));
         self.supervisor = Some(start.supervisor());
         Ok(())
-    }
-
-    /// The header of the log to write.
-    fn header_of(
-        &self,
-        read: &Header,
-        settings: &Settings,
-        config: &SupervisorConfig,
-    ) -> Result<Header, String> {
-        let texts = settings.texts(read, self.args).map_err(|e| e.to_string())?;
-        Ok(Header {
-            program: env!("CARGO_PKG_VERSION").to_owned(),
-            config_hash: hash(texts.iter().map(String::as_str)),
-            texts,
-            lines: config.tick.lines,
-            dynamics: config.tick.dynamics,
-            ..read.clone()
-        })
     }
 
     fn reload(&mut self, gains: &str, lines: [Line; 3]) -> Result<(), String> {
@@ -263,9 +255,9 @@ impl Replay<'_> {
         self.cycles += 1;
         if let Some(fields) = cycle.differences(&output) {
             self.different += 1;
-            let first = self.first.get_or_insert((number, t_s, Vec::new()));
-            if first.2.is_empty() {
-                first.2 = fields;
+            let (.., named) = self.first.get_or_insert((number, t_s, Vec::new()));
+            if named.is_empty() {
+                *named = fields;
             }
         }
         if let Some(altered) = &mut self.altered {

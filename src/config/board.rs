@@ -2,9 +2,7 @@
 
 use crate::config::ServiceSection;
 use crate::config::power::PowerSection;
-use crate::config::sections::{
-    DriveSection, GeometrySection, HomingSection, LimitsSection, MachineSection,
-};
+use crate::config::sections::{DriveSection, GeometrySection, LimitsSection, MachineSection};
 use crate::config::service::SafetySection;
 use crate::control::ActuatorLimits;
 use crate::hardware::machine::{GaugeConfig, ImuSection, MachineConfig};
@@ -14,6 +12,7 @@ use crate::motion::EmergencyStop;
 use crate::motion::{DriveLimits, MotionLimits, StepperConfig};
 use crate::parameters;
 use crate::simulation::plant::PlantConfig;
+use crate::supervisor::commission::homing::HomingConfig;
 use crate::supervisor::{MachineInfo, SafeState};
 
 parameters! {
@@ -36,7 +35,7 @@ parameters! {
         /// Power loss: the effect of trapped pressure on a motor without current.
         power: PowerSection;
         /// How zero is found.
-        homing: HomingSection;
+        homing: HomingConfig;
         /// Pulses and the thread that makes them.
         stepper: StepperConfig;
         /// The wiring, on boards that have any.

@@ -81,14 +81,10 @@ parameters! {
 impl Gains {
     /// How the backlash compensation changes sides.
     pub fn side(&self) -> Side {
-        if self.backlash.smooth_rate_mm_s > 0.0 {
-            Side::Smooth {
-                rate_mm_s: self.backlash.smooth_rate_mm_s,
-            }
-        } else {
-            Side::Band {
-                band_mm: self.backlash.band_mm,
-            }
+        let band_mm = self.backlash.band_mm;
+        match self.backlash.smooth_rate_mm_s {
+            rate_mm_s if rate_mm_s > 0.0 => Side::Smooth { rate_mm_s },
+            _ => Side::Band { band_mm },
         }
     }
 

@@ -12,14 +12,14 @@ pub fn plain(message: &str, key: &str, row: Option<&Parameter>) -> String {
         true => key.trim_end_matches(|c: char| "[]".contains(c) || c.is_ascii_digit()),
         false => key,
     };
-    let text = match quoted(message) {
-        [Some(name), ..] if message.starts_with("unknown field") => {
+    let text = match message.split('`').nth(1) {
+        Some(name) if message.starts_with("unknown field") => {
             return format!("`{key}` is not a known key{}", instead(name, message));
         }
-        [Some(name), ..] if message.starts_with("unknown variant") => {
+        Some(name) if message.starts_with("unknown variant") => {
             format!("`{name}` is not a known value{}", instead(name, message))
         }
-        [Some(name), ..] if message.starts_with("missing field") => {
+        Some(name) if message.starts_with("missing field") => {
             format!("the key `{name}` is missing")
         }
         _ => typed(message, row),
@@ -30,16 +30,12 @@ pub fn plain(message: &str, key: &str, row: Option<&Parameter>) -> String {
     }
 }
 
-/// The first two texts between backticks.
-fn quoted(message: &str) -> [Option<&str>; 2] {
-    let mut parts = message.split('`').skip(1).step_by(2);
-    [parts.next(), parts.next()]
-}
-
 /// The most similar of the accepted words or, if none is similar and they are few, all of them.
 fn instead(name: &str, message: &str) -> String {
     let known: Vec<&str> = message.split('`').skip(3).step_by(2).collect();
-    if let Some(nearest) = near(name, known.iter().copied()) {
+    let scored = known.iter().map(|k| (strsim::jaro_winkler(name, k), k));
+    let near = scored.filter(|(score, _)| *score > 0.8);
+    if let Some((_, nearest)) = near.max_by(|a, b| a.0.total_cmp(&b.0)) {
         return format!("; did you mean `{nearest}`?");
     }
     match known.split_last() {
@@ -49,13 +45,6 @@ fn instead(name: &str, message: &str) -> String {
         }
         _ => String::new(),
     }
-}
-
-/// The name that is most similar to a misspelt one.
-pub fn near<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
-    let scored = known.map(|k| (strsim::jaro_winkler(name, k), k));
-    let near = scored.filter(|(score, _)| *score > 0.8);
-    near.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, k)| k)
 }
 
 /// A value of the wrong type or a list of the wrong length.

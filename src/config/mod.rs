@@ -24,7 +24,7 @@ pub use board::{Board, PlantSection};
 pub use calib::{Calibration, DynamicsSection, TransmissionSection};
 pub use gains::Gains;
 pub use pressure_bound::PressureBound;
-pub use sections::{Header, HomingMethod};
+pub use sections::Header;
 pub use service::ServiceSection;
 
 use crate::control::LoopConfig;
@@ -55,5 +55,5 @@ pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> Loop
 }
 
 /// A driver that has not stepped for this long runs at its idle current, s: the shortest setting of common
-/// drivers' standstill timers, and what `calibrate imu motors` takes unless it is told otherwise.
-const MOTORS_IDLE_AFTER_S: f64 = 0.35;
+/// drivers' standstill timers.
+pub const MOTORS_IDLE_AFTER_S: f64 = 0.35;

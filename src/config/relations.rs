@@ -1,13 +1,14 @@
 //! Relations between the tables of a board: a board that contradicts itself is refused as it is read, with the place in
 //! the file.
 
-use crate::config::{Board, Header, HomingMethod, PlantSection};
+use crate::config::{Board, Header, PlantSection};
 use crate::hardware::machine::ImuSection;
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{Backend, PinsConfig};
 use crate::motion::stop::longest_stop_mm;
 use crate::primitives::{Check, Checker, Invalid, Parameters, Table, shown};
 use crate::simulation::plant::PlantError;
+use crate::supervisor::commission::homing::HomingMethod;
 
 impl Check for Board {
     const TABLE: Option<&'static Table> = Some(<Self as Parameters>::TABLE);

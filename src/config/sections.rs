@@ -89,31 +89,3 @@ parameters! {
         pressure_max_kpa: f64 = 41.3, "kPa", 1.0..=200.0, "the paper stays under 6 PSI = 41.4 kPa";
     }
 }
-
-choices! {
-    /// How zero is found.
-    pub enum HomingMethod {
-        /// A person brings the pistons to rest and confirms it.
-        Operator = "operator",
-        /// Every channel has a home switch.
-        Switches = "switches",
-    }
-}
-
-parameters! {
-    /// How zero is found.
-    pub struct HomingSection: Copy {
-        /// `operator`: a person brings the pistons to rest and confirms it; `switches`: every channel has a `home` line.
-        method: HomingMethod = HomingMethod::Operator;
-        /// Speed of the first approach to a switch. A larger value is quicker and overruns the switch further.
-        speed_mm_s: f64 = 4.0, "mm/s", 0.1..=10.0, "slow enough to stop within the switch's travel";
-        /// Distance from a closed switch before the slow second approach: more than the switch's own travel. A larger value
-        /// takes longer.
-        back_off_mm: f64 = 2.0, "mm", 0.1..=100.0, "more than the switch's own travel";
-        /// Largest difference between two approaches; the default is three microsteps. A larger value accepts a worse switch.
-        repeat_max_mm: f64 = 0.09, "mm", 0.001..=1.0, "a few microsteps";
-        /// Piston position of each channel where its switch closes; the default is the end of travel that shortens the bellow.
-        /// The sign sets the direction of the search.
-        at_mm: [f64; 3] = [-30.0; 3], "mm", -100.0..=100.0, "where the switch closes, within limits.travel_mm";
-    }
-}

@@ -1,7 +1,6 @@
 //! `[service]` and `[safety]` of a board file: who may command, and what is safe.
 
 use crate::control::LoopConfig;
-use crate::control::limits;
 use crate::parameters;
 use crate::supervisor::cycle::restart_check::RestartCheckConfig;
 use crate::supervisor::{GateLimits, ResidualConfig, SafeStates};
@@ -104,13 +103,8 @@ parameters! {
 
 impl SafetySection {
     /// The gate's limits for a loop of this period.
-    pub fn gate(
-        &self,
-        config: &LoopConfig,
-        limits: &limits::ActuatorLimits,
-        period_s: f64,
-    ) -> GateLimits {
-        let motion = &config.motion.limits;
+    pub fn gate(&self, config: &LoopConfig, period_s: f64) -> GateLimits {
+        let (motion, limits) = (&config.motion.limits, &config.limits);
         GateLimits {
             step_mm: config.drive.step_mm,
             tick_s: period_s,

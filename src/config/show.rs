@@ -1,7 +1,6 @@
 //! A resolved file as TOML, with the paragraph, default and range of every key.
 
 use crate::primitives::{Allowed, Parameter, Parameters, Shape, Table, join};
-use std::fmt::Write;
 use toml::{Table as Values, Value};
 
 /// The whole of a structure: every key, with its value.
@@ -23,13 +22,12 @@ struct Page(String);
 
 impl Page {
     fn line(&mut self, text: &str) {
-        self.0.push_str(text);
-        self.0.push('\n');
+        self.0 += &format!("{text}\n");
     }
 
     fn comment(&mut self, lines: &[&str]) {
         for line in lines {
-            let _ = writeln!(self.0, "#{line}");
+            self.line(&format!("#{line}"));
         }
     }
 

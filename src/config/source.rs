@@ -78,14 +78,17 @@ pub fn text_of(path: &Path) -> Result<String, ConfigError> {
 /// [`ConfigError::Wrong`].
 pub fn parse<T: DeserializeOwned + Check>(name: &str, text: &str) -> Result<T, ConfigError> {
     let layers = layers(name, text)?;
+    let check = |values: &Table, is_whole: bool| {
+        let mut checker = Checker::default();
+        if let Some(table) = T::TABLE {
+            table.check(values, "", is_whole, &mut checker);
+        }
+        checker.done()
+    };
     // each file by itself first, so that an error shows its place
     for layer in &layers {
         toml::from_str::<T>(&layer.text).map_err(|e| layer.mistyped::<T>(&e))?;
-        let mut checker = Checker::default();
-        if let Some(table) = T::TABLE {
-            table.check(&layer.values, "", false, &mut checker);
-        }
-        checker.done().map_err(|e| layer.refused(&e))?;
+        check(&layer.values, false).map_err(|e| layer.refused(&e))?;
     }
     // what is wrong only in the whole is shown where it is written: in the file, else in its base
     let own = &layers[0];
@@ -97,11 +100,7 @@ pub fn parse<T: DeserializeOwned + Check>(name: &str, text: &str) -> Result<T, C
     for layer in &layers {
         fill(&mut values, &layer.values);
     }
-    let mut checker = Checker::default();
-    if let Some(table) = T::TABLE {
-        table.check(&values, "", true, &mut checker);
-    }
-    checker.done().map_err(refused)?;
+    check(&values, true).map_err(refused)?;
     let value = T::deserialize(values).map_err(|e| {
         let hint = "the file and its base contradict each other";
         own.wrong(0..0, plain(e.message(), "", None), hint)

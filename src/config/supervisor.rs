@@ -17,7 +17,7 @@ pub fn assemble(
         step_mm: info.step_mm,
     };
     tick.geometry.rest_length_mm = info.rest_length_mm;
-    let gate = board.safety.gate(&tick, &tick.limits, info.period_s);
+    let gate = board.safety.gate(&tick, info.period_s);
     SupervisorConfig {
         gate,
         residual: board.safety.residual,

@@ -13,6 +13,7 @@ use crate::model::{Model, nominal_theta};
 use crate::primitives::Steps;
 use crate::simulation::world::World;
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3};
+use serde::Serialize;
 
 /// Starting points along the range of each parameter.
 const GRID: [f64; 5] = [0.1, 0.3, 0.5, 0.7, 0.9];
@@ -36,13 +37,27 @@ pub struct Knob {
     pub high: f64,
 }
 
+/// A parameter that was fitted.
+#[derive(Debug, Clone, Serialize)]
+pub struct Fitted {
+    /// Its name.
+    pub name: String,
+    /// Its value.
+    pub value: f64,
+    /// The 95 % interval.
+    pub ci95: [f64; 2],
+    /// The interval is the whole range.
+    #[serde(skip)]
+    pub untold: bool,
+}
+
 /// A simulator beside a log.
 #[derive(Debug, Clone)]
 pub struct Compared {
     /// What it leaves of the log, on blocks that no fit has seen.
     pub held_out: HeldOut,
-    /// Parameters with their 95 % intervals.
-    pub params: Vec<(f64, [f64; 2])>,
+    /// What was fitted.
+    pub params: Vec<Fitted>,
 }
 
 /// The motion of the tip of `world` at the instants of a log, from rest. The counts of a row hold until the next.
@@ -106,12 +121,15 @@ pub fn compare<E>(
     let blocks = Blocks::new(log, &fitted);
     let left = blocks.left_out(log, &fitted);
     let params = value(&fitted.x).into_iter().enumerate().map(|(i, value)| {
-        let Knob { low, high, .. } = knobs[i];
+        let Knob { name, low, high } = &knobs[i];
         let wide = blocks.half_width(i) * (high - low);
-        (
+        let ci95 = [value - wide, value + wide].map(|v| v.clamp(*low, *high));
+        Fitted {
+            name: name.clone(),
             value,
-            [value - wide, value + wide].map(|v| v.clamp(low, high)),
-        )
+            ci95,
+            untold: ci95 == [*low, *high],
+        }
     });
     Ok(Compared {
         held_out: score(log, left, every_bin),

@@ -17,6 +17,8 @@ use crate::motion::{
 use crate::report::table;
 use std::fmt::Write;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::thread::JoinHandle;
 
 /// What to measure.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -98,7 +100,7 @@ pub fn run(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench,
         travel_max_mm: (speed * (config.duration_s + 2.0)).min(1000.0),
         retarget_min_mm: 0.0,
     };
-    let load = load_processors(config.load_threads);
+    let load = Load::start(config.load_threads);
     let stop = EmergencyStop::Release;
     let mut stepper = Stepper::start(pins, &config.stepper, &limits, STEP_MM, stop)?;
     let status = stepper.status.clone();
@@ -164,22 +166,40 @@ fn drive(
     times
 }
 
-/// Loads the processors with threads until the handle is dropped.
-fn load_processors(threads: usize) -> Arc<()> {
-    let handle = Arc::new(());
-    for _ in 0..threads {
-        let alive = Arc::downgrade(&handle);
-        std::thread::spawn(move || {
-            let mut block = vec![1.0_f64; 1 << 16];
-            while alive.strong_count() > 0 {
-                for x in &mut block {
-                    *x = (*x * 1.000_001).sin() + 1.0;
+/// Threads that load the processors until they are dropped.
+struct Load {
+    ended: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Load {
+    fn start(threads: usize) -> Self {
+        let ended = Arc::new(AtomicBool::new(false));
+        let work = |_| {
+            let ended = Arc::clone(&ended);
+            std::thread::spawn(move || {
+                let mut block = vec![1.0_f64; 1 << 16];
+                while !ended.load(Relaxed) {
+                    for x in &mut block {
+                        *x = (*x * 1.000_001).sin() + 1.0;
+                    }
+                    std::hint::black_box(&block);
                 }
-                std::hint::black_box(&block);
-            }
-        });
+            })
+        };
+        let threads = (0..threads).map(work).collect();
+        Self { ended, threads }
     }
-    handle
+}
+
+impl Drop for Load {
+    fn drop(&mut self) {
+        self.ended.store(true, Relaxed);
+        for thread in self.threads.drain(..) {
+            // a thread that panicked loads nothing
+            let _ = thread.join();
+        }
+    }
 }
 
 impl RtBench {

@@ -41,8 +41,8 @@ pub enum Mark {
 /// One mark with its colour.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
-    /// Name in the legend; `None` leaves the series out of it.
-    pub name: Option<String>,
+    /// Name in the legend, which leaves out a series without one.
+    pub name: String,
     /// Colour.
     pub ink: Ink,
     /// Shape and points.
@@ -50,19 +50,19 @@ pub struct Series {
 }
 
 impl Series {
-    /// A named line.
+    /// A line.
     pub fn line(name: &str, ink: Ink, stroke: Stroke, points: Vec<(f64, f64)>) -> Self {
-        let (name, mark) = (Some(name.to_owned()), Mark::Line(points, stroke));
+        let (name, mark) = (name.to_owned(), Mark::Line(points, stroke));
         Self { name, ink, mark }
     }
     /// A band without a name; it belongs to the line of the same colour.
     pub fn band(ink: Ink, points: Vec<(f64, f64, f64)>) -> Self {
-        let (name, mark) = (None, Mark::Band(points));
+        let (name, mark) = (String::new(), Mark::Band(points));
         Self { name, ink, mark }
     }
     /// Dots without a name.
     pub fn dots(ink: Ink, points: Vec<(f64, f64)>) -> Self {
-        let (name, mark) = (None, Mark::Dots(points));
+        let (name, mark) = (String::new(), Mark::Dots(points));
         Self { name, ink, mark }
     }
 }
@@ -111,16 +111,10 @@ impl Axis {
         }
     }
 
-    /// An axis that extends to round values beyond all of `values` and `always`.
-    pub fn around(
-        label: &str,
-        values: impl IntoIterator<Item = f64>,
-        always: &[f64],
-        n: usize,
-    ) -> Self {
+    /// An axis that extends to round values beyond all of `values`.
+    pub fn around(label: &str, values: impl Iterator<Item = f64>, n: usize) -> Self {
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-        let all = values.into_iter().chain(always.iter().copied());
-        for v in all.filter(|v| v.is_finite()) {
+        for v in values.filter(|v| v.is_finite()) {
             (low, high) = (low.min(v), high.max(v));
         }
         if low >= high {
@@ -206,9 +200,8 @@ impl Chart {
     /// Draws the names with samples of their lines and returns the number of rows.
     fn legend(&self, out: &mut Svg) -> usize {
         let (mut x, mut rows) = (LEFT, 0);
-        for s in &self.series {
-            let Some(name) = &s.name else { continue };
-            let width = LEGEND_SAMPLE + CHARACTER * name.chars().count() as f64;
+        for s in self.series.iter().filter(|s| !s.name.is_empty()) {
+            let width = LEGEND_SAMPLE + CHARACTER * s.name.chars().count() as f64;
             if rows == 0 || x + width > WIDTH {
                 (x, rows) = (LEFT, rows + 1);
             }
@@ -218,7 +211,7 @@ impl Chart {
                 style += stroke.dash();
             }
             out.line((x, y), (x + 22.0, y), s.ink, &style);
-            out.text((x + 27.0, y + 4.0), Start, Ink::LABEL, name);
+            out.text((x + 27.0, y + 4.0), Start, Ink::LABEL, &s.name);
             x += width;
         }
         rows
@@ -302,7 +295,7 @@ mod tests {
 
         #[test]
         fn an_axis_around_values_contains_them(values in prop::collection::vec(-1e3..1e3f64, 1..20)) {
-            let axis = Axis::around("y", values.iter().copied(), &[0.0], 5);
+            let axis = Axis::around("y", values.iter().copied().chain([0.0]), 5);
             prop_assert!(values.iter().all(|v| (axis.low..=axis.high).contains(v)));
         }
     }

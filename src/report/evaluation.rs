@@ -118,9 +118,7 @@ fn desired() -> Axis {
 
 fn bends(e: &Evaluation, heading: &str, arms: &[Arm]) -> Option<Figure> {
     let ideal = vec![(0.0, 0.0), (90.0, 90.0)];
-    let mut ideal = Series::line("", Ink::GREY, Stroke::Dotted, ideal);
-    ideal.name = None;
-    let mut series = vec![ideal];
+    let mut series = vec![Series::line("", Ink::GREY, Stroke::Dotted, ideal)];
     for (arm, result) in self::arms(e).filter(|(arm, _)| arms.contains(arm)) {
         let ((name, ink, _), measured) = (look(arm), |h: &Held| h.bend_deg - h.bend_error_deg);
         series.extend(out_and_back(result, name, ink, measured));
@@ -148,7 +146,7 @@ fn convergence(e: &Evaluation) -> Option<Figure> {
     }
     let values = e.history.iter().flatten().flatten().copied();
     let x = Axis::new("pass", 0.0, (e.history.len() - 1) as f64, e.history.len());
-    let y = Axis::around("gain", values, &[0.0], 6);
+    let y = Axis::around("gain", values.chain([0.0]), 6);
     let chart = Chart::new("(c) Algorithm 1, pass by pass", x, y, series);
     Some((chart, "From zero; 120 measured states in each pass."))
 }
@@ -160,7 +158,7 @@ fn errors(arm: &ArmResult) -> Figure {
     let dots = arm.held.iter().map(|h| (beside(h), h.bend_error_deg));
     series.push(Series::dots(Ink::GREEN, dots.collect()));
     let errors = arm.held.iter().map(|h| h.bend_error_deg);
-    let y = Axis::around("desired − measured bend / °", errors, &[-0.5, 0.5], 6);
+    let y = Axis::around("desired − measured bend / °", errors.chain([-0.5, 0.5]), 6);
     let title = "(e) Closed loop, error of every held state";
     let caption = "Dots: mean of each held state; left of its angle on the way out, right of it on the way back.";
     (Chart::new(title, desired(), y, series), caption)

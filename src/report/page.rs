@@ -1,24 +1,22 @@
 //! An HTML report: one self-contained file, styled for screen and paper, without scripts or external resources.
 
 use crate::report::svg::escape;
-use std::fmt::{Display, Write};
+use std::fmt::Display;
 
 const STYLE: &str = include_str!("page.css");
 
 /// A page under construction.
 #[derive(Debug, Clone)]
-pub struct Page {
-    body: String,
-    title: String,
-}
+pub struct Page(String);
 
 impl Page {
     /// An empty page with a title and a first-level heading.
     pub fn new(title: &str) -> Self {
-        Self {
-            body: format!("<h1>{}</h1>\n", escape(title)),
-            title: title.to_owned(),
-        }
+        let title = escape(title);
+        Self(format!(
+            "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
+             <title>{title}</title><style>\n{STYLE}</style></head><body>\n<h1>{title}</h1>\n"
+        ))
     }
     /// Adds a second-level heading.
     pub fn heading(&mut self, text: &str) {
@@ -64,17 +62,11 @@ impl Page {
         self.line("</div>");
     }
     fn line(&mut self, markup: impl Display) {
-        // writing to a `String` cannot fail
-        let _ = writeln!(self.body, "{markup}");
+        self.0 += &format!("{markup}\n");
     }
     /// The complete file.
     pub fn html(&self) -> String {
-        format!(
-            "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-             <title>{}</title><style>\n{STYLE}</style></head><body>\n{}</body></html>\n",
-            escape(&self.title),
-            self.body
-        )
+        format!("{}</body></html>\n", self.0)
     }
 }
 

@@ -4,8 +4,6 @@
 //! `NaN` into paths; `plotters` splits dashed lines into segments. Neither draws a map of polar cells or writes an
 //! accessible label. Both need more adapter code than the elements below.
 
-use std::fmt::{Display, Write};
-
 const FONT: &str =
     "font-family=\"system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif\" font-size=\"12\"";
 
@@ -63,16 +61,18 @@ impl Svg {
 
     /// The finished document.
     pub fn finish(mut self) -> String {
-        self.0.push_str("</svg>\n");
+        self.0 += "</svg>\n";
         self.0
     }
 
     /// Draws into the rectangle `[x, y, width, height]`, with the origin at its corner, and clips at its edges.
     pub(crate) fn inset(&mut self, frame: [f64; 4], draw: impl FnOnce(&mut Self)) {
-        self.open("svg", &["x", "y", "width", "height"], &frame);
-        self.0.push_str(" overflow=\"hidden\">");
+        let [x, y, width, height] = frame;
+        self.0 += &format!(
+            r#"<svg x="{x:.1}" y="{y:.1}" width="{width:.1}" height="{height:.1}" overflow="hidden">"#
+        );
         draw(self);
-        self.0.push_str("</svg>");
+        self.0 += "</svg>";
     }
 
     pub(crate) fn heading(&mut self, x: f64, text: &str) {
@@ -81,52 +81,45 @@ impl Svg {
     }
 
     pub(crate) fn text(&mut self, at: (f64, f64), anchor: Anchor, ink: Ink, text: &str) {
-        let anchor = ["start", "middle", "end"][anchor as usize];
+        let anchor = match anchor {
+            Anchor::Start => "start",
+            Anchor::Middle => "middle",
+            Anchor::End => "end",
+        };
         let style = format!("font-size=\"11\" text-anchor=\"{anchor}\"");
         self.styled_text(at.0, at.1, ink, &style, text);
     }
 
     /// Text with any further attributes.
     pub(crate) fn styled_text(&mut self, x: f64, y: f64, ink: Ink, style: &str, text: &str) {
-        self.open("text", &["x", "y"], &[x, y]);
         let (fill, text) = (ink.0, escape(text));
-        self.push(format_args!(" fill=\"{fill}\" {style}>{text}</text>"));
+        self.0 += &format!(r#"<text x="{x:.1}" y="{y:.1}" fill="{fill}" {style}>{text}</text>"#);
     }
 
     /// A straight line; `style` holds further attributes.
     pub(crate) fn line(&mut self, from: (f64, f64), to: (f64, f64), ink: Ink, style: &str) {
-        let ends = [from.0, from.1, to.0, to.1];
-        self.open("line", &["x1", "y1", "x2", "y2"], &ends);
-        self.push(format_args!(" stroke=\"{}\" {style}/>", ink.0));
+        let ((x1, y1), (x2, y2), ink) = (from, to, ink.0);
+        self.0 += &format!(
+            r#"<line x1="{x1:.1}" y1="{y1:.1}" x2="{x2:.1}" y2="{y2:.1}" stroke="{ink}" {style}/>"#
+        );
     }
 
     /// A filled rectangle `[x, y, width, height]`.
     pub(crate) fn rect(&mut self, frame: [f64; 4], fill: &str, opacity: f64) {
-        self.open("rect", &["x", "y", "width", "height"], &frame);
-        let style = format!("fill=\"{fill}\" fill-opacity=\"{opacity}\"");
-        self.push(format_args!(" {style}/>"));
+        let [x, y, width, height] = frame;
+        self.0 += &format!(
+            r#"<rect x="{x:.1}" y="{y:.1}" width="{width:.1}" height="{height:.1}" fill="{fill}" fill-opacity="{opacity}"/>"#
+        );
     }
 
     pub(crate) fn circle(&mut self, centre: (f64, f64), radius: f64, style: &str) {
-        self.open("circle", &["cx", "cy", "r"], &[centre.0, centre.1, radius]);
-        self.push(format_args!(" {style}/>"));
+        let (x, y) = centre;
+        self.0 += &format!(r#"<circle cx="{x:.1}" cy="{y:.1}" r="{radius:.1}" {style}/>"#);
     }
 
     /// A path with the data `d`; `style` holds all other attributes.
     pub(crate) fn path(&mut self, d: &str, style: &str) {
-        self.push(format_args!("<path d=\"{d}\" {style}/>"));
-    }
-
-    fn open(&mut self, name: &str, keys: &[&str], values: &[f64]) {
-        self.push(format_args!("<{name}"));
-        for (key, value) in keys.iter().zip(values) {
-            self.push(format_args!(" {key}=\"{value:.1}\""));
-        }
-    }
-
-    fn push(&mut self, markup: impl Display) {
-        // writing to a `String` cannot fail
-        let _ = write!(self.0, "{markup}");
+        self.0 += &format!(r#"<path d="{d}" {style}/>"#);
     }
 }
 
@@ -136,7 +129,8 @@ pub(crate) fn polyline(points: impl Iterator<Item = (f64, f64)>) -> String {
     for (x, y) in points {
         let is_there = x.is_finite() && y.is_finite();
         if is_there {
-            let _ = write!(d, "{}{x:.1} {y:.1}", if pen_down { 'L' } else { 'M' });
+            let step = if pen_down { 'L' } else { 'M' };
+            d += &format!("{step}{x:.1} {y:.1}");
         }
         pen_down = is_there;
     }

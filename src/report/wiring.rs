@@ -73,7 +73,10 @@ pub fn draw(title: &str, raspberry: bool, devices: &[Device]) -> String {
     svg.text((x, TOP - 22.0), Middle, Ink::LABEL, text);
     for (i, name) in HEADER.iter().enumerate().filter(|_| raspberry) {
         let used = wires().any(|w| place(w) == Some(at(i)));
-        pin(&mut svg, at(i), i % 2 == 0, &label(name, i + 1), used);
+        let is_line = name.parse::<u32>().is_ok();
+        let kind = if is_line { "GPIO " } else { "" };
+        let name = format!("{kind}{name} ({})", i + 1);
+        pin(&mut svg, at(i), i % 2 == 0, &name, used);
     }
     for (i, line) in lines.iter().enumerate().filter(|_| !raspberry) {
         pin(&mut svg, at(2 * i + 1), true, &format!("line {line}"), true);
@@ -105,12 +108,6 @@ fn wire_to(svg: &mut Svg, (px, py): (f64, f64), y: f64, ink: Ink) {
     );
     let style = format!("fill=\"none\" stroke=\"{}\" stroke-width=\"1.6\"", ink.0);
     svg.path(&bend, &style);
-}
-
-fn label(name: &str, position: usize) -> String {
-    let is_line = name.parse::<u32>().is_ok();
-    let kind = if is_line { "GPIO " } else { "" };
-    format!("{kind}{name} ({position})")
 }
 
 /// A pin with its name on the left or the right; an unused one is pale.

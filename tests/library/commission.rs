@@ -285,12 +285,12 @@ fn home(racks: &mut Racks) -> Result<Homed, HomingError> {
         back_off_mm: 2.0,
         repeat_max_mm: 0.09,
         at_mm: [-30.0; 3],
-        search_max_mm: 62.0,
+        ..HomingConfig::default()
     };
     let mut wait = |next| Some(next);
     let mut hand = ManualMotion::new(racks, &mut wait);
     hand.energise(true).unwrap();
-    homing::with_switches(&mut hand, &config)
+    homing::with_switches(&mut hand, &config, 62.0)
 }
 
 #[test]

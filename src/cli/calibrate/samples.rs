@@ -2,11 +2,12 @@
 
 use crate::cli::output;
 use crate::estimation::imu_calibration::from_log;
-use crate::hardware::imu::Imu;
+use crate::hardware::imu::{self, ChipConfig, Imu};
 use crate::log::bend_log;
 use crate::log::recording;
 use crate::primitives::{ImuSample, Seconds};
 use embedded_hal::delay::DelayNs;
+use linux_embedded_hal::{Delay, I2cdev};
 use miette::{IntoDiagnostic, Result, miette};
 use std::path::Path;
 
@@ -64,10 +65,7 @@ pub fn record(
 ///
 /// # Errors
 /// A report that names the bus.
-#[cfg(feature = "hw")]
 pub fn from_bus(bus: &Path, seconds: f64) -> Result<Vec<ImuSample>> {
-    use crate::hardware::imu::{self, ChipConfig};
-    use linux_embedded_hal::{Delay, I2cdev};
     let name = bus.display();
     let open = I2cdev::new(bus)
         .map_err(|e| miette!("{name}: {e}; give an I²C bus that exists and that you may open"))?;
@@ -78,18 +76,6 @@ pub fn from_bus(bus: &Path, seconds: f64) -> Result<Vec<ImuSample>> {
         bar.set_position((share * 1000.0) as u64)
     });
     samples.map(finite)
-}
-
-/// The samples of a live sensor, which this build cannot read.
-///
-/// # Errors
-/// Always.
-#[cfg(not(feature = "hw"))]
-pub fn from_bus(bus: &Path, _: f64) -> Result<Vec<ImuSample>> {
-    Err(miette!(
-        "{}: this program was built without hardware support; build it with the feature `hw`",
-        bus.display()
-    ))
 }
 
 #[cfg(test)]

@@ -50,7 +50,10 @@ impl At {
 
 /// True if a service listens on this socket, whether it answers or hangs.
 fn listens(path: &Path) -> bool {
-    connect_within(path, PROBE_MAX).map_or_else(|e| e.kind() == ErrorKind::WouldBlock, |_| true)
+    match connect_within(path, PROBE_MAX) {
+        Ok(_) => true,
+        Err(e) => e.kind() == ErrorKind::WouldBlock,
+    }
 }
 
 /// A failure of the service as a report.
@@ -190,10 +193,9 @@ fn print_result(value: &Value) {
 
 /// A result in words: the recording or the gains file that it names.
 pub(super) fn words(value: &Value) -> String {
-    let replay = if value["replayable"] == true {
-        ", can be replayed"
-    } else {
-        ""
+    let replay = match value["replayable"] == true {
+        true => ", can be replayed",
+        false => "",
     };
     let file = value["path"].as_str();
     match (file, value["rows"].as_u64(), value["gains"].as_str()) {

@@ -4,7 +4,6 @@ use super::connection::{At, Connection, ask, ask_and_print, connect, halted, pol
 use super::status::pose;
 use crate::cli::{Refused, ResultFile, output, within};
 use crate::model::Bend;
-use crate::report::page::Page;
 use crate::service::protocol::{CalibrateAction, Frame, POSES, Request};
 use crate::service::status::Status;
 use crate::supervisor::Mode;
@@ -77,9 +76,6 @@ pub struct TransmissionArgs {
     /// Write the proposed calibration as JSON to this file (`-`: standard output).
     #[arg(long, value_name = "FILE")]
     json: Option<ResultFile>,
-    /// Write the proposed calibration as a page.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["accept", "discard"])]
-    html: Option<ResultFile>,
 }
 
 /// `bend`, with `--wait` until the tip has settled; false if it does not.
@@ -94,10 +90,9 @@ pub fn bend(args: &BendArgs) -> Result<bool> {
         dir_deg,
         length_mm: args.length,
         speed_deg_s: args.speed,
-        frame: if args.world {
-            Frame::World
-        } else {
-            Frame::Base
+        frame: match args.world {
+            true => Frame::World,
+            false => Frame::Base,
         },
     };
     match args.wait {
@@ -133,8 +128,8 @@ pub fn settle(connection: &mut Connection, request: &Request, sent_to: Bend) -> 
             }
             None => format!("mode {mode}"),
         };
-        let suspicion = s.suspicion.iter().map(|text| format!("; {text}"));
-        let suspicion: String = suspicion.collect();
+        let suspicion = s.suspicion.as_ref();
+        let suspicion = suspicion.map_or(String::new(), |text| format!("; {text}"));
         Some((false, format!("not settled: {why}{suspicion}\n")))
     })?;
     drop(bar);
@@ -216,7 +211,7 @@ pub fn transmission(args: &TransmissionArgs) -> Result<bool> {
         output::print(format!("no gains were identified: {why}\n"));
         return Ok(false);
     }
-    show_gains(&last, args)?;
+    show_gains(&last, &args.json)?;
     eprintln!(
         "apply them with `retroflex calibrate transmission --accept`, or discard them with `--discard`"
     );
@@ -224,7 +219,7 @@ pub fn transmission(args: &TransmissionArgs) -> Result<bool> {
 }
 
 /// Shows the proposed gains beside those in use.
-fn show_gains(s: &Status, args: &TransmissionArgs) -> Result<()> {
+fn show_gains(s: &Status, json: &Option<ResultFile>) -> Result<()> {
     let shown = |x: Option<f64>| x.map_or("–".to_owned(), |x| format!("{x:.3}"));
     let proposed = s.proposed.as_ref();
     let row = |i: usize| {
@@ -237,16 +232,8 @@ fn show_gains(s: &Status, args: &TransmissionArgs) -> Result<()> {
         ]
     };
     let header = "line|k_epsilon in use|proposed|k_lambda in use, mm|proposed, mm";
-    let rows = [0, 1, 2].map(row);
+    let table = output::table(header, 1..5, [0, 1, 2].map(row));
     let (lag_s, delay_s) = proposed.map_or((0.0, 0.0), |gains| (gains.lag_s, gains.delay_s));
-    let dynamics = format!("lag {lag_s:.3} s, dead time {delay_s:.3} s");
-    output::write_some(&args.html, || {
-        let mut page = Page::new("Proposed gains of the transmission");
-        page.table(header, &rows);
-        page.text(&dynamics);
-        Ok(page.html())
-    })?;
-    let table = output::table(header, 1..5, rows.clone());
-    let text = format!("{table}\n{dynamics}\n");
-    output::answer(&args.json, &json!(proposed), text)
+    let text = format!("{table}\nlag {lag_s:.3} s, dead time {delay_s:.3} s\n");
+    output::answer(json, &json!(proposed), text)
 }

@@ -165,21 +165,14 @@ impl Schedule {
 /// Moves to the first row of a path that the service has checked, then follows it.
 fn run_path(connection: &mut Connection, rows: &[PathRow]) -> Result<()> {
     let now = status(connection)?;
-    let (_, bend_deg, dir_deg, length_mm) = rows[0];
+    let (_, bend_deg, dir_deg, _) = rows[0];
     let first = ScheduleRow {
         bend_deg,
         dir_deg,
         hold_s: AT_FIRST_S,
         ..ScheduleRow::rest(0.0, &Geometry::default())
     };
-    let request = Request::Bend {
-        bend_deg,
-        dir_deg,
-        length_mm,
-        speed_deg_s: None,
-        frame: Frame::Base,
-    };
-    ask(connection, &request)?;
+    ask(connection, &to_first(rows[0]))?;
     arrive_and_hold(connection, now.t, 0.0, &first)?;
     let (rows, more) = (vec![], false);
     let answer = ask(connection, &Request::Path { rows, more })?;
@@ -192,6 +185,17 @@ fn run_path(connection: &mut Connection, rows: &[PathRow]) -> Result<()> {
         Some(why) => Some(Err(Refused(format!("the path ended early: {why}")).into())),
         None => (s.path.is_none() && s.mode == Some(Mode::Holding)).then_some(Ok(())),
     })?
+}
+
+/// The move to the first row of a path, at the usual speed.
+fn to_first((_, bend_deg, dir_deg, length_mm): PathRow) -> Request {
+    Request::Bend {
+        bend_deg,
+        dir_deg,
+        length_mm,
+        speed_deg_s: None,
+        frame: Frame::Base,
+    }
 }
 
 fn run_rows(connection: &mut Connection, rows: &[ScheduleRow]) -> Result<()> {
@@ -245,15 +249,28 @@ fn arrive_and_hold(
             let text = format!("the schedule ended at bend {bend_deg}° toward {dir_deg}°: {why}");
             return Some(Err(Refused(text).into()));
         }
-        let late_max_s = if s.mode == Some(Mode::Tracking) {
-            LATE_MAX_S
-        } else {
-            0.0
-        };
+        let is_on_its_way = s.mode == Some(Mode::Tracking);
+        let late_max_s = if is_on_its_way { LATE_MAX_S } else { 0.0 };
         if s.t - started_s >= seconds + late_max_s {
             arrived_s.get_or_insert(s.t);
         }
         let is_over = arrived_s.is_some_and(|at_s| s.t - at_s >= row.hold_s);
         is_over.then_some(Ok(()))
     })?
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_path_begins_at_its_first_pose_and_length_at_the_usual_speed() {
+        let asked = json!(to_first((0.0, 30.0, 90.0, Some(21.0))));
+        assert_eq!(
+            (&asked["bend_deg"], &asked["dir_deg"], &asked["length_mm"]),
+            (&json!(30.0), &json!(90.0), &json!(21.0))
+        );
+        assert!(asked["speed_deg_s"].is_null(), "{asked}");
+    }
 }

@@ -29,9 +29,18 @@ pub(super) fn run(
         config: assemble(board, &inputs::calibration(args.calib.as_deref())?, gains),
         make: section.make(),
         seed: args.seed,
-        units: [ABLATION_UNITS, SWEEP_UNITS][usize::from(args.sweep)],
+        units: match args.sweep {
+            true => SWEEP_UNITS,
+            false => ABLATION_UNITS,
+        },
     };
-    let conditions = conditions(args)?;
+    let only = args.only.as_deref().unwrap_or_default();
+    let mut conditions: Vec<Condition> = CONDITIONS.to_vec();
+    conditions.retain(|c| c.name.contains(only));
+    if conditions.is_empty() {
+        let names = CONDITIONS.map(|c| c.name).join(", ");
+        bail!("--only {only}: no condition has a name that contains this text; there are {names}");
+    }
     match args.sweep {
         true => run_sweep(args, &study, &conditions),
         false => run_ablation(args, &study, &conditions).map(|()| true),
@@ -56,18 +65,6 @@ fn run_sweep(args: &Args, study: &Study, conditions: &[Condition]) -> Result<boo
     );
     output::answer(&args.json, &result, text)?;
     Ok(failed == 0)
-}
-
-/// The conditions that `--only` selects.
-fn conditions(args: &Args) -> Result<Vec<Condition>> {
-    let only = args.only.as_deref().unwrap_or_default();
-    let mut conditions: Vec<Condition> = CONDITIONS.to_vec();
-    conditions.retain(|c| c.name.contains(only));
-    if conditions.is_empty() {
-        let names = CONDITIONS.map(|c| c.name).join(", ");
-        bail!("--only {only}: no condition has a name that contains this text; there are {names}");
-    }
-    Ok(conditions)
 }
 
 fn sweep_row(r: &SweepRow) -> Vec<String> {

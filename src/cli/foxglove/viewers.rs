@@ -38,8 +38,8 @@ type Shown = Arc<(usize, u64, Vec<u8>)>;
 /// The queues of the viewers, and what each topic has shown last.
 #[derive(Default)]
 struct Shared {
-    /// The queue of each viewer, and whether its thread still attends it.
-    queues: Vec<(SyncSender<Shown>, Weak<()>)>,
+    /// The queue of each viewer, which its thread keeps for as long as it attends it.
+    queues: Vec<Weak<SyncSender<Shown>>>,
     last: HashMap<usize, Shown>,
 }
 
@@ -60,17 +60,16 @@ impl Viewers {
         let own = Arc::clone(&shared);
         std::thread::Builder::new().spawn(move || {
             for stream in listener.incoming().flatten() {
-                let (sender, queue) = sync_channel(QUEUE);
                 let mut all = lock(&own);
-                let is_attended = |attended: &Weak<()>| attended.strong_count() > 0;
-                all.queues.retain(|(_, attended)| is_attended(attended));
+                all.queues.retain(|queue| queue.strong_count() > 0);
                 if all.queues.len() < VIEWERS_MAX {
-                    let (attended, shared) = (Arc::new(()), Arc::clone(&own));
-                    all.queues.push((sender, Arc::downgrade(&attended)));
+                    let (sender, queue) = sync_channel(QUEUE);
+                    let (sender, shared) = (Arc::new(sender), Arc::clone(&own));
+                    all.queues.push(Arc::downgrade(&sender));
                     // without a thread there is no viewer
                     let _ = std::thread::Builder::new().spawn(move || {
                         attend(stream, &queue, &shared);
-                        drop(attended);
+                        drop(sender);
                     });
                 }
             }
@@ -90,7 +89,7 @@ impl Viewers {
         }
         let shown = Arc::new((number, message.log_time, message.data.to_vec()));
         let mut all = lock(&self.0);
-        for (queue, _) in all.queues.iter().filter(|_| live) {
+        for queue in all.queues.iter().filter_map(Weak::upgrade).filter(|_| live) {
             // one that does not keep up misses it
             let _ = queue.try_send(Arc::clone(&shown));
         }
@@ -181,7 +180,9 @@ fn converse(
                     subscribed.retain(|_, channel| *channel != channel_id);
                     subscribed.insert(id, channel_id);
                     let last = lock(shared).last.get(&channel_id).cloned();
-                    last.map_or(Ok(()), |shown| socket.send(data(id, &shown)))?;
+                    if let Some(shown) = last {
+                        socket.send(data(id, &shown))?;
+                    }
                 }
                 // nobody needs more subscriptions than there are topics
                 if subscribed.len() > schema::TOPICS.len() {

@@ -13,8 +13,9 @@ pub struct Args {
     model: PathBuf,
     /// Fresh bend log of the same unit.
     log: PathBuf,
-    #[command(flatten)]
-    machine: input::MachineArgs,
+    /// Board file of the machine; default: the machine of the paper.
+    #[arg(long, value_name = "FILE.toml")]
+    board: Option<PathBuf>,
     /// Write the result as JSON.
     #[arg(long)]
     json: Option<ResultFile>,
@@ -26,7 +27,7 @@ pub struct Args {
 /// A report that names the faulty input.
 pub fn run(args: &Args) -> Result<bool> {
     let model = input::saved(&args.model)?;
-    let log = input::observe(&args.log, &args.machine.rig()?)?;
+    let log = input::observe(&args.log, &input::rig(&args.board)?)?;
     let checked = check(&model, &log);
     output::answer(&args.json, &checked, said(&checked))?;
     Ok(checked.judgement == Judgement::ThisMachine)

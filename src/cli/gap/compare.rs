@@ -5,7 +5,7 @@ use crate::cli::{ResultFile, inputs, logging, output};
 use crate::diagnosis::diagnose;
 use crate::diagnosis::tip::TipProblem;
 use crate::diagnosis::tip::model::Motion;
-use crate::diagnosis::tip::observed::Observed;
+use crate::diagnosis::tip::observed::{Observed, Quantity};
 use crate::experiment::compare::{Compared, Knob, compare, drive};
 use crate::experiment::error::ExperimentError;
 use crate::log::columns::{self, Column};
@@ -59,11 +59,11 @@ fn knob(text: &str) -> std::result::Result<Knob, String> {
 /// A report that names the faulty input, or says what the program did.
 pub fn run(args: &Args) -> Result<bool> {
     let lines = args.driven.lines()?;
-    let log = input::observe(&args.log, &args.driven.machine.rig()?)?;
+    let log = input::observe(&args.log, &args.driven.rig()?)?;
     let (name, compared) = simulated(args, &log)?;
     let diagnosis = diagnose(&TipProblem::new(&log, catalogue(), &lines, args.seed)).document;
-    let document = document(&args.fit, &log, name, &compared, &diagnosis);
     output::write_some(&args.residuals, || residuals(&log, &compared))?;
+    let document = document(&log, name, compared, &diagnosis);
     let (text, good) = said(&document);
     output::answer(&args.json, &document, text)?;
     Ok(good)
@@ -104,7 +104,7 @@ fn residuals(log: &Observed, compared: &Compared) -> Result<Vec<u8>> {
         add(name, &|k| log.instants[log.bins[k].at].piston_mm[i]);
     }
     for q in log.quantities() {
-        let unit = ["deg", "deg_s"][usize::from(q.name() == "gyroscope")];
+        let unit = if q == Quantity::Gyro { "deg_s" } else { "deg" };
         for (i, axis) in ["x", "y", "z"].into_iter().enumerate() {
             let name = format!("{}_{axis}_{unit}", q.name());
             add(name, &|k| match log.bins[k].weight[q] > 0.0 {

@@ -56,7 +56,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     if let Some(table) = &args.many.rows {
         let settings = Settings {
-            rig: args.driven.machine.rig()?,
+            rig: args.driven.rig()?,
             lines: args.driven.lines()?,
             seed: args.seed,
         };
@@ -78,7 +78,7 @@ pub fn run(args: &Args) -> Result<()> {
         return run_mapped(log, map, args);
     }
     let lines = args.driven.lines()?;
-    let observed = input::observe_together(&args.logs, &args.driven.machine.rig()?)?;
+    let observed = input::observe_together(&args.logs, &args.driven.rig()?)?;
     let bar = output::bar(0, "the effects are fitted,");
     bar.enable_steady_tick(std::time::Duration::from_millis(200));
     let done = diagnose(&TipProblem::new(&observed, catalogue(), &lines, args.seed));

@@ -5,8 +5,6 @@ mod simulator;
 use crate::cli::{ResultFile, inputs, output};
 use crate::diagnosis::exam::run::run as answer_all;
 use crate::diagnosis::exam::{Answer, ExamScore, Question, questions, score};
-use crate::diagnosis::tip::Diagnosis;
-use crate::diagnosis::verdict::VerdictKind;
 use crate::model::effects::by_catalogue;
 use crate::report::exam::summary;
 use crate::simulation::plant::effect_names;
@@ -38,16 +36,10 @@ pub struct Args {
 /// One answer in the JSON file.
 #[derive(Serialize)]
 struct Line<'a> {
-    truth: &'a [&'static str],
-    content: String,
-    lab: bool,
-    seed: u64,
-    fresh_closed: f64,
-    left_out: Option<VerdictKind>,
-    bic: &'a [&'static str],
-    sparse: &'a [&'static str],
-    nearest: &'a [&'static str],
-    diagnosis: &'a Diagnosis,
+    #[serde(flatten)]
+    question: &'a Question,
+    #[serde(flatten)]
+    answer: &'a Answer,
 }
 
 /// The JSON file.
@@ -76,24 +68,12 @@ pub fn run(args: &Args) -> Result<()> {
     let answers = answer_all(&asked, draw, || bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
     let score = score(args.seed, &asked, &answers);
+    let lines = asked.iter().zip(&answers);
     let document = Document {
         score: &score,
-        logs: asked.iter().zip(&answers).map(line).collect(),
+        logs: lines
+            .map(|(question, answer)| Line { question, answer })
+            .collect(),
     };
     output::answer(&args.json, &document, summary(&score) + "\n")
-}
-
-fn line<'a>((q, a): (&'a Question, &'a Answer)) -> Line<'a> {
-    Line {
-        truth: &q.names,
-        content: format!("{:?}", q.content).to_lowercase(),
-        lab: q.lab,
-        seed: q.seed,
-        fresh_closed: a.fresh_closed,
-        left_out: a.left_out,
-        bic: &a.others[0],
-        sparse: &a.others[1],
-        nearest: &a.others[2],
-        diagnosis: &a.diagnosis,
-    }
 }

@@ -4,13 +4,9 @@ use crate::cli::gap::input;
 use crate::cli::{ResultFile, inputs, output};
 use crate::diagnosis::excite::rows::csv;
 use crate::diagnosis::excite::{Machine, Request, design};
-use crate::primitives::{Checker, Invalid};
 use crate::report::gap::schedule::summary;
-use miette::{Result, miette};
+use miette::Result;
 use std::path::PathBuf;
-
-/// Schedules evaluated by default.
-const ROUNDS: usize = 240;
 
 /// Arguments of `gap excite`.
 #[derive(Debug, clap::Args)]
@@ -19,8 +15,9 @@ pub struct Args {
     /// separated first.
     #[arg(long, value_name = "MODEL.toml")]
     like: Option<PathBuf>,
-    #[command(flatten)]
-    machine: input::MachineArgs,
+    /// Board file of the machine; default: the machine of the paper.
+    #[arg(long, value_name = "FILE.toml")]
+    board: Option<PathBuf>,
     /// Schedule to write: rows `bend_deg,dir_deg,len_mm,hold_s,speed_mm_s`.
     #[arg(long, value_name = "SCHEDULE.csv")]
     out: ResultFile,
@@ -31,8 +28,8 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Schedules to evaluate; fewer take less time and separate less.
-    #[arg(long, default_value_t = ROUNDS)]
-    rounds: usize,
+    #[arg(long, default_value_t = 240, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    rounds: u32,
 }
 
 /// Designs and writes.
@@ -40,24 +37,18 @@ pub struct Args {
 /// # Errors
 /// A report that names the faulty input.
 pub fn run(args: &Args) -> Result<()> {
-    let mut checker = Checker::default();
-    let rounds = checker.at("--rounds");
-    let rounds = rounds.range(args.rounds as f64, 1.0..=100_000.0, "");
-    rounds.hint("leave it out for the default");
-    let refused = |e: Invalid| miette!("{}: {}: {}", e.key, e.problem, e.hint);
-    checker.done().map_err(refused)?;
     let like = args.like.as_deref().map(input::saved).transpose()?;
     let lines = match &like {
         Some(model) => model.with_effects.lines(),
         None => inputs::calibration(None)?.lines(),
     };
-    let bar = output::bar(args.rounds as u64, "{pos} of {len} schedules");
+    let bar = output::bar(args.rounds.into(), "{pos} of {len} schedules");
     let request = Request {
-        machine: Machine::new(args.machine.rig()?, lines),
+        machine: Machine::new(input::rig(&args.board)?, lines),
         like,
         tracker: args.tracker,
         seed: args.seed,
-        rounds: args.rounds,
+        rounds: args.rounds as usize,
     };
     let designed = design(&request, &mut |tried| bar.set_position(tried as u64));
     bar.finish_and_clear();

@@ -9,43 +9,33 @@ use crate::model::Line;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::{Path, PathBuf};
 
-/// The machine that a log was recorded on.
-#[derive(Debug, clap::Args)]
-pub struct MachineArgs {
-    /// Board file of the machine; default: the machine of the paper.
-    #[arg(long, value_name = "FILE.toml")]
-    board: Option<PathBuf>,
-}
-
-impl MachineArgs {
-    /// [`rig`] of the board file.
-    ///
-    /// # Errors
-    /// As for [`rig`].
-    pub fn rig(&self) -> Result<Rig> {
-        rig(self.board.as_deref())
-    }
-}
-
 /// A machine, and what it was driven with while a log was recorded.
 #[derive(Debug, clap::Args)]
 pub struct DrivenArgs {
-    /// The machine.
-    #[command(flatten)]
-    pub machine: MachineArgs,
+    /// Board file of the machine; default: the machine of the paper.
+    #[arg(long, value_name = "FILE.toml")]
+    board: Option<PathBuf>,
     /// Calibration the log was driven with.
     #[arg(long)]
     calib: Option<PathBuf>,
 }
 
 impl DrivenArgs {
+    /// [`rig`] of the board file.
+    ///
+    /// # Errors
+    /// As for [`rig`].
+    pub fn rig(&self) -> Result<Rig> {
+        rig(&self.board)
+    }
+
     /// Names of the board file and of the calibration.
     pub fn named(&self) -> [String; 2] {
         let name = |file: &Option<PathBuf>| {
             let own = || "that of the paper".to_owned();
             file.as_deref().map_or_else(own, file_name)
         };
-        [name(&self.machine.board), name(&self.calib)]
+        [name(&self.board), name(&self.calib)]
     }
 
     /// The gains of the calibration.
@@ -61,8 +51,8 @@ impl DrivenArgs {
 ///
 /// # Errors
 /// A report that names file and key.
-pub fn rig(board: Option<&Path>) -> Result<Rig> {
-    let board = inputs::board(board)?;
+pub fn rig(board: &Option<PathBuf>) -> Result<Rig> {
+    let board = inputs::board(board.as_deref())?;
     Ok(Rig {
         geometry: board.geometry.law(),
         bellow_mm: [board.geometry.bellow_min_mm, board.geometry.bellow_max_mm],

@@ -27,15 +27,12 @@ use std::thread;
 #[derive(Debug, Clone, Copy)]
 pub struct Shard(u64, u64);
 
-impl std::str::FromStr for Shard {
-    type Err = String;
-
-    fn from_str(text: &str) -> std::result::Result<Self, String> {
-        let parts = text.split_once('/');
-        let parts = parts.and_then(|(k, n)| Some(Self(k.parse().ok()?, n.parse().ok()?)));
-        let parts = parts.filter(|Self(k, n)| (1..=*n).contains(k));
-        parts.ok_or("expected K/N with K from 1 to N, for example 2/8".to_owned())
-    }
+/// A part as `--shard` names it.
+fn shard(text: &str) -> std::result::Result<Shard, String> {
+    let parts = text.split_once('/');
+    let parts = parts.and_then(|(k, n)| Some(Shard(k.parse().ok()?, n.parse().ok()?)));
+    let parts = parts.filter(|Shard(k, n)| (1..=*n).contains(k));
+    parts.ok_or("expected K/N with K from 1 to N, for example 2/8".to_owned())
 }
 
 /// A log and its row, which may not be filled in yet.
@@ -52,7 +49,7 @@ pub struct RowsArgs {
     #[arg(long, value_name = "ROWS.parquet", conflicts_with_all = ["map", "json", "html", "save"])]
     pub rows: Option<ResultFile>,
     /// With --rows: diagnose only the K-th of N parts of the logs.
-    #[arg(long, value_name = "K/N", requires = "rows")]
+    #[arg(long, value_name = "K/N", requires = "rows", value_parser = shard)]
     shard: Option<Shard>,
     /// With --rows: table `log,unit,lot,date` of what the logs are of; by default a log is a unit and its folder the lot.
     #[arg(long, value_name = "UNITS.csv", requires = "rows")]
@@ -179,11 +176,10 @@ fn collect(path: &Path, folder: &Path, into: &mut Vec<Task>) -> Result<()> {
 
 /// Rows of an earlier run, by log: those of its table, and those of its journal if it did not end.
 fn known(table: &Path, journal: &Path) -> Result<HashMap<String, FleetRow>> {
-    let mut rows = if table.is_file() {
-        read(table)?
-    } else {
-        Vec::new()
-    };
+    let mut rows = Vec::new();
+    if table.is_file() {
+        rows = read(table)?;
+    }
     let text = fs::read(journal).unwrap_or_default();
     let lines = text.split(|b| *b == b'\n');
     // a row that was being written as the run ended is no row
@@ -238,8 +234,7 @@ fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Re
         let defect = |_| Err(io::Error::other("a diagnosis failed"));
         let ends = workers.into_iter().map(|w| w.join().unwrap_or_else(defect));
         // all end before the first error counts
-        let ends: Vec<_> = ends.collect();
-        ends.into_iter().collect::<io::Result<()>>()
+        ends.fold(Ok(()), io::Result::and)
     });
     done.map_err(failed)
 }

@@ -13,6 +13,7 @@ use crate::diagnosis::tip::observed::Observed;
 use crate::model::effects::catalogue;
 use crate::model::{Line, Model, NOMINAL, nominal_theta};
 use nalgebra::{DMatrix, DVector};
+use serde::Serialize;
 
 /// Residuals are correlated over about this long, s.
 const CORRELATED_S: f64 = 1.0;
@@ -23,13 +24,25 @@ const NAMED: f64 = 0.25;
 /// Rounds of the nominal fit.
 const ROUNDS: usize = 6;
 
-/// Names given by BIC, sparse regression and nearest signature.
-pub type Answers = [Vec<&'static str>; 3];
+/// Names given by the three methods.
+#[derive(Debug, Clone, Serialize)]
+pub struct Answers {
+    /// By BIC.
+    pub bic: Vec<&'static str>,
+    /// By sparse regression.
+    pub sparse: Vec<&'static str>,
+    /// By the nearest signature.
+    pub nearest: Vec<&'static str>,
+}
 
 /// The verdicts of all three methods.
 pub fn answer(log: &Observed, lines: &[Line; 3], found: &Candidates<Candidate>) -> Answers {
     let library = Library::new(log, lines);
-    [bic(log, found), library.sparse(), library.nearest()]
+    Answers {
+        bic: bic(log, found),
+        sparse: library.sparse(),
+        nearest: library.nearest(),
+    }
 }
 
 fn bic(log: &Observed, found: &Candidates<Candidate>) -> Vec<&'static str> {

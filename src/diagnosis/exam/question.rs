@@ -21,6 +21,7 @@ use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
+use serde::Serialize;
 use std::collections::BTreeSet;
 
 /// Least RMS change of some signal by an effect, degrees (°/s for the gyroscope).
@@ -31,7 +32,8 @@ const DRAWS: usize = 6;
 const TRIPLES: usize = 9;
 
 /// Effects in a log.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Content {
     /// No effect.
     None,
@@ -46,12 +48,13 @@ pub enum Content {
 }
 
 /// One question.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Question {
+    /// Names of the effects, as the plant knows them.
+    #[serde(rename = "truth")]
+    pub names: Vec<&'static str>,
     /// Effects in the log.
     pub content: Content,
-    /// Names of the effects, as the plant knows them.
-    pub names: Vec<&'static str>,
     /// Whether a tracker records the log.
     pub lab: bool,
     /// Seed of everything else.

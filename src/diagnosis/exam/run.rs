@@ -8,6 +8,7 @@ use crate::diagnosis::verdict::VerdictKind;
 use crate::model::effects::{Effect, catalogue};
 use crate::supervisor::MachineError;
 use rayon::prelude::*;
+use serde::Serialize;
 use thiserror::Error;
 
 /// Every how many questions a single effect is diagnosed again without its own catalogue entry.
@@ -25,18 +26,20 @@ pub enum ExamError {
 }
 
 /// The answer to one question.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize)]
 pub struct Answer {
-    /// The diagnosis.
-    pub diagnosis: Diagnosis,
     /// Whether an effect is too small to be asked for even at its largest size.
+    #[serde(skip)]
     pub hidden: bool,
     /// Part of the gap that the saved model closes on the fresh log.
     pub fresh_closed: f64,
     /// Verdict without the catalogue entry of the true effect, if asked for.
     pub left_out: Option<VerdictKind>,
     /// Names given by the other methods.
+    #[serde(flatten)]
     pub others: Answers,
+    /// The diagnosis.
+    pub diagnosis: Diagnosis,
 }
 
 /// Answers all questions in parallel from the logs that `draw` makes, [`Question::draw`] for the built-in plant; `done` is called after

@@ -153,11 +153,10 @@ pub struct ExamScore {
 }
 
 /// The verdict of one of the other methods.
-fn other(a: &Answer, which: usize) -> Verdict {
-    let names = a.others[which].clone();
+fn other(names: &[&'static str]) -> Verdict {
     Verdict {
-        kind: VerdictKind::of(Some(&names)),
-        names,
+        kind: VerdictKind::of(Some(names)),
+        names: names.to_vec(),
         ..Verdict::default()
     }
 }
@@ -199,7 +198,9 @@ type Answered<'a> = (&'a Question, &'a Answer);
 /// Scores all answers.
 pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore {
     let all: Vec<Answered<'_>> = questions.iter().zip(answers).collect();
-    let [bic, sparse, nearest] = [0, 1, 2].map(|which| method(&all, |a| other(a, which)));
+    let bic = method(&all, |a| other(&a.others.bic));
+    let sparse = method(&all, |a| other(&a.others.sparse));
+    let nearest = method(&all, |a| other(&a.others.nearest));
     let says_unknown = |a: &Answer| a.diagnosis.verdict.kind == VerdictKind::Unknown;
     let covered = |_: &Question, a: &Answer| {
         let first = a.diagnosis.effects.first();

@@ -6,7 +6,6 @@
 //! registers of a Raspberry Pi allow both; the kernel's GPIO device would leave the lines as inputs.
 
 use embedded_hal::delay::DelayNs;
-#[cfg(feature = "hw")]
 use rppal::gpio::{Gpio, IoPin, Level, Mode, Pin};
 
 /// Half a clock period, µs: 50 kHz.
@@ -66,13 +65,11 @@ pub fn clear<L: OpenDrainLine>(sda: &mut L, scl: &mut L, delay: &mut dyn DelayNs
 }
 
 /// A line on the header of a Raspberry Pi. It returns to the bus controller when it is dropped.
-#[cfg(feature = "hw")]
 struct HeaderLine {
     watched: Option<Pin>,
     taken: Option<IoPin>,
 }
 
-#[cfg(feature = "hw")]
 impl OpenDrainLine for HeaderLine {
     fn is_high(&self) -> bool {
         match (&self.watched, &self.taken) {
@@ -93,7 +90,6 @@ impl OpenDrainLine for HeaderLine {
 }
 
 /// [`clear`] for SDA and SCL on the header of a Raspberry Pi. Lines that cannot be opened count as idle.
-#[cfg(feature = "hw")]
 pub fn clear_header(lines: [u32; 2], delay: &mut dyn DelayNs) -> BusState {
     let open = |line: u32| {
         let number = u8::try_from(line).ok()?;

@@ -26,7 +26,6 @@ mod error;
 #[path = "../../../tests/fake_imu/mod.rs"]
 pub(crate) mod fake;
 pub mod icm20948;
-#[cfg(feature = "hw")]
 pub mod linux;
 pub mod lis2mdl;
 pub mod lsm6dso;

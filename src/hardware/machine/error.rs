@@ -45,9 +45,6 @@ pub enum HardwareError {
     /// The operating system did not create the thread of this name.
     #[error("the {0} thread could not be started: {1}")]
     Thread(String, #[source] std::io::Error),
-    /// The program was built without the feature `hw`.
-    #[error("this program was built without hardware support: build with `--features hw`")]
-    NotBuilt,
 }
 
 impl HardwareError {

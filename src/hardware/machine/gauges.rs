@@ -111,7 +111,6 @@ fn read_all<I: I2c>(sensors: &mut [PressureSensor<I>; 3]) -> Result<[f64; 3], Pr
     Ok(kpa)
 }
 
-#[cfg(feature = "hw")]
 fn start_pressures(config: &PressureSection) -> Result<Watched, HardwareError> {
     use crate::hardware::{imu::linux::bound_transfers, machine::sensor::open_bus};
     // if the bus refuses a limit, the age of the readings is one
@@ -121,11 +120,6 @@ fn start_pressures(config: &PressureSection) -> Result<Watched, HardwareError> {
         Err(e) => Err(HardwareError::Bus(config.bus.clone(), e.to_string())),
     };
     watch([open(0)?, open(1)?, open(2)?], &config.bus)
-}
-
-#[cfg(not(feature = "hw"))]
-fn start_pressures(_: &PressureSection) -> Result<Watched, HardwareError> {
-    Err(HardwareError::NotBuilt)
 }
 
 /// Starts the thread and waits for its first reading. A later one that fails is left out, and its age tells.

@@ -209,7 +209,6 @@ fn run(
 /// A driver that is recovered, with its bus if the board states the lines.
 fn recovery(config: &ImuSection, driver: Box<dyn Imu + Send>) -> ImuRecovery<dyn Imu + Send> {
     let imu = ImuRecovery::new(driver);
-    #[cfg(feature = "hw")]
     if let Some(lines) = config.bus_lines {
         return imu.freeing_bus(move |delay| imu::bus_clear::clear_header(lines, delay));
     }
@@ -217,7 +216,6 @@ fn recovery(config: &ImuSection, driver: Box<dyn Imu + Send>) -> ImuRecovery<dyn
 }
 
 /// The file of a bus. The libraries merge the causes of a failure; opening the file here distinguishes them.
-#[cfg(feature = "hw")]
 pub(super) fn open_bus(path: &str) -> Result<std::fs::File, HardwareError> {
     let opened = std::fs::File::options().read(true).write(true).open(path);
     let path = path.to_owned();
@@ -229,18 +227,12 @@ pub(super) fn open_bus(path: &str) -> Result<std::fs::File, HardwareError> {
 }
 
 /// The driver on its bus, and whether transfers have a time limit.
-#[cfg(feature = "hw")]
 fn open(config: &ImuSection) -> Result<(Box<dyn Imu + Send>, bool), HardwareError> {
     use crate::hardware::imu::linux::{Classified, bound_transfers};
     let bounded = bound_transfers(&open_bus(&config.bus)?).is_ok();
     let bus = linux_embedded_hal::I2cdev::new(&config.bus)
         .map_err(|e| HardwareError::Bus(config.bus.clone(), e.to_string()))?;
     Ok((imu::open(&config.chip, Classified(bus))?, bounded))
-}
-
-#[cfg(not(feature = "hw"))]
-fn open(_: &ImuSection) -> Result<(Box<dyn Imu + Send>, bool), HardwareError> {
-    Err(HardwareError::NotBuilt)
 }
 
 #[cfg(test)]

@@ -65,9 +65,6 @@ pub enum PinError {
     /// `rppal` does not support this board.
     #[error("this is not a Raspberry Pi that rppal supports: set pins.backend = \"cdev\"")]
     UnknownModel,
-    /// The program was built without the feature `hw`.
-    #[error("this program was built without hardware support: build with `--features hw`")]
-    NotBuilt,
     /// EN does not follow its output.
     #[error(
         "EN on GPIO {pin} stays {} when driven {}: look for a short, a missing driver supply or a second program on the line, and do not rely on the emergency stop until this is repaired",

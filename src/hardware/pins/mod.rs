@@ -18,7 +18,6 @@ mod error;
 pub mod hal;
 mod interface;
 pub mod map;
-#[cfg(feature = "hw")]
 pub mod rppal;
 #[cfg(test)]
 mod tests;
@@ -39,10 +38,7 @@ pub fn open(config: &PinsConfig, microsteps: u32) -> Result<BoardPins, PinError>
     Ok(match config.backend {
         Backend::Mock => BoardPins::new(map, interface::NoLines, false),
         Backend::Cdev => cdev::open(&config.chip, &config.chip_label, map)?,
-        #[cfg(not(feature = "hw"))]
-        Backend::Rppal => return Err(PinError::NotBuilt),
         // without the device, rppal may still reach the registers through /dev/mem
-        #[cfg(feature = "hw")]
         Backend::Rppal => rppal::open(map).map_err(|e| match (e, probe(config)) {
             (e @ PinError::UnknownModel, _) => e,
             (_, Err(missing @ PinError::NoRegisters(_))) => missing,

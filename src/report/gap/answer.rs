@@ -5,12 +5,6 @@ use crate::report::gap::words::{self, verdict};
 use crate::report::table::table;
 use std::path::Path;
 
-/// Number of effects in the table: the probable ones, and at least three.
-fn shown(d: &Diagnosis) -> usize {
-    let probable = d.effects.iter().take_while(|e| e.probability >= 0.01);
-    probable.count().clamp(3, 6)
-}
-
 /// An effect as the tables show it.
 pub(super) fn row(name: String, e: &EffectEntry) -> [String; 7] {
     let [low, high] = e.closed_ci95.map(|share| share * 100.0);
@@ -29,7 +23,10 @@ pub(super) fn row(name: String, e: &EffectEntry) -> [String; 7] {
 pub fn summary(d: &Diagnosis, saved: Option<&Path>) -> String {
     let row = |e: &EffectEntry| row(e.name.to_owned(), e);
     let header = "effect|stage|prob.|before|after|closed|95 %";
-    let ranking = table(header, 2..7, d.effects.iter().take(shown(d)).map(row));
+    // the probable ones, and at least three
+    let probable = d.effects.iter().take_while(|e| e.probability >= 0.01);
+    let shown = d.effects.iter().take(probable.count().clamp(3, 6));
+    let ranking = table(header, 2..7, shown.map(row));
     let mut out = vec![
         words::opening(d),
         verdict(&d.verdict),

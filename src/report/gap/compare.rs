@@ -3,7 +3,7 @@
 use crate::diagnosis::tip::fit::CLAIM_DEG;
 use crate::diagnosis::tip::observed::{Depends, Observed};
 use crate::diagnosis::tip::{Diagnosis, goes_with};
-use crate::experiment::compare::{Compared, Knob};
+use crate::experiment::compare::{Compared, Fitted};
 use crate::report::gap::words;
 use crate::report::table::table;
 use serde::Serialize;
@@ -17,7 +17,7 @@ pub struct Document {
     diagnosed_deg: f64,
     noise_floor_deg: f64,
     goes_with: Vec<Depends>,
-    params: Vec<ParamEntry>,
+    params: Vec<Fitted>,
 }
 
 #[derive(Serialize)]
@@ -35,22 +35,11 @@ struct KindEntry {
     diagnosed_deg: f64,
 }
 
-#[derive(Serialize)]
-struct ParamEntry {
-    name: String,
-    value: f64,
-    ci95: [f64; 2],
-    /// The interval is the whole range.
-    #[serde(skip)]
-    untold: bool,
-}
-
-/// The result: `name` is the simulator's, and `fit` has the parameters that were fitted.
+/// The result; `name` is the simulator's.
 pub fn document(
-    fit: &[Knob],
     log: &Observed,
     name: String,
-    compared: &Compared,
+    compared: Compared,
     diagnosis: &Diagnosis,
 ) -> Document {
     let kinds = log.quantities().map(|q| {
@@ -62,12 +51,6 @@ pub fn document(
             diagnosed_deg: known.map_or(0.0, |k| k.explained_deg),
         }
     });
-    let param = |(knob, (value, ci95)): (&Knob, &(f64, [f64; 2]))| ParamEntry {
-        name: knob.name.clone(),
-        value: *value,
-        ci95: *ci95,
-        untold: *ci95 == [knob.low, knob.high],
-    };
     Document {
         schema: 1,
         plant: PlantEntry {
@@ -79,7 +62,7 @@ pub fn document(
         diagnosed_deg: diagnosis.gap.explained_deg,
         noise_floor_deg: diagnosis.gap.noise_floor_deg,
         goes_with: goes_with(log, &compared.held_out),
-        params: fit.iter().zip(&compared.params).map(param).collect(),
+        params: compared.params,
     }
 }
 

@@ -29,7 +29,14 @@ pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence, made: &[[String; 2
     for limit in words::limits(d) {
         page.text(&limit);
     }
-    page.table("gap, RMS over all sensors|degrees", &figures(d));
+    let row = |name: &str, deg: f64| [name.to_owned(), format!("{deg:.2}")];
+    let figures = [
+        row("as configured", d.gap.as_configured_deg),
+        row("recalibrated", d.gap.recalibrated_deg),
+        row("with the verdict's effects", d.gap.explained_deg),
+        row("noise", d.gap.noise_floor_deg),
+    ];
+    page.table("gap, RMS over all sensors|degrees", &figures);
     page.quiet("All numbers except the first are scored on parts of the log that the fit has not seen. Recalibration identifies the gains of the nominal model again on this log; what it closes is not credited to an effect.");
     page.heading("Next");
     for step in words::next(d) {
@@ -51,23 +58,17 @@ pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence, made: &[[String; 2
         page.table("parameter|of|channel|value|95 %|unit", &values);
     }
     page.heading("By sensor");
+    let sensor = |k: &QuantityShare| {
+        let [before, after] = [k.rmse_deg, k.explained_deg].map(|x| format!("{x:.2}"));
+        let unit = words::unit_of(k.name).to_owned();
+        [k.name.to_owned(), before, after, unit]
+    };
     let sensors: Vec<_> = d.location.kinds.iter().map(sensor).collect();
     page.table("sensor|recalibrated|with effects|unit", &sensors);
     page.heading("Made from");
     page.table("|", made);
     page.quiet("docs/gap.md of the program explains how to read this page.");
     page.html()
-}
-
-fn figures(d: &Diagnosis) -> [[String; 2]; 4] {
-    let g = &d.gap;
-    let row = |name: &str, deg: f64| [name.to_owned(), format!("{deg:.2}")];
-    [
-        row("as configured", g.as_configured_deg),
-        row("recalibrated", g.recalibrated_deg),
-        row("with the verdict's effects", g.explained_deg),
-        row("noise", g.noise_floor_deg),
-    ]
 }
 
 /// Two maps with one scale, and the residual over time.
@@ -125,7 +126,7 @@ fn trace(t: &Trace) -> Option<Chart> {
     let column = |i: usize| within(from).map(|p| (p[0], p[i])).collect();
     let x = Axis::new("time / s", from, from + TRACE_S, 5);
     let angles = within(from).flat_map(|p| p[1..].to_vec());
-    let y = Axis::around("angle / °", angles, &[], 5);
+    let y = Axis::around("angle / °", angles, 5);
     let series = vec![
         Series::line("measured", Ink::GREY, Stroke::Solid, column(1)),
         Series::line("recalibrated", Ink::RED, Stroke::Dotted, column(2)),
@@ -183,10 +184,4 @@ fn parameters(e: &EffectEntry) -> impl Iterator<Item = [String; 6]> {
             or_dash(p.unit),
         ]
     })
-}
-
-fn sensor(k: &QuantityShare) -> [String; 4] {
-    let [before, after] = [k.rmse_deg, k.explained_deg].map(|x| format!("{x:.2}"));
-    let unit = words::unit_of(k.name).to_owned();
-    [k.name.to_owned(), before, after, unit]
 }

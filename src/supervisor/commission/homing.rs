@@ -5,20 +5,34 @@
 
 use crate::primitives::Steps;
 use crate::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};
+use crate::{choices, parameters};
 
-/// Parameters of the search.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct HomingConfig {
-    /// Speed of the first approach, mm/s; the second is a quarter of it.
-    pub speed_mm_s: f64,
-    /// Distance to back off, mm.
-    pub back_off_mm: f64,
-    /// Largest difference between two closings, mm.
-    pub repeat_max_mm: f64,
-    /// Piston position of each channel where its switch closes, mm.
-    pub at_mm: [f64; 3],
-    /// Longest search, mm.
-    pub search_max_mm: f64,
+choices! {
+    /// How zero is found.
+    pub enum HomingMethod {
+        /// A person brings the pistons to rest and confirms it.
+        Operator = "operator",
+        /// Every channel has a home switch.
+        Switches = "switches",
+    }
+}
+
+parameters! {
+    /// How zero is found.
+    pub struct HomingConfig: Copy {
+        /// `operator`: a person brings the pistons to rest and confirms it; `switches`: every channel has a `home` line.
+        method: HomingMethod = HomingMethod::Operator;
+        /// Speed of the first approach to a switch. A larger value is quicker and overruns the switch further.
+        speed_mm_s: f64 = 4.0, "mm/s", 0.1..=10.0, "slow enough to stop within the switch's travel";
+        /// Distance from a closed switch before the slow second approach: more than the switch's own travel. A larger value
+        /// takes longer.
+        back_off_mm: f64 = 2.0, "mm", 0.1..=100.0, "more than the switch's own travel";
+        /// Largest difference between two approaches; the default is three microsteps. A larger value accepts a worse switch.
+        repeat_max_mm: f64 = 0.09, "mm", 0.001..=1.0, "a few microsteps";
+        /// Piston position of each channel where its switch closes; the default is the end of travel that shortens the bellow.
+        /// The sign sets the direction of the search.
+        at_mm: [f64; 3] = [-30.0; 3], "mm", -100.0..=100.0, "where the switch closes, within limits.travel_mm";
+    }
 }
 
 /// Result of the homing.
@@ -70,20 +84,22 @@ pub enum HomingError {
     },
 }
 
-/// Finds zero with the switches of all channels, one after the other, and moves the pistons there.
+/// Finds zero with the switches of all channels, one after the other, and moves the pistons there. A switch that does not close
+/// within `search_max_mm` ends the search; the second approach has a quarter of the speed of the first.
 ///
 /// # Errors
 /// [`HomingError`]; the pistons stay where they stopped.
 pub fn with_switches(
     drive: &mut ManualMotion<'_>,
     config: &HomingConfig,
+    search_max_mm: f64,
 ) -> Result<Homed, HomingError> {
     let mut repeat_mm = [0.0; 3];
     let mut closed_mm = [0.0; 3];
     for i in 0..3 {
         let mut search = Search { drive, config, i };
         search.leave()?;
-        search.close(config.speed_mm_s, config.search_max_mm)?;
+        search.close(config.speed_mm_s, search_max_mm)?;
         search.leave()?;
         let (slow, most_mm) = (0.25 * config.speed_mm_s, 2.0 * config.back_off_mm);
         let first_mm = search.close(slow, most_mm)?;

@@ -105,9 +105,39 @@ async fn answer(
     entered: Arc<AtomicBool>,
     request: Request<Incoming>,
 ) -> Result<Response<Body>, Infallible> {
-    Ok(match refusal(&site, &request) {
-        Some(status) => plain(status, ""),
-        None => route(site, &entered, request).await,
+    if let Some(status) = refusal(&site, &request) {
+        return Ok(plain(status, ""));
+    }
+    Ok(match (request.method().as_str(), request.uri().path()) {
+        ("GET", "/") => {
+            let mut response = text("text/html; charset=utf-8", include_str!("page.html"));
+            let cookie = |token| format!("{COOKIE}{token}; HttpOnly; SameSite=Lax; Path=/");
+            if let Some(Ok(cookie)) = site.token.as_ref().map(|token| cookie(token).parse()) {
+                response.headers_mut().insert(header::SET_COOKIE, cookie);
+            }
+            response
+        }
+        ("GET", "/page.js") => text("text/javascript; charset=utf-8", include_str!("page.js")),
+        ("GET", "/page.css") => text("text/css; charset=utf-8", include_str!("page.css")),
+        ("GET", "/diagnosis") => text("application/json", site.diagnosis.borrow().clone()),
+        ("GET", "/frames") => {
+            let Some(page) = site.open().await else {
+                return Ok(plain(503, ""));
+            };
+            entered.store(true, Relaxed);
+            let (sender, body) = Channel::new(1);
+            tokio::spawn(async move {
+                send_events(site.latest.clone(), page, sender).await;
+                site.close(page).await;
+            });
+            with_type("text/event-stream", Either::Right(body))
+        }
+        ("POST", "/stop") => forward(site, &entered, 0, Command::Stop {}).await,
+        ("POST", "/command") => match read_command(request).await {
+            Some((page, command)) => forward(site, &entered, page, command).await,
+            None => plain(400, ""),
+        },
+        _ => plain(404, ""),
     })
 }
 
@@ -142,44 +172,6 @@ fn refusal(site: &Site, request: &Request<Incoming>) -> Option<u16> {
 fn is_same(shown: &str, token: &str) -> bool {
     let differ = std::iter::zip(shown.bytes(), token.bytes()).fold(0, |all, (a, b)| all | (a ^ b));
     shown.len() == token.len() && differ == 0
-}
-
-async fn route(
-    site: Arc<Site>,
-    entered: &AtomicBool,
-    request: Request<Incoming>,
-) -> Response<Body> {
-    match (request.method().as_str(), request.uri().path()) {
-        ("GET", "/") => {
-            let mut response = text("text/html; charset=utf-8", include_str!("page.html"));
-            let cookie = |token| format!("{COOKIE}{token}; HttpOnly; SameSite=Lax; Path=/");
-            if let Some(Ok(cookie)) = site.token.as_ref().map(|token| cookie(token).parse()) {
-                response.headers_mut().insert(header::SET_COOKIE, cookie);
-            }
-            response
-        }
-        ("GET", "/page.js") => text("text/javascript; charset=utf-8", include_str!("page.js")),
-        ("GET", "/page.css") => text("text/css; charset=utf-8", include_str!("page.css")),
-        ("GET", "/diagnosis") => text("application/json", site.diagnosis.borrow().clone()),
-        ("GET", "/frames") => {
-            let Some(page) = site.open().await else {
-                return plain(503, "");
-            };
-            entered.store(true, Relaxed);
-            let (sender, body) = Channel::new(1);
-            tokio::spawn(async move {
-                send_events(site.latest.clone(), page, sender).await;
-                site.close(page).await;
-            });
-            with_type("text/event-stream", Either::Right(body))
-        }
-        ("POST", "/stop") => forward(site, entered, 0, Command::Stop {}).await,
-        ("POST", "/command") => match read_command(request).await {
-            Some((page, command)) => forward(site, entered, page, command).await,
-            None => plain(400, ""),
-        },
-        _ => plain(404, ""),
-    }
 }
 
 /// Sends a command in a thread of its own, so that none waits for another.
