@@ -56,7 +56,7 @@ parameters! {
 }
 
 parameters! {
-    /// The gate between controller and step generator. Travel, speed and acceleration come from [limits] and `[motion]`; this
+    /// The gate between controller and step generator. Travel, speed and acceleration come from `[limits]` and `[motion]`; this
     /// table sets how close to them the controller may come, and the other conditions. Once tripped, the gate stays so until
     /// `retroflex reset-fault`.
     pub struct SafetySection: Copy {
