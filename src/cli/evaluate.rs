@@ -56,7 +56,7 @@ pub fn run(args: &Args) -> Result<bool> {
         arms: args.arms.clone().unwrap_or(usual.to_vec()),
         track,
         seed: args.seed,
-        rig: gap::input::rig(&args.board)?,
+        rig: gap::input::rig(args.board.as_deref())?,
         feedforward: feedforward.map(|(_, machine)| machine),
     };
     let bar = output::bar(0, "{msg:<18} {pos} states held,");

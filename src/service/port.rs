@@ -7,7 +7,7 @@
 
 use crate::hardware::rt::{self, RtRequest};
 use crate::service::connection::Line;
-use crate::service::listener::{self};
+use crate::service::listener;
 use crate::service::protocol::{parse, reply_line};
 use crate::service::server::Server;
 use crate::service::{Failure, Listener, Request, Shared, Watched};

@@ -8,7 +8,7 @@
 
 use crate::service::Listener;
 use crate::service::connection::{Client, Line};
-use crate::service::listener::{self};
+use crate::service::listener;
 use nix::poll::{PollFd, PollFlags};
 use nix::sys::socket::{UnixCredentials, getsockopt, sockopt::PeerCredentials};
 use std::cmp::Reverse;

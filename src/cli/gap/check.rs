@@ -27,7 +27,7 @@ pub struct Args {
 /// A report that names the faulty input.
 pub fn run(args: &Args) -> Result<bool> {
     let model = input::saved(&args.model)?;
-    let log = input::observe(&args.log, &input::rig(&args.board)?)?;
+    let log = input::observe(&args.log, &input::rig(args.board.as_deref())?)?;
     let checked = check(&model, &log);
     output::answer(&args.json, &checked, said(&checked))?;
     Ok(checked.judgement == Judgement::ThisMachine)

@@ -44,7 +44,7 @@ pub fn run(args: &Args) -> Result<()> {
     };
     let bar = output::bar(args.rounds.into(), "{pos} of {len} schedules");
     let request = Request {
-        machine: Machine::new(input::rig(&args.board)?, lines),
+        machine: Machine::new(input::rig(args.board.as_deref())?, lines),
         like,
         tracker: args.tracker,
         seed: args.seed,

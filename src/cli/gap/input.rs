@@ -26,7 +26,7 @@ impl DrivenArgs {
     /// # Errors
     /// As for [`rig`].
     pub fn rig(&self) -> Result<Rig> {
-        rig(&self.board)
+        rig(self.board.as_deref())
     }
 
     /// Names of the board file and of the calibration.
@@ -51,8 +51,8 @@ impl DrivenArgs {
 ///
 /// # Errors
 /// A report that names file and key.
-pub fn rig(board: &Option<PathBuf>) -> Result<Rig> {
-    let board = inputs::board(board.as_deref())?;
+pub fn rig(board: Option<&Path>) -> Result<Rig> {
+    let board = inputs::board(board)?;
     Ok(Rig {
         geometry: board.geometry.law(),
         bellow_mm: [board.geometry.bellow_min_mm, board.geometry.bellow_max_mm],

@@ -8,7 +8,7 @@ use crate::primitives::{Seconds, Steps};
 use crate::service::hub::{Facts, Hub, HubIo};
 use crate::service::notify::Heartbeat;
 use crate::service::rt_loop::{Loop, rings};
-use crate::service::store::{self};
+use crate::service::store;
 use crate::service::{
     Belief, Caller, Memory, Notifier, Port, Request, RunConfig, Shared, Start, StateWriter,
     StopCounter, Store, ThreadWatch,
