@@ -156,8 +156,9 @@ fn every_signal_that_ends_a_process_returns_the_tip_to_rest() {
                 let daemon = Daemon::start(program(), folder.path()).unwrap();
                 daemon.take_off().unwrap();
                 std::thread::sleep(std::time::Duration::from_millis(300));
-                let (success, _) = daemon.end_by(signal).unwrap();
-                assert!(success, "signal {signal}");
+                let (success, time_s) = daemon.end_by(signal).unwrap();
+                let log = std::fs::read_to_string(folder.path().join("log")).unwrap();
+                assert!(success, "signal {signal}, after {time_s} s: {log}");
                 let (_, recall) = Store::open(&folder.path().join("state")).unwrap();
                 let memory = recall.memory.unwrap();
                 let steps = memory.restart.unwrap().steps.0;
