@@ -14,6 +14,15 @@ pub fn blocked(f: &Frame) -> bool {
     f.blocked || f.saturation != Saturation::No
 }
 
+/// Greatest bend by which a settled tip is believed to miss its target, rad (1°).
+const SETTLED_RAD: f64 = 0.0175;
+
+/// The tip rests where it was told to be, or as near as it can get.
+pub fn settled(f: &Frame) -> bool {
+    let missing = f.target.bend.0 - f.belief.settled;
+    blocked(f) || f.at_rest && missing.norm() < SETTLED_RAD
+}
+
 /// Why the tip cannot get nearer to its target.
 pub fn shortfall(f: &Frame) -> Option<&'static str> {
     let obstructed = "the tip does not follow the pistons: an obstruction holds it, or the target is out of its reach; remove the \

@@ -126,7 +126,7 @@ pub fn settle(connection: &mut Connection, request: &Request, sent_to: Bend) -> 
                 bar.set_message(line);
                 return None;
             }
-            None => format!("mode {mode}"),
+            None => line,
         };
         let suspicion = s.suspicion.as_ref();
         let suspicion = suspicion.map_or(String::new(), |text| format!("; {text}"));

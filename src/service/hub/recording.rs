@@ -211,9 +211,7 @@ impl Hub {
             |t| status::cycle(t, self.config.supervisor.gate.step_mm),
         );
         let (shared, memory) = (&self.io.shared, &self.memory);
-        let settled = last.is_some_and(|t| {
-            t.mode == Mode::Holding && (t.frame.at_rest || status::blocked(&t.frame))
-        });
+        let settled = last.is_some_and(|t| t.mode == Mode::Holding && status::settled(&t.frame));
         let given = &self.config.calibration.transmission.source;
         let calibration = memory.accepted.as_ref().map_or(given, |g| &g.source);
         let granted = |(name, grant): &(_, crate::hardware::rt::Grant)| json!({"what": name, "grant": grant.to_string()});
