@@ -137,8 +137,6 @@ pub struct Input {
     pub idle: bool,
     /// A line is suspected: what it does now is not taken for what it was.
     pub suspected: bool,
-    /// Requests a new alignment because the base was turned.
-    pub realign: bool,
 }
 
 /// State of the sensors.
