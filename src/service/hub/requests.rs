@@ -4,11 +4,12 @@ use super::{Hub, Reply, Subscription, done, may_command, refuse};
 use crate::config::Gains;
 use crate::config::source;
 use crate::control::Path;
+use crate::experiment::identify::Algorithm1;
 use crate::experiment::pose::Round;
 use crate::experiment::schedule;
-use crate::model::{Bend, Shape};
+use crate::model::{Bend, Line, Shape};
 use crate::primitives::Mm;
-use crate::service::calibrate::{Found, Session};
+use crate::service::calibrate::Session;
 use crate::service::flight::start::Event;
 use crate::service::protocol::{CalibrateAction, Frame, PATH_MAX_S, PATH_ROWS, POSES, PathRow};
 use crate::service::start::with_gains;
@@ -130,7 +131,7 @@ impl Hub {
 
     /// The largest bend at the rest length every 5° from direction 0 on, degrees, and the dimensions of the bending section.
     fn reach(&self) -> Value {
-        let (tick, lines) = (&self.config.supervisor.tick, self.in_use().lines);
+        let (tick, lines) = (&self.config.supervisor.tick, self.in_use());
         let largest = |k: u32| {
             let shape = self.target(BEND_MAX_RAD.to_degrees(), f64::from(k) * 5.0, None);
             shape.bend.beta().to_degrees()
@@ -174,7 +175,7 @@ impl Hub {
         let rule = "a path has two or more rows with times that increase by at most";
         let expected = || Failure::bad(format!("{rule} {PATH_MAX_S} s in all"));
         let (path, tick) = (path.ok_or_else(expected)?, &self.config.supervisor.tick);
-        let lines = self.in_use().lines;
+        let lines = self.in_use();
         if let Some((k, expected)) = path.out_of_reach(&tick.limits, &tick.geometry, &lines) {
             let (row, bend_deg) = (from + k + 1, checked[k].1);
             let why = format!("row {row}, bend_deg {bend_deg}: expected {expected}");
@@ -247,22 +248,23 @@ impl Hub {
         }
         let SupervisorConfig { tick, gate, .. } = &self.config.supervisor;
         let round = Round::new(tick.geometry, poses);
-        self.calibration = Some(Session::new(round, gate.step_mm, prior, self.in_use()));
+        let from_zero = [Line::default(); 3];
+        let algorithm = Algorithm1::new(round, from_zero, prior, tick.dynamics);
+        self.calibration = Some(Session::new(algorithm, gate.step_mm));
         self.calibration_failed = None;
         self.order(Order::Calibrate(true), caller.clone());
         Ok(None)
     }
 
-    /// The transmission parameters in use.
-    fn in_use(&self) -> Found {
-        let tick = &self.config.supervisor.tick;
-        let (mut lines, dynamics) = (tick.lines, tick.dynamics);
+    /// The transmission gains in use.
+    fn in_use(&self) -> [Line; 3] {
+        let mut lines = self.config.supervisor.tick.lines;
         if let Some(last) = &self.last {
             for (line, k_epsilon) in lines.iter_mut().zip(last.frame.k_epsilon) {
                 line.k_epsilon = k_epsilon;
             }
         }
-        Found { lines, dynamics }
+        lines
     }
 
     fn accept(&mut self, caller: &Caller) -> Reply {
