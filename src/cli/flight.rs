@@ -20,10 +20,12 @@ pub fn flight_of(log: &Path) -> Result<PathBuf> {
     let flight = flight_path(log);
     let is_bend_log = log.extension().is_some_and(|e| e == "csv" || e == "gz");
     let why = "there is no such file; a bend log has a flight log beside it only if it was recorded with `retroflex run --record LOG`, or with `retroflex record start` while disarmed at rest";
-    match flight.exists() {
-        true => Ok(flight),
-        false if is_bend_log => Err(miette!("{}: {why}", flight.display())),
-        false => Ok(log.to_owned()),
+    if flight.exists() {
+        Ok(flight)
+    } else if is_bend_log {
+        Err(miette!("{}: {why}", flight.display()))
+    } else {
+        Ok(log.to_owned())
     }
 }
 

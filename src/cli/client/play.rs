@@ -97,9 +97,10 @@ impl Schedule {
         };
         let table = Table::open(file, &header).into_diagnostic()?;
         let is_path = table.header().iter().any(|name| name == "t_s");
-        Ok(match is_path {
-            true => Self::Path(PathFile::open(file, &Geometry::default()).into_diagnostic()?),
-            false => Self::Poses(rows::read(file).into_diagnostic()?),
+        Ok(if is_path {
+            Self::Path(PathFile::open(file, &Geometry::default()).into_diagnostic()?)
+        } else {
+            Self::Poses(rows::read(file).into_diagnostic()?)
         })
     }
 

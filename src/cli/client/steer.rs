@@ -91,9 +91,10 @@ pub fn steer(args: &SteerArgs) -> Result<()> {
             );
         }
         let over = ended.load(Relaxed);
-        match held && !over {
-            true => steering.step(&stick, since_s)?,
-            false => steering.release()?,
+        if held && !over {
+            steering.step(&stick, since_s)?
+        } else {
+            steering.release()?
         }
         if over {
             return Ok(());

@@ -145,9 +145,10 @@ impl<S: Imu + ?Sized> ImuRecovery<S> {
                 if let Some(reading) = self.thaw(&raw, delay, now.0) {
                     return reading;
                 }
-                self.stale = match raw.fresh {
-                    true => 0,
-                    false => self.stale.saturating_add(1),
+                self.stale = if raw.fresh {
+                    0
+                } else {
+                    self.stale.saturating_add(1)
                 };
                 if (1..=STALE_MAX).contains(&self.stale) {
                     return ImuReading::Nothing;

@@ -149,9 +149,10 @@ impl Machine for Hardware {
             let (chip, rate_hz) = (s.found.identity.inertial, s.found.identity.rate_hz);
             let slow = slowness(s.found.read_s, rate_hz);
             remarks.extend(slow.map(|slow| format!("{place} IMU: {slow}")));
-            let limit = match s.found.bounded {
-                true => "",
-                false => "; the bus driver accepts no time limit",
+            let limit = if s.found.bounded {
+                ""
+            } else {
+                "; the bus driver accepts no time limit"
             };
             let bus = &s.bus;
             remarks.push(format!(

@@ -76,14 +76,18 @@ impl Entry {
         let (topic, data) = (message.channel.topic.as_str(), &*message.data);
         // the messages of older logs are JSON, and cycles without a schema
         let older = message.channel.message_encoding != ENCODING;
-        let fields = || match older {
-            true => serde_json::from_slice(data).map_err(io::Error::from),
-            false => schema::decode(topic, data),
+        let fields = || {
+            if older {
+                serde_json::from_slice(data).map_err(io::Error::from)
+            } else {
+                schema::decode(topic, data)
+            }
         };
         if topic == TOPICS[0] {
-            let exact = match older {
-                true => data.to_vec(),
-                false => schema::unwrap(topic, data)?,
+            let exact = if older {
+                data.to_vec()
+            } else {
+                schema::unwrap(topic, data)?
             };
             let (first, cycles) = decode(&exact)?;
             return Ok(Self::Cycles(first, cycles));
@@ -100,9 +104,10 @@ impl Entry {
             return Ok(Self::Event(Box::new(event)));
         }
         let mut shown = schema::TOPICS[..schema::STATUS].iter();
-        Ok(Self::Shown(match shown.any(|(name, _)| *name == topic) {
-            true => fields()?,
-            false => Value::Null,
+        Ok(Self::Shown(if shown.any(|(name, _)| *name == topic) {
+            fields()?
+        } else {
+            Value::Null
         }))
     }
 }
@@ -177,15 +182,17 @@ pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<E
     let mut ending = log.ending;
     let rest = hole.map(|hole| format!("{hole}, and nothing after it can be read"));
     ending.damage.extend(rest);
-    match known {
-        true => Ok(ending),
-        false if ending == Ending::COMPLETE => Err(
+    if known {
+        Ok(ending)
+    } else if ending == Ending::COMPLETE {
+        Err(
             "this is an MCAP file of another program; `retroflex run` writes flight logs"
                 .to_owned(),
-        ),
-        false => Err(format!(
+        )
+    } else {
+        Err(format!(
             "this is no flight log, or nothing of it can be read: {ending}"
-        )),
+        ))
     }
 }
 
