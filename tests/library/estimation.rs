@@ -10,9 +10,9 @@ use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::control::tick::{Frame, Input, LoopConfig, LoopState, tick};
 use retroflex::estimation::fusion::estimator::EstimatorName;
-use retroflex::estimation::fusion::health::ImuReading;
 use retroflex::model::Shape;
 use retroflex::model::bend::Bend;
+use retroflex::primitives::ImuReading;
 use retroflex::primitives::units::Mm;
 
 const DT_S: f64 = 0.005;

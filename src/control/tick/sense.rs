@@ -3,9 +3,9 @@
 use super::state::{LoopState, QuietPose};
 use super::types::{Input, LoopConfig};
 use crate::estimation::fusion::base_watch::{Watch, WatchInput};
-use crate::estimation::fusion::health::ImuReading;
 use crate::estimation::fusion::tip::FusionInput;
 use crate::model::Bend;
+use crate::primitives::ImuReading;
 use crate::primitives::lasting;
 use nalgebra::Vector3;
 

@@ -16,8 +16,7 @@
 
 use super::bus_clear::BusState;
 use super::{Identity, Imu, ImuError, RawImu};
-use crate::estimation::fusion::health::{ImuReading, ReadFault};
-use crate::primitives::Seconds;
+use crate::primitives::{ImuReading, ReadFault, Seconds};
 use embedded_hal::delay::DelayNs;
 
 /// Consecutive failed readings after which the chip is initialised again: 50 ms at 500 Hz. A chip that

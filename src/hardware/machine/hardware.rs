@@ -1,6 +1,5 @@
 //! [`Machine`] on hardware.
 
-use crate::estimation::fusion::health::ImuReading;
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::error::HardwareError;
 use crate::hardware::machine::gauges::{GaugeConfig, GaugeWatch};
@@ -9,7 +8,7 @@ use crate::hardware::pins::{self, PinsConfig};
 use crate::hardware::rt::monotonic_ns;
 use crate::hardware::stepper::Stepper;
 use crate::motion::{Drive, DriveLimits, EmergencyStop, StepGenerator, StepperConfig};
-use crate::primitives::{Seconds, Steps};
+use crate::primitives::{ImuReading, Seconds, Steps};
 use crate::supervisor::{Machine, MachineError, MachineInfo, Sensed};
 
 /// Configuration of a machine made of hardware.

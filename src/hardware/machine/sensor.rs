@@ -4,13 +4,12 @@
 //! after 20 ms at the latest if the driver of the bus accepts the limit, and blocks only this thread.
 //! [`ImuRecovery`] sets the chip up again after a restart or a series of failures.
 
-use crate::estimation::fusion::health::ImuReading;
 use crate::hardware::imu::{self, ChipConfig, Identity, Imu, ImuRecovery, POLL_SHARE};
 use crate::hardware::machine::error::HardwareError;
 use crate::hardware::machine::reading;
 use crate::hardware::rt::{self, RtRequest, monotonic_ns};
 use crate::parameters;
-use crate::primitives::Seconds;
+use crate::primitives::{ImuReading, Seconds};
 use embedded_hal::delay::DelayNs;
 use nalgebra::{UnitQuaternion, Vector3};
 use std::sync::mpsc::Sender;
@@ -238,8 +237,8 @@ fn open(config: &ImuSection) -> Result<(Box<dyn Imu + Send>, bool), HardwareErro
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimation::fusion::health::{Quality, ReadFault};
     use crate::primitives::sample::ImuSample;
+    use crate::primitives::{Quality, ReadFault};
 
     fn sample(rate: f64, mag: Option<f64>, load: f64) -> StampedReading {
         let v = |x: f64| Vector3::new(x, 0.0, 0.0);

@@ -20,10 +20,10 @@ use crate::estimation::fusion::base::BaseTracker;
 use crate::estimation::fusion::bend::BendFilter;
 use crate::estimation::fusion::estimator::Estimator;
 use crate::estimation::fusion::health::{
-    CauseSet, HealthCause, HealthVerdict, ImuReading, KnownErrors, SensorMonitor,
+    CauseSet, HealthCause, HealthVerdict, KnownErrors, SensorMonitor,
 };
 use crate::model::Bend;
-use crate::primitives::{Base, ImuSample, Rotation, World};
+use crate::primitives::{Base, ImuReading, ImuSample, Rotation, World};
 use nalgebra::{Matrix2, Vector3};
 use tracking::Tracker;
 

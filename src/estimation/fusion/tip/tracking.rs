@@ -7,10 +7,10 @@ use crate::estimation::fusion::bend::BendFilter;
 use crate::estimation::fusion::correction_smoother::CorrectionSmoother;
 use crate::estimation::fusion::estimator::Estimator;
 use crate::estimation::fusion::filter::TipSample;
-use crate::estimation::fusion::health::{HealthCause, HealthConfig, HealthVerdict, ImuReading};
+use crate::estimation::fusion::health::{HealthCause, HealthConfig, HealthVerdict};
 use crate::estimation::fusion::second::Second;
 use crate::model::Bend;
-use crate::primitives::ImuSample;
+use crate::primitives::{ImuReading, ImuSample};
 use nalgebra::{Matrix2, Vector2, Vector3};
 
 /// Uncertainty of the bend that is remembered from before a restart, rad (2°), 1 σ.
