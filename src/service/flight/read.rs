@@ -1,7 +1,6 @@
 //! Reads flight logs, chunk by chunk. A file that was never closed ends with its last whole chunk; a damaged place is left out, up to
 //! the next chunk that can be read.
 
-use crate::log::error::why_unreadable;
 use crate::service::flight::cycle::{Cycle, decode};
 use crate::service::flight::file::{DAMAGE, TOPICS, io_error};
 use crate::service::flight::schema::{self, ENCODING};
@@ -114,20 +113,10 @@ impl Entry {
 
 type Visit<'a> = dyn FnMut(Message<'static>) -> Result<(), String> + 'a;
 
-/// Reads the messages of a file. Returns how it ends and where it is damaged.
+/// Reads the messages of a log. Returns how it ends and where it is damaged.
 ///
 /// # Errors
-/// What is wrong with the file or, from the visitor, with a message, with the name of the file.
-pub fn messages(path: &Path, visit: &mut Visit<'_>) -> Result<Ending, String> {
-    let named = |problem: String| format!("{}: {problem}", path.display());
-    let file = File::open(path).map_err(|e| named(why_unreadable(path, &e)))?;
-    parse(BufReader::new(file), visit).map_err(named)
-}
-
-/// As [`messages`], from any source.
-///
-/// # Errors
-/// As for [`messages`], without the name of the file.
+/// What is wrong with the log or, from the visitor, with a message.
 pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<Ending, String> {
     let failed = |e: io::Error| format!("the file cannot be read: {e}");
     let mut has_magic = |at| {

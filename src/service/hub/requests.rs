@@ -18,9 +18,6 @@ use crate::supervisor::{BEND_MAX_RAD, Mode, Order, SupervisorConfig};
 use serde_json::{Value, json};
 use std::time::Instant;
 
-/// Interval at which the speed of a path is looked at, s.
-const SCAN_S: f64 = 0.005;
-
 impl Hub {
     /// Handles one line of a client.
     pub(super) fn handle(&mut self, mut caller: Caller, request: Result<Request, Failure>) {
@@ -185,12 +182,9 @@ impl Hub {
             self.path_rows = (client, all);
             return Ok(false);
         }
-        let rate = |k: u64| path.at(k as f64 * SCAN_S).rate.norm();
-        let scans = (path.duration_s() / SCAN_S).ceil() as u64;
-        let fastest = (0..=scans).map(rate).fold(0.0, f64::max);
         let time_scale = path
             .demand(&tick.geometry, &lines, &tick.motion.limits)
-            .max(fastest / tick.bend_pace.speed)
+            .max(path.speed_max() / tick.bend_pace.speed)
             .max(1.0);
         let path = path.slowed(time_scale);
         let (t_s, rows) = path.rows();
