@@ -8,7 +8,6 @@ use crate::experiment::identify::Algorithm1;
 use crate::experiment::pose::Round;
 use crate::experiment::schedule;
 use crate::model::{Bend, Line, Shape};
-use crate::primitives::Mm;
 use crate::service::calibrate::Session;
 use crate::service::flight::start::Event;
 use crate::service::protocol::{CalibrateAction, Frame, PATH_MAX_S, PATH_ROWS, POSES, PathRow};
@@ -139,11 +138,9 @@ impl Hub {
     }
 
     fn target(&self, bend_deg: f64, dir_deg: f64, length_mm: Option<f64>) -> Shape {
-        let length = Mm(length_mm.unwrap_or(self.config.supervisor.tick.geometry.rest_length_mm));
-        Shape {
-            bend: Bend::from_deg(bend_deg, dir_deg),
-            length,
-        }
+        let rest_length_mm = self.config.supervisor.tick.geometry.rest_length_mm;
+        let bend = Bend::from_deg(bend_deg, dir_deg);
+        Shape::new(bend.0, length_mm.unwrap_or(rest_length_mm))
     }
 
     /// Collects the rows of a path and checks them; with the last ones, hands it to the loop, slowed down so that the pistons can
