@@ -144,13 +144,10 @@ impl Replay<'_> {
                 }
                 self.take(Entry::of(message)?)
             })?;
-            damage.extend(ending.damage.drain(..).map(|place| {
-                if part == path {
-                    place
-                } else {
-                    format!("{}: {place}", part.display())
-                }
-            }));
+            let of_part = format!("{}: ", part.display());
+            let of_part = if part == path { "" } else { &of_part };
+            let places = ending.damage.drain(..);
+            damage.extend(places.map(|place| format!("{of_part}{place}")));
         }
         Ok(Ending { damage, ..ending })
     }
@@ -280,10 +277,9 @@ impl Replay<'_> {
         };
         file.write(&logged).map_err(&failed)?;
         if number.is_multiple_of(CHUNK) {
-            file.flush(false).map_err(&failed)
-        } else {
-            Ok(())
+            file.flush(false).map_err(&failed)?;
         }
+        Ok(())
     }
 }
 
