@@ -160,9 +160,10 @@ fn gyro_bias(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibratio
 
 fn accel_bias(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
     let rests = still::rests(samples);
-    let fit = match rests.len() >= ELLIPSOID_SAMPLES_MIN {
-        true => accel::ellipsoid(&rests)?,
-        false => accel::six_positions(&rests)?,
+    let fit = if rests.len() >= ELLIPSOID_SAMPLES_MIN {
+        accel::ellipsoid(&rests)?
+    } else {
+        accel::six_positions(&rests)?
     };
     into.set_accel(&fit, from);
     Ok(format!(

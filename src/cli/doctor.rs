@@ -219,10 +219,12 @@ fn power() -> Finding {
     let Some(troubles) = supply::troubles(Path::new("/")) else {
         return Finding::new("power", Pass, "no firmware status on this computer", "");
     };
-    let (verdict, found) = match troubles.is_empty() {
-        true => (Pass, "no under-voltage, not throttled".to_owned()),
-        false if troubles.contains(&"under-voltage now") => (Fail, troubles.join(", ")),
-        false => (Warn, troubles.join(", ")),
+    let (verdict, found) = if troubles.is_empty() {
+        (Pass, "no under-voltage, not throttled".to_owned())
+    } else if troubles.contains(&"under-voltage now") {
+        (Fail, troubles.join(", "))
+    } else {
+        (Warn, troubles.join(", "))
     };
     Finding::new("power", verdict, found, supply::REMEDY)
 }

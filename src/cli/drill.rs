@@ -138,9 +138,12 @@ fn run_soak(args: &Args, config: &BenchConfig, hours: f64) -> Result<bool> {
 }
 
 fn show(rows: &[FaultResult], json: &Option<ResultFile>) -> Result<()> {
-    let time = |s: f64| match s < 1.0 {
-        true => format!("{:.0} ms", s * 1e3),
-        false => format!("{s:.1} s"),
+    let time = |s: f64| {
+        if s < 1.0 {
+            format!("{:.0} ms", s * 1e3)
+        } else {
+            format!("{s:.1} s")
+        }
     };
     let row = |r: &FaultResult| {
         [

@@ -2,10 +2,12 @@
 
 use crate::log::error::why_unreadable;
 use crate::service::flight::file::{FlightFile, io_error};
-use crate::service::flight::read::{Ending, messages};
+use crate::service::flight::read::{Ending, parse};
 use crate::service::record::flight_path;
 use mcap::{McapError, Message};
 use miette::{Result, bail, miette};
+use std::fs::File;
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 /// The flight log of a path: the file itself, or the one beside a bend log.
@@ -20,10 +22,12 @@ pub fn flight_of(log: &Path) -> Result<PathBuf> {
     let flight = flight_path(log);
     let is_bend_log = log.extension().is_some_and(|e| e == "csv" || e == "gz");
     let why = "there is no such file; a bend log has a flight log beside it only if it was recorded with `retroflex run --record LOG`, or with `retroflex record start` while disarmed at rest";
-    match flight.exists() {
-        true => Ok(flight),
-        false if is_bend_log => Err(miette!("{}: {why}", flight.display())),
-        false => Ok(log.to_owned()),
+    if flight.exists() {
+        Ok(flight)
+    } else if is_bend_log {
+        Err(miette!("{}: {why}", flight.display()))
+    } else {
+        Ok(log.to_owned())
     }
 }
 
@@ -35,13 +39,15 @@ pub fn read(
     path: &Path,
     visit: &mut dyn FnMut(f64, &Message<'_>) -> Result<(), String>,
 ) -> Result<Ending> {
+    let named = |problem: String| miette!("{}: {problem}", path.display());
+    let file = File::open(path).map_err(|e| named(why_unreadable(path, &e)))?;
     let mut begin_ns = None;
-    let read = messages(path, &mut |message| {
+    let read = parse(BufReader::new(file), &mut |message| {
         let now_ns = message.log_time;
         let since_ns = now_ns.saturating_sub(*begin_ns.get_or_insert(now_ns));
         visit(since_ns as f64 * 1e-9, &message)
     });
-    read.map_err(|e| miette!("{e}"))
+    read.map_err(named)
 }
 
 /// The message about a log that cannot be written, which `shown` names.

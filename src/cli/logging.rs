@@ -26,9 +26,10 @@ pub fn start() -> Logging {
         .with_target(false)
         .with_level(!journal)
         .with_ansi(std::io::stderr().is_terminal());
-    let lines = match journal {
-        true => lines.without_time().boxed(),
-        false => lines.boxed(),
+    let lines = if journal {
+        lines.without_time().boxed()
+    } else {
+        lines.boxed()
     };
     let registry = tracing_subscriber::registry().with(lines.with_filter(filter));
     if registry.try_init().is_err() {

@@ -63,9 +63,10 @@ pub fn print(report: &Report) {
 }
 
 fn rendered(report: &Report, colour: bool) -> String {
-    let renderer = match colour {
-        true => Renderer::styled(),
-        false => Renderer::plain(),
+    let renderer = if colour {
+        Renderer::styled()
+    } else {
+        Renderer::plain()
     };
     let causes = report.chain().skip(1).map(|cause| format!(": {cause}"));
     let title: String = std::iter::once(report.to_string()).chain(causes).collect();

@@ -109,9 +109,12 @@ pub fn printable(text: &[u8]) -> Cow<'_, [u8]> {
 
 /// The text with all but its safe characters escaped.
 pub fn escaped(text: &str, is_safe: impl Fn(char) -> bool) -> String {
-    let shown = |c: char| match is_safe(c) {
-        true => c.to_string(),
-        false => c.escape_default().to_string(),
+    let shown = |c: char| {
+        if is_safe(c) {
+            c.to_string()
+        } else {
+            c.escape_default().to_string()
+        }
     };
     text.chars().map(shown).collect()
 }
@@ -134,9 +137,10 @@ pub fn exit_on_print_failure() {
 
 /// Prints text for people on standard output, or on standard error if a result occupies standard output.
 pub fn show(text: impl fmt::Display, result: &Option<ResultFile>) {
-    match result.as_deref().is_some_and(is_stdout) {
-        true => eprint!("{text}"),
-        false => print(text.to_string()),
+    if result.as_deref().is_some_and(is_stdout) {
+        eprint!("{text}")
+    } else {
+        print(text.to_string())
     }
 }
 

@@ -61,9 +61,10 @@ pub fn run(args: &Args) -> Result<bool> {
             "{file}: cannot be replayed, because it does not begin with the start of a supervisor: the part before is missing"
         );
     }
-    let shown = match ending == Ending::COMPLETE {
-        true => String::new(),
-        false => format!("; {ending}"),
+    let shown = if ending == Ending::COMPLETE {
+        String::new()
+    } else {
+        format!("; {ending}")
     };
     println!("{cycles} cycles replayed, {different} differ{shown}");
     for (before, t_s, lost) in &replay.gaps {
@@ -143,10 +144,10 @@ impl Replay<'_> {
                 }
                 self.take(Entry::of(message)?)
             })?;
-            damage.extend(ending.damage.drain(..).map(|place| match part == path {
-                true => place,
-                false => format!("{}: {place}", part.display()),
-            }));
+            let of_part = format!("{}: ", part.display());
+            let of_part = if part == path { "" } else { &of_part };
+            let places = ending.damage.drain(..);
+            damage.extend(places.map(|place| format!("{of_part}{place}")));
         }
         Ok(Ending { damage, ..ending })
     }
@@ -275,10 +276,10 @@ impl Replay<'_> {
             output,
         };
         file.write(&logged).map_err(&failed)?;
-        match number.is_multiple_of(CHUNK) {
-            true => file.flush(false).map_err(&failed),
-            false => Ok(()),
+        if number.is_multiple_of(CHUNK) {
+            file.flush(false).map_err(&failed)?;
         }
+        Ok(())
     }
 }
 

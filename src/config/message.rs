@@ -8,9 +8,10 @@ const LISTED_MAX: usize = 9;
 /// A message of serde about `key`, whose row, if it is a parameter, gives range and unit.
 pub fn plain(message: &str, key: &str, row: Option<&Parameter>) -> String {
     // a list of tables begins where its first table begins
-    let key = match message.starts_with("invalid length") {
-        true => key.trim_end_matches(|c: char| "[]".contains(c) || c.is_ascii_digit()),
-        false => key,
+    let key = if message.starts_with("invalid length") {
+        key.trim_end_matches(|c: char| "[]".contains(c) || c.is_ascii_digit())
+    } else {
+        key
     };
     let text = match message.split('`').nth(1) {
         Some(name) if message.starts_with("unknown field") => {

@@ -136,9 +136,10 @@ impl Layer {
     /// A key that is not known, or a value that its type does not accept.
     fn mistyped<T: Check>(&self, e: &toml::de::Error) -> ConfigError {
         let span = e.span().unwrap_or(0..0);
-        let key = match span.is_empty() {
-            true => String::new(),
-            false => key_at(&self.text, &span),
+        let key = if span.is_empty() {
+            String::new()
+        } else {
+            key_at(&self.text, &span)
         };
         let row = T::TABLE.and_then(|table| table.row(&key));
         let hint = row.map(|r| r.hint).filter(|h| !h.is_empty());

@@ -7,7 +7,7 @@ use crate::model::{Geometry, Line, Shape};
 use crate::motion::MotionLimits;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// Interval at which a path is compared with what the pistons can do, s.
+/// Interval at which the motion along a path is looked at, s.
 const SCAN_S: f64 = 0.005;
 /// Share of the pistons' speed and acceleration that a path may use; the rest is for feedback and backlash.
 const USABLE: f64 = 0.9;
@@ -88,7 +88,6 @@ impl Path {
     /// Largest speed and acceleration that the path asks of the pistons, as the factor by which its time must be stretched
     /// so that they can follow; at most 1 for a path that they can follow as it is.
     pub fn demand(&self, geometry: &Geometry, lines: &[Line; 3], limits: &MotionLimits) -> f64 {
-        let scans = (self.duration_s() / SCAN_S).ceil() as usize;
         let pistons = |v: Vector2<f64>| {
             let q = geometry.lengths(&Shape::new(v, geometry.rest_length_mm));
             let each = (0..3).map(|i| lines[i].play_output_mm(q[i]).abs());
@@ -96,11 +95,21 @@ impl Path {
         };
         let speed_max = USABLE * limits.speed_max_mm_s;
         let acceleration_max = USABLE * limits.acceleration_max_mm_s2;
-        let along = (0..=scans).map(|k| self.at(k as f64 * SCAN_S));
-        along.fold(0.0, |most: f64, at| {
+        self.along().fold(0.0, |most: f64, at| {
             most.max(pistons(at.rate) / speed_max)
                 .max((pistons(at.acceleration) / acceleration_max).sqrt())
         })
+    }
+
+    /// Largest rate of the bend, rad/s.
+    pub fn speed_max(&self) -> f64 {
+        self.along().map(|at| at.rate.norm()).fold(0.0, f64::max)
+    }
+
+    /// The motion from the first row to the last.
+    fn along(&self) -> impl Iterator<Item = Reference> {
+        let scans = (self.duration_s() / SCAN_S).ceil() as usize;
+        (0..=scans).map(|k| self.at(k as f64 * SCAN_S))
     }
 
     /// The first row with a bend that these lines cannot hold, and what is expected instead.

@@ -3,9 +3,8 @@
 use crate::config::supervisor::assemble;
 use crate::config::{Board, Calibration, Gains};
 use crate::control::RestartState;
-use crate::estimation::fusion::health::{ImuReading, ReadFault};
 use crate::model::{Bend, Shape};
-use crate::primitives::{Base, Mm, Rotation, Seconds, Steps, Tip};
+use crate::primitives::{Base, ImuReading, Mm, ReadFault, Rotation, Seconds, Steps, Tip};
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::plant::{Plant, PlantError};
 use crate::simulation::sim::Sim;

@@ -4,9 +4,9 @@ use crate::drill::bench::bend;
 use crate::drill::spec::Bound::{self, Brakes, Continues, Copes, Freezes, Holds};
 use crate::drill::spec::Detector::{self, Trip};
 use crate::drill::spec::{Injection, Spec};
-use crate::estimation::fusion::health::{HealthCause, ReadFault as Read};
+use crate::estimation::fusion::health::HealthCause;
 use crate::model::{Bend, Shape};
-use crate::primitives::Mm;
+use crate::primitives::{Mm, ReadFault as Read};
 use crate::simulation::plant::{BURST_PER_S, ImuFaults, Plant};
 use crate::supervisor::{Alarm, Mode, Order, Refusal, SuspicionKind, TripCause};
 

@@ -1,8 +1,9 @@
 //! One fault in flight: how it is injected, what must detect it, and what is allowed afterwards.
 
 use crate::drill::bench::Bench;
-use crate::estimation::fusion::health::{HealthCause, ReadFault};
+use crate::estimation::fusion::health::HealthCause;
 use crate::named;
+use crate::primitives::ReadFault;
 use crate::simulation::plant::Plant;
 use crate::supervisor::{Alarm, CycleOutput, Mode, Order, Refusal, SuspicionKind, TripCause};
 

@@ -7,7 +7,7 @@ use crate::experiment::error::ExperimentError;
 use crate::experiment::rig::Rig;
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::{Bend, Line, Shape};
-use crate::primitives::{Base, Mm, Rotation, Tip};
+use crate::primitives::{Base, Rotation, Tip};
 use serde::Serialize;
 
 /// Result of one held state.
@@ -151,10 +151,7 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, ExperimentError> {
     let ticks = (HOLD_S / dt_s).round() as usize;
     let scored_from = ticks - (SCORED_S / dt_s).round() as usize;
     let want = pose.bend();
-    let mut command = Some(Shape {
-        bend: want,
-        length: Mm(rig.config.geometry.rest_length_mm),
-    });
+    let mut command = Some(Shape::new(want.0, rig.config.geometry.rest_length_mm));
     let mut held = Held {
         bend_deg: pose.bend_deg,
         dir_deg: pose.dir_deg,

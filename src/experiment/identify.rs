@@ -1,19 +1,20 @@
-//! Algorithm 1 of the paper on a world: apply k, hold the poses, solve Eq. 25, repeat until k changes by less than 2 %.
+//! Algorithm 1 of the paper (§IV-C): apply k, hold the poses, solve Eq. 25, repeat until k changes by less than 2 %.
 //!
 //! The IMU measures the bend; the counted steps give the side of each piston ([`super::pose`]). The last pass also yields
 //! lag and dead time.
 
 use crate::control::learning::batch::{Estimate, Prior, relative_step, solve};
-use crate::control::{DynamicsPrior, LoopConfig};
+use crate::control::{DynamicsPrior, Frame, LoopConfig};
 use crate::experiment::error::ExperimentError;
 use crate::experiment::pose::{Round, Step};
 use crate::experiment::rig::Rig;
 use crate::experiment::schedule::Pose;
-use crate::model::Line;
+use crate::model::{Line, Shape};
 use crate::simulation::world::World;
+use nalgebra::Vector3;
 
 /// The paper's criterion: relative step below 2 %.
-pub const CONVERGED: f64 = 0.02;
+const CONVERGED: f64 = 0.02;
 /// Largest number of passes.
 pub const PASSES_MAX: usize = 12;
 
@@ -45,8 +46,93 @@ impl Identified {
     }
 }
 
-/// Runs Algorithm 1 on one world, starting at `config.lines`. With a prior it starts at the gains of the prior and makes
-/// one pass: the short calibration of a new tip.
+/// Next step of an identification.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Next {
+    /// Wait for the next frame.
+    Wait,
+    /// Move to this pose.
+    Drive(Shape),
+    /// Use these gains, then move to the first pose.
+    Lines([Line; 3]),
+    /// The identification has ended.
+    Done(Identified),
+}
+
+/// Algorithm 1 in progress, for whoever runs the loop: frames in, poses and gains out.
+#[derive(Debug, Clone)]
+pub struct Algorithm1 {
+    /// The poses of this pass.
+    pub round: Round,
+    prior: Option<[Prior; 3]>,
+    before: DynamicsPrior,
+    history: Vec<[Line; 3]>,
+}
+
+impl Algorithm1 {
+    /// Starts with the gains `start`. With a prior it starts at the gains of the prior and makes one pass: the short
+    /// calibration of a new tip. `before` is what is known of lag and dead time.
+    pub fn new(
+        round: Round,
+        start: [Line; 3],
+        prior: Option<[Prior; 3]>,
+        before: DynamicsPrior,
+    ) -> Self {
+        Self {
+            round,
+            prior,
+            before,
+            history: vec![prior.map_or(start, |prior| prior.map(|p| p.line))],
+        }
+    }
+
+    /// Gains of this pass.
+    pub fn lines(&self) -> [Line; 3] {
+        self.history[self.pass() - 1]
+    }
+
+    /// Number of this pass, from 1.
+    pub fn pass(&self) -> usize {
+        self.history.len()
+    }
+
+    /// Processes one frame of `dt_s` after a command; `piston_mm` are the counted positions.
+    ///
+    /// # Errors
+    /// [`ExperimentError`] from the data.
+    pub fn step(
+        &mut self,
+        frame: &Frame,
+        piston_mm: &Vector3<f64>,
+        dt_s: f64,
+    ) -> Result<Next, ExperimentError> {
+        match self.round.step(frame, piston_mm, dt_s) {
+            Step::Waiting => Ok(Next::Wait),
+            Step::Next => Ok(Next::Drive(self.round.command())),
+            Step::Over => self.conclude(),
+        }
+    }
+
+    fn conclude(&mut self) -> Result<Next, ExperimentError> {
+        let channels = solve(&self.round.data, self.prior.as_ref())?;
+        let (before, now) = (self.lines(), plausible(&channels)?);
+        let converged = self.prior.is_some() || relative_step(&now, &before) < CONVERGED;
+        let last = converged || self.pass() >= PASSES_MAX;
+        self.history.push(now);
+        if last {
+            return Ok(Next::Done(Identified {
+                channels,
+                dynamics: self.round.dynamics(&self.before),
+                history: std::mem::take(&mut self.history),
+                converged,
+            }));
+        }
+        self.round.again();
+        Ok(Next::Lines(now))
+    }
+}
+
+/// Runs Algorithm 1 on one world, starting at `config.lines` or at the gains of the prior.
 ///
 /// # Errors
 /// [`ExperimentError`] from the world or the data.
@@ -57,39 +143,38 @@ pub fn algorithm_1(
     prior: Option<&[Prior; 3]>,
     progress: &mut dyn FnMut(usize),
 ) -> Result<Identified, ExperimentError> {
-    let mut now = prior.map_or(config.lines, |p| p.map(|p| p.line));
+    let round = Round::new(config.geometry, poses.to_vec());
+    let mut algorithm = Algorithm1::new(round, config.lines, prior.copied(), config.dynamics);
     let open = LoopConfig {
         feedback: None,
         ..config.clone()
     };
     let mut rig = Rig::new(open, world);
     rig.align()?;
-    let mut history = vec![now];
-    let mut round = Round::new(config.geometry, poses.to_vec());
+    rig.relearn(algorithm.lines());
+    let mut command = Some(algorithm.round.command());
     loop {
-        rig.relearn(now);
-        round.again();
-        hold(&mut rig, &mut round, &mut || progress(history.len()))?;
-        let channels = solve(&round.data, prior)?;
-        let before = std::mem::replace(&mut now, plausible(&channels)?);
-        history.push(now);
-        let converged = prior.is_some() || relative_step(&now, &before) < CONVERGED;
-        if converged || history.len() > PASSES_MAX {
-            return Ok(Identified {
-                channels,
-                dynamics: round.dynamics(&config.dynamics),
-                history,
-                converged,
-            });
+        let (frame, sensed) = rig.advance(command.take())?;
+        let piston_mm = rig.config.drive.piston_mm(&sensed.counted);
+        let pass = algorithm.pass();
+        let next = algorithm.step(&frame, &piston_mm, rig.period_s())?;
+        if next != Next::Wait {
+            progress(pass);
+        }
+        match next {
+            Next::Wait => {}
+            Next::Drive(pose) => command = Some(pose),
+            Next::Lines(lines) => {
+                rig.relearn(lines);
+                command = Some(algorithm.round.command());
+            }
+            Next::Done(found) => return Ok(found),
         }
     }
 }
 
 /// The gains of `channels`, if they are within the physical range.
-///
-/// # Errors
-/// [`ExperimentError::Unphysical`].
-pub fn plausible(channels: &[Estimate; 3]) -> Result<[Line; 3], ExperimentError> {
+fn plausible(channels: &[Estimate; 3]) -> Result<[Line; 3], ExperimentError> {
     for (i, e) in channels.iter().enumerate() {
         let (k_epsilon, k_lambda_mm) = (e.line.k_epsilon, e.line.k_lambda_mm);
         if !(0.0..=10.0).contains(&k_epsilon) || !(-0.3..=3.0).contains(&k_lambda_mm) {
@@ -105,26 +190,4 @@ pub fn plausible(channels: &[Estimate; 3]) -> Result<[Line; 3], ExperimentError>
         k_lambda_mm: e.line.k_lambda_mm.max(0.0),
         ..e.line
     }))
-}
-
-/// Holds all poses once.
-fn hold(
-    rig: &mut Rig<'_>,
-    round: &mut Round,
-    progress: &mut dyn FnMut(),
-) -> Result<(), ExperimentError> {
-    let mut command = Some(round.command());
-    loop {
-        let (frame, sensed) = rig.advance(command.take())?;
-        let piston_mm = rig.config.drive.piston_mm(&sensed.counted);
-        let step = round.step(&frame, &piston_mm, rig.period_s());
-        if step != Step::Waiting {
-            progress();
-        }
-        match step {
-            Step::Waiting => {}
-            Step::Next => command = Some(round.command()),
-            Step::Over => return Ok(()),
-        }
-    }
 }

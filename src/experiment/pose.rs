@@ -11,7 +11,6 @@ use crate::control::observer::bank::DynamicsBank;
 use crate::control::{DynamicsPrior, Frame, TickPhase};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::{Bend, Geometry, Shape};
-use crate::primitives::Mm;
 use nalgebra::{Vector2, Vector3};
 
 /// Time for which the set-point must have rested before a pose is measured, s.
@@ -78,10 +77,8 @@ impl Round {
     /// Command for the present pose, or for the last one when all have ended.
     pub fn command(&self) -> Shape {
         let pose = self.poses.get(self.at).or(self.poses.last());
-        Shape {
-            bend: pose.map_or(Bend::STRAIGHT, Pose::bend),
-            length: Mm(self.geometry.rest_length_mm),
-        }
+        let bend = pose.map_or(Bend::STRAIGHT, Pose::bend);
+        Shape::new(bend.0, self.geometry.rest_length_mm)
     }
     /// Lag and dead time of this round, with what `before` contributes.
     pub fn dynamics(&self, before: &DynamicsPrior) -> DynamicsPrior {
@@ -122,14 +119,11 @@ impl Round {
         }
     }
     fn measure(&mut self) {
-        let bend = Bend(self.pose.sum / f64::from(self.pose.samples.max(1)));
-        let bellow_mm = self.geometry.lengths(&Shape {
-            bend,
-            length: Mm(self.geometry.rest_length_mm),
-        });
+        let bend = self.pose.sum / f64::from(self.pose.samples.max(1));
+        let shape = Shape::new(bend, self.geometry.rest_length_mm);
         self.data.push(Measurement {
             piston_mm: self.sides.piston_mm(),
-            bellow_mm,
+            bellow_mm: self.geometry.lengths(&shape),
             side: self.sides.side,
             weight: self.sides.weight(),
         });

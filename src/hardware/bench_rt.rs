@@ -14,8 +14,6 @@ use crate::motion::{
     EmergencyStop, Histogram, Inputs, Levels, MotionLimits, StepGenerator, StepperConfig,
     StepperMode,
 };
-use crate::report::table;
-use std::fmt::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::thread::JoinHandle;
@@ -77,10 +75,6 @@ impl<P: Pins> Pins for NoCurrent<P> {
         self.0.read()
     }
 }
-
-/// Header of the table, and the quantiles in it.
-const HEADER: &str = "µs|mean|50 %|99 %|99.9 %|99.99 %|longest|count";
-const QUANTILES: [f64; 4] = [0.5, 0.99, 0.999, 0.9999];
 
 /// Length of a control tick, s.
 const TICK_S: f64 = 2e-3;
@@ -207,97 +201,5 @@ impl RtBench {
     pub fn is_good(&self) -> bool {
         !matches!(self.steps.report.mode, StepperMode::Faulted(_))
             && self.steps.report.underruns == 0
-    }
-
-    fn rows(&self) -> [(&'static str, &Histogram); 4] {
-        [
-            ("wake-up lateness", &self.steps.wake),
-            ("step lateness", &self.steps.report.lateness),
-            ("step interval error", &self.steps.interval_error),
-            ("plan and queue a tick", &self.tick),
-        ]
-    }
-
-    /// Percentiles in µs and the granted real-time settings as a table.
-    pub fn table(&self) -> String {
-        let rows = self.rows().map(|(name, h)| {
-            let us = |ns: f64| format!("{:.1}", ns * 1e-3);
-            let mut row = vec![name.to_string(), us(h.mean_ns())];
-            row.extend(QUANTILES.map(|q| us(h.quantile_ns(q) as f64)));
-            row.extend([us(h.max_ns() as f64), h.count().to_string()]);
-            row
-        });
-        let table = table(HEADER, 1..8, rows);
-        let report = &self.steps.report;
-        let steps = report.lateness.count();
-        let rate = steps as f64 / self.elapsed_s;
-        let mut text = format!(
-            "{table}\n{steps} steps in {:.1} s on three channels ({rate:.0} per second), {} load threads, {} underruns",
-            self.elapsed_s, self.config.load_threads, report.underruns
-        );
-        for (name, grant) in &self.status {
-            let _ = write!(text, "\n{name}: {grant}");
-        }
-        if let StepperMode::Faulted(fault) = report.mode {
-            let _ = write!(text, "\nFAULT: {fault}");
-        }
-        text
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::sync::atomic::{AtomicU64, Ordering};
-
-    /// Pins that count the edges of the step lines.
-    #[derive(Clone, Default)]
-    struct Counting(Levels, Arc<AtomicU64>);
-
-    impl Pins for Counting {
-        fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
-            let edges = (0..3).filter(|&c| levels.step[c] != self.0.step[c]).count();
-            self.1.fetch_add(edges as u64, Ordering::Relaxed);
-            self.0 = *levels;
-            Ok(())
-        }
-        fn read(&mut self) -> Result<Inputs, PinError> {
-            Ok(Inputs::default())
-        }
-    }
-
-    /// A short run without hardware. The test asserts no times.
-    #[test]
-    fn the_table_and_the_drawing_show_the_steps_that_were_pulsed() {
-        let stepper = StepperConfig {
-            priority: 0,
-            late_max_us: 100_000.0,
-            lead_ms: 60.0,
-            ..RtBenchConfig::default().stepper
-        };
-        let config = RtBenchConfig {
-            rate_hz: 2000.0,
-            duration_s: 0.4,
-            stepper,
-            ..RtBenchConfig::default()
-        };
-        let pins = Counting::default();
-        let bench = run(&config, pins.clone()).unwrap();
-        let steps = bench.steps.report.lateness.count();
-        assert!(
-            steps > 300 && !matches!(bench.steps.report.mode, StepperMode::Faulted(_)),
-            "{}",
-            bench.table()
-        );
-        assert_eq!(pins.1.load(Ordering::Relaxed), 2 * steps);
-        let table = bench.table();
-        for words in [
-            "step lateness",
-            "99.9 %",
-            "SCHED_FIFO: not requested",
-            &format!("{steps} steps in"),
-        ] {
-            assert!(table.contains(words), "{table}");
-        }
     }
 }

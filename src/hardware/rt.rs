@@ -7,11 +7,19 @@
 
 #![allow(unsafe_code)]
 
+use nix::errno::Errno;
+use nix::sched::{CpuSet, sched_setaffinity};
+use nix::sys::mman::{MlockAllFlags, mlockall};
+use nix::sys::prctl::set_timerslack;
+use nix::sys::time::TimeSpec;
+use nix::time::{ClockId, ClockNanosleepFlags, clock_nanosleep};
+use nix::unistd::Pid;
 use std::fmt;
 use std::fs::File;
 use std::io::{self, Write};
 use std::sync::mpsc::channel;
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 /// Signals whose default action ends a process and that are sent to end it or by a terminal that closes.
 const ENDING: [i32; 6] = [
@@ -38,26 +46,16 @@ pub fn ending_signals() -> impl Iterator<Item = i32> {
 
 /// Reading of CLOCK_MONOTONIC, ns.
 pub fn monotonic_ns() -> u64 {
-    let mut now = libc::timespec {
-        tv_sec: 0,
-        tv_nsec: 0,
-    };
-    // SAFETY: `now` is a live timespec to write to. CLOCK_MONOTONIC exists on every Linux, so the call
-    // cannot fail.
-    unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &mut now) };
-    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+    // CLOCK_MONOTONIC exists on every Linux, so the call cannot fail
+    let now = ClockId::CLOCK_MONOTONIC.now();
+    now.map_or(0, |now| Duration::from(now).as_nanos() as u64)
 }
 
 /// Sleeps until a reading of CLOCK_MONOTONIC; returns at once if it has passed.
 pub fn sleep_until_ns(deadline_ns: u64) {
-    let deadline = libc::timespec {
-        tv_sec: (deadline_ns / 1_000_000_000) as libc::time_t,
-        tv_nsec: (deadline_ns % 1_000_000_000) as libc::c_long,
-    };
-    let (clock, flags) = (libc::CLOCK_MONOTONIC, libc::TIMER_ABSTIME);
-    // SAFETY: `deadline` is a valid timespec; with TIMER_ABSTIME the remainder pointer is not used and may be null.
-    let sleep = || unsafe { libc::clock_nanosleep(clock, flags, &deadline, std::ptr::null_mut()) };
-    while sleep() == libc::EINTR {}
+    let deadline = TimeSpec::from_duration(Duration::from_nanos(deadline_ns));
+    let (clock, flags) = (ClockId::CLOCK_MONOTONIC, ClockNanosleepFlags::TIMER_ABSTIME);
+    while clock_nanosleep(clock, flags, &deadline) == Err(Errno::EINTR) {}
 }
 
 /// Waits until a reading of CLOCK_MONOTONIC: sleeps, then polls the clock for the last `spin_ns`.
@@ -108,28 +106,20 @@ impl fmt::Display for Grant {
 
 /// The answer to a request, if it was made, with its name.
 fn grant(
-    asked: Option<io::Result<()>>,
+    asked: Option<nix::Result<()>>,
     request: &'static str,
     remedy: &'static str,
 ) -> (&'static str, Grant) {
     let grant = match asked {
         None => Grant::NotRequested,
         Some(Ok(())) => Grant::Granted,
-        Some(Err(e)) => Grant::Denied {
+        Some(Err(error)) => Grant::Denied {
             request,
-            errno: e.raw_os_error().unwrap_or(0),
+            errno: error as i32,
             remedy,
         },
     };
     (request, grant)
-}
-
-/// The result of a system call that returns 0 or sets errno.
-fn checked(result: i32) -> io::Result<()> {
-    match result {
-        0 => Ok(()),
-        _ => Err(io::Error::last_os_error()),
-    }
 }
 
 /// What the kernel granted to a thread, each request with its name.
@@ -177,7 +167,10 @@ pub fn enter(request: &RtRequest) -> (RtStatus, IdleGuard) {
     let real_time = request.priority > 0;
     let (idle, open) = match real_time.then(shallow_idle) {
         Some(Ok(open)) => (Some(Ok(())), Some(open)),
-        Some(Err(e)) => (Some(Err(e)), None),
+        Some(Err(e)) => (
+            Some(Err(Errno::from_raw(e.raw_os_error().unwrap_or(0)))),
+            None,
+        ),
         None => (None, None),
     };
     let status = [
@@ -187,7 +180,7 @@ pub fn enter(request: &RtRequest) -> (RtStatus, IdleGuard) {
             "needs CAP_SYS_NICE or an rtprio limit (`@realtime - rtprio 90` in /etc/security/limits.d, or LimitRTPRIO=90 in the unit)",
         ),
         grant(
-            real_time.then(lock_memory),
+            real_time.then(|| mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE)),
             "locked memory",
             "needs CAP_IPC_LOCK or a memlock limit (`@realtime - memlock unlimited`, or LimitMEMLOCK=infinity in the unit)",
         ),
@@ -197,7 +190,8 @@ pub fn enter(request: &RtRequest) -> (RtStatus, IdleGuard) {
             "name a processor that exists and is allowed (`nproc`, AllowedCPUs= in the unit)",
         ),
         grant(
-            Some(exact_timers()),
+            // 1 ns; the default is 50 µs
+            Some(set_timerslack(1)),
             "exact timers",
             "needs Linux 2.6.28 or newer",
         ),
@@ -211,35 +205,20 @@ pub fn enter(request: &RtRequest) -> (RtStatus, IdleGuard) {
     (status, IdleGuard { _open: open })
 }
 
-fn schedule_fifo(priority: i32) -> io::Result<()> {
+fn schedule_fifo(priority: i32) -> nix::Result<()> {
     let parameter = libc::sched_param {
         sched_priority: priority,
     };
     // SAFETY: 0 means the calling thread; `parameter` is a live sched_param that is only read.
-    checked(unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &parameter) })
+    let done = unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &parameter) };
+    Errno::result(done).map(drop)
 }
 
-fn lock_memory() -> io::Result<()> {
-    // SAFETY: no pointers are passed; locking pages does not change their content.
-    checked(unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) })
-}
-
-fn set_affinity(cpu: usize) -> io::Result<()> {
-    if cpu >= libc::CPU_SETSIZE as usize {
-        return Err(io::Error::from_raw_os_error(libc::EINVAL));
-    }
-    // SAFETY: all zeros is the empty set.
-    let mut set: libc::cpu_set_t = unsafe { std::mem::zeroed() };
-    // SAFETY: `cpu` is below CPU_SETSIZE, so the bit lies within the set.
-    unsafe { libc::CPU_SET(cpu, &mut set) };
-    // SAFETY: 0 means the calling thread; `set` is live, only read, and its true size is given.
-    checked(unsafe { libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &set) })
-}
-
-/// Sets the timer slack to 1 ns; the default is 50 µs.
-fn exact_timers() -> io::Result<()> {
-    // SAFETY: PR_SET_TIMERSLACK takes one integer, 1 ns, and no pointers.
-    checked(unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1 as libc::c_ulong) })
+/// Binds the calling thread to a processor.
+fn set_affinity(cpu: usize) -> nix::Result<()> {
+    let mut set = CpuSet::new();
+    set.set(cpu)?;
+    sched_setaffinity(Pid::from_raw(0), &set)
 }
 
 /// Requests a wake-up latency of zero for as long as the file is open.

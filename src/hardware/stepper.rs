@@ -220,16 +220,7 @@ impl Stepper {
             priority: config.priority,
             cpu: config.cpu,
         };
-        let (sender, receiver) = std::sync::mpsc::channel();
-        let thread = std::thread::Builder::new()
-            .name("steps".into())
-            .spawn(move || {
-                let (status, _guard) = rt::enter(&request);
-                // The receiver waits below, so sending cannot fail.
-                let _ = sender.send(status);
-                shell.run()
-            })?;
-        let status = receiver.recv().map_err(|_| StartError::Died)?;
+        let (thread, status) = rt::start("steps", request, move || shell.run())?;
         Ok(Self {
             feeder,
             orders,

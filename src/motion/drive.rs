@@ -162,18 +162,20 @@ impl<G: StepGenerator> Drive<G> {
             if self.generator.lead_ns(now_ns) >= self.lead_ns {
                 break;
             }
-            let segment = match pausing {
-                true => self.motion.brake(self.period_s),
-                false => self.motion.tick(target_mm, self.period_s),
+            let segment = if pausing {
+                self.motion.brake(self.period_s)
+            } else {
+                self.motion.tick(target_mm, self.period_s)
             };
             if !self.generator.feed(&segment, now_ns) {
                 // A full ring means that the thread is stuck; its lateness will be a fault.
                 return DriveState::Busy;
             }
         }
-        match pausing {
-            true => DriveState::Busy,
-            false => DriveState::Ready,
+        if pausing {
+            DriveState::Busy
+        } else {
+            DriveState::Ready
         }
     }
 

@@ -127,9 +127,10 @@ impl<S: Solver> Motion<S> {
         });
         if planned {
             self.kept = 0;
-            self.status = match self.resting {
-                true => MoveStatus::Resting,
-                false => MoveStatus::Following,
+            self.status = if self.resting {
+                MoveStatus::Resting
+            } else {
+                MoveStatus::Following
             };
         } else if let Err(error) = self.replan(target_mm) {
             self.keep(error);

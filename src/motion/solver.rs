@@ -68,9 +68,10 @@ impl Solver for Ruckig {
         for (plan, (from, &to)) in out.channels.iter_mut().zip(from.iter().zip(target_mm)) {
             // A channel at rest on its target needs no profile.
             let rests = from.is_rest() && from.position_mm == to;
-            *plan = match rests {
-                true => ChannelPlan::resting(to),
-                false => scratch.fastest(from, to).ok_or(PlanFault::NoProfile)?,
+            *plan = if rests {
+                ChannelPlan::resting(to)
+            } else {
+                scratch.fastest(from, to).ok_or(PlanFault::NoProfile)?
             };
         }
         Ok(())

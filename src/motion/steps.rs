@@ -117,9 +117,10 @@ impl ChannelSteps {
         let mut reversals = self.at.reversals(jerk, duration_s);
         let until = reversals.find(|&t| t > from).unwrap_or(duration_s);
         let is_last = until >= duration_s && self.piece + 1 == self.segment.pieces().len();
-        let end = match is_last {
-            true => self.segment.end,
-            false => self.at.after(jerk, until),
+        let end = if is_last {
+            self.segment.end
+        } else {
+            self.at.after(jerk, until)
         };
         self.part = (from, until);
         self.part_count = count(end.position_mm, self.step_mm);

@@ -33,9 +33,10 @@ impl Stop {
         let (v, a) = (v * s, a * s);
         let impulse = (v + a * a / (2.0 * j)).max(0.0);
         let peak = (j * impulse).sqrt();
-        let (brake, hold_s) = match peak <= a_max {
-            true => (peak, 0.0),
-            false => (a_max, impulse / a_max - a_max / j),
+        let (brake, hold_s) = if peak <= a_max {
+            (peak, 0.0)
+        } else {
+            (a_max, impulse / a_max - a_max / j)
         };
         let phases = [
             (((a + brake) / j).max(0.0), -s * j),

@@ -9,5 +9,5 @@ pub mod units;
 pub use check::{Checker, Invalid, shown};
 pub use frames::{Base, Rotation, Sensor, Tip, World};
 pub use parameters::{Allowed, Check, Parameter, Parameters, Setting, Shape, Table, join};
-pub use sample::ImuSample;
+pub use sample::{ImuReading, ImuSample, Quality, ReadFault};
 pub use units::{Mm, Rad, Seconds, Steps, lasting};

@@ -225,9 +225,10 @@ pub fn html(e: &Evaluation) -> String {
 
 /// A quantile of the settling time; that of a state that does not settle is only a lower bound.
 pub fn settle(s: f64) -> String {
-    match s < HOLD_S {
-        true => format!("{s:.2} s"),
-        false => format!("> {HOLD_S} s"),
+    if s < HOLD_S {
+        format!("{s:.2} s")
+    } else {
+        format!("> {HOLD_S} s")
     }
 }
 
@@ -292,9 +293,10 @@ pub fn summary(e: &Evaluation) -> String {
 /// What is to be said of a path that the pistons cannot follow as it is.
 pub fn too_fast(t: &TrackResult) -> Option<String> {
     let demand = t.demand;
-    let done = match t.live {
-        true => "a live path is not slowed down, so the tip falls behind",
-        false => "it was driven that much slower",
+    let done = if t.live {
+        "a live path is not slowed down, so the tip falls behind"
+    } else {
+        "it was driven that much slower"
     };
     (demand > 1.0).then(|| {
         format!("the path asks {demand:.2} times the speed that the pistons can follow; {done}")

@@ -7,15 +7,19 @@ use crate::report::{Ink, Page, table};
 /// A finding in words.
 fn words(f: &Finding) -> String {
     let is_gain = f.what.starts_with("k_") || f.what == "lag_s";
-    let [here, elsewhere] = [f.here, f.elsewhere].map(|x| match is_gain {
-        true => format!("{x:.3}"),
-        false => format!("{:.0} %", x * 100.0),
+    let [here, elsewhere] = [f.here, f.elsewhere].map(|x| {
+        if is_gain {
+            format!("{x:.3}")
+        } else {
+            format!("{:.0} %", x * 100.0)
+        }
     });
     let lot = f.lot.as_ref();
     let lot = lot.map_or("each lot".to_owned(), |lot| format!("lot {lot}"));
-    let [half, others] = match f.drifts {
-        true => ["the later half of ", "the earlier"],
-        false => ["", "the others"],
+    let [half, others] = if f.drifts {
+        ["the later half of ", "the earlier"]
+    } else {
+        ["", "the others"]
     };
     format!(
         "{}: {here} in {half}{lot}, {elsewhere} in {others} (p = {:.1e})",

@@ -33,16 +33,19 @@ pub fn svg(rows: &[SweepRow]) -> String {
 }
 
 fn cell(out: &mut Svg, x: f64, y: f64, row: &SweepRow) {
-    let (ink, opacity) = match row.ok {
-        true => (Ink::GREEN, 0.16),
-        false => (Ink::RED, 0.35),
+    let (ink, opacity) = if row.ok {
+        (Ink::GREEN, 0.16)
+    } else {
+        (Ink::RED, 0.35)
     };
     out.rect([x, y, CELL.0 - 4.0, CELL.1 - 4.0], ink.0, opacity);
     let middle = x + CELL.0 / 2.0 - 2.0;
-    let failure = match row.ok {
-        true => String::new(),
-        false if row.closed_deg > row.open_deg.max(GOOD_DEG) => ": worse".to_owned(),
-        false => format!(": moves {:.1}°", row.hunting_deg.max(row.cold_deg)),
+    let failure = if row.ok {
+        String::new()
+    } else if row.closed_deg > row.open_deg.max(GOOD_DEG) {
+        ": worse".to_owned()
+    } else {
+        format!(": moves {:.1}°", row.hunting_deg.max(row.cold_deg))
     };
     let value = format!("{}{failure}", row.value);
     out.text((middle, y + 15.0), Middle, Ink::FAINT, &value);

@@ -66,9 +66,10 @@ pub fn draw(title: &str, raspberry: bool, devices: &[Device]) -> String {
         };
         index.map(at)
     };
-    let (x, text) = match raspberry {
-        true => (LEFT + ROW / 2.0, "header, pin 1 at the top left"),
-        false => (LEFT, "lines of the GPIO chip"),
+    let (x, text) = if raspberry {
+        (LEFT + ROW / 2.0, "header, pin 1 at the top left")
+    } else {
+        (LEFT, "lines of the GPIO chip")
     };
     svg.text((x, TOP - 22.0), Middle, Ink::LABEL, text);
     for (i, name) in HEADER.iter().enumerate().filter(|_| raspberry) {

@@ -59,10 +59,7 @@ pub struct LearnedGains {
 impl LearnedGains {
     /// The gains per channel.
     pub fn lines(&self) -> [Line; 3] {
-        std::array::from_fn(|i| Line {
-            k_epsilon: self.k_epsilon[i],
-            k_lambda_mm: self.k_lambda_mm[i],
-        })
+        Line::each(self.k_epsilon, self.k_lambda_mm)
     }
 }
 

@@ -177,24 +177,6 @@ pub fn start_stop(
     rt::start(Watched::Stop.name(), wish, work).map(|(thread, _)| thread)
 }
 
-#[cfg(test)]
-impl Port {
-    /// A port without a socket, and what the hub has sent to its clients.
-    pub(super) fn detached() -> (Self, Receiver<Outgoing>) {
-        let ((replies, sent), (events, _)) = (channel(), sync_channel(0));
-        let (waker, _) = UnixStream::pair().unwrap();
-        waker.set_nonblocking(true).unwrap();
-        let port = Self {
-            messages: channel().1,
-            replies,
-            events,
-            waker,
-            thread: std::thread::spawn(|| {}),
-        };
-        (port, sent)
-    }
-}
-
 /// What a thread owns.
 struct PortThread {
     server: Server,
@@ -279,5 +261,27 @@ impl PortThread {
             }
             answer.is_none()
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    impl Port {
+        /// A port without a socket, and what the hub has sent to its clients.
+        pub(in crate::service) fn detached() -> (Self, Receiver<Outgoing>) {
+            let ((replies, sent), (events, _)) = (channel(), sync_channel(0));
+            let (waker, _) = UnixStream::pair().unwrap();
+            waker.set_nonblocking(true).unwrap();
+            let port = Self {
+                messages: channel().1,
+                replies,
+                events,
+                waker,
+                thread: std::thread::spawn(|| {}),
+            };
+            (port, sent)
+        }
     }
 }

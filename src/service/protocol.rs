@@ -158,14 +158,29 @@ pub enum CalibrateAction {
 }
 
 impl Request {
-    /// A move at the rest length; angles in degrees, speed in °/s.
-    pub fn bend(bend_deg: f64, dir_deg: f64, speed_deg_s: Option<f64>) -> Self {
+    /// A move in the frame of the base; angles in degrees, length in mm, speed in °/s.
+    pub fn bend(
+        bend_deg: f64,
+        dir_deg: f64,
+        length_mm: Option<f64>,
+        speed_deg_s: Option<f64>,
+    ) -> Self {
         Self::Bend {
             bend_deg,
             dir_deg,
-            length_mm: None,
+            length_mm,
             speed_deg_s,
             frame: Frame::Base,
+        }
+    }
+
+    /// A set-point at the rest length; angles in degrees, time in s.
+    pub fn stream(bend_deg: f64, dir_deg: f64, t_s: Option<f64>) -> Self {
+        Self::Stream {
+            bend_deg,
+            dir_deg,
+            length_mm: None,
+            t_s,
         }
     }
 

@@ -8,9 +8,8 @@
 //! reaches its limits, or whose disk is too slow, ends and reports why.
 
 use crate::config::ServiceSection;
-use crate::estimation::fusion::health::ImuReading;
 use crate::model::Shape;
-use crate::primitives::ImuSample;
+use crate::primitives::{ImuReading, ImuSample};
 use crate::service::Caller;
 use crate::service::disk::{create_recording, free_bytes, mib, require_free};
 use crate::service::flight::file::{FlightFile, io_error};

@@ -159,11 +159,9 @@ impl Recall {
     /// How far the position can be trusted.
     pub fn belief(&self) -> Belief {
         match &self.memory {
-            Some(memory) if self.found == Found::Intact && !memory.lost => match memory.armed {
-                false => Belief::Certain,
-                true if memory.restart.is_some() => Belief::Checked,
-                true => Belief::Lost,
-            },
+            Some(memory) if self.found != Found::Intact || memory.lost => Belief::Lost,
+            Some(memory) if !memory.armed => Belief::Certain,
+            Some(memory) if memory.restart.is_some() => Belief::Checked,
             _ => Belief::Lost,
         }
     }

@@ -8,6 +8,8 @@ use crate::simulation::rate_check::RateCheck;
 use crate::simulation::world::{Reply, World};
 use crate::supervisor::{MachineError, MachineInfo};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nix::sys::signal::{Signal, killpg};
+use nix::unistd::Pid;
 use serde::Deserialize;
 use std::io::{BufRead, BufReader, BufWriter, Read, Write};
 use std::os::unix::process::CommandExt;
@@ -139,14 +141,13 @@ impl Link {
 }
 
 impl Drop for Link {
-    #[allow(unsafe_code)]
     fn drop(&mut self) {
         // a plant ends at end of file; one that does not is killed here, with what it has started. Both calls fail only if
         // the processes have already ended, which is the desired state
-        if let Ok(group) = libc::pid_t::try_from(self.child.id()) {
-            // SAFETY: a system call without memory; the child is its group's leader and has not been waited for
-            unsafe { libc::kill(-group, libc::SIGKILL) };
-        }
+        let _ = killpg(
+            Pid::from_raw(self.child.id().cast_signed()),
+            Signal::SIGKILL,
+        );
         let _ = self.child.wait();
     }
 }

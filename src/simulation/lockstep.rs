@@ -5,10 +5,9 @@
 //! sample and its request, and the queue does not run empty when the loop is late. A world takes the counts that are made
 //! by the end of each period.
 
-use crate::estimation::fusion::health::ImuReading;
 use crate::motion::Inputs;
 use crate::motion::{Drive, DriveLimits};
-use crate::primitives::{Seconds, Steps};
+use crate::primitives::{ImuReading, Seconds, Steps};
 use crate::simulation::stepper::SimulatedStepper;
 use crate::simulation::world::World;
 use crate::supervisor::{Machine, MachineError, MachineInfo, Sensed};

@@ -1,7 +1,7 @@
 //! The interface of a simulated machine in lockstep.
 //!
 //! A world takes microstep counts, advances by one period, and returns the sensor reading. The *true* orientation
-//! is returned beside the reading, for scoring only; it never becomes part of [`crate::control::tick::Input`].
+//! is returned beside the reading, for scoring only; it never becomes part of the input of the loop.
 
 use crate::primitives::{Base, ImuSample, Rotation, Seconds, Steps, Tip};
 use crate::simulation::plant::PlantError;

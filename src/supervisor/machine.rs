@@ -12,9 +12,8 @@
 //!
 //! The built-in plant, a foreign plant and the hardware all implement [`Machine`] and are interchangeable.
 
-use crate::estimation::fusion::health::ImuReading;
 use crate::motion::{Drive, DriveState, Inputs, StepGenerator, StepperFault, StepperMode};
-use crate::primitives::{Base, ImuSample, Rotation, Seconds, Steps, Tip};
+use crate::primitives::{Base, ImuReading, ImuSample, Rotation, Seconds, Steps, Tip};
 use thiserror::Error;
 
 /// What the machine reports in one cycle.

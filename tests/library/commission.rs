@@ -2,8 +2,8 @@
 
 use crate::common::plant;
 use nalgebra::{UnitQuaternion, Vector3};
-use retroflex::estimation::fusion::health::ImuReading;
 use retroflex::motion::lines::Inputs;
+use retroflex::primitives::ImuReading;
 use retroflex::primitives::units::{Seconds, Steps};
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::plant::PlantConfig;

@@ -10,9 +10,9 @@ use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::control::tick::{Frame, Input, LoopConfig, LoopState, tick};
 use retroflex::estimation::fusion::estimator::EstimatorName;
-use retroflex::estimation::fusion::health::ImuReading;
 use retroflex::model::Shape;
 use retroflex::model::bend::Bend;
+use retroflex::primitives::ImuReading;
 use retroflex::primitives::units::Mm;
 
 const DT_S: f64 = 0.005;
@@ -258,7 +258,7 @@ fn the_boundary_of_slow_turns_without_a_base_imu() {
 }
 
 #[test]
-fn without_a_base_imu_a_turn_is_flagged_and_realigned_on_request() {
+fn without_a_base_imu_a_turn_is_flagged_and_the_feedback_is_frozen() {
     for (i, axis) in AXES.into_iter().enumerate() {
         for over_s in [0.2, 0.5, 0.9] {
             let mut session = Session::new(
@@ -279,32 +279,6 @@ fn without_a_base_imu_a_turn_is_flagged_and_realigned_on_request() {
             session.run(2.0, |f, _| {
                 assert_eq!(f.feedback, frozen, "the feedback must be frozen")
             });
-            session.input.realign = true;
-            session.run(4.0, |_, _| ());
-            assert!(
-                !session.tick().base_moved,
-                "{}",
-                session.state.fusion.waiting_for()
-            );
-            let mut after = Vec::new();
-            for (bend, dir) in [(40.0, 60.0), (60.0, 180.0), (20.0, 300.0)] {
-                session.command(bend, dir);
-                session.run(1.2, |_, _| ());
-                session.run(0.3, |f, p| {
-                    assert!(!f.base_moved);
-                    after.push(
-                        (p.bend().0 - Bend::from_deg(bend, dir).0)
-                            .norm()
-                            .to_degrees(),
-                    );
-                });
-            }
-            println!(
-                "10° about {axis:?} in {over_s} s: flagged after {:.2} s, {:.2}° after the re-alignment",
-                at.unwrap(),
-                rms(&after)
-            );
-            assert!(rms(&after) <= 1.5, "{}", rms(&after));
         }
     }
 }

@@ -238,7 +238,7 @@ fn a_damaged_slot_never_passes_its_checksum() {
 fn flight_logs_do_not_panic() {
     let sensed = |k: i32| retroflex::supervisor::machine::Sensed {
         t: Seconds(f64::from(k)),
-        imu: retroflex::estimation::fusion::health::ImuReading::Nothing,
+        imu: retroflex::primitives::ImuReading::Nothing,
         base_imu: None,
         counted: Steps([k; 3]),
         counted_age_s: 0.0,

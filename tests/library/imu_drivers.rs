@@ -11,9 +11,7 @@ use embedded_hal_mock::eh1::delay::NoopDelay;
 use embedded_hal_mock::eh1::i2c::{Mock, Transaction};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use retroflex::estimation::fusion::align::Alignment;
-use retroflex::estimation::fusion::health::{
-    HealthCause, ImuReading, KnownErrors, ReadFault, SensorMonitor,
-};
+use retroflex::estimation::fusion::health::{HealthCause, KnownErrors, SensorMonitor};
 use retroflex::estimation::imu_calibration::{self, ImuCalibration, Pedigree};
 use retroflex::hardware::imu::icm20948::{self, Icm20948};
 use retroflex::hardware::imu::lsm6dso::{self, Lsm6dsoLis2mdl};
@@ -22,6 +20,7 @@ use retroflex::hardware::imu::{
 };
 use retroflex::hardware::pressure::{PressureError, PressureSection, PressureSensor};
 use retroflex::primitives::units::Seconds;
+use retroflex::primitives::{ImuReading, ReadFault};
 use std::pin::pin;
 use std::task::{Context, Poll, Waker};
 

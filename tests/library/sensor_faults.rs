@@ -11,11 +11,12 @@ use retroflex::config::board::Board;
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::control::tick::{Frame, Input, LoopConfig, LoopState, tick};
-use retroflex::estimation::fusion::health::{HealthAction, HealthCause, ImuReading};
+use retroflex::estimation::fusion::health::{HealthAction, HealthCause};
 use retroflex::hardware::imu::ImuRecovery;
 use retroflex::hardware::imu::icm20948::{self, Icm20948};
 use retroflex::model::Shape;
 use retroflex::model::bend::Bend;
+use retroflex::primitives::ImuReading;
 use retroflex::primitives::units::{Mm, Seconds};
 
 const DT_S: f64 = 0.002;

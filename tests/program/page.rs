@@ -354,7 +354,7 @@ fn a_motion_ends_with_the_page_that_attends_it() {
         page.command(&open.page, &json!({"cmd": "bend", "bend_deg": 5}))["ok"],
         true
     );
-    ask(&daemon, &Request::bend(20.0, 90.0, None));
+    ask(&daemon, &Request::bend(20.0, 90.0, None, None));
     drop(open);
     other.until(10.0, "the bend of another client", |f| {
         (bend_of(f, "estimate") - 20.0).abs() < 1.0
@@ -570,7 +570,7 @@ fn a_stop_is_answered_under_every_attack_on_the_port_of_the_page() {
                 s["mode"] == "holding" && s["stopped"] == false
             })
             .unwrap();
-        ask(&daemon, &Request::bend(60.0, 30.0, Some(10.0)));
+        ask(&daemon, &Request::bend(60.0, 30.0, None, Some(10.0)));
         let attackers = [attack(&page.address), attack(&guarded.address)];
         std::thread::sleep(Duration::from_millis(300));
         let of_page_s = (0..5).map(|_| page.stop()).fold(0.0, f64::max);

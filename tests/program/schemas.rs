@@ -9,9 +9,9 @@ use foxglove::messages::{FrameTransform, Log, SceneUpdate};
 use prost_reflect::prost::Message as _;
 use prost_reflect::prost_types::FileDescriptorSet;
 use prost_reflect::{DescriptorPool, DynamicMessage};
+use retroflex::cli::flight::read;
 use retroflex::config::gains::Gains;
 use retroflex::drill::bench::{Bench, bend};
-use retroflex::service::flight::read::messages;
 use retroflex::service::flight::schema::{self, TOPICS};
 use retroflex::supervisor::cycle::order::Order;
 use retroflex::supervisor::machine::Alarm;
@@ -78,7 +78,7 @@ fn script(ms: u64, bench: &mut Bench) -> Option<Order> {
 fn topics(path: &Path) -> BTreeMap<String, ([Vec<u8>; 3], usize)> {
     let mut all = BTreeMap::<String, ([Vec<u8>; 3], usize)>::new();
     let mut pools = BTreeMap::new();
-    messages(path, &mut |message| {
+    read(path, &mut |_, message| {
         let (topic, schema) = (
             &message.channel.topic,
             message.channel.schema.as_ref().unwrap(),

@@ -4,11 +4,12 @@ use crate::common::tries;
 use nix::sys::signal::Signal;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
+use retroflex::cli::flight::read;
 use retroflex::drill::process::Daemon;
 use retroflex::log::bend_log;
 use retroflex::service::flight::cycle::{Cycle, FIELDS};
 use retroflex::service::flight::file::FlightFile;
-use retroflex::service::flight::read::{Ending, Entry, messages};
+use retroflex::service::flight::read::{Ending, Entry};
 use retroflex::service::flight::schema;
 use retroflex::service::store::Store;
 use std::io::Read;
@@ -353,9 +354,9 @@ fn replays(log: &Path) {
 /// Copies the cycles of a log that `keep` accepts, as `keep` changes them.
 fn rewrite(from: &Path, to: &Path, keep: &mut dyn FnMut(u64, &mut Cycle) -> bool) {
     let mut file = FlightFile::create(to, 0).unwrap();
-    let ending = messages(from, &mut |message| {
-        let Entry::Cycles(first, cycles) = Entry::of(&message)? else {
-            file.copy(&message).unwrap();
+    let ending = read(from, &mut |_, message| {
+        let Entry::Cycles(first, cycles) = Entry::of(message)? else {
+            file.copy(message).unwrap();
             return Ok(());
         };
         let mut run: (u64, Vec<Cycle>) = (first, vec![]);
@@ -375,7 +376,7 @@ fn rewrite(from: &Path, to: &Path, keep: &mut dyn FnMut(u64, &mut Cycle) -> bool
         put(&run);
         Ok(())
     });
-    assert_eq!(ending, Ok(Ending::COMPLETE));
+    assert_eq!(ending.unwrap(), Ending::COMPLETE);
     file.finish().unwrap();
 }
 
@@ -405,20 +406,14 @@ fn kill_after(after: Duration) {
     let status = daemon.until(2.0, "status", |s| s["t"].is_number()).unwrap();
     daemon.kill();
     let mut last_s = 0.0;
-    let ending = messages(&flight(folder.path()), &mut |message| {
-        if let Entry::Cycles(_, cycles) = Entry::of(&message)? {
+    let ending = read(&flight(folder.path()), &mut |_, message| {
+        if let Entry::Cycles(_, cycles) = Entry::of(message)? {
             last_s = cycles.last().map_or(last_s, |c| c.sensed.t.0);
         }
         Ok(())
     });
-    assert!(
-        ending
-            .clone()
-            .unwrap()
-            .to_string()
-            .contains("last whole chunk"),
-        "{after:?}: {ending:?}"
-    );
+    let ending = ending.unwrap().to_string();
+    assert!(ending.contains("last whole chunk"), "{after:?}: {ending}");
     assert!(
         last_s > status["t"].as_f64().unwrap() - 1.0,
         "{after:?}: {last_s} s of {}",

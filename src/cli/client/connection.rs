@@ -193,9 +193,10 @@ fn print_result(value: &Value) {
 
 /// A result in words: the recording or the gains file that it names.
 pub(super) fn words(value: &Value) -> String {
-    let replay = match value["replayable"] == true {
-        true => ", can be replayed",
-        false => "",
+    let replay = if value["replayable"] == true {
+        ", can be replayed"
+    } else {
+        ""
     };
     let file = value["path"].as_str();
     match (file, value["rows"].as_u64(), value["gains"].as_str()) {

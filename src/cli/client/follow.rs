@@ -90,14 +90,16 @@ pub fn bend(args: &BendArgs) -> Result<bool> {
         dir_deg,
         length_mm: args.length,
         speed_deg_s: args.speed,
-        frame: match args.world {
-            true => Frame::World,
-            false => Frame::Base,
+        frame: if args.world {
+            Frame::World
+        } else {
+            Frame::Base
         },
     };
-    match args.wait {
-        true => settle(&mut connection, &request, Bend::from_deg(bend_deg, dir_deg)),
-        false => ask_and_print(&mut connection, &request).map(|()| true),
+    if args.wait {
+        settle(&mut connection, &request, Bend::from_deg(bend_deg, dir_deg))
+    } else {
+        ask_and_print(&mut connection, &request).map(|()| true)
     }
 }
 
@@ -170,9 +172,10 @@ pub fn aligned(connection: &mut Connection) -> Result<()> {
         }
         (started.elapsed() > ALIGNED_MAX).then_some(false)
     })?;
-    match aligned {
-        true => Ok(()),
-        false => Err(Refused(format!("not aligned after {} s because the tip or the base is not still; the service keeps trying", ALIGNED_MAX.as_secs())).into()),
+    if aligned {
+        Ok(())
+    } else {
+        Err(Refused(format!("not aligned after {} s because the tip or the base is not still; the service keeps trying", ALIGNED_MAX.as_secs())).into())
     }
 }
 

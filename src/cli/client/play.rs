@@ -9,7 +9,7 @@ use crate::diagnosis::excite::{ScheduleRow, rows};
 use crate::experiment::path::PathFile;
 use crate::log::table::{Schema, Table};
 use crate::model::{Bend, Geometry};
-use crate::service::protocol::{Failure, Frame, PathRow, RecordAction, Request};
+use crate::service::protocol::{Failure, PathRow, RecordAction, Request};
 use crate::service::status::Status;
 use crate::supervisor::Mode;
 use miette::{IntoDiagnostic, Report, Result, miette};
@@ -97,9 +97,10 @@ impl Schedule {
         };
         let table = Table::open(file, &header).into_diagnostic()?;
         let is_path = table.header().iter().any(|name| name == "t_s");
-        Ok(match is_path {
-            true => Self::Path(PathFile::open(file, &Geometry::default()).into_diagnostic()?),
-            false => Self::Poses(rows::read(file).into_diagnostic()?),
+        Ok(if is_path {
+            Self::Path(PathFile::open(file, &Geometry::default()).into_diagnostic()?)
+        } else {
+            Self::Poses(rows::read(file).into_diagnostic()?)
         })
     }
 
@@ -189,13 +190,7 @@ fn run_path(connection: &mut Connection, rows: &[PathRow]) -> Result<()> {
 
 /// The move to the first row of a path, at the usual speed.
 fn to_first((_, bend_deg, dir_deg, length_mm): PathRow) -> Request {
-    Request::Bend {
-        bend_deg,
-        dir_deg,
-        length_mm,
-        speed_deg_s: None,
-        frame: Frame::Base,
-    }
+    Request::bend(bend_deg, dir_deg, length_mm, None)
 }
 
 fn run_rows(connection: &mut Connection, rows: &[ScheduleRow]) -> Result<()> {
@@ -204,13 +199,7 @@ fn run_rows(connection: &mut Connection, rows: &[ScheduleRow]) -> Result<()> {
     for row in rows {
         let now = status(connection)?;
         let (seconds, speed_deg_s) = segment(&before, row, &now);
-        let request = Request::Bend {
-            bend_deg: row.bend_deg,
-            dir_deg: row.dir_deg,
-            length_mm: Some(row.len_mm),
-            speed_deg_s,
-            frame: Frame::Base,
-        };
+        let request = Request::bend(row.bend_deg, row.dir_deg, Some(row.len_mm), speed_deg_s);
         ask(connection, &request)?;
         arrive_and_hold(connection, now.t, seconds, row)?;
         before = *row;

@@ -91,9 +91,10 @@ pub fn steer(args: &SteerArgs) -> Result<()> {
             );
         }
         let over = ended.load(Relaxed);
-        match held && !over {
-            true => steering.step(&stick, since_s)?,
-            false => steering.release()?,
+        if held && !over {
+            steering.step(&stick, since_s)?
+        } else {
+            steering.release()?
         }
         if over {
             return Ok(());
@@ -147,12 +148,8 @@ impl Steering {
         let next = self.law.next(&self.at, stick, since_s);
         let bend = Bend(next);
         let (bend_deg, dir_deg) = (bend.beta().to_degrees(), bend.delta().to_degrees());
-        let request = Request::Stream {
-            bend_deg,
-            dir_deg,
-            length_mm: None,
-            t_s: Some(self.began.elapsed().as_secs_f64()),
-        };
+        let t_s = self.began.elapsed().as_secs_f64();
+        let request = Request::stream(bend_deg, dir_deg, Some(t_s));
         match self.connection.request(&request) {
             Ok(_) => (self.at, self.moving) = (next, true),
             Err(f) if f.code == 1 => {

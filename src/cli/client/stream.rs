@@ -45,12 +45,7 @@ pub fn stream(at: &At) -> Result<bool> {
         let (bend_deg, dir_deg, t_s) =
             set_point(&line, last).map_err(|why| miette!("{place}: {why}"))?;
         sleep_until(t_s, SENT_AHEAD_S);
-        let request = Request::Stream {
-            bend_deg,
-            dir_deg,
-            length_mm: None,
-            t_s,
-        };
+        let request = Request::stream(bend_deg, dir_deg, t_s);
         connection.request(&request).map_err(|f| {
             let message = format!("{place}: {}", f.message);
             report(Failure { message, ..f })
@@ -65,7 +60,7 @@ pub fn stream(at: &At) -> Result<bool> {
         let why = "the tip stopped before the end of the stream: by another command, or because of a pause longer than `service.dead_man_s`";
         return Err(Refused(why.to_owned()).into());
     }
-    let request = Request::bend(bend_deg, dir_deg, None);
+    let request = Request::bend(bend_deg, dir_deg, None, None);
     settle(&mut connection, &request, Bend::from_deg(bend_deg, dir_deg))
 }
 

@@ -29,9 +29,10 @@ pub(super) fn run(
         config: assemble(board, &inputs::calibration(args.calib.as_deref())?, gains),
         make: section.make(),
         seed: args.seed,
-        units: match args.sweep {
-            true => SWEEP_UNITS,
-            false => ABLATION_UNITS,
+        units: if args.sweep {
+            SWEEP_UNITS
+        } else {
+            ABLATION_UNITS
         },
     };
     let only = args.only.as_deref().unwrap_or_default();
@@ -41,9 +42,10 @@ pub(super) fn run(
         let names = CONDITIONS.map(|c| c.name).join(", ");
         bail!("--only {only}: no condition has a name that contains this text; there are {names}");
     }
-    match args.sweep {
-        true => run_sweep(args, &study, &conditions),
-        false => run_ablation(args, &study, &conditions).map(|()| true),
+    if args.sweep {
+        run_sweep(args, &study, &conditions)
+    } else {
+        run_ablation(args, &study, &conditions).map(|()| true)
     }
 }
 

@@ -25,11 +25,10 @@ const EASE_S: f64 = 0.15;
 /// Time beyond lag, dead time and their error within which a free tip answers, s.
 const ANSWERED_S: f64 = 0.1;
 
-/// Decides whether the pistons must stand: during a re-alignment, and in closed loop without a usable sensor. At the
+/// Decides whether the pistons must stand: in closed loop without a usable sensor. At the
 /// beginning of a hold each piston stops within its braking distance; afterwards the targets start from where it stands.
 pub(super) fn hold(config: &LoopConfig, state: &mut LoopState, steps: &Steps) -> bool {
-    let blind = state.fusion.hold() && config.feedback.is_some();
-    let must_hold = blind || state.fusion.realigning();
+    let must_hold = state.fusion.hold() && config.feedback.is_some();
     state.hold = match state.hold {
         Hold::Holding { stop_mm } if !must_hold => Hold::Leaving { stop_mm },
         Hold::Released { .. } | Hold::Leaving { .. } if must_hold => {

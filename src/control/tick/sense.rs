@@ -1,11 +1,11 @@
 //! The sensing half of the tick: fusion of the samples, and supervision of the base.
 
-use super::state::{BaseState, LoopState, QuietPose};
+use super::state::{LoopState, QuietPose};
 use super::types::{Input, LoopConfig};
 use crate::estimation::fusion::base_watch::{Watch, WatchInput};
-use crate::estimation::fusion::health::ImuReading;
 use crate::estimation::fusion::tip::FusionInput;
 use crate::model::Bend;
+use crate::primitives::ImuReading;
 use crate::primitives::lasting;
 use nalgebra::Vector3;
 
@@ -51,30 +51,13 @@ pub(super) fn estimate(config: &LoopConfig, state: &mut LoopState, input: &Input
     state.fusion.update(&config.fuse, &input);
 }
 
-/// Detects a base that turns, if no base IMU measures it, and serves a request for a new alignment.
+/// Detects a base that turns, if no base IMU measures it.
 pub(super) fn watch_base(
     config: &LoopConfig,
     state: &mut LoopState,
     input: &Input,
     estimate: Bend,
 ) {
-    let played = state.played();
-    // the tip is where it was in the last quiet pose, moved by what the pistons have done since
-    let quiet = &state.base.quiet;
-    let by_pistons = quiet.estimate + played - quiet.played;
-    if input.realign {
-        let moved = state.base.moved;
-        let bend = if moved { Bend(by_pistons) } else { estimate };
-        state.fusion.realign(bend);
-        return;
-    }
-    if state.fusion.realigning() {
-        state.base = BaseState {
-            quiet: state.base.quiet,
-            ..BaseState::default()
-        };
-        return;
-    }
     if state.fusion.tracks_base() {
         // also again: what was noticed while the base IMU was lost no longer counts
         (state.base.moved, state.base.watch) = (false, Watch::default());
@@ -94,16 +77,19 @@ pub(super) fn watch_base(
         twist_per_bend_max: state.fusion.twist_per_bend_max(),
         dt_s: input.dt_s,
     };
+    let (played, quiet) = (state.played(), state.base.quiet);
     let flagged = state.base.watch.step(&config.fuse.watch, &observed);
     if state.base.moved {
         let bend = state.fusion.bend_on_standing_base().unwrap_or(estimate).0;
-        let unexplained = bend - state.base.quiet.estimate - (played - state.base.quiet.played);
+        let unexplained = bend - quiet.estimate - (played - quiet.played);
         state.base.moved = !state.base.watch.returned(&unexplained, input.dt_s);
         return;
     }
     state.base.moved = flagged;
     if flagged {
-        // what was learned since the base began to turn is taken back
+        // the tip is where it was in the last quiet pose, moved by what the pistons have done since; what was learned
+        // since the base began to turn is taken back
+        let by_pistons = quiet.estimate + played - quiet.played;
         state.return_to_known(&by_pistons, BELIEVED_SIGMAS);
         state.unlearn(&by_pistons, BELIEVED_SIGMAS);
     } else if state.base.watch.quiet() {
@@ -111,6 +97,5 @@ pub(super) fn watch_base(
             estimate: estimate.0,
             played,
         };
-        state.fusion.remember(input.t);
     }
 }

@@ -8,14 +8,14 @@ use crate::control::observer::{ObserverConfig, PeriodicConfig};
 use crate::control::obstruction::ObstructionConfig;
 use crate::control::refine::RefineConfig;
 use crate::control::saturation::Saturation;
-use crate::estimation::fusion::health::{CauseSet, HealthAction, ImuReading};
+use crate::estimation::fusion::health::{CauseSet, HealthAction};
 use crate::estimation::fusion::tip::{FuseConfig, TipEstimate};
 use crate::estimation::imu_calibration::Correction;
 use crate::estimation::imu_calibration::motor::MotorField;
 use crate::model::{Bend, DescribedMachine, Drive, Geometry, Line, Shape, Side};
 use crate::motion::DriveLimits;
 use crate::parameters;
-use crate::primitives::{ImuSample, Seconds, Steps};
+use crate::primitives::{ImuReading, ImuSample, Seconds, Steps};
 use nalgebra::{Vector2, Vector3};
 use std::sync::Arc;
 
@@ -137,8 +137,6 @@ pub struct Input {
     pub idle: bool,
     /// A line is suspected: what it does now is not taken for what it was.
     pub suspected: bool,
-    /// Requests a new alignment because the base was turned.
-    pub realign: bool,
 }
 
 /// State of the sensors.

@@ -145,7 +145,7 @@ fn order(daemon: &Daemon, request: &Request) -> io::Result<Value> {
 /// Arms and bends, however often the attackers get in the way.
 fn move_again(daemon: &Daemon, n: u32) -> io::Result<()> {
     let dir_deg = if n.is_multiple_of(2) { 30.0 } else { 210.0 };
-    let target = Request::bend(60.0, dir_deg, None);
+    let target = Request::bend(60.0, dir_deg, None, None);
     insist(ARM_MAX_S, || {
         // a loop that was late for the attackers' sake has tripped; without a fault this is refused
         let _ = order(daemon, &Request::ResetFault {});

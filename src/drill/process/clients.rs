@@ -50,7 +50,7 @@ fn two_clients(daemon: &Daemon) -> io::Result<FaultResult> {
         std::thread::spawn(move || -> io::Result<u32> {
             let mut client = client?;
             for _ in 0..50 {
-                ask(&mut client, &Request::bend(bend_deg, 30.0, None))?;
+                ask(&mut client, &Request::bend(bend_deg, 30.0, None, None))?;
             }
             Ok(50)
         })
@@ -76,15 +76,7 @@ fn two_clients(daemon: &Daemon) -> io::Result<FaultResult> {
 /// A stream of set-points that falls silent.
 fn dead_man(daemon: &Daemon) -> io::Result<FaultResult> {
     let mut client = daemon.client()?;
-    let mut stream = |bend_deg| {
-        let set_point = Request::Stream {
-            bend_deg,
-            dir_deg: 30.0,
-            length_mm: None,
-            t_s: None,
-        };
-        ask(&mut client, &set_point)
-    };
+    let mut stream = |bend_deg| ask(&mut client, &Request::stream(bend_deg, 30.0, None));
     for k in 0..20 {
         stream(30.0 + f64::from(k))?;
         std::thread::sleep(Duration::from_millis(20));
@@ -110,7 +102,7 @@ fn abandoned(daemon: &Daemon) -> io::Result<FaultResult> {
         owned: true,
     };
     ask(&mut client, &record)?;
-    let away = Request::bend(10.0, 210.0, Some(20.0));
+    let away = Request::bend(10.0, 210.0, None, Some(20.0));
     insist(BRAKED_MAX_S, || ask(&mut client, &away))?;
     std::thread::sleep(Duration::from_millis(1000));
     let started = Instant::now();

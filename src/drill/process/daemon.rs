@@ -168,7 +168,7 @@ impl Daemon {
         let mut client = self.client()?;
         ask(&mut client, &Request::Arm {})?;
         self.until(5.0, "energised drivers", |s| s["energised"] == true)?;
-        ask(&mut client, &Request::bend(40.0, 30.0, None))?;
+        ask(&mut client, &Request::bend(40.0, 30.0, None, None))?;
         Ok(())
     }
 

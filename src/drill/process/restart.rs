@@ -48,7 +48,7 @@ pub fn stopped(plan: &Plan<'_>, folder: &Path) -> io::Result<FaultResult> {
     require!(row: *counted == json!([0, 0, 0]); "the pistons are counted at {counted}");
     let refusal = again
         .client()?
-        .request(&Request::bend(20.0, 0.0, None))
+        .request(&Request::bend(20.0, 0.0, None, None))
         .err();
     row.message = refusal.map(|r| r.message).unwrap_or_default();
     require!(row: row.message.contains("arm"); "`bend` was answered with `{}`", row.message);

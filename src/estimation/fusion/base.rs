@@ -172,13 +172,6 @@ impl BaseTracker {
     pub fn noisy(&self) -> bool {
         self.rest().is_some_and(Alignment::noisy)
     }
-
-    /// Starts a new alignment at the present attitude.
-    pub fn restart(&mut self) {
-        if !matches!(self, Self::Absent) {
-            *self = Self::Aligning(AlignState::default());
-        }
-    }
 }
 
 impl Follow {
@@ -309,8 +302,6 @@ mod tests {
                 < 0.1,
             "{base:?}"
         );
-        base.restart();
-        assert_eq!(base.turn(), BaseTurn::default());
     }
 
     /// A base that stands for 5 s and then swings about two axes, with the tip's IMU alike; the tracker at the end.

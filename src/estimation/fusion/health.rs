@@ -30,4 +30,4 @@ pub use cause::{CauseSet, HealthCause};
 pub use checks::KnownErrors;
 pub use config::{HealthConfig, Policies, Policy};
 pub use monitor::{HealthAction, HealthVerdict, SensorMonitor};
-pub use reading::{FieldShape, ImuReading, Quality, ReadFault};
+pub use reading::FieldShape;

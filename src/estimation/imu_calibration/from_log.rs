@@ -1,11 +1,10 @@
 //! What a bend log holds for the calibration: its samples, those beside motors that step, and the bends.
 
-use crate::estimation::fusion::health;
 use crate::estimation::fusion::tip::{FuseConfig, Fusion, FusionInput};
 use crate::estimation::imu_calibration::{motor, mount, still};
 use crate::log::bend_log::BendLog;
 use crate::model::Drive;
-use crate::primitives::{ImuSample, Steps};
+use crate::primitives::{ImuReading, ImuSample, Steps};
 use nalgebra::Vector3;
 
 /// A tip counts as still this long after the last step of any motor, s: longer than its slowest lag.
@@ -35,7 +34,7 @@ pub fn of_motors(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
         let still = moved_s.iter().all(|m| sample.t.0 - m > STILL_AFTER_S);
         let input = FusionInput {
             now: sample.t,
-            tip: health::ImuReading::from_world(Some(*sample)),
+            tip: ImuReading::from_world(Some(*sample)),
             base: None,
             coils_ut: Vector3::zeros(),
             still,

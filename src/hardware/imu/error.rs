@@ -1,7 +1,7 @@
 //! Errors between the bus and a sample, each with a remedy.
 
 use super::{Chip, Part};
-use crate::estimation::fusion::health::ReadFault;
+use crate::primitives::ReadFault;
 use embedded_hal::i2c::ErrorKind;
 
 /// A failed or invalid reading.

@@ -2,8 +2,7 @@
 
 use super::ImuError;
 use crate::choices;
-use crate::estimation::fusion::health::Quality;
-use crate::primitives::{ImuSample, Seconds, Setting, Shape};
+use crate::primitives::{ImuSample, Quality, Seconds, Setting, Shape};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 

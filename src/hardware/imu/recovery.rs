@@ -16,8 +16,7 @@
 
 use super::bus_clear::BusState;
 use super::{Identity, Imu, ImuError, RawImu};
-use crate::estimation::fusion::health::{ImuReading, ReadFault};
-use crate::primitives::Seconds;
+use crate::primitives::{ImuReading, ReadFault, Seconds};
 use embedded_hal::delay::DelayNs;
 
 /// Consecutive failed readings after which the chip is initialised again: 50 ms at 500 Hz. A chip that
@@ -145,9 +144,10 @@ impl<S: Imu + ?Sized> ImuRecovery<S> {
                 if let Some(reading) = self.thaw(&raw, delay, now.0) {
                     return reading;
                 }
-                self.stale = match raw.fresh {
-                    true => 0,
-                    false => self.stale.saturating_add(1),
+                self.stale = if raw.fresh {
+                    0
+                } else {
+                    self.stale.saturating_add(1)
                 };
                 if (1..=STALE_MAX).contains(&self.stale) {
                     return ImuReading::Nothing;

@@ -1,6 +1,5 @@
 //! [`Machine`] on hardware.
 
-use crate::estimation::fusion::health::ImuReading;
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::error::HardwareError;
 use crate::hardware::machine::gauges::{GaugeConfig, GaugeWatch};
@@ -9,7 +8,7 @@ use crate::hardware::pins::{self, PinsConfig};
 use crate::hardware::rt::monotonic_ns;
 use crate::hardware::stepper::Stepper;
 use crate::motion::{Drive, DriveLimits, EmergencyStop, StepGenerator, StepperConfig};
-use crate::primitives::{Seconds, Steps};
+use crate::primitives::{ImuReading, Seconds, Steps};
 use crate::supervisor::{Machine, MachineError, MachineInfo, Sensed};
 
 /// Configuration of a machine made of hardware.
@@ -149,9 +148,10 @@ impl Machine for Hardware {
             let (chip, rate_hz) = (s.found.identity.inertial, s.found.identity.rate_hz);
             let slow = slowness(s.found.read_s, rate_hz);
             remarks.extend(slow.map(|slow| format!("{place} IMU: {slow}")));
-            let limit = match s.found.bounded {
-                true => "",
-                false => "; the bus driver accepts no time limit",
+            let limit = if s.found.bounded {
+                ""
+            } else {
+                "; the bus driver accepts no time limit"
             };
             let bus = &s.bus;
             remarks.push(format!(

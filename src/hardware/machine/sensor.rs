@@ -4,14 +4,13 @@
 //! after 20 ms at the latest if the driver of the bus accepts the limit, and blocks only this thread.
 //! [`ImuRecovery`] sets the chip up again after a restart or a series of failures.
 
-use crate::estimation::fusion::health::ImuReading;
 use crate::hardware::imu::{self, ChipConfig, Identity, Imu, ImuRecovery, POLL_SHARE};
 use crate::hardware::machine::error::HardwareError;
 use crate::hardware::machine::reading;
 use crate::hardware::rt::{self, RtRequest, monotonic_ns};
 use crate::parameters;
-use crate::primitives::Seconds;
-use embedded_hal::delay::DelayNs;
+use crate::primitives::{ImuReading, Seconds};
+use linux_embedded_hal::Delay;
 use nalgebra::{UnitQuaternion, Vector3};
 use std::sync::mpsc::Sender;
 use std::time::Duration;
@@ -89,15 +88,6 @@ pub fn slowness(read_s: f64, rate_hz: f64) -> Option<String> {
     (read_ms > period_ms).then(|| format!("slow bus: a reading takes {read_ms:.1} ms and the chip converts every {period_ms:.1} ms, so conversions are lost: set `dtparam=i2c_arm_baudrate=400000` in config.txt, or a smaller imu.chip.rate_hz"))
 }
 
-/// Delays by sleeping.
-struct Sleep;
-
-impl DelayNs for Sleep {
-    fn delay_ns(&mut self, ns: u32) {
-        std::thread::sleep(Duration::from_nanos(u64::from(ns)));
-    }
-}
-
 impl Sensor {
     /// Opens the bus, sets the chip up and starts reading.
     ///
@@ -156,7 +146,7 @@ fn run(
     let set_up = open(config).and_then(|(driver, bounded)| {
         let mut imu = recovery(config, driver);
         let failed = |error| HardwareError::Imu(config.bus.clone(), error);
-        let identity = imu.start(&mut Sleep).map_err(failed)?;
+        let identity = imu.start(&mut Delay).map_err(failed)?;
         Ok((imu, identity, bounded))
     });
     let (mut imu, identity, bounded) = match set_up {
@@ -172,7 +162,7 @@ fn run(
     });
     let since_ns = monotonic_ns();
     for _ in 0..TIMED {
-        imu.read(&mut Sleep, Seconds(monotonic_ns() as f64 * 1e-9));
+        imu.read(&mut Delay, Seconds(monotonic_ns() as f64 * 1e-9));
     }
     let read_s = (monotonic_ns() - since_ns) as f64 * 1e-9 / f64::from(TIMED);
     // The receiver may have timed out; then the ring is abandoned.
@@ -186,7 +176,7 @@ fn run(
     let mut next_ns = monotonic_ns();
     while !output.is_abandoned() {
         let t_ns = monotonic_ns();
-        let mut reading = imu.read(&mut Sleep, Seconds(t_ns as f64 * 1e-9));
+        let mut reading = imu.read(&mut Delay, Seconds(t_ns as f64 * 1e-9));
         if let ImuReading::Sample(sample, _) = &mut reading {
             sample.gyro_rad_s = mount * sample.gyro_rad_s;
             sample.acc_m_s2 = mount * sample.acc_m_s2;
@@ -238,8 +228,8 @@ fn open(config: &ImuSection) -> Result<(Box<dyn Imu + Send>, bool), HardwareErro
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimation::fusion::health::{Quality, ReadFault};
     use crate::primitives::sample::ImuSample;
+    use crate::primitives::{Quality, ReadFault};
 
     fn sample(rate: f64, mag: Option<f64>, load: f64) -> StampedReading {
         let v = |x: f64| Vector3::new(x, 0.0, 0.0);

@@ -166,9 +166,10 @@ impl StepCore {
     /// Takes a reading of the input lines.
     pub fn observe(&mut self, inputs: Inputs) {
         self.inputs = inputs;
-        self.pressed = match inputs.emergency_stop {
-            true => self.pressed.saturating_add(1),
-            false => 0,
+        self.pressed = if inputs.emergency_stop {
+            self.pressed.saturating_add(1)
+        } else {
+            0
         };
         if self.pressed < PRESSED_READINGS {
             return;
@@ -304,9 +305,10 @@ impl StepCore {
             if line.step_high {
                 next_ns = next_ns.min(line.fall_ns);
             } else if let Some((due_ns, direction)) = self.stream.peek(channel) {
-                next_ns = next_ns.min(match (direction > 0) == line.dir_high {
-                    true => due_ns.max(line.rise_ns).max(self.awake_ns),
-                    false => line.dir_ns,
+                next_ns = next_ns.min(if (direction > 0) == line.dir_high {
+                    due_ns.max(line.rise_ns).max(self.awake_ns)
+                } else {
+                    line.dir_ns
                 });
             }
         }

@@ -1,7 +1,6 @@
 //! What the channels of a flight log for people show.
 
-use crate::estimation::fusion::health::ImuReading;
-use crate::primitives::{ImuSample, Seconds};
+use crate::primitives::{ImuReading, ImuSample, Seconds};
 use crate::service::flight::scene;
 use crate::service::flight::schema::{STATUS, TOPICS, fields};
 use crate::service::status;

@@ -1,8 +1,8 @@
 //! A cycle as the log holds it: the exact input of the supervisor, and digests of everything that it decided.
 
 use crate::control::Frame;
-use crate::estimation::fusion::health::ImuReading;
 use crate::model::Shape;
+use crate::primitives::ImuReading;
 use crate::supervisor::{CycleOutput, Order, Sensed};
 use postcard::ser_flavors::Flavor;
 use serde::{Deserialize, Serialize};
@@ -234,12 +234,12 @@ pub fn decode(message: &[u8]) -> postcard::Result<(u64, Vec<Cycle>)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimation::fusion::health::{Quality, ReadFault};
     use crate::model::bend::Bend;
     use crate::model::transmission::Line;
     use crate::motion::lines::Inputs;
     use crate::primitives::sample::ImuSample;
     use crate::primitives::units::{Mm, Seconds, Steps};
+    use crate::primitives::{Quality, ReadFault};
     use crate::supervisor::machine::{Alarm, Gauges};
     use nalgebra::Vector3;
 

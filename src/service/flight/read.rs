@@ -1,7 +1,6 @@
 //! Reads flight logs, chunk by chunk. A file that was never closed ends with its last whole chunk; a damaged place is left out, up to
 //! the next chunk that can be read.
 
-use crate::log::error::why_unreadable;
 use crate::service::flight::cycle::{Cycle, decode};
 use crate::service::flight::file::{DAMAGE, TOPICS, io_error};
 use crate::service::flight::schema::{self, ENCODING};
@@ -76,14 +75,18 @@ impl Entry {
         let (topic, data) = (message.channel.topic.as_str(), &*message.data);
         // the messages of older logs are JSON, and cycles without a schema
         let older = message.channel.message_encoding != ENCODING;
-        let fields = || match older {
-            true => serde_json::from_slice(data).map_err(io::Error::from),
-            false => schema::decode(topic, data),
+        let fields = || {
+            if older {
+                serde_json::from_slice(data).map_err(io::Error::from)
+            } else {
+                schema::decode(topic, data)
+            }
         };
         if topic == TOPICS[0] {
-            let exact = match older {
-                true => data.to_vec(),
-                false => schema::unwrap(topic, data)?,
+            let exact = if older {
+                data.to_vec()
+            } else {
+                schema::unwrap(topic, data)?
             };
             let (first, cycles) = decode(&exact)?;
             return Ok(Self::Cycles(first, cycles));
@@ -100,29 +103,20 @@ impl Entry {
             return Ok(Self::Event(Box::new(event)));
         }
         let mut shown = schema::TOPICS[..schema::STATUS].iter();
-        Ok(Self::Shown(match shown.any(|(name, _)| *name == topic) {
-            true => fields()?,
-            false => Value::Null,
+        Ok(Self::Shown(if shown.any(|(name, _)| *name == topic) {
+            fields()?
+        } else {
+            Value::Null
         }))
     }
 }
 
 type Visit<'a> = dyn FnMut(Message<'static>) -> Result<(), String> + 'a;
 
-/// Reads the messages of a file. Returns how it ends and where it is damaged.
+/// Reads the messages of a log. Returns how it ends and where it is damaged.
 ///
 /// # Errors
-/// What is wrong with the file or, from the visitor, with a message, with the name of the file.
-pub fn messages(path: &Path, visit: &mut Visit<'_>) -> Result<Ending, String> {
-    let named = |problem: String| format!("{}: {problem}", path.display());
-    let file = File::open(path).map_err(|e| named(why_unreadable(path, &e)))?;
-    parse(BufReader::new(file), visit).map_err(named)
-}
-
-/// As [`messages`], from any source.
-///
-/// # Errors
-/// As for [`messages`], without the name of the file.
+/// What is wrong with the log or, from the visitor, with a message.
 pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<Ending, String> {
     let failed = |e: io::Error| format!("the file cannot be read: {e}");
     let mut has_magic = |at| {
@@ -177,15 +171,17 @@ pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<E
     let mut ending = log.ending;
     let rest = hole.map(|hole| format!("{hole}, and nothing after it can be read"));
     ending.damage.extend(rest);
-    match known {
-        true => Ok(ending),
-        false if ending == Ending::COMPLETE => Err(
+    if known {
+        Ok(ending)
+    } else if ending == Ending::COMPLETE {
+        Err(
             "this is an MCAP file of another program; `retroflex run` writes flight logs"
                 .to_owned(),
-        ),
-        false => Err(format!(
+        )
+    } else {
+        Err(format!(
             "this is no flight log, or nothing of it can be read: {ending}"
-        )),
+        ))
     }
 }
 

@@ -34,10 +34,7 @@ pub fn timestamp(unix_ns: u64) -> Value {
 /// `foxglove.FrameTransform`: the frame `tip` in the frame `base`, m.
 pub fn pose(frame: &Frame, unix_ns: u64) -> Option<Value> {
     let estimate = frame.estimate?;
-    let shape = Shape {
-        bend: estimate.bend,
-        length: frame.setpoint.length,
-    };
+    let shape = Shape::new(estimate.bend.0, frame.setpoint.length.0);
     let q = estimate.r_base_tip.quat().coords.map(round);
     Some(json!({
         "timestamp": timestamp(unix_ns), "parent_frame_id": "base", "child_frame_id": "tip",
@@ -48,10 +45,8 @@ pub fn pose(frame: &Frame, unix_ns: u64) -> Option<Value> {
 /// The lines of a scene: the arc of the estimate with its bellows, and that of the target while the tip is commanded.
 pub fn lines(frame: &Frame, commanded: bool) -> Option<Value> {
     let step = RESOLUTION_DEG.to_radians();
-    let shown = |bend: Bend, length| Shape {
-        bend: Bend(bend.0.map(|x| (x / step).round() * step)),
-        length,
-    };
+    let shown =
+        |bend: Bend, length: Mm| Shape::new(bend.0.map(|x| (x / step).round() * step), length.0);
     let tip = shown(frame.estimate?.bend, frame.setpoint.length);
     let mut all = vec![line(&tip, None, [0.1, 0.6, 0.3, 1.0])];
     all.extend((0..3).map(|i| line(&tip, Some(i), [0.7, 0.7, 0.7, 0.6])));
@@ -75,10 +70,7 @@ fn line(shape: &Shape, bellow: Option<usize>, [r, g, b, a]: [f64; 4]) -> Value {
     let point = |k: u32| {
         let part = f64::from(k) / f64::from(SECTIONS);
         let bend = Bend(shape.bend.0 * part);
-        let centre = geometry.position(&Shape {
-            bend,
-            length: Mm(shape.length.0 * part),
-        });
+        let centre = geometry.position(&Shape::new(bend.0, shape.length.0 * part));
         metres(centre + bend.rotation().quat() * spoke)
     };
     let points: Vec<Value> = (0..=SECTIONS).map(point).collect();

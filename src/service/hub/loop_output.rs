@@ -1,7 +1,7 @@
 //! What comes from the loop: frames and answers.
 
 use super::{Hub, Pending, unix_s};
-use crate::service::calibrate::{Found, Next};
+use crate::experiment::identify::{Identified, Next};
 use crate::service::flight::start::{Event, Logged};
 use crate::service::memory::RecordedFault;
 use crate::service::rt_loop::{ANSWER_MAX_S, Answer};
@@ -186,19 +186,19 @@ impl Hub {
         let Some(session) = &mut self.calibration else {
             return;
         };
-        match session.step(output) {
-            Next::Wait => {}
-            Next::Drive(command) => self.own_order(Order::Bend(command, None), calibrating),
-            Next::Lines(lines) => self.own_order(Order::Lines(lines), calibrating),
-            Next::Done(result) => {
-                self.calibration = None;
-                self.own_order(Order::Calibrate(false), calibrating);
-                self.conclude_calibration(result);
-            }
-        }
+        let result = match session.step(output) {
+            Ok(Next::Wait) => return,
+            Ok(Next::Drive(pose)) => return self.own_order(Order::Bend(pose, None), calibrating),
+            Ok(Next::Lines(lines)) => return self.own_order(Order::Lines(lines), calibrating),
+            Ok(Next::Done(found)) => Ok(found),
+            Err(why) => Err(why),
+        };
+        self.calibration = None;
+        self.own_order(Order::Calibrate(false), calibrating);
+        self.conclude_calibration(result);
     }
 
-    fn conclude_calibration(&mut self, result: Result<Found, String>) {
+    fn conclude_calibration(&mut self, result: Result<Identified, String>) {
         let config = &self.config.config_hash;
         match result {
             Err(why) => {
@@ -206,9 +206,10 @@ impl Hub {
                 self.calibration_failed = Some(why);
             }
             Ok(found) => {
+                let lines = found.lines();
                 let gains = LearnedGains {
-                    k_epsilon: found.lines.map(|l| l.k_epsilon),
-                    k_lambda_mm: found.lines.map(|l| l.k_lambda_mm),
+                    k_epsilon: lines.map(|l| l.k_epsilon),
+                    k_lambda_mm: lines.map(|l| l.k_lambda_mm),
                     lag_s: found.dynamics.expected.lag_s,
                     delay_s: found.dynamics.expected.delay_s,
                     tip: self.config.tip.clone(),

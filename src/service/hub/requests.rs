@@ -4,11 +4,11 @@ use super::{Hub, Reply, Subscription, done, may_command, refuse};
 use crate::config::Gains;
 use crate::config::source;
 use crate::control::Path;
+use crate::experiment::identify::Algorithm1;
 use crate::experiment::pose::Round;
 use crate::experiment::schedule;
-use crate::model::{Bend, Shape};
-use crate::primitives::Mm;
-use crate::service::calibrate::{Found, Session};
+use crate::model::{Bend, Line, Shape};
+use crate::service::calibrate::Session;
 use crate::service::flight::start::Event;
 use crate::service::protocol::{CalibrateAction, Frame, PATH_MAX_S, PATH_ROWS, POSES, PathRow};
 use crate::service::start::with_gains;
@@ -16,9 +16,6 @@ use crate::service::{Caller, Change, Failure, Request};
 use crate::supervisor::{BEND_MAX_RAD, Mode, Order, SupervisorConfig};
 use serde_json::{Value, json};
 use std::time::Instant;
-
-/// Interval at which the speed of a path is looked at, s.
-const SCAN_S: f64 = 0.005;
 
 impl Hub {
     /// Handles one line of a client.
@@ -130,7 +127,7 @@ impl Hub {
 
     /// The largest bend at the rest length every 5° from direction 0 on, degrees, and the dimensions of the bending section.
     fn reach(&self) -> Value {
-        let (tick, lines) = (&self.config.supervisor.tick, self.in_use().lines);
+        let (tick, lines) = (&self.config.supervisor.tick, self.in_use());
         let largest = |k: u32| {
             let shape = self.target(BEND_MAX_RAD.to_degrees(), f64::from(k) * 5.0, None);
             shape.bend.beta().to_degrees()
@@ -141,11 +138,9 @@ impl Hub {
     }
 
     fn target(&self, bend_deg: f64, dir_deg: f64, length_mm: Option<f64>) -> Shape {
-        let length = Mm(length_mm.unwrap_or(self.config.supervisor.tick.geometry.rest_length_mm));
-        Shape {
-            bend: Bend::from_deg(bend_deg, dir_deg),
-            length,
-        }
+        let rest_length_mm = self.config.supervisor.tick.geometry.rest_length_mm;
+        let bend = Bend::from_deg(bend_deg, dir_deg);
+        Shape::new(bend.0, length_mm.unwrap_or(rest_length_mm))
     }
 
     /// Collects the rows of a path and checks them; with the last ones, hands it to the loop, slowed down so that the pistons can
@@ -174,7 +169,7 @@ impl Hub {
         let rule = "a path has two or more rows with times that increase by at most";
         let expected = || Failure::bad(format!("{rule} {PATH_MAX_S} s in all"));
         let (path, tick) = (path.ok_or_else(expected)?, &self.config.supervisor.tick);
-        let lines = self.in_use().lines;
+        let lines = self.in_use();
         if let Some((k, expected)) = path.out_of_reach(&tick.limits, &tick.geometry, &lines) {
             let (row, bend_deg) = (from + k + 1, checked[k].1);
             let why = format!("row {row}, bend_deg {bend_deg}: expected {expected}");
@@ -184,12 +179,9 @@ impl Hub {
             self.path_rows = (client, all);
             return Ok(false);
         }
-        let rate = |k: u64| path.at(k as f64 * SCAN_S).rate.norm();
-        let scans = (path.duration_s() / SCAN_S).ceil() as u64;
-        let fastest = (0..=scans).map(rate).fold(0.0, f64::max);
         let time_scale = path
             .demand(&tick.geometry, &lines, &tick.motion.limits)
-            .max(fastest / tick.bend_pace.speed)
+            .max(path.speed_max() / tick.bend_pace.speed)
             .max(1.0);
         let path = path.slowed(time_scale);
         let (t_s, rows) = path.rows();
@@ -247,22 +239,23 @@ impl Hub {
         }
         let SupervisorConfig { tick, gate, .. } = &self.config.supervisor;
         let round = Round::new(tick.geometry, poses);
-        self.calibration = Some(Session::new(round, gate.step_mm, prior, self.in_use()));
+        let from_zero = [Line::default(); 3];
+        let algorithm = Algorithm1::new(round, from_zero, prior, tick.dynamics);
+        self.calibration = Some(Session::new(algorithm, gate.step_mm));
         self.calibration_failed = None;
         self.order(Order::Calibrate(true), caller.clone());
         Ok(None)
     }
 
-    /// The transmission parameters in use.
-    fn in_use(&self) -> Found {
-        let tick = &self.config.supervisor.tick;
-        let (mut lines, dynamics) = (tick.lines, tick.dynamics);
+    /// The transmission gains in use.
+    fn in_use(&self) -> [Line; 3] {
+        let mut lines = self.config.supervisor.tick.lines;
         if let Some(last) = &self.last {
             for (line, k_epsilon) in lines.iter_mut().zip(last.frame.k_epsilon) {
                 line.k_epsilon = k_epsilon;
             }
         }
-        Found { lines, dynamics }
+        lines
     }
 
     fn accept(&mut self, caller: &Caller) -> Reply {

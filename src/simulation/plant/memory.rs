@@ -26,9 +26,10 @@ impl Decay {
     pub(crate) fn share(&mut self, dt_s: f64) -> f64 {
         if dt_s != self.dt_s {
             self.dt_s = dt_s;
-            self.share = match self.tau_s > 0.0 {
-                true => -(-dt_s / self.tau_s).exp_m1(),
-                false => 1.0,
+            self.share = if self.tau_s > 0.0 {
+                -(-dt_s / self.tau_s).exp_m1()
+            } else {
+                1.0
             };
         }
         self.share

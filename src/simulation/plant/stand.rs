@@ -53,9 +53,10 @@ impl Stand {
         let Some(turn) = &self.turn else {
             return self.turned;
         };
-        let share = match turn.over_s > 0.0 {
-            true => smooth_step((t - turn.from_s) / turn.over_s),
-            false => 1.0,
+        let share = if turn.over_s > 0.0 {
+            smooth_step((t - turn.from_s) / turn.over_s)
+        } else {
+            1.0
         };
         UnitQuaternion::from_scaled_axis(turn.rotation * share) * self.turned
     }

@@ -4,9 +4,8 @@
 //! its result does not depend on a calibrated mount. A bend R(β, δ) is a rotation by β about (sin δ, cos δ, 0), so the
 //! bend vector is (w_y, w_x) of the rotation vector w.
 
-use crate::estimation::fusion::health::ImuReading;
 use crate::model::Bend;
-use crate::primitives::ImuSample;
+use crate::primitives::{ImuReading, ImuSample};
 use crate::supervisor::Sensed;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 

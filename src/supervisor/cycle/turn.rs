@@ -84,7 +84,6 @@ impl Supervisor {
             steps: sensed.counted,
             idle: !self.leads(),
             suspected: self.residual.suspicion().is_some(),
-            realign: false,
         }
     }
 
@@ -99,8 +98,7 @@ impl Supervisor {
 
     /// Leaves `aligning` once the rest pose is known and, after a restart, the remembered pose has been checked.
     fn follow_alignment(&mut self, frame: &Frame) {
-        let aligned = frame.estimate.is_some() && !self.state.fusion.realigning();
-        if self.mode != Mode::Aligning || !aligned {
+        if self.mode != Mode::Aligning || frame.estimate.is_none() {
             return;
         }
         match self.position {

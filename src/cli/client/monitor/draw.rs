@@ -158,9 +158,10 @@ fn health(view: &View) -> String {
 
 /// A figure, or a dash before there is one.
 fn shown(x: f64, digits: usize) -> String {
-    match x.is_nan() {
-        true => "–".to_owned(),
-        false => format!("{x:.digits$}"),
+    if x.is_nan() {
+        "–".to_owned()
+    } else {
+        format!("{x:.digits$}")
     }
 }
 

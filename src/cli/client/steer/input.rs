@@ -197,9 +197,10 @@ fn stty(arguments: &[&str]) -> Result<String> {
     let out = command.args(arguments).stdin(Stdio::inherit()).output();
     let out = out.map_err(|e| miette!("stty: {e}"))?;
     let said = |bytes| String::from_utf8_lossy(bytes).trim().to_owned();
-    match out.status.success() {
-        true => Ok(said(&out.stdout)),
-        false => Err(miette!("{}", said(&out.stderr))),
+    if out.status.success() {
+        Ok(said(&out.stdout))
+    } else {
+        Err(miette!("{}", said(&out.stderr)))
     }
 }
 

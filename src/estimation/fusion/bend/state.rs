@@ -160,10 +160,6 @@ impl BendFilter {
         }
     }
 
-    /// The alignment that zero bend refers to.
-    pub fn alignment(&self) -> Alignment {
-        self.alignment
-    }
     /// Probabilities that gyroscope and base are steady, that the bias of the gyroscope drifts fast, that it drifts slowly, that its
     /// rate is wrong, and that the base sways.
     pub fn probabilities(&self) -> [f64; M] {

@@ -2,11 +2,11 @@
 
 use super::cause::{CauseSet, HealthCause};
 use super::config::HealthConfig;
-use super::reading::{FieldShape, ImuReading, Quality, ReadFault, dip};
+use super::reading::{FieldShape, dip};
 use super::repetition::Repetition;
 use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::intake::GRAVITY_M_S2;
-use crate::primitives::ImuSample;
+use crate::primitives::{ImuReading, ImuSample, Quality, ReadFault};
 use nalgebra::{Rotation3, Vector3};
 
 /// Estimated errors of the sensor, which are not disturbances.

@@ -3,9 +3,8 @@
 use super::cause::{CauseSet, HealthCause};
 use super::checks::{Checks, Findings, KnownErrors};
 use super::config::{HealthConfig, Policy};
-use super::reading::ImuReading;
 use crate::estimation::fusion::align::Alignment;
-use crate::primitives::Seconds;
+use crate::primitives::{ImuReading, Seconds};
 
 /// A disturbance that returns within this time counts as the same one, s.
 const RETURN_S: f64 = 60.0;

@@ -4,7 +4,7 @@ mod disturbances;
 
 use super::*;
 use crate::estimation::fusion::align::Alignment;
-use crate::primitives::{ImuSample, Parameters, Seconds};
+use crate::primitives::{ImuReading, ImuSample, Parameters, Quality, ReadFault, Seconds};
 use nalgebra::{Rotation3, Vector3};
 use rand::SeedableRng;
 use rand::rngs::StdRng;

@@ -20,10 +20,10 @@ use crate::estimation::fusion::base::BaseTracker;
 use crate::estimation::fusion::bend::BendFilter;
 use crate::estimation::fusion::estimator::Estimator;
 use crate::estimation::fusion::health::{
-    CauseSet, HealthCause, HealthVerdict, ImuReading, KnownErrors, SensorMonitor,
+    CauseSet, HealthCause, HealthVerdict, KnownErrors, SensorMonitor,
 };
 use crate::model::Bend;
-use crate::primitives::{Base, ImuSample, Rotation, Seconds, World};
+use crate::primitives::{Base, ImuReading, ImuSample, Rotation, World};
 use nalgebra::{Matrix2, Vector3};
 use tracking::Tracker;
 
@@ -110,23 +110,6 @@ impl Fusion {
         input.tip.map(|s, _| s.mag_ut = s.mag_ut.map(subtract))
     }
 
-    /// Saves the estimated sensor errors, for a later [`Fusion::realign`]. The caller reports that the tip has
-    /// settled and that no motion of the base is suspected.
-    pub fn remember(&mut self, now: Seconds) {
-        if let Some(tracker) = &mut self.tracker {
-            tracker.save(now);
-        }
-    }
-
-    /// Takes the next still stretch for a new alignment, with the tip at `bend`: for a base that was turned. The
-    /// bend filter keeps the estimated sensor errors, a generic filter starts anew.
-    pub fn realign(&mut self, bend: Bend) {
-        if let Some(tracker) = &mut self.tracker {
-            tracker.realignment = Some((AlignState::default(), bend));
-        }
-        self.base.restart();
-    }
-
     /// Right after alignment: corrects it for a tip that was not straight but at `bend`. The straight alignment is
     /// known from before a restart: mean specific force, m/s², and mean field, µT.
     pub fn assume(&mut self, bend: Bend, acc_m_s2: &Vector3<f64>, mag_ut: Option<Vector3<f64>>) {
@@ -137,33 +120,20 @@ impl Fusion {
         }
     }
 
-    /// True while a re-alignment waits for its still stretch.
-    pub fn realigning(&self) -> bool {
-        let tracker = self.tracker.as_ref();
-        tracker.is_some_and(|t| t.realignment.is_some())
-    }
-
     /// What the alignment waits for, as text.
     pub fn waiting_for(&self) -> String {
         let faults = self.in_force();
-        let stretch = match &self.tracker {
-            None if faults.contains(HealthCause::Spike) => {
-                return format!(
+        match (&self.tracker, self.start.refused) {
+            (Some(_), _) => "nothing".to_owned(),
+            (None, _) if faults.contains(HealthCause::Spike) => {
+                format!(
                     "gyroscope or accelerometer readings jump further than a tip can move: {faults}"
-                );
+                )
             }
-            None if !faults.is_empty() => return format!("the IMU is faulty: {faults}"),
-            None => &self.start,
-            Some(Tracker {
-                realignment: Some((stretch, _)),
-                ..
-            }) => stretch,
-            Some(_) => return "nothing".to_owned(),
-        };
-        stretch.refused.map_or_else(
-            || "no sample has arrived".to_owned(),
-            |reason| reason.to_string(),
-        )
+            (None, _) if !faults.is_empty() => format!("the IMU is faulty: {faults}"),
+            (None, Some(reason)) => reason.to_string(),
+            (None, None) => "no sample has arrived".to_owned(),
+        }
     }
 
     fn bend_filter(&self) -> Option<&BendFilter> {

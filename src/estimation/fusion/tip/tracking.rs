@@ -1,22 +1,20 @@
-//! Tracking of an aligned tip: gaps, rejected rates, corrections and re-alignment around the estimators.
+//! Tracking of an aligned tip: gaps, rejected rates and corrections around the estimators.
 
 use super::types::{FuseConfig, FusionInput, TipEstimate};
-use crate::estimation::fusion::align::{AlignState, Alignment};
+use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::base::BaseTurn;
 use crate::estimation::fusion::bend::BendFilter;
 use crate::estimation::fusion::correction_smoother::CorrectionSmoother;
 use crate::estimation::fusion::estimator::Estimator;
 use crate::estimation::fusion::filter::TipSample;
-use crate::estimation::fusion::health::{HealthCause, HealthConfig, HealthVerdict, ImuReading};
+use crate::estimation::fusion::health::{HealthCause, HealthConfig, HealthVerdict};
 use crate::estimation::fusion::second::Second;
 use crate::model::Bend;
-use crate::primitives::{ImuSample, Seconds};
+use crate::primitives::{ImuReading, ImuSample};
 use nalgebra::{Matrix2, Vector2, Vector3};
 
-/// Uncertainty of the bend during a re-alignment, rad (2°), 1 σ.
-const REALIGN_SIGMA_RAD: f64 = 0.035;
-/// Least time between two saved states of the bend filter, s.
-const SAVE_PERIOD_S: f64 = 0.5;
+/// Uncertainty of the bend that is remembered from before a restart, rad (2°), 1 σ.
+const REMEMBERED_SIGMA_RAD: f64 = 0.035;
 /// Share of the longest blind time after which a base IMU that repeats itself is stuck.
 const FROZEN_SHARE: f64 = 0.4;
 /// Longest gap that is integrated, in sampling periods.
@@ -50,11 +48,6 @@ pub(super) struct Tracker {
     bend_rate: Vector2<f64>,
     /// Extrapolation of the bend since the last sample, rad.
     extrapolation: Vector2<f64>,
-    /// Bend filter at the last undisturbed moment.
-    pub saved: Option<BendFilter>,
-    saved_at_s: f64,
-    /// Still stretch of a requested re-alignment, and the bend of the tip during it.
-    pub realignment: Option<(AlignState, Bend)>,
 }
 
 impl Tracker {
@@ -79,9 +72,6 @@ impl Tracker {
             rejected: RejectedRates::default(),
             bend_rate: Vector2::zeros(),
             extrapolation: Vector2::zeros(),
-            saved: None,
-            saved_at_s: f64::NEG_INFINITY,
-            realignment: None,
         }
     }
 
@@ -101,13 +91,6 @@ impl Tracker {
     /// Expects noise of every source that had noise during alignment.
     pub fn expecting_noise(&self, reading: ImuReading) -> ImuReading {
         reading.map(|_, quality| quality.expect_noise |= self.noisy)
-    }
-
-    pub fn save(&mut self, now: Seconds) {
-        if now.0 - self.saved_at_s > SAVE_PERIOD_S {
-            self.saved = self.bend_filter().cloned();
-            self.saved_at_s = now.0;
-        }
     }
 
     pub fn update(
@@ -155,7 +138,6 @@ impl Tracker {
         }
         (self.last, self.extrapolation, self.rejected) =
             (Some(*imu), Vector2::zeros(), RejectedRates::default());
-        self.continue_realignment(config, imu, verdict);
     }
 
     /// Restarts both estimators after a gap that is too long to integrate.
@@ -217,41 +199,6 @@ impl Tracker {
         }
     }
 
-    /// Adds a sample to the still stretch of a re-alignment, if one is requested, and completes it.
-    fn continue_realignment(
-        &mut self,
-        config: &FuseConfig,
-        sample: &ImuSample,
-        verdict: &HealthVerdict,
-    ) {
-        let Some((state, bend)) = &mut self.realignment else {
-            return;
-        };
-        let bend = *bend;
-        let complete = state.add(&config.align, sample);
-        let Some(now) = complete.filter(|_| verdict.acc && !verdict.hold) else {
-            return;
-        };
-        self.realignment = None;
-        let estimate = self.estimate().bend.0;
-        let straight = bend.rotation();
-        self.alignment = Alignment {
-            acc_rest_m_s2: straight.apply(&now.acc_rest_m_s2),
-            mag_rest_ut: now.mag_rest_ut.map(|m| straight.apply(&m)),
-            ..now
-        };
-        if let (Estimator::Bend(f), Some(saved)) = (&mut self.estimator, self.saved.take()) {
-            // later estimates of the sensor errors contain the turn of the base
-            *f = saved;
-        }
-        self.rebase(&now, bend);
-        if let Some(f) = self.bend_filter() {
-            self.alignment = f.alignment();
-        }
-        self.smoother.arm();
-        self.smoother.offset = estimate - self.estimator.bend().0;
-    }
-
     pub fn assume(&mut self, bend: Bend, acc_m_s2: &Vector3<f64>, mag_ut: Option<Vector3<f64>>) {
         let bent = bend.rotation().inverse();
         let mag_rest_ut = self.alignment.mag_rest_ut.and(mag_ut);
@@ -265,12 +212,8 @@ impl Tracker {
             mag_rest_ut,
             ..self.alignment
         };
-        self.rebase(&now, bend);
-    }
-
-    fn rebase(&mut self, now: &Alignment, bend: Bend) {
         for estimator in [&mut self.estimator, &mut self.second.estimator] {
-            estimator.rebase(now, bend, REALIGN_SIGMA_RAD);
+            estimator.rebase(&now, bend, REMEMBERED_SIGMA_RAD);
         }
     }
 

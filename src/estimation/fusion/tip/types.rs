@@ -5,11 +5,11 @@ use crate::estimation::fusion::base::BaseConfig;
 use crate::estimation::fusion::base_watch::WatchConfig;
 use crate::estimation::fusion::bend::BendFilterConfig;
 use crate::estimation::fusion::estimator::EstimatorName;
-use crate::estimation::fusion::health::{HealthConfig, ImuReading};
+use crate::estimation::fusion::health::HealthConfig;
 use crate::estimation::fusion::second::SecondConfig;
 use crate::model::Bend;
 use crate::parameters;
-use crate::primitives::{Base, ImuSample, Rotation, Seconds, Tip};
+use crate::primitives::{Base, ImuReading, ImuSample, Rotation, Seconds, Tip};
 use nalgebra::Vector3;
 
 parameters! {

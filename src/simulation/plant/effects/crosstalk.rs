@@ -28,9 +28,12 @@ impl Law for Squeezing {
     /// What the others press into each line: elongation times what a line needs for it.
     fn air(&mut self, air_mm: &mut Vector3<f64>, bellows: &BellowState, _at: &Moment) {
         let Crosstalk { share, lopsided } = self.config;
-        let swell = bellows.bellow_mm.map(|q| match q > 0.0 {
-            true => share * q * q / (q + KNEE_MM),
-            false => 0.0,
+        let swell = bellows.bellow_mm.map(|q| {
+            if q > 0.0 {
+                share * q * q / (q + KNEE_MM)
+            } else {
+                0.0
+            }
         });
         *air_mm += Vector3::from_fn(|i, _| {
             let (before, after) = (swell[(i + 2) % 3], swell[(i + 1) % 3]);

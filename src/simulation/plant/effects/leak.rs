@@ -41,9 +41,10 @@ impl Law for Leaking {
                 let opening = self.opening(bellows.pressure_kpa[i]);
                 let x = self.config.rate_per_s[i] * opening * at.dt_s;
                 // 1 − e^(−x), for slow leaks by its first terms (error below x³)
-                let share = match x < 1e-4 {
-                    true => x * (1.0 - 0.5 * x),
-                    false => -(-x).exp_m1(),
+                let share = if x < 1e-4 {
+                    x * (1.0 - 0.5 * x)
+                } else {
+                    -(-x).exp_m1()
                 };
                 self.lost_mm[i] += (air_mm[i] - self.lost_mm[i]) * share;
             }

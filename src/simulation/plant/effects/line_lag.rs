@@ -43,9 +43,10 @@ impl Law for Lumen {
         for i in 0..3 {
             let strain = air_mm[i] - self.passed_mm[i];
             let tau = self.tau_at(i, strain.abs());
-            self.passed_mm[i] += match tau > 0.0 {
-                true => -strain * (-at.dt_s / tau).exp_m1(),
-                false => strain,
+            self.passed_mm[i] += if tau > 0.0 {
+                -strain * (-at.dt_s / tau).exp_m1()
+            } else {
+                strain
             };
         }
         *air_mm = self.passed_mm;
