@@ -28,8 +28,8 @@ pub fn check(saved: &SavedRig, log: &Signals) -> Result<Checked, MapError> {
         return Err(MapError::Outside(log.file.clone(), high.max(-low)));
     }
     let undetermined = || MapError::Undetermined(log.file.clone());
-    let energy = |fixed: [Fixed<'_>; 2], free: [&[Vec<f64>]; 2]| {
-        energy(&log.output, fixed, free).ok_or_else(undetermined)
+    let rmse = |fixed: [Fixed<'_>; 2], free: [&[Vec<f64>]; 2]| {
+        self::rmse(&log.output, fixed, free).ok_or_else(undetermined)
     };
     // gains, and the frequency of an oscillator, as this log has them
     let anew = MapBase::new(&saved.map, std::slice::from_ref(log)).ok_or_else(undetermined)?;
@@ -53,44 +53,46 @@ pub fn check(saved: &SavedRig, log: &Signals) -> Result<Checked, MapError> {
         (&inputs[..], &scale.weights[..]),
         (&inputs[..], &saved.with_effects[..]),
     );
-    let before = energy([nominal, none], [offset, &[]])?;
-    let after = energy([own, terms], [offset, &found])?;
-    let mut refitted = energy([none, terms], [gains, &found])?;
+    let before = rmse([nominal, none], [offset, &[]])?;
+    let after = rmse([own, terms], [offset, &found])?;
+    let mut refitted = rmse([none, terms], [gains, &found])?;
     // a rig without inputs has no gains: its time constants tell units apart
     for (k, (operator, _)) in effects.iter().enumerate().filter(|_| inputs.is_empty()) {
         for value in (operator.grid)(&drive) {
             let mut values = values.clone();
             values[k] = value;
             let other = states(&values);
-            refitted = refitted.min(energy([none, terms], [gains, &other])?);
+            refitted = refitted.min(rmse([none, terms], [gains, &other])?);
         }
     }
-    let mended = energy([own, (&healed, &sizes)], [offset, &[]])?;
-    let healthy = energy([none, none], [gains, &[]])?;
-    let claimed = (WORTH * saved.gap.recalibrated.powi(2)).max(f64::MIN_POSITIVE);
+    let mended = rmse([own, (&healed, &sizes)], [offset, &[]])?;
+    let healthy = rmse([none, none], [gains, &[]])?;
+    // as RMSE, the part of the gap at which an effect is claimed
+    let claimed = (WORTH.sqrt() * saved.gap.recalibrated).max(f64::MIN_POSITIVE);
     let is_worse = after - before >= WORSE * claimed;
-    let gap = (before - saved.gap.noise_floor.powi(2)).max(f64::MIN_POSITIVE);
+    let gap = before.powi(2) - saved.gap.noise_floor.powi(2);
+    let closed = (before.powi(2) - after.powi(2)) / gap.max(f64::MIN_POSITIVE);
     Ok(Checked {
         judgement: Judgement::new(is_worse, (after - refitted) / claimed, || {
             (mended.min(before) - healthy) / claimed
         }),
-        before: before.sqrt(),
-        after: after.sqrt(),
-        refitted: refitted.sqrt(),
-        closed: ((before - after) / gap).clamp(-1.0, 1.0),
+        before,
+        after,
+        refitted,
+        closed: closed.clamp(-1.0, 1.0),
         left_out: vec![],
         unit: Some(saved.map.output_unit.clone()),
     })
 }
 
-/// Mean square that fixed columns leave beside free ones; `None` if it is not determined.
-fn energy(y: &[f64], fixed: [Fixed<'_>; 2], free: [&[Vec<f64>]; 2]) -> Option<f64> {
+/// RMSE that fixed columns leave beside free ones; `None` if it is not determined.
+fn rmse(y: &[f64], fixed: [Fixed<'_>; 2], free: [&[Vec<f64>]; 2]) -> Option<f64> {
     let columns = fixed.iter().flat_map(|(columns, _)| *columns);
     let columns: Vec<&[f64]> = columns.map(Vec::as_slice).collect();
     let rest = left(y, &columns, &fixed.map(|(_, sizes)| sizes).concat());
     let free = free.into_iter().flatten().map(Vec::as_slice).collect();
     let scores = Task::new([rest.as_slice()]).regress(&Columns::free(free))?;
-    Some(scores.energy()).filter(|energy| energy.is_finite())
+    Some(scores.energy().sqrt()).filter(|rmse| rmse.is_finite())
 }
 
 #[cfg(test)]

@@ -150,13 +150,6 @@ pub fn page(source: &str, d: &Document, rows: &Rows, made: &[[String; 2]]) -> St
     let mut page = Page::new(&format!("Gap diagnosis: {source}"));
     page.text(&opening(d));
     said(d).iter().for_each(|line| page.text(line));
-    let figure = |name: &str, rmse: f64| [name.to_owned(), words::short(rmse)];
-    let figures = [
-        figure("recalibrated", d.gap.recalibrated),
-        figure("with the verdict's effects", d.gap.explained),
-        figure("noise", d.gap.noise_floor),
-    ];
-    page.table(&format!("gap, RMSE|{}", d.unit), &figures);
     page.quiet("Recalibration identifies the nominal model on these logs; what it closes is not credited to an effect.");
     if let [_, _, ..] = d.logs.as_slice() {
         page.table(LOGS, &d.logs.iter().map(log_row).collect::<Vec<_>>());
