@@ -136,12 +136,11 @@ impl Check for SavedRig {
             zero: 0.0,
         };
         let known = self.effects();
-        to.at("effect")
-            .holds(
-                known.len() == self.effect.len(),
-                "has one that a rig with this map cannot have",
-            )
-            .hint(AGAIN);
+        let is_known = |e: &SavedOperator| known.iter().any(|(o, _)| o.name == e.name);
+        let stray = self.effect.iter().find(|e| !is_known(e));
+        let name = stray.map_or("", |e| &e.name);
+        let problem = format!("`{name}` is no effect of a rig with this map");
+        to.at("effect").holds(stray.is_none(), &problem).hint(AGAIN);
         for (i, (operator, e)) in known.iter().enumerate() {
             let at = |key: &str| format!("effect.{i}.{key}");
             let least = if operator.eta.is_empty() { 0.0 } else { LEAST };
