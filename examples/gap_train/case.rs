@@ -105,7 +105,7 @@ impl Case {
     /// Searches the log of a random rig.
     pub fn of_rig(seed: u64) -> Self {
         let rig = rig::draw(seed);
-        let problem = RigProblem::new(&rig.map, &rig.signals, &[], seed);
+        let problem = RigProblem::new(&rig.map, std::slice::from_ref(&rig.signals), seed);
         Self::new(seed, rig.truth.as_deref(), problem.as_ref())
     }
 

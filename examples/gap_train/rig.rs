@@ -111,6 +111,7 @@ pub fn draw(seed: u64) -> RandomRig {
     RandomRig {
         map: map(nominal, inputs.len(), clocked.then_some(1.0 / dt)),
         signals: Signals {
+            file: String::new(),
             motion: inputs.first().cloned(),
             inputs,
             output,
@@ -366,7 +367,7 @@ fn recalibrated(y: &[f64], inputs: &[Vec<f64>]) -> Vec<f64> {
         .into_iter()
         .chain(inputs.iter().map(Vec::as_slice))
         .collect();
-    let Some(r) = Task::new(y).regress(&regress::Columns::free(of.clone())) else {
+    let Some(r) = Task::new([y]).regress(&regress::Columns::free(of.clone())) else {
         return y.to_vec();
     };
     regress::left(y, &of, &r.coefficients)
@@ -391,7 +392,7 @@ mod tests {
     fn on_random_rigs_the_verdict_is_its_posterior() {
         for seed in 800_000..800_040 {
             let rig = draw(seed);
-            let d = Document::new(&rig.map, &rig.signals, &[], seed);
+            let d = Document::new(&rig.map, std::slice::from_ref(&rig.signals), seed);
             let v = &d.verdict;
             let Some(first) = v.conformal.first() else {
                 assert_eq!(v.kind, VerdictKind::Unknown, "{seed}");

@@ -84,7 +84,30 @@ pub fn within(
 /// # Errors
 /// A report that names file and key.
 pub fn described(path: &Path, board: &Board) -> Result<Arc<DescribedMachine>> {
-    described_by(&path.display().to_string(), source::read(path)?, board)
+    described_by(&path.display().to_string(), tip_model(path)?, board)
+}
+
+/// Whether a saved model is that of a mapped rig, and not of a tip.
+///
+/// # Errors
+/// A report that names the file.
+pub fn is_mapped(path: &Path) -> Result<bool> {
+    let table: Option<toml::Table> = source::text_of(path)?.parse().ok();
+    Ok(table.is_some_and(|table| table.contains_key("map")))
+}
+
+/// A saved model of a tip.
+///
+/// # Errors
+/// A report that names file and key.
+pub fn tip_model(path: &Path) -> Result<SavedModel> {
+    if is_mapped(path)? {
+        let file = path.display();
+        bail!(
+            "{file}: this is the model of a mapped rig, which only `gap check` reads; give the model of a tip"
+        );
+    }
+    Ok(source::read(path)?)
 }
 
 /// The model for the feedforward, and its path: the one on the command line, or the one that the calibration file names.

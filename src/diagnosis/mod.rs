@@ -11,6 +11,7 @@ pub mod diagnose;
 pub mod exam;
 pub mod excite;
 pub mod fleet;
+pub mod judgement;
 pub mod problem;
 pub mod rig;
 pub mod search;
@@ -18,6 +19,7 @@ pub mod tip;
 pub mod verdict;
 
 pub use candidates::{Candidates, Scored};
-pub use diagnose::{diagnose, statements};
+pub use diagnose::{Diagnosed, diagnose, statements};
+pub use judgement::{Checked, Judgement};
 pub use problem::{Judged, Problem};
 pub use search::{Search, search};

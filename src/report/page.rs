@@ -61,6 +61,13 @@ impl Page {
         }
         self.line("</div>");
     }
+    /// Adds what a diagnosis was made from, and the document that explains it.
+    pub fn made_from(&mut self, made: &[[String; 2]], guide: &str) {
+        self.heading("Made from");
+        self.table("|", made);
+        let read = "of the program explains how to read this page.";
+        self.quiet(&format!("{guide} {read}"));
+    }
     fn line(&mut self, markup: impl Display) {
         self.0 += &format!("{markup}\n");
     }

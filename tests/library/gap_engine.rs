@@ -1,13 +1,11 @@
 //! The diagnosis on logs of the built-in plant, whose laws differ in form from the catalogue's.
 
-use retroflex::diagnosis::diagnose;
 use retroflex::diagnosis::exam::run::run;
 use retroflex::diagnosis::exam::{Content, Question, questions, score};
 use retroflex::diagnosis::tip::observed::Observed;
-use retroflex::diagnosis::tip::{
-    Diagnosis, Judgement, ParamValue, Rig, SavedModel, TipProblem, check,
-};
+use retroflex::diagnosis::tip::{Diagnosis, ParamValue, Rig, SavedModel, TipProblem, check};
 use retroflex::diagnosis::verdict::VerdictKind;
+use retroflex::diagnosis::{Judgement, diagnose};
 use retroflex::log::bend_log::BendLog;
 use retroflex::model::effects::{by_catalogue, catalogue};
 use retroflex::simulation::plant::effect_names;

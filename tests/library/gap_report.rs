@@ -6,7 +6,8 @@ use retroflex::diagnosis::tip::{
     Diagnosis, EffectEntry, Gap, Location, ParamValue, QuantityShare, StageShare, UnknownEntry,
 };
 use retroflex::diagnosis::verdict::{Verdict, VerdictKind};
-use retroflex::report::gap::evidence::{Evidence, Spot, Trace};
+use retroflex::report::gap::charts::Trace;
+use retroflex::report::gap::evidence::{Evidence, Spot};
 use retroflex::report::gap::{page, words};
 
 fn effect(name: &'static str, stage: &'static str, probability: f64, closed: f64) -> EffectEntry {

@@ -178,8 +178,8 @@ fn an_output_that_cannot_be_written_is_refused_before_the_diagnosis() {
         ),
         (vec!["--calib", "/nowhere/c.toml"], vec!["/nowhere/c.toml"]),
         (
-            vec!["--map", "docs/maps/silverbox_cubic.toml", "--html", &same],
-            vec!["--map", "--html"],
+            vec!["--map", "docs/maps/silverbox_cubic.toml", "--rows", &same],
+            vec!["--map", "--rows"],
         ),
     ] {
         let all: Vec<&str> = ["gap", "diagnose", log].into_iter().chain(args).collect();

@@ -18,6 +18,7 @@ mod flight_log;
 mod foxglove;
 mod gap_cli;
 mod gap_compare;
+mod gap_map;
 mod guided;
 mod hostile_server;
 mod imu_calibrate;

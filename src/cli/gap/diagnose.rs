@@ -6,15 +6,18 @@ use crate::cli::gap::rows::{self, RowsArgs, Settings};
 use crate::cli::{ResultFile, output};
 use crate::config::source;
 use crate::diagnosis::diagnose;
-use crate::diagnosis::rig::{Document, MapFile, table};
-use crate::diagnosis::tip::observed::Observed;
-use crate::diagnosis::tip::{Diagnosed, Diagnosis, SavedModel, TipProblem};
+use crate::diagnosis::rig::{Document, MapFile, RigProblem, SavedRig, table};
+use crate::diagnosis::tip::observed::Segment;
+use crate::diagnosis::tip::{SavedModel, TipProblem};
 use crate::model::effects::catalogue;
 use crate::report::gap::answer::summary;
 use crate::report::gap::evidence::Evidence;
+use crate::report::gap::map::{self, Rows};
 use crate::report::gap::page;
 use crate::service::flight::cycle::fnv;
+use indicatif::ProgressBar;
 use miette::{IntoDiagnostic, Result, bail};
+use serde::Serialize;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -24,12 +27,9 @@ pub struct Args {
     /// Bend log, *.csv or *.csv.gz; several logs of one unit are diagnosed together.
     #[arg(required = true, value_name = "LOG")]
     logs: Vec<PathBuf>,
-    /// Map of the columns of a log of another rig.
-    #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["board", "calib", "html", "save"])]
+    /// Map of the columns of the logs of another rig.
+    #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["board", "calib"])]
     map: Option<PathBuf>,
-    /// With --map: another log of the rig, on which the fitted model is evaluated; may be repeated.
-    #[arg(long, value_name = "LOG", requires = "map")]
-    fresh: Vec<PathBuf>,
     #[command(flatten)]
     driven: DrivenArgs,
     /// Write the diagnosis as JSON.
@@ -38,7 +38,7 @@ pub struct Args {
     /// Write the diagnosis as one printable page.
     #[arg(long)]
     html: Option<ResultFile>,
-    /// Save the recalibrated and the explained model for `gap check`, `gap apply`, `gap excite --like`,
+    /// Save the recalibrated and the explained model for `gap check` and, of a tip, for `gap apply`, `gap excite --like`,
     /// `evaluate --feedforward` and `--plant model:`.
     #[arg(long, value_name = "MODEL.toml")]
     save: Option<ResultFile>,
@@ -69,86 +69,126 @@ pub fn run(args: &Args) -> Result<()> {
         );
     }
     if let Some(map) = &args.map {
-        let [log] = args.logs.as_slice() else {
-            bail!(
-                "--map: {} logs are given, 1 is allowed; `--fresh LOG` names further logs of the rig",
-                args.logs.len()
-            );
-        };
-        return run_mapped(log, map, args);
+        return run_mapped(map, args);
     }
-    let lines = args.driven.lines()?;
-    let observed = input::observe_together(&args.logs, &args.driven.rig()?)?;
-    let bar = output::bar(0, "the effects are fitted,");
-    bar.enable_steady_tick(std::time::Duration::from_millis(200));
+    let (lines, rig) = (args.driven.lines()?, args.driven.rig()?);
+    let mut logs = input::each(&args.logs, |path| input::observe(path, &rig))?.into_iter();
+    let Some(mut observed) = logs.next() else {
+        bail!("no log is given");
+    };
+    logs.for_each(|log| observed.append(log));
+    let bar = busy();
     let done = diagnose(&TipProblem::new(&observed, catalogue(), &lines, args.seed));
     bar.finish_and_clear();
-    for (path, text) in files(args, &observed, &done)? {
-        output::write(path, &text)?;
-        if path != Path::new("-") {
-            eprintln!("written: {}", path.display());
-        }
-    }
+    let html = || {
+        let seconds = |part: &Segment| {
+            let [first, last] =
+                [part.instants.start, part.instants.end - 1].map(|k| observed.instants[k].t_s);
+            format!("{:.0} s", last - first)
+        };
+        let lengths = observed.segments.iter().map(seconds);
+        let [board, calib] = args.driven.named();
+        let made = made_from(args, lengths, &[("board", board), ("calibration", calib)])?;
+        let (logs, evidence) = (
+            listed(&args.logs, file_name),
+            Evidence::new(&observed, &done),
+        );
+        Ok(page(&logs, &done.document, &evidence, &made))
+    };
+    let model = || {
+        let model = SavedModel::new(&sources(args), &done).with_forecast(&observed, &done);
+        toml::to_string(&model).into_diagnostic()
+    };
+    write(args, &done.document, html, model)?;
     let text = summary(&done.document, args.save.as_deref()) + "\n";
     output::show(text, &args.json);
     Ok(())
 }
 
-/// Diagnoses a log of another rig.
-fn run_mapped(log: &Path, map: &Path, args: &Args) -> Result<()> {
-    let map: MapFile = source::read(map)?;
-    let signals = table::read(log, &map).into_diagnostic()?;
-    let other = |path: &PathBuf| Ok((file_name(path), table::read(path, &map).into_diagnostic()?));
-    let others = args.fresh.iter().map(other).collect::<Result<Vec<_>>>()?;
-    let document = Document::new(&map, &signals, &others, args.seed);
-    let text = crate::report::gap::map::summary(&document) + "\n";
-    output::answer(&args.json, &document, text)
+/// Diagnoses logs of another rig.
+fn run_mapped(map_file: &Path, args: &Args) -> Result<()> {
+    let map: MapFile = source::read(map_file)?;
+    let logs = input::each(&args.logs, |path| table::read(path, &map).into_diagnostic())?;
+    let bar = busy();
+    let problem = RigProblem::new(&map, &logs, args.seed);
+    let done = problem.as_ref().map(|problem| (problem, diagnose(problem)));
+    bar.finish_and_clear();
+    let empty = Document::empty(&map);
+    let document = done.as_ref().map_or(&empty, |(_, done)| &done.document);
+    let html = || {
+        let rows = done
+            .as_ref()
+            .map(|(problem, done)| Rows::new(problem, &done.chosen));
+        let lengths = logs.iter().map(|log| format!("{} rows", log.t.len()));
+        let made = made_from(args, lengths, &[("map", file_name(map_file))])?;
+        let logs = listed(&args.logs, file_name);
+        Ok(map::page(&logs, document, &rows.unwrap_or_default(), &made))
+    };
+    let model = || {
+        let Some((problem, done)) = &done else {
+            bail!("--save: the logs do not determine a model; record the inputs one by one");
+        };
+        toml::to_string(&SavedRig::new(sources(args), problem, done)).into_diagnostic()
+    };
+    write(args, document, html, model)?;
+    output::show(map::summary(document) + "\n", &args.json);
+    Ok(())
 }
 
-/// Requested files with their contents.
-fn files<'a>(
-    args: &'a Args,
-    observed: &Observed,
-    done: &Diagnosed,
-) -> Result<Vec<(&'a Path, String)>> {
-    let mut out: Vec<(&Path, String)> = Vec::new();
+/// Progress of the fit.
+fn busy() -> ProgressBar {
+    let bar = output::bar(0, "the effects are fitted,");
+    bar.enable_steady_tick(std::time::Duration::from_millis(200));
+    bar
+}
+
+/// Writes the requested files: none unless all can be made.
+fn write(
+    args: &Args,
+    document: &impl Serialize,
+    html: impl FnOnce() -> Result<String>,
+    model: impl FnOnce() -> Result<String>,
+) -> Result<()> {
+    let mut files: Vec<(&Path, String)> = Vec::new();
     if let Some(path) = &args.json {
-        out.push((path, json(&done.document)?));
+        files.push((path, json(document)?));
     }
     if let Some(path) = &args.html {
-        let (logs, evidence) = (listed(&args.logs, file_name), Evidence::new(observed, done));
-        let made = made_from(args, observed)?;
-        out.push((path, page(&logs, &done.document, &evidence, &made)));
+        files.push((path, html()?));
     }
     if let Some(path) = &args.save {
-        let logs = listed(&args.logs, |log| log.display().to_string());
-        let model = SavedModel::new(&logs, done);
-        let model = model.with_forecast(observed, done);
-        out.push((path, toml::to_string(&model).into_diagnostic()?));
+        files.push((path, model()?));
     }
-    Ok(out)
+    for (path, text) in files {
+        output::write(path, &text)?;
+        if path != Path::new("-") {
+            eprintln!("written: {}", path.display());
+        }
+    }
+    Ok(())
 }
 
 /// What a diagnosis was made from and with, so that its page can be told from that of another day.
-fn made_from(args: &Args, observed: &Observed) -> Result<Vec<[String; 2]>> {
+fn made_from(
+    args: &Args,
+    lengths: impl Iterator<Item = String>,
+    with: &[(&str, String)],
+) -> Result<Vec<[String; 2]>> {
     let row = |name: &str, value: String| [name.to_owned(), value];
     let version = env!("CARGO_PKG_VERSION").to_owned();
     let mut made = vec![row("retroflex", version), row("date", today())];
-    for (log, part) in args.logs.iter().zip(&observed.segments) {
+    for (log, length) in args.logs.iter().zip(lengths) {
         let hash = fnv(std::fs::read(log).into_diagnostic()?);
-        let [first, last] =
-            [part.instants.start, part.instants.end - 1].map(|k| observed.instants[k].t_s);
-        let duration_s = last - first;
-        let shown = format!("{duration_s:.0} s, hash {hash:016x}");
-        made.push(row(&file_name(log), shown));
+        made.push(row(&file_name(log), format!("{length}, hash {hash:016x}")));
     }
-    let ([board, calib], seed) = (args.driven.named(), args.seed.to_string());
-    made.extend([
-        row("board", board),
-        row("calibration", calib),
-        row("seed", seed),
-    ]);
+    made.extend(with.iter().map(|(name, value)| row(name, value.clone())));
+    made.push(row("seed", args.seed.to_string()));
     Ok(made)
+}
+
+/// The logs as a saved model names them.
+fn sources(args: &Args) -> String {
+    listed(&args.logs, |log| log.display().to_string())
 }
 
 fn listed(logs: &[PathBuf], name: impl Fn(&Path) -> String) -> String {
@@ -157,7 +197,7 @@ fn listed(logs: &[PathBuf], name: impl Fn(&Path) -> String) -> String {
 }
 
 /// The document as JSON. JSON cannot represent a number that is not finite, so such a number is an error.
-fn json(document: &Diagnosis) -> Result<String> {
+fn json(document: &impl Serialize) -> Result<String> {
     let value = serde_json::to_value(document).into_diagnostic()?;
     if let Some(key) = not_finite(&value, "") {
         bail!(

@@ -1,7 +1,6 @@
 //! Inputs that the gap commands share: machine, log and saved model.
 
 use crate::cli::inputs;
-use crate::config::source;
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::tip::{Rig, SavedModel};
 use crate::log::{bend_log, plausibility};
@@ -78,23 +77,16 @@ pub fn observe(path: &Path, rig: &Rig) -> Result<Observed> {
     Ok(observed)
 }
 
-/// Reads several bend logs of a machine.
+/// Reads several logs.
 ///
 /// # Errors
-/// As [`observe`], or a log that is given twice.
-pub fn observe_together(paths: &[PathBuf], rig: &Rig) -> Result<Observed> {
-    let mut all: Option<Observed> = None;
-    for (n, path) in paths.iter().enumerate() {
-        if paths[..n].contains(path) {
-            bail!("{}: given twice; a log counts once", path.display());
-        }
-        let next = observe(path, rig)?;
-        match &mut all {
-            Some(all) => all.append(next),
-            None => all = Some(next),
-        }
-    }
-    all.ok_or_else(|| miette!("no log is given"))
+/// That of the reader, or a log that is given twice.
+pub fn each<T>(paths: &[PathBuf], read: impl Fn(&Path) -> Result<T>) -> Result<Vec<T>> {
+    let one = |(n, path): (usize, &PathBuf)| match paths[..n].contains(path) {
+        true => bail!("{}: given twice; a log counts once", path.display()),
+        false => read(path),
+    };
+    paths.iter().enumerate().map(one).collect()
 }
 
 /// The name of a file without its folder.
@@ -108,7 +100,7 @@ pub fn file_name(path: &Path) -> String {
 /// # Errors
 /// A report that names file and key.
 pub fn saved(path: &Path) -> Result<SavedModel> {
-    let model: SavedModel = source::read(path)?;
+    let model = inputs::tip_model(path)?;
     match model.unknown_names() {
         Some(problem) => Err(miette!("{}: {problem}", path.display())),
         None => Ok(model),

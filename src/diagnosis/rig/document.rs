@@ -3,10 +3,11 @@
 use crate::diagnosis::rig::{MapFile, Member, RigProblem, Set, Signals, closed_ci95, notes};
 use crate::diagnosis::verdict::Verdict;
 use crate::diagnosis::{Judged, Scored, diagnose};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// RMSE in the unit of the output.
-#[derive(Debug, Clone, Serialize, Default)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
+#[serde(deny_unknown_fields)]
 pub struct Figures {
     /// Nominal model, on held-out blocks.
     pub recalibrated: f64,
@@ -25,6 +26,8 @@ pub struct Parameter {
     pub name: &'static str,
     /// Value; times in s (rows without a clock), periods in the unit of the moving signal.
     pub value: f64,
+    /// 95 % interval.
+    pub ci95: [f64; 2],
 }
 
 /// An effect, or the whole set of the verdict.
@@ -55,15 +58,15 @@ pub struct Left {
     pub rmse: f64,
 }
 
-/// The fitted model on another log of the rig.
+/// One of the logs that were diagnosed together.
 #[derive(Debug, Clone, Serialize)]
-pub struct Fresh {
-    /// Name of the log.
-    pub log: String,
-    /// RMSE of the nominal model.
-    pub before: f64,
-    /// RMSE with the effects.
-    pub after: f64,
+pub struct LogEntry {
+    /// Name of the file.
+    pub file: String,
+    /// RMSE of the nominal model on its held-out blocks.
+    pub recalibrated: f64,
+    /// The same with the verdict's effects.
+    pub explained: f64,
 }
 
 /// The whole diagnosis.
@@ -87,19 +90,19 @@ pub struct Document {
     pub verdict: Verdict,
     /// What this log cannot show, regardless of the scores.
     pub notes: Vec<String>,
-    /// The fitted model on other logs.
-    pub fresh: Vec<Fresh>,
+    /// The logs.
+    pub logs: Vec<LogEntry>,
 }
 
 impl Document {
-    /// Diagnoses a log with the seed of the bootstrap; `fresh` are other logs of the rig, on which the fitted model is evaluated.
-    pub fn new(map: &MapFile, log: &Signals, fresh: &[(String, Signals)], seed: u64) -> Self {
-        RigProblem::new(map, log, fresh, seed)
+    /// Diagnoses logs of one rig with the seed of the bootstrap.
+    pub fn new(map: &MapFile, logs: &[Signals], seed: u64) -> Self {
+        RigProblem::new(map, logs, seed)
             .map_or_else(|| Self::empty(map), |problem| diagnose(&problem).document)
     }
 
-    /// The document of a log that does not determine the nominal model: its verdict is `unknown`.
-    fn empty(map: &MapFile) -> Self {
+    /// The document of logs that do not determine the nominal model: their verdict is `unknown`.
+    pub fn empty(map: &MapFile) -> Self {
         Self {
             schema: 1,
             rig: "map",
@@ -116,7 +119,7 @@ impl Document {
 impl RigProblem<'_> {
     /// The document.
     pub fn written(&self, judged: &Judged<Self>) -> Document {
-        let (chosen, mut notes) = (judged.chosen(), notes(self.log));
+        let (chosen, mut notes) = (judged.chosen(), notes(self.logs));
         let entry = |s: &Set| self.entry(judged, &self.nominal, s);
         let mut effects: Vec<Entry> = judged.found.singles.iter().map(entry).collect();
         // of equally probable effects, the one that closes most comes first
@@ -124,13 +127,6 @@ impl RigProblem<'_> {
         effects.sort_by(|a, b| b.probability.total_cmp(&a.probability));
         if self.coarse {
             notes.push("the rows are too far apart to tell noise from signal, so the parts that are closed include noise. Record more rows per second".to_owned());
-        }
-        let mut fresh = Vec::new();
-        for (name, other) in self.fresh {
-            match self.on_fresh(chosen, name, other) {
-                Some(f) => fresh.push(f),
-                None => notes.push(format!("{name} is far outside the fitted range and was not evaluated: record both over one range")),
-            }
         }
         Document {
             schema: 1,
@@ -149,7 +145,7 @@ impl RigProblem<'_> {
             },
             verdict: judged.verdict.clone(),
             notes,
-            fresh,
+            logs: self.log_entries(chosen),
         }
     }
 
@@ -183,6 +179,7 @@ impl RigProblem<'_> {
             of: m.operator.name,
             name: m.operator.eta,
             value: m.eta,
+            ci95: m.ci95,
         };
         Entry {
             name: set.names.join(" + "),
@@ -198,14 +195,25 @@ impl RigProblem<'_> {
         }
     }
 
-    /// The fitted models on a fresh log; only the offset is set again.
-    fn on_fresh(&self, chosen: &Set, name: &str, other: &Signals) -> Option<Fresh> {
-        let rmse = |s: &Set| self.base.rmse_on(other, &s.members, &s.scores.coefficients);
-        Some(Fresh {
-            log: name.to_owned(),
-            before: rmse(&self.nominal)?,
-            after: rmse(chosen)?,
-        })
+    /// What both models leave of each log.
+    fn log_entries(&self, chosen: &Set) -> Vec<LogEntry> {
+        let left = [&self.nominal, chosen].map(|set| self.left_out(set));
+        let mut start = 0;
+        let one = |log: &Signals| {
+            let rows = start..start + log.output.len();
+            start = rows.end;
+            let [recalibrated, explained] = [0, 1].map(|k| {
+                let known = left[k][rows.clone()].iter().filter(|x| !x.is_nan());
+                let squares: Vec<f64> = known.map(|x| x * x).collect();
+                (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+            });
+            LogEntry {
+                file: log.file.clone(),
+                recalibrated,
+                explained,
+            }
+        };
+        self.logs.iter().map(one).collect()
     }
 }
 
@@ -232,6 +240,7 @@ mod tests {
             .map(|y| y + 0.01 * rng.random_range(-1.0..1.0))
             .collect();
         Signals {
+            file: String::new(),
             inputs: vec![u.clone()],
             output,
             motion: Some(u),
@@ -241,7 +250,7 @@ mod tests {
     }
 
     fn diagnosis(law: impl Fn(&[f64], &[f64]) -> Vec<f64>) -> Document {
-        Document::new(&toml::from_str(MAP).unwrap(), &log(law), &[], 1)
+        Document::new(&toml::from_str(MAP).unwrap(), &[log(law)], 1)
     }
 
     #[test]
@@ -289,6 +298,7 @@ mod tests {
                     .collect::<Vec<f64>>()
             };
             let signals = |output: Vec<f64>| Signals {
+                file: String::new(),
                 inputs: vec![inputs.clone()],
                 output,
                 motion: Some(inputs.clone()),
@@ -301,8 +311,11 @@ mod tests {
                     .map(|k| u[k / hold] + wrong[k / hold])
                     .collect(),
             );
-            assert!(poor(&stands) && !poor(&signals(slow(80.0))), "{poses}");
-            let d = Document::new(&toml::from_str(MAP).unwrap(), &stands, &[], 1);
+            assert!(
+                poor(std::slice::from_ref(&stands)) && !poor(&[signals(slow(80.0))]),
+                "{poses}"
+            );
+            let d = Document::new(&toml::from_str(MAP).unwrap(), &[stands], 1);
             assert!(
                 d.verdict.names.is_empty() && d.notes.iter().any(|n| n.contains("distinct")),
                 "{:?}",
@@ -329,13 +342,14 @@ mod tests {
                 .map(|u| 2.0 * u + 0.03 * rng.random_range(-1.0..1.0))
                 .collect();
             let signals = Signals {
+                file: String::new(),
                 inputs: vec![u.clone()],
                 output,
                 motion: Some(u),
                 t,
                 clocked: true,
             };
-            let d = Document::new(&toml::from_str(MAP).unwrap(), &signals, &[], 1);
+            let d = Document::new(&toml::from_str(MAP).unwrap(), &[signals], 1);
             let noted = d.notes.iter().any(|n| n.contains("Record a longer log"));
             assert!(
                 if rows < 200 {

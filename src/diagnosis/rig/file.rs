@@ -3,10 +3,10 @@
 //! `docs/other-rigs.md` documents every key; unknown keys are errors.
 
 use crate::primitives::{check::Checker, parameters::Check};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// Nominal model of a rig.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Nominal {
     /// `y = a + Σ b_i u_i`.
@@ -19,7 +19,7 @@ pub enum Nominal {
 }
 
 /// One column or several.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Columns {
     /// One.
@@ -39,7 +39,7 @@ impl Columns {
 }
 
 /// A map file.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MapFile {
     /// Column that drives the rig, or columns, whose best linear combination does; none for `still`.
@@ -71,28 +71,27 @@ impl MapFile {
     pub fn inputs(&self) -> Vec<&str> {
         self.input.as_ref().map_or(vec![], Columns::names)
     }
-}
 
-fn one() -> usize {
-    1
-}
+    /// Whether times are in seconds, and not in rows.
+    pub fn is_clocked(&self) -> bool {
+        self.time.is_some() || self.rate_hz.is_some()
+    }
 
-impl Check for MapFile {
-    const REMEDY: &'static str = "docs/maps holds a map for each rig of docs/other-rigs.md";
-
-    fn check(&self, to: &mut Checker) {
-        to.at("every")
+    /// Checks the map, whose keys have this prefix.
+    pub fn check_within(&self, to: &mut Checker, prefix: &str) {
+        let at = |key: &str| format!("{prefix}{key}");
+        to.at(&at("every"))
             .range(self.every as f64, 1.0..=10_000.0, "")
             .hint("1 uses every row");
         if let Some(rate) = self.rate_hz {
-            to.at("rate_hz")
+            to.at(&at("rate_hz"))
                 .range(rate, 1e-6..=1e7, "Hz")
                 .hint("rows per second");
-            to.at("rate_hz")
+            to.at(&at("rate_hz"))
                 .holds(self.time.is_none(), "is given together with `time`")
                 .hint("a log has one clock: remove one of the two");
         }
-        to.at("output")
+        to.at(&at("output"))
             .holds(!self.output.names().is_empty(), "names no column")
             .hint("name the output column");
         let (inputs, driven) = (self.inputs().len(), !self.inputs().is_empty());
@@ -106,14 +105,25 @@ impl Check for MapFile {
                 .holds(driven, "has no input")
                 .hint("name the input, or set nominal = \"still\""),
             Nominal::Resonance => {
-                let clocked = self.rate_hz.is_some() || self.time.is_some();
-                to.at("nominal")
+                to.at(&at("nominal"))
                     .holds(inputs == 1, "an oscillator has one input")
                     .hint("name one column");
-                to.at("nominal")
-                    .holds(clocked, "an oscillator needs a clock")
+                to.at(&at("nominal"))
+                    .holds(self.is_clocked(), "an oscillator needs a clock")
                     .hint("give `time` or `rate_hz`");
             }
         }
+    }
+}
+
+fn one() -> usize {
+    1
+}
+
+impl Check for MapFile {
+    const REMEDY: &'static str = "docs/maps holds a map for each rig of docs/other-rigs.md";
+
+    fn check(&self, to: &mut Checker) {
+        self.check_within(to, "");
     }
 }

@@ -3,6 +3,7 @@
 //! The nominal model is identified on the log, every operator is fitted jointly with it, and sets of them are searched and judged as those
 //! of a tip are: by a posterior, whose weights are fitted to random rigs.
 
+pub mod check;
 pub mod document;
 pub mod file;
 pub mod model;
@@ -10,14 +11,17 @@ pub mod operators;
 pub mod poses;
 pub mod problem;
 pub mod regress;
+pub mod saved;
 pub mod search;
 pub mod table;
 
+pub use check::check;
 pub use document::{Document, Entry};
 pub use file::{MapFile, Nominal};
-pub use model::{MapBase, Member, RESONANT};
+pub use model::{MapBase, Member, RESONANT, Scale};
 pub use operators::{DRIVEN, Drive, Operator, STILL, none, oscillator, oscillator_step, play};
 pub use poses::{notes, poor};
 pub use regress::{Regressed, Task, closed_ci95, variance};
+pub use saved::SavedRig;
 pub use search::{RigProblem, Set};
 pub use table::Signals;

@@ -1,9 +1,11 @@
 //! The nominal model of a mapped rig with a set of operators.
 
-use crate::diagnosis::rig::regress::{Columns, left, variance};
+use crate::diagnosis::rig::operators::TAKES_OVER;
+use crate::diagnosis::rig::regress::Columns;
 use crate::diagnosis::rig::{
     DRIVEN, Drive, MapFile, Nominal, Operator, STILL, Signals, Task, none, oscillator,
 };
+use serde::{Deserialize, Serialize};
 
 /// An operator at one value of η.
 #[derive(Clone)]
@@ -12,41 +14,38 @@ pub struct Member {
     pub operator: Operator,
     /// Value of η.
     pub eta: f64,
+    /// Its 95 % interval.
+    pub ci95: [f64; 2],
     /// Columns on the log.
     pub columns: Vec<Vec<f64>>,
 }
 
-/// Effects whose answer replaces the immediate one of the nominal model.
-const TAKES_OVER: [&str; 7] = [
-    "play",
-    "hysteresis",
-    "bouc_wen",
-    "dead_band",
-    "rate_limit",
-    "lag",
-    "delay",
-];
-
-/// Largest nominal prediction on a fresh log, in half ranges of the fitted one.
-const OUTSIDE: f64 = 2.5;
-
-/// Scaling of raw signals to the [`Drive`] of the operators, fixed by the diagnosed log.
-#[derive(Debug, Clone)]
-struct Scale {
-    weights: Vec<f64>,
-    middle: f64,
-    half: f64,
-    m_low: f64,
-    m_range: f64,
-    swing: Option<(f64, f64)>,
+/// The recalibrated nominal model, and the scaling of raw signals to the [`Drive`] of the operators.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scale {
+    /// What the output moves per unit of each input.
+    pub weights: Vec<f64>,
+    /// Middle of the prediction without its offset, in the unit of the output.
+    pub middle: f64,
+    /// Half of its range.
+    pub half: f64,
+    /// Least value of the moving signal.
+    pub m_low: f64,
+    /// Its range.
+    pub m_range: f64,
+    /// Frequency, rad/s, and damping of the oscillator, if there is one.
+    pub swing: Option<[f64; 2]>,
 }
 
-/// The nominal model on a log.
+/// The nominal model on logs of one rig: a line of one slope, with an offset of its own for each log.
 pub struct MapBase {
-    scale: Scale,
-    /// Signals that the operators act on.
-    pub drive: Drive,
-    base: Vec<Vec<f64>>,
+    /// The nominal model.
+    pub scale: Scale,
+    /// Signals that the operators act on, of each log.
+    pub drives: Vec<Drive>,
+    /// Columns: the offset of each log, then the inputs.
+    pub base: Vec<Vec<f64>>,
 }
 
 /// Operators for an oscillator: the response to a nonlinear spring force, to first and second order of a perturbation
@@ -79,17 +78,23 @@ fn spring(d: &Drive, power: i32) -> Vec<Vec<f64>> {
 }
 
 impl MapBase {
-    /// Identifies the nominal model on the log.
-    pub fn new(map: &MapFile, log: &Signals) -> Self {
-        let swing = (map.nominal == Nominal::Resonance).then(|| resonance(log));
-        let inputs = driven(log, swing);
-        let ones = vec![1.0; log.output.len()];
-        let base: Vec<Vec<f64>> = [ones].into_iter().chain(inputs.clone()).collect();
+    /// Identifies the nominal model on the logs; `None` if their inputs do not determine it.
+    pub fn new(map: &MapFile, logs: &[Signals]) -> Option<Self> {
+        let swing = (map.nominal == Nominal::Resonance).then(|| resonance(&logs[0]));
+        let of_each: Vec<Vec<Vec<f64>>> = logs.iter().map(|log| driven(log, swing)).collect();
+        let inputs = stacked(of_each.clone());
+        let ones = |log: &Signals| vec![vec![1.0; log.t.len()]];
+        let mut base = apart(logs.iter().map(ones).collect());
+        base.extend(inputs.iter().cloned());
         let columns = Columns::free(base.iter().map(Vec::as_slice).collect());
-        let regressed = Task::new(&log.output).regress(&columns);
-        let weights = regressed.map_or(vec![1.0; inputs.len()], |r| r.coefficients[1..].to_vec());
-        let (low, high) = range(&combined(&inputs, &weights, log.output.len()));
-        let (m_low, m_high) = log.motion.as_deref().map_or((0.0, 1.0), range);
+        let task = Task::new(logs.iter().map(|log| log.output.as_slice()));
+        let weights = task.regress(&columns)?.coefficients[logs.len()..].to_vec();
+        let (low, high) = range(&combined(&inputs, &weights, task.y.len()));
+        let moving = logs.iter().flat_map(|log| log.motion.iter().flatten());
+        let (m_low, m_high) = match logs[0].motion {
+            Some(_) => range(moving),
+            None => (0.0, 1.0),
+        };
         let scale = Scale {
             weights,
             middle: (low + high) / 2.0,
@@ -98,17 +103,43 @@ impl MapBase {
             m_range: (m_high - m_low).max(1e-12),
             swing,
         };
-        let drive = scale.drive(log, &inputs);
-        Self { scale, drive, base }
+        let drives = logs.iter().zip(&of_each);
+        let drives = drives.map(|(log, inputs)| scale.drive(log, inputs));
+        Some(Self {
+            drives: drives.collect(),
+            scale,
+            base,
+        })
+    }
+
+    /// An operator at a value of η; its state starts anew with each log.
+    pub fn member(&self, operator: &Operator, eta: f64) -> Member {
+        let of_each = self.drives.iter().map(|d| (operator.columns)(d, eta));
+        Member {
+            operator: *operator,
+            eta,
+            ci95: [eta; 2],
+            columns: match operator.is_state {
+                true => apart(of_each.collect()),
+                false => stacked(of_each),
+            },
+        }
+    }
+
+    /// Values of η to be tried: those for the longest log.
+    pub fn grid(&self, operator: &Operator) -> Vec<f64> {
+        let longest = self.drives.iter().max_by_key(|d| d.t.len());
+        longest.map_or(vec![], operator.grid)
     }
 
     /// Columns of a set, and the signs that their coefficients must have.
     pub fn columns<'a>(&'a self, members: &'a [Member]) -> Columns<'a> {
         let (mut of, mut signs): (Vec<&[f64]>, _) =
             (self.base.iter().map(Vec::as_slice).collect(), vec![]);
+        let parts = self.drives[0].parts.len();
         for m in members {
             // of several inputs each has a weight of its own, and nothing tells its sign
-            let weighted = !self.drive.parts.is_empty() && m.columns.len() > self.drive.parts.len();
+            let weighted = parts > 0 && m.columns.len() > parts;
             signs.push((of.len(), if weighted { 0 } else { m.operator.sign }));
             of.extend(m.columns.iter().map(Vec::as_slice));
         }
@@ -116,36 +147,47 @@ impl MapBase {
         let has = |name: &str| members.iter().any(|m| m.operator.name == name);
         let (creeps, taken) = (has("creep"), TAKES_OVER.into_iter().any(has));
         if let ([weight], true, false) = (self.scale.weights.as_slice(), creeps, taken) {
-            signs.push((1, if *weight < 0.0 { -1 } else { 1 }));
+            signs.push((self.drives.len(), if *weight < 0.0 { -1 } else { 1 }));
         }
         Columns { of, signs }
     }
+}
 
-    /// RMSE on another log of the rig of a set with these fitted coefficients; only the offset is set again. `None` if that log is too far
-    /// outside the fitted range for an extrapolation.
-    pub fn rmse_on(&self, other: &Signals, members: &[Member], fitted: &[f64]) -> Option<f64> {
-        let inputs = driven(other, self.scale.swing);
-        let drive = self.scale.drive(other, &inputs);
-        let (low, high) = range(&drive.v);
-        if low.abs().max(high.abs()) > OUTSIDE {
-            return None;
+/// Columns of several logs, one log below the other.
+fn stacked(logs: impl IntoIterator<Item = Vec<Vec<f64>>>) -> Vec<Vec<f64>> {
+    let below = |mut all: Vec<Vec<f64>>, log: Vec<Vec<f64>>| {
+        all.iter_mut().zip(log).for_each(|(a, c)| a.extend(c));
+        all
+    };
+    logs.into_iter().reduce(below).unwrap_or_default()
+}
+
+/// Columns of several logs, each zero in the other logs.
+fn apart(logs: Vec<Vec<Vec<f64>>>) -> Vec<Vec<f64>> {
+    let rows = |log: &Vec<Vec<f64>>| log.first().map_or(0, Vec::len);
+    let (all, mut start): (usize, _) = (logs.iter().map(rows).sum(), 0);
+    let mut out = vec![];
+    for log in logs {
+        let end = start + rows(&log);
+        for column in log {
+            let mut whole = vec![0.0; all];
+            whole[start..end].copy_from_slice(&column);
+            out.push(whole);
         }
-        let own = |m: &Member| (m.operator.columns)(&drive, m.eta);
-        let own = members.iter().flat_map(own);
-        let columns: Vec<Vec<f64>> = inputs.into_iter().chain(own).collect();
-        let columns: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
-        Some(variance(&left(&other.output, &columns, &fitted[1..])).sqrt())
+        start = end;
     }
+    out
 }
 
 impl Scale {
-    fn drive(&self, log: &Signals, inputs: &[Vec<f64>]) -> Drive {
+    /// The signals of a log as the operators see them; `inputs` are [`driven`].
+    pub fn drive(&self, log: &Signals, inputs: &[Vec<f64>]) -> Drive {
         let rows = log.output.len();
         let v = combined(inputs, &self.weights, rows);
         let moved = |m: &Vec<f64>| m.iter().map(|x| (x - self.m_low) / self.m_range).collect();
         let mut m: Vec<f64> = log.motion.as_ref().map_or(vec![0.0; rows], moved);
-        if let Some((wh, zeta)) = self.swing {
-            (m[0], m[1]) = (wh, zeta);
+        if let Some(swing) = self.swing {
+            (m[0], m[1]) = sampled(swing, log);
         }
         let further = inputs.iter().zip(&self.weights).skip(1);
         let part = |(u, w): (&Vec<f64>, &f64)| u.iter().map(|u| u * w / self.half).collect();
@@ -160,28 +202,41 @@ impl Scale {
     }
 }
 
+/// Frequency, `2 tan(ω h / 2)`, and damping of an oscillator at the time between the rows of a log.
+fn sampled([rad_s, zeta]: [f64; 2], log: &Signals) -> (f64, f64) {
+    (2.0 * (rad_s * step_s(log) / 2.0).min(1.5).tan(), zeta)
+}
+
+/// Time between two rows of a log, s.
+fn step_s(log: &Signals) -> f64 {
+    let last = log.t.len() - 1;
+    (log.t[last] - log.t[0]) / last as f64
+}
+
 fn combined(inputs: &[Vec<f64>], weights: &[f64], rows: usize) -> Vec<f64> {
     let one = |k: usize| inputs.iter().zip(weights).map(|(u, w)| u[k] * w).sum();
     (0..rows).map(one).collect()
 }
 
-fn range(x: &[f64]) -> (f64, f64) {
+/// Least and largest value.
+pub fn range<'x>(x: impl IntoIterator<Item = &'x f64>) -> (f64, f64) {
     let none = (f64::INFINITY, f64::NEG_INFINITY);
-    x.iter().fold(none, |(l, h), v| (l.min(*v), h.max(*v)))
+    x.into_iter().fold(none, |(l, h), v| (l.min(*v), h.max(*v)))
 }
 
-/// The inputs, filtered by the oscillator if there is one.
-fn driven(log: &Signals, swing: Option<(f64, f64)>) -> Vec<Vec<f64>> {
-    match swing {
-        Some((wh, zeta)) => log.inputs.iter().map(|u| oscillator(u, wh, zeta)).collect(),
-        None => log.inputs.clone(),
-    }
+/// The inputs of a log, filtered by the oscillator if there is one.
+pub fn driven(log: &Signals, swing: Option<[f64; 2]>) -> Vec<Vec<f64>> {
+    let Some((wh, zeta)) = swing.map(|swing| sampled(swing, log)) else {
+        return log.inputs.clone();
+    };
+    let swung = log.inputs.iter().map(|u| oscillator(u, wh, zeta));
+    swung.collect()
 }
 
-/// Frequency (2 tan(ω h / 2)) and damping with the least cost, from a grid and a pattern search.
-fn resonance(log: &Signals) -> (f64, f64) {
+/// Frequency, rad/s, and damping with the least cost, from a grid and a pattern search.
+fn resonance(log: &Signals) -> [f64; 2] {
     let ones = vec![1.0; log.output.len()];
-    let task = Task::new(&log.output);
+    let task = Task::new([log.output.as_slice()]);
     let at = |(wh, zeta): (f64, f64)| {
         let column = oscillator(&log.inputs[0], wh, zeta);
         let cost = task.cost(&Columns::free(vec![&ones, &column]));
@@ -209,5 +264,5 @@ fn resonance(log: &Signals) -> (f64, f64) {
             None => step /= 2.0,
         }
     }
-    (best.1, best.2)
+    [2.0 * (best.1 / 2.0).atan() / step_s(log), best.2]
 }

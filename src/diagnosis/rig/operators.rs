@@ -2,7 +2,7 @@
 //!
 //! For one value η of its only nonlinear parameter, an operator gives columns of a linear regression beside the nominal
 //! ones. `v` is the nominal prediction scaled to −1..=1, `m` the moving signal scaled to 0..=1; times are in seconds, or
-//! rows if the log has no clock. The state runs through the whole log.
+//! rows if the log has no clock. The state starts with a log and runs through it.
 
 use std::f64::consts::TAU;
 
@@ -36,6 +36,8 @@ pub struct Operator {
     pub columns: fn(&Drive, f64) -> Vec<Vec<f64>>,
     /// Required sign of the first coefficient; 0 for either.
     pub sign: i8,
+    /// The coefficients are a state at the start of a log, and not a property of the rig: each log has its own.
+    pub is_state: bool,
 }
 
 impl Operator {
@@ -53,6 +55,24 @@ impl Operator {
             grid,
             columns,
             sign,
+            is_state: false,
+        }
+    }
+
+    /// What takes the place of its terms once the cause is gone: of an effect that takes the answer over, the immediate answer.
+    pub fn healed(&self, d: &Drive, terms: usize) -> Vec<Vec<f64>> {
+        match self.name {
+            "lag" | "delay" => of_each(d, <[f64]>::to_vec),
+            name if TAKES_OVER.contains(&name) => vec![d.v.clone(); terms],
+            _ => vec![vec![0.0; d.v.len()]; terms],
+        }
+    }
+
+    /// The operator with coefficients of its own for each log.
+    const fn state(self) -> Self {
+        Self {
+            is_state: true,
+            ..self
         }
     }
 }
@@ -67,6 +87,17 @@ pub fn kind(name: &str) -> &'static str {
         _ => "drift",
     }
 }
+
+/// Effects whose answer replaces the immediate one of the nominal model.
+pub const TAKES_OVER: [&str; 7] = [
+    "play",
+    "hysteresis",
+    "bouc_wen",
+    "dead_band",
+    "rate_limit",
+    "lag",
+    "delay",
+];
 
 /// Ratio of the time constants of the two elements of a creep.
 const SLOWER: f64 = 12.0;
@@ -168,7 +199,8 @@ pub const DRIVEN: [Operator; 18] = [
         "period",
         |d| periods(d.t[d.t.len() - 1] - d.t[0], &d.t, 1.0),
         |d, p| waves(d.t.iter().map(|t| t / p)),
-    ),
+    )
+    .state(),
     DRIFT,
 ];
 
@@ -184,7 +216,8 @@ pub const STILL: [Operator; 3] = [
         "time constant",
         |d| times_from(d, 3.0, 30.0),
         |d, tau| vec![since(&d.t).iter().map(|t| (-t / tau).exp()).collect()],
-    ),
+    )
+    .state(),
     // Logarithm of time. Separated by a repetition after a long rest.
     Operator::new(
         "creep",
@@ -192,7 +225,8 @@ pub const STILL: [Operator; 3] = [
         "onset",
         |d| times_from(d, 1.0, 0.2),
         |d, tau| vec![since(&d.t).iter().map(|t| (1.0 + t / tau).ln()).collect()],
-    ),
+    )
+    .state(),
     DRIFT,
 ];
 

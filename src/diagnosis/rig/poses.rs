@@ -14,9 +14,13 @@ const ONE_SPEED: f64 = 1.3;
 /// Samples from which the speeds are estimated.
 const SPEEDS: usize = 400;
 
-/// Whether a log shows nothing but a few poses: the output stands still while the inputs do, so that it has no more independent rows than
+/// Whether each of the logs shows nothing but a few poses: the output stands still while the inputs do, so that it has no more independent rows than
 /// poses.
-pub fn poor(log: &Signals) -> bool {
+pub fn poor(logs: &[Signals]) -> bool {
+    logs.iter().all(stands)
+}
+
+fn stands(log: &Signals) -> bool {
     let rows = log.output.len();
     let changes = |k: &usize| *k == 0 || log.inputs.iter().any(|u| u[*k] != u[k - 1]);
     let mut starts: Vec<usize> = (0..rows).filter(changes).collect();
@@ -39,41 +43,51 @@ pub fn poor(log: &Signals) -> bool {
 }
 
 /// Number of distinct values of the inputs, up to [`FEW_POSES`].
-fn poses(log: &Signals) -> usize {
+fn poses(logs: &[Signals]) -> usize {
     let mut known: Vec<Vec<f64>> = Vec::new();
-    for k in 0..log.output.len() {
-        let pose: Vec<f64> = log.inputs.iter().map(|u| u[k]).collect();
-        if known.len() < FEW_POSES && !known.contains(&pose) {
-            known.push(pose);
+    for log in logs {
+        for k in 0..log.output.len() {
+            let pose: Vec<f64> = log.inputs.iter().map(|u| u[k]).collect();
+            if known.len() < FEW_POSES && !known.contains(&pose) {
+                known.push(pose);
+            }
         }
     }
     known.len()
 }
 
-/// What this log cannot show, regardless of the scores.
-pub fn notes(log: &Signals) -> Vec<String> {
+/// Speeds of the moving signal, sampled all over a log.
+fn speeds(log: &Signals) -> Vec<f64> {
+    let Some(m) = log.motion.as_ref() else {
+        return vec![];
+    };
+    let (step, last) = ((m.len() / SPEEDS).max(1), m.len() - 1);
+    let starts = (0..).map(|k| k * step).take_while(|k| k + step <= last);
+    let speed = |k: usize| ((m[k + step] - m[k]) / (log.t[k + step] - log.t[k])).abs();
+    starts.map(speed).collect()
+}
+
+/// What these logs cannot show, regardless of the scores.
+pub fn notes(logs: &[Signals]) -> Vec<String> {
     let mut out = Vec::new();
-    if log.output.len() < FEW {
-        let rows = log.output.len();
+    let rows: usize = logs.iter().map(|log| log.output.len()).sum();
+    if rows < FEW {
         out.push(format!("the log has {rows} rows; of fewer than {FEW}, noise is taken for an effect too often. Record a longer log"));
     }
-    let poses = poses(log);
-    if !log.inputs.is_empty() && poses < FEW_POSES {
+    let (poses, first) = (poses(logs), &logs[0]);
+    if !first.inputs.is_empty() && poses < FEW_POSES {
         out.push(format!("the inputs have {poses} distinct values; a law of the path fits so few poses by chance. Record a log that passes {FEW_POSES} poses or more, each from both sides"));
     }
-    if !log.clocked {
+    if !first.clocked {
         out.push("the log has no clock: effects of time and effects of the path cannot be separated; times are in rows. Record a clock, and a second speed".to_owned());
+        return out;
     }
-    if let Some(m) = log.motion.as_ref().filter(|_| log.clocked) {
-        let (step, last) = ((m.len() / SPEEDS).max(1), m.len() - 1);
-        let starts = (0..).map(|k| k * step).take_while(|k| k + step <= last);
-        let speed = |k: usize| ((m[k + step] - m[k]) / (log.t[k + step] - log.t[k])).abs();
-        let mut speeds: Vec<f64> = starts.map(speed).collect();
-        speeds.sort_by(f64::total_cmp);
-        let (low, high) = (speeds[speeds.len() / 10], speeds[speeds.len() * 9 / 10]);
-        if low > 0.0 && high / low < ONE_SPEED {
-            out.push(format!("the log has one speed ({high:.3} per second): an effect that is periodic in position is periodic in time as well. Record a second speed"));
-        }
+    let mut speeds: Vec<f64> = logs.iter().flat_map(speeds).collect();
+    speeds.sort_by(f64::total_cmp);
+    let part = |tenths: usize| speeds.get(speeds.len() * tenths / 10).copied();
+    let (low, high) = (part(1).unwrap_or(0.0), part(9).unwrap_or(0.0));
+    if low > 0.0 && high / low < ONE_SPEED {
+        out.push(format!("the log has one speed ({high:.3} per second): an effect that is periodic in position is periodic in time as well. Record a second speed"));
     }
     out
 }

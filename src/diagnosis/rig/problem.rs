@@ -1,7 +1,7 @@
 //! A rig as a problem: its sets, and the features of the statements about it.
 
 use crate::diagnosis::rig::{
-    DRIVEN, Document, RESONANT, RigProblem, STILL, Set, closed_ci95, poor, variance,
+    DRIVEN, Document, RESONANT, RigProblem, STILL, Set, Signals, closed_ci95, poor, variance,
 };
 use crate::diagnosis::verdict::{Claim, Feature, Head};
 use crate::diagnosis::{Candidates, Judged, Problem, Scored};
@@ -72,6 +72,12 @@ impl RigProblem<'_> {
         (set.energy() - self.noise * self.noise).max(0.0)
     }
 
+    /// Variance of the outputs, each within its log.
+    fn variance(&self) -> f64 {
+        let of = |log: &Signals| variance(&log.output) * log.output.len() as f64;
+        self.logs.iter().map(of).sum::<f64>() / self.task.y.len() as f64
+    }
+
     /// The logarithm of what a set leaves above the noise over the noise.
     fn noisy(&self, set: &Set) -> f64 {
         ratio(self.above(set), self.noise * self.noise)
@@ -109,7 +115,7 @@ impl Problem for RigProblem<'_> {
     }
     fn of_none(&self) -> Vec<Feature> {
         let noise = self.noisy(&self.nominal);
-        let output = ratio(self.above(&self.nominal), variance(&self.log.output));
+        let output = ratio(self.above(&self.nominal), self.variance());
         vec![
             ("none", 1.0),
             ("none_noise", noise),
@@ -130,7 +136,7 @@ impl Problem for RigProblem<'_> {
     }
     /// The effects that surely close enough of the gap. What the set leaves of the gap beyond noise is unknown in proportion.
     fn claim(&self, found: &Candidates<Set>, set: &Set) -> Claim {
-        if poor(self.log) {
+        if poor(self.logs) {
             return Claim::default();
         }
         let floor = self.nominal.energy() - self.gap;

@@ -17,22 +17,21 @@ const MARGIN: f64 = 0.03;
 const DRAWS: usize = 400;
 
 /// A signal to be explained, in blocks.
-pub struct Task<'a> {
-    /// The signal.
-    pub y: &'a [f64],
-    /// Long and short block of each row; `None` in a margin.
+pub struct Task {
+    /// The signal, one log after the other.
+    pub y: Vec<f64>,
+    /// Long and short block of each row; `None` in a margin. A block belongs to one log.
     blocks: [Vec<Option<usize>>; 2],
 }
 
-/// Block of each row of a signal that is divided into `count` blocks; `None` in a margin.
-fn blocks(rows: usize, count: usize) -> Vec<Option<usize>> {
+/// Block of each row of a log that is divided into `count` blocks, which are counted from `first`; `None` in a margin.
+fn blocks(rows: usize, count: usize, first: usize) -> impl Iterator<Item = Option<usize>> {
     let length = rows as f64 / count as f64;
     let scored = |at: &f64| (MARGIN..1.0 - MARGIN).contains(&at.fract());
-    let of = |k: usize| {
+    (0..rows).map(move |k| {
         let at = Some((k as f64 + 0.5) / length).filter(scored)?;
-        Some((at as usize).min(count - 1))
-    };
-    (0..rows).map(of).collect()
+        Some(first + (at as usize).min(count - 1))
+    })
 }
 
 /// Columns of a regression, and the signs that some coefficients must have: index and ±1.
@@ -170,48 +169,61 @@ pub fn closed_ci95(from: &Regressed, to: &Regressed, floor: f64, seed: u64) -> [
     [draws[DRAWS / 40], draws[DRAWS - 1 - DRAWS / 40]]
 }
 
-impl<'a> Task<'a> {
-    /// Divides the rows of a signal into blocks.
-    pub fn new(y: &'a [f64]) -> Self {
-        let short = (y.len() / ROWS).clamp(LONG, SHORT);
-        Self {
-            y,
-            blocks: [LONG, short].map(|count| blocks(y.len(), count)),
+impl Task {
+    /// Divides the rows of each log into blocks.
+    pub fn new<'l>(logs: impl IntoIterator<Item = &'l [f64]>) -> Self {
+        let (mut y, mut blocks, mut known) = (vec![], [vec![], vec![]], [0, 0]);
+        for log in logs {
+            let counts = [LONG, (log.len() / ROWS).clamp(LONG, SHORT)];
+            for (k, count) in counts.into_iter().enumerate() {
+                blocks[k].extend(self::blocks(log.len(), count, known[k]));
+                known[k] += count;
+            }
+            y.extend(log);
         }
+        Self { y, blocks }
     }
 
     /// Sum of squares that a fit to all rows leaves; `None` if the columns do not determine the coefficients, or one does not have its
     /// sign.
     pub fn cost(&self, columns: &Columns<'_>) -> Option<f64> {
-        let all = Normal::new(self.y, &columns.of, |_| true);
+        let all = Normal::new(&self.y, &columns.of, |_| true);
         let c = all.solve(&columns.signs)?;
         Some(all.square - 2.0 * c.dot(&all.right) + c.dot(&(&all.gram * &c)))
     }
 
     /// Regresses on the columns; `None` as for [`Task::cost`].
     pub fn regress(&self, columns: &Columns<'_>) -> Option<Regressed> {
-        let all = Normal::new(self.y, &columns.of, |_| true).solve(&columns.signs)?;
-        let [long, short] = &self.blocks;
+        let all = Normal::new(&self.y, &columns.of, |_| true).solve(&columns.signs)?;
         Some(Regressed {
-            blocks: [
-                self.held_out(columns, long)?,
-                self.held_out(columns, short)?,
-            ],
+            blocks: [self.scored(columns, 0)?, self.scored(columns, 1)?],
             coefficients: all.as_slice().to_vec(),
         })
     }
 
-    fn held_out(&self, columns: &Columns<'_>, blocks: &[Option<usize>]) -> Option<Vec<(f64, f64)>> {
-        let count = blocks.iter().flatten().max().map_or(0, |last| last + 1);
-        let mut out = vec![(0.0, 0.0); count];
+    /// What a fit to the other fold leaves of each row, on long (0) or short (1) blocks; NaN in a margin. `None` as for [`Task::cost`].
+    pub fn left_out(&self, columns: &Columns<'_>, length: usize) -> Option<Vec<f64>> {
+        let blocks = &self.blocks[length];
+        let mut out = vec![f64::NAN; self.y.len()];
         for fold in 0..2 {
             let other = |k: usize| blocks[k].is_some_and(|b| b % 2 != fold);
-            let c = Normal::new(self.y, &columns.of, other).solve(&columns.signs)?;
-            let left = left(self.y, &columns.of, c.as_slice());
-            for (left, block) in left.iter().zip(blocks) {
-                if let Some(b) = block.filter(|b| b % 2 == fold) {
-                    out[b] = (out[b].0 + left * left, out[b].1 + 1.0);
-                }
+            let c = Normal::new(&self.y, &columns.of, other).solve(&columns.signs)?;
+            let left = left(&self.y, &columns.of, c.as_slice());
+            for k in (0..out.len()).filter(|&k| blocks[k].is_some_and(|b| b % 2 == fold)) {
+                out[k] = left[k];
+            }
+        }
+        Some(out)
+    }
+
+    /// Sum of squares and number of rows of each block.
+    fn scored(&self, columns: &Columns<'_>, length: usize) -> Option<Vec<(f64, f64)>> {
+        let blocks = &self.blocks[length];
+        let count = blocks.iter().flatten().max().map_or(0, |last| last + 1);
+        let mut out = vec![(0.0, 0.0); count];
+        for (left, block) in self.left_out(columns, length)?.iter().zip(blocks) {
+            if let Some(b) = *block {
+                out[b] = (out[b].0 + left * left, out[b].1 + 1.0);
             }
         }
         Some(out)
@@ -231,7 +243,7 @@ mod tests {
             .enumerate()
             .map(|(k, x)| x * if (k / 100) % 2 == 0 { 1.0 } else { 3.0 })
             .collect();
-        let task = Task::new(&y);
+        let task = Task::new([y.as_slice()]);
         let columns = |sign| Columns {
             of: vec![x.as_slice()],
             signs: vec![(0, sign)],
@@ -252,5 +264,21 @@ mod tests {
             "a fit to all rows leaves a quarter of that"
         );
         assert!(task.regress(&columns(-1)).is_none());
+    }
+
+    #[test]
+    fn no_block_holds_rows_of_two_logs_and_each_log_has_both_folds() {
+        let logs = [vec![0.0; 130], vec![1.0; 67]];
+        let task = Task::new(logs.iter().map(Vec::as_slice));
+        for blocks in &task.blocks {
+            let of = |rows: std::ops::Range<usize>| -> Vec<usize> {
+                blocks[rows].iter().flatten().copied().collect()
+            };
+            let (first, second) = (of(0..130), of(130..197));
+            assert!(first.iter().max() < second.iter().min());
+            for log in [first, second] {
+                assert!([0, 1].iter().all(|fold| log.iter().any(|b| b % 2 == *fold)));
+            }
+        }
     }
 }

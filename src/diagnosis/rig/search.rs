@@ -3,12 +3,12 @@
 //! Every operator is fitted alone, at the best η of its grid. All pairs are scored at these η and the best refitted; the best single is
 //! extended by every operator anew, and so is the best pair where it leaves something.
 
-use crate::diagnosis::rig::model::catalogue;
+use crate::diagnosis::rig::model::{catalogue, range};
 use crate::diagnosis::rig::{MapBase, MapFile, Member, Operator, Regressed, Signals, Task};
 use crate::diagnosis::{Candidates, Scored, Search};
 
 /// Part of the gap that an effect must close to be claimed.
-const WORTH: f64 = 0.03;
+pub const WORTH: f64 = 0.03;
 /// Noise, in units of what the nominal model leaves, beyond which the log is too coarse to tell noise.
 const COARSE: f64 = 1.1;
 /// Least part of what the nominal model leaves that counts as the gap.
@@ -19,6 +19,8 @@ const REFITTED: usize = 8;
 const REFINED: u32 = 12;
 /// Orders of differences from which the noise is estimated.
 const ORDERS: u32 = 8;
+/// Chi-square of one degree of freedom at 95 %.
+const CHI_SQUARE: f64 = 3.84;
 
 /// A set of operators with its scores.
 #[derive(Clone)]
@@ -45,14 +47,12 @@ impl Scored for Set {
     }
 }
 
-/// A log with everything that its sets are scored against.
+/// Logs of one rig with everything that their sets are scored against.
 pub struct RigProblem<'a> {
     /// What the columns mean.
     pub map: &'a MapFile,
-    /// The log.
-    pub log: &'a Signals,
-    /// Other logs of the rig, with their names, on which the fitted model is evaluated.
-    pub fresh: &'a [(String, Signals)],
+    /// The logs, at least one.
+    pub logs: &'a [Signals],
     /// Seed of the bootstrap.
     pub seed: u64,
     /// White noise of a row, 1 σ.
@@ -63,24 +63,20 @@ pub struct RigProblem<'a> {
     pub gap: f64,
     /// Whether the rows are too far apart to tell noise from signal.
     pub coarse: bool,
-    /// The nominal model on the log.
+    /// The nominal model on the logs.
     pub base: MapBase,
-    task: Task<'a>,
+    /// The outputs in blocks.
+    pub task: Task,
     catalogue: Vec<Operator>,
 }
 
 impl<'a> RigProblem<'a> {
-    /// The problem of a log, with the seed of the bootstrap; `None` if its inputs do not determine the nominal model. `fresh` are other
-    /// logs of the rig.
-    pub fn new(
-        map: &'a MapFile,
-        log: &'a Signals,
-        fresh: &'a [(String, Signals)],
-        seed: u64,
-    ) -> Option<Self> {
-        let (base, task) = (MapBase::new(map, log), Task::new(&log.output));
-        let noise = noise(&log.output);
+    /// The problem of logs of one rig, with the seed of the bootstrap; `None` if their inputs do not determine the nominal model.
+    pub fn new(map: &'a MapFile, logs: &'a [Signals], seed: u64) -> Option<Self> {
+        let task = Task::new(logs.iter().map(|log| log.output.as_slice()));
+        let base = MapBase::new(map, logs)?;
         let scores = task.regress(&base.columns(&[]))?;
+        let noise = noise(logs);
         let (floor, left) = (noise * noise, scores.energy());
         let coarse = floor > COARSE * left;
         let known = if coarse { 0.0 } else { floor };
@@ -91,11 +87,9 @@ impl<'a> RigProblem<'a> {
             scores,
             bar: WORTH * gap,
         };
-        let catalogue = catalogue(map.nominal, log.clocked);
         Some(Self {
             map,
-            log,
-            fresh,
+            logs,
             seed,
             noise,
             nominal,
@@ -103,8 +97,15 @@ impl<'a> RigProblem<'a> {
             coarse,
             base,
             task,
-            catalogue,
+            catalogue: catalogue(map.nominal, logs[0].clocked),
         })
+    }
+
+    /// What a set leaves of each row, on the blocks in which it leaves more; NaN in their margins.
+    pub fn left_out(&self, set: &Set) -> Vec<f64> {
+        let columns = self.base.columns(&set.members);
+        let left = self.task.left_out(&columns, set.scores.worse());
+        left.unwrap_or_default()
     }
 
     /// The set of these members; `None` if a coefficient does not have its sign.
@@ -122,24 +123,26 @@ impl<'a> RigProblem<'a> {
 
     /// `members` and the operator, at the η with the least cost.
     fn best(&self, members: &[Member], operator: &Operator) -> Option<Set> {
-        let with = |eta: f64| {
-            let member = Member {
-                operator: *operator,
-                eta,
-                columns: (operator.columns)(&self.base.drive, eta),
-            };
-            [members, &[member]].concat()
-        };
+        let with = |eta: f64| [&[self.base.member(operator, eta)], members].concat();
         let cost = |eta: f64| Some((self.task.cost(&self.base.columns(&with(eta)))?, eta));
-        let grid = (operator.grid)(&self.base.drive);
+        let grid = self.base.grid(operator);
         let costs = (0..grid.len()).filter_map(|k| Some((k, cost(grid[k])?)));
         let (k, best) = costs.min_by(|a, b| a.1.0.total_cmp(&b.1.0))?;
         let (low, high) = (grid[k.saturating_sub(1)], grid[(k + 1).min(grid.len() - 1)]);
         let between = |i: u32| low + (high - low) * f64::from(i) / f64::from(REFINED);
         let near = (1..REFINED).filter(|_| high > low).map(between);
         let costs = near.filter_map(cost).chain([best]);
-        let (_, eta) = costs.min_by(|a, b| a.0.total_cmp(&b.0))?;
-        self.set(with(eta))
+        let (least, eta) = costs.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        // from the curvature of the cost, as if the short blocks were independent
+        let step = (high - low).abs() / f64::from(2 * REFINED);
+        let beside = [eta - step, eta + step].into_iter().filter_map(cost);
+        let rise = beside.map(|(cost, _)| cost / least - 1.0).sum::<f64>() / 2.0;
+        let independent = self.nominal.scores.blocks[1].len() as f64;
+        let half = step * (CHI_SQUARE / independent / rise.max(1e-12)).sqrt();
+        let (first, last) = range(&grid);
+        let mut members = with(eta);
+        members[0].ci95 = [(eta - half).max(first), (eta + half).min(last)];
+        self.set(members)
     }
 
     /// The set and each operator that is not in it.
@@ -210,13 +213,17 @@ impl Search for RigProblem<'_> {
 
 /// White noise of a row, 1 σ. Differences of order d have `C(2d, d)` times its variance and contain less of a smooth signal
 /// the higher the order; the least estimate of all orders is used.
-fn noise(y: &[f64]) -> f64 {
-    let mut left = y.to_vec();
+fn noise(logs: &[Signals]) -> f64 {
+    let mut left: Vec<Vec<f64>> = logs.iter().map(|log| log.output.clone()).collect();
     let (mut least, mut binomial) = (f64::INFINITY, 1.0);
     for d in 1..=ORDERS {
-        left = left.windows(2).map(|w| w[1] - w[0]).collect();
+        for log in &mut left {
+            *log = log.windows(2).map(|w| w[1] - w[0]).collect();
+        }
         binomial *= f64::from(2 * (2 * d - 1)) / f64::from(d);
-        least = least.min(left.iter().map(|x| x * x).sum::<f64>() / left.len() as f64 / binomial);
+        let rows: usize = left.iter().map(Vec::len).sum();
+        let squares = left.iter().flatten().map(|x| x * x);
+        least = least.min(squares.sum::<f64>() / rows as f64 / binomial);
     }
     least.sqrt()
 }

@@ -20,6 +20,16 @@ pub enum MapError {
     /// A signal is constant.
     #[error("{0}, column {1}: is constant; record a log in which it changes")]
     Constant(String, String),
+    /// A saved model says nothing about the log.
+    #[error(
+        "{0}: the inputs reach {1:.1} half ranges of the diagnosed logs, up to 2.5 are allowed: check their units, or record a log within the range of the others"
+    )]
+    Outside(String, f64),
+    /// The inputs of a log do not determine the nominal model.
+    #[error(
+        "{0}: the inputs do not determine the nominal model: they move together or not at all; record them one by one"
+    )]
+    Undetermined(String),
 }
 
 /// Rows needed: five in each of the twelve blocks of [`crate::diagnosis::rig::regress`].
@@ -28,6 +38,8 @@ const ROWS_MIN: usize = 60;
 /// Signals of a log as the map defines them, all of equal length.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Signals {
+    /// Name of the file.
+    pub file: String,
     /// Inputs.
     pub inputs: Vec<Vec<f64>>,
     /// Output.
@@ -100,12 +112,14 @@ fn signals(file: &str, table: &Table, map: &MapFile) -> Result<Signals, MapError
         }
     };
     let motion = map.motion.as_deref().map(taken).transpose()?;
+    let name = Path::new(file).file_name().unwrap_or_default();
     Ok(Signals {
+        file: name.to_string_lossy().into_owned(),
         motion: motion.or_else(|| inputs.first().cloned()),
         inputs,
         output,
         t,
-        clocked: map.time.is_some() || map.rate_hz.is_some(),
+        clocked: map.is_clocked(),
     })
 }
 

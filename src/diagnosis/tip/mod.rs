@@ -17,7 +17,7 @@ pub mod rig;
 pub mod saved;
 pub mod search;
 
-pub use check::{Checked, Judgement, check};
+pub use check::check;
 pub use confusion::{alike, confused_with, separable};
 pub use document::{
     Diagnosed, Diagnosis, EffectEntry, Gap, LogEntry, ParamValue, UnknownEntry, goes_with,

@@ -75,6 +75,14 @@ pub struct Verdict {
     pub doubt: f64,
 }
 
+impl Verdict {
+    /// Whether the set or a group has an effect.
+    pub fn speaks_of(&self, name: &str) -> bool {
+        let groups = self.equivalent.iter().chain([&self.names]);
+        groups.flatten().any(|n| *n == name)
+    }
+}
+
 /// Decides. The log cannot tell the effects of the pairs `alike` apart; `better` are the single effects that leave less than a set does.
 pub fn decide(
     posterior: &Posterior,

@@ -6,9 +6,9 @@ use crate::diagnosis::tip::{Diagnosed, commanded_bend, polar_deg};
 use crate::experiment::arm::root_mean;
 use crate::model::{Bend, lines};
 use crate::primitives::Rotation;
+use crate::report::gap::charts::{Trace, rms};
 use crate::report::polar::{Cell, RING_DEG, SECTORS};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
-use std::collections::BTreeMap;
 
 /// Residuals of one bin.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,15 +23,6 @@ pub struct Spot {
     pub before_deg: f64,
     /// Residual with the verdict's effects, degrees.
     pub after_deg: f64,
-}
-
-/// A measured signal with the predictions of both models; NaN where they were not scored.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Trace {
-    /// Label of the signal.
-    pub label: String,
-    /// Time since the log began, measured, recalibrated model, with effects.
-    pub points: Vec<[f64; 4]>,
 }
 
 /// Data of all charts.
@@ -69,20 +60,6 @@ impl Evidence {
         }
     }
 
-    /// RMS of the values that `pick` returns in each group that `key` makes.
-    fn rms<K: Ord>(
-        &self,
-        key: impl Fn(&Spot) -> K,
-        pick: impl Fn(&Spot) -> f64,
-    ) -> impl Iterator<Item = (K, f64)> {
-        let mut sums: BTreeMap<K, (f64, f64)> = BTreeMap::new();
-        for s in &self.spots {
-            let sum = sums.entry(key(s)).or_default();
-            *sum = (sum.0 + pick(s).powi(2), sum.1 + 1.0);
-        }
-        sums.into_iter().map(|(k, (sum, n))| (k, (sum / n).sqrt()))
-    }
-
     /// Cells of the polar map: RMS of the values that `pick` returns.
     pub fn cells(&self, pick: impl Fn(&Spot) -> f64) -> Vec<Cell> {
         let sector = |s: &Spot| (s.dir_deg / 360.0 * SECTORS as f64) as usize % SECTORS;
@@ -92,17 +69,8 @@ impl Evidence {
             sector,
             value,
         };
-        let cells = self.rms(place, pick).map(cell);
+        let cells = rms(self.spots.iter().map(|s| (place(s), pick(s)))).map(cell);
         cells.filter(|cell| cell.ring < 8).collect()
-    }
-
-    /// RMS of the values that `pick` returns in `n` equal stretches of time: (middle of the stretch, RMS).
-    pub fn over_time(&self, n: usize, pick: impl Fn(&Spot) -> f64) -> Vec<(f64, f64)> {
-        let end = self.spots.last().map_or(0.0, |s| s.t_s) + 1e-9;
-        let stretch = |s: &Spot| ((s.t_s / end * n as f64) as usize).min(n - 1);
-        let middle = |k: usize| (k as f64 + 0.5) * end / n as f64;
-        let all = self.rms(stretch, pick);
-        all.map(|(k, rms)| (middle(k), rms)).collect()
     }
 }
 

@@ -1,0 +1,158 @@
+//! A saved model of a rig on a fresh log.
+
+use crate::diagnosis::rig::model::{driven, range};
+use crate::diagnosis::rig::regress::{Columns, left};
+use crate::diagnosis::rig::search::WORTH;
+use crate::diagnosis::rig::table::MapError;
+use crate::diagnosis::rig::{MapBase, SavedRig, Signals, Task};
+use crate::diagnosis::{Checked, Judgement};
+
+/// Largest nominal prediction on a fresh log, in half ranges of the fitted one.
+const OUTSIDE: f64 = 2.5;
+/// Part of the least that is claimed by which a model may be worse than nothing.
+const WORSE: f64 = 1.0 / 3.0;
+
+/// Columns and their fixed sizes.
+type Fixed<'a> = (&'a [Vec<f64>], &'a [f64]);
+
+/// Runs both models over a fresh log. Only the offset and the states at the start are fitted again.
+///
+/// # Errors
+/// [`MapError`] if the model says nothing about the log.
+pub fn check(saved: &SavedRig, log: &Signals) -> Result<Checked, MapError> {
+    let scale = &saved.nominal;
+    let inputs = driven(log, scale.swing);
+    let drive = scale.drive(log, &inputs);
+    let (low, high) = range(&drive.v);
+    if high.max(-low) > OUTSIDE {
+        return Err(MapError::Outside(log.file.clone(), high.max(-low)));
+    }
+    let undetermined = || MapError::Undetermined(log.file.clone());
+    let rmse = |fixed: [Fixed<'_>; 2], free: [&[Vec<f64>]; 2]| {
+        self::rmse(&log.output, fixed, free).ok_or_else(undetermined)
+    };
+    // gains, and the frequency of an oscillator, as this log has them
+    let anew = MapBase::new(&saved.map, std::slice::from_ref(log)).ok_or_else(undetermined)?;
+    let (offset, gains) = (&anew.base[..1], &anew.base[..]);
+    let effects = saved.effects();
+    let sizes: Vec<f64> = effects.iter().flat_map(|(_, e)| e.sizes.clone()).collect();
+    let (mut terms, mut healed) = (vec![], vec![]);
+    for (operator, e) in effects.iter().filter(|(o, _)| !o.is_state) {
+        terms.extend((operator.columns)(&drive, e.value));
+        healed.extend(operator.healed(&drive, e.sizes.len()));
+    }
+    let states = |values: &[f64]| -> Vec<Vec<f64>> {
+        let all = effects.iter().zip(values).filter(|((o, _), _)| o.is_state);
+        let columns = all.flat_map(|((o, _), value)| (o.columns)(&drive, *value));
+        columns.collect()
+    };
+    let values: Vec<f64> = effects.iter().map(|(_, e)| e.value).collect();
+    let none: Fixed<'_> = (&[], &[]);
+    let (terms, found): (Fixed<'_>, _) = ((&terms, &sizes), states(&values));
+    let (nominal, own) = (
+        (&inputs[..], &scale.weights[..]),
+        (&inputs[..], &saved.with_effects[..]),
+    );
+    let before = rmse([nominal, none], [offset, &[]])?;
+    let after = rmse([own, terms], [offset, &found])?;
+    let mut refitted = rmse([none, terms], [gains, &found])?;
+    // a rig without inputs has no gains: its time constants tell units apart
+    for (k, (operator, _)) in effects.iter().enumerate().filter(|_| inputs.is_empty()) {
+        for value in (operator.grid)(&drive) {
+            let mut values = values.clone();
+            values[k] = value;
+            let other = states(&values);
+            refitted = refitted.min(rmse([none, terms], [gains, &other])?);
+        }
+    }
+    let mended = rmse([own, (&healed, &sizes)], [offset, &[]])?;
+    let healthy = rmse([none, none], [gains, &[]])?;
+    // as RMSE, the part of the gap at which an effect is claimed
+    let claimed = (WORTH.sqrt() * saved.gap.recalibrated).max(f64::MIN_POSITIVE);
+    let is_worse = after - before >= WORSE * claimed;
+    let gap = before.powi(2) - saved.gap.noise_floor.powi(2);
+    let closed = (before.powi(2) - after.powi(2)) / gap.max(f64::MIN_POSITIVE);
+    Ok(Checked {
+        judgement: Judgement::new(is_worse, (after - refitted) / claimed, || {
+            (mended.min(before) - healthy) / claimed
+        }),
+        before,
+        after,
+        refitted,
+        closed: closed.clamp(-1.0, 1.0),
+        left_out: vec![],
+        unit: Some(saved.map.output_unit.clone()),
+    })
+}
+
+/// RMSE that fixed columns leave beside free ones; `None` if it is not determined.
+fn rmse(y: &[f64], fixed: [Fixed<'_>; 2], free: [&[Vec<f64>]; 2]) -> Option<f64> {
+    let columns = fixed.iter().flat_map(|(columns, _)| *columns);
+    let columns: Vec<&[f64]> = columns.map(Vec::as_slice).collect();
+    let rest = left(y, &columns, &fixed.map(|(_, sizes)| sizes).concat());
+    let free = free.into_iter().flatten().map(Vec::as_slice).collect();
+    let scores = Task::new([rest.as_slice()]).regress(&Columns::free(free))?;
+    Some(scores.energy().sqrt()).filter(|rmse| rmse.is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::diagnose;
+    use crate::diagnosis::rig::{MapFile, RigProblem, oscillator};
+
+    /// What a model of the first log says of others.
+    fn judged<const N: usize>(map: &str, known: &Signals, others: [Signals; N]) -> [Checked; N] {
+        let map: MapFile = toml::from_str(map).unwrap();
+        let logs = std::slice::from_ref(known);
+        let problem = RigProblem::new(&map, logs, 1).unwrap();
+        let done = diagnose(&problem);
+        let saved = SavedRig::new("x.csv".to_owned(), &problem, &done);
+        let saved: SavedRig = toml::from_str(&toml::to_string(&saved).unwrap()).unwrap();
+        others.map(|log| check(&saved, &log).unwrap())
+    }
+
+    fn signals(inputs: Vec<Vec<f64>>, output: Vec<f64>, step_s: f64) -> Signals {
+        let noise = |k: usize| ((k * 7919) % 101) as f64 * 1e-4;
+        Signals {
+            file: "y.csv".to_owned(),
+            motion: inputs.first().cloned(),
+            t: (0..output.len()).map(|k| k as f64 * step_s).collect(),
+            output: (0..).zip(output).map(|(k, y)| y + noise(k)).collect(),
+            inputs,
+            clocked: true,
+        }
+    }
+
+    #[test]
+    fn chambers_differ_by_their_time_constant_and_not_by_the_pressure_at_the_start() {
+        let log = |bar: f64, tau: f64| {
+            let pressure = |k: i32| 1.0 + bar * (-f64::from(k) * 0.1 / tau).exp();
+            signals(vec![], (0..1200).map(pressure).collect(), 0.1)
+        };
+        let map = "output = \"y\"\nrate_hz = 10.0\nnominal = \"still\"\n";
+        let [same, other] = judged(map, &log(3.0, 20.0), [log(1.7, 20.0), log(3.0, 50.0)]);
+        assert_eq!(same.judgement, Judgement::ThisMachine, "{same:?}");
+        assert!(same.closed > 0.95, "{same:?}");
+        assert_eq!(other.judgement, Judgement::AnotherUnit, "{other:?}");
+    }
+
+    #[test]
+    fn an_oscillator_is_the_same_at_another_rate_and_another_at_another_frequency() {
+        let log = |step_s: f64, rad_s: f64| {
+            let rows = (60.0 / step_s) as usize;
+            let (wh, wave) = (2.0 * (rad_s * step_s / 2.0).tan(), |k: usize| {
+                k as f64 * step_s
+            });
+            let u = (0..rows).map(|k| (2.1 * wave(k)).sin() + (0.04 * wave(k).powi(2)).sin());
+            let u: Vec<f64> = u.collect();
+            let y = oscillator(&u, wh, 0.2).into_iter().map(|v| 40.0 * v);
+            signals(vec![u.clone()], y.collect(), step_s)
+        };
+        let map = "input = \"u\"\noutput = \"y\"\ntime = \"t\"\nnominal = \"resonance\"\n";
+        let others = [log(0.01, 3.0), log(0.02, 4.0)];
+        let [same, other] = judged(map, &log(0.02, 3.0), others);
+        assert!(same.after < 0.1, "{same:?}");
+        assert_eq!(other.judgement, Judgement::AnotherUnit, "{other:?}");
+    }
+}
