@@ -101,7 +101,7 @@ fn readers() -> Vec<Reader> {
     };
     let path = "t_s,bend_deg,dir_deg\n0,0,0\n1,10,0\n2,20,30\n3,20,60\n4,0,0\n".to_owned();
     let map = "input = [\"u\"]\noutput = \"y\"\ntime = \"t\"\n";
-    let rig = "schema = 1\nversion = \"0.1.0\"\nsource = \"x.csv\"\nclosed = 0.9\nclosed_ci95 = [0.8, 0.95]\nwith_effects = [0.5]\n[gap]\nrecalibrated = 0.6\nexplained = 0.1\nnoise_floor = 0.05\n[map]\ninput = \"u\"\noutput = \"y\"\ntime = \"t\"\noutput_unit = \"N\"\n[nominal]\nweights = [1.9]\nmiddle = 5.7\nhalf = 5.7\nm_low = 0.0\nm_range = 6.0\n[[effect]]\nname = \"play\"\nvalue = 0.1\nci95 = [0.09, 0.11]\nsizes = [4.0]\n";
+    let rig = "schema = 1\nversion = \"0.1.0\"\nsource = \"x.csv\"\nclosed = 0.9\nclosed_ci95 = [0.8, 0.95]\nwith_effects = [0.5]\nspread = 1.0\n[gap]\nrecalibrated = 0.6\nexplained = 0.1\nnoise_floor = 0.05\n[map]\ninput = \"u\"\noutput = \"y\"\ntime = \"t\"\noutput_unit = \"N\"\n[nominal]\nweights = [1.9]\nmiddle = 5.7\nhalf = 5.7\nm_low = 0.0\nm_range = 6.0\n[[effect]]\nname = \"play\"\nvalue = 0.1\nci95 = [0.09, 0.11]\nsizes = [4.0]\n";
     let table = (0..60).fold("t,u,y\n".to_owned(), |mut text, k| {
         let _ = writeln!(text, "{}.0,{},{}", k, k % 7, 2 * (k % 7));
         text

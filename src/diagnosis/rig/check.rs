@@ -1,7 +1,7 @@
 //! A saved model of a rig on a fresh log.
 
 use crate::diagnosis::rig::model::{driven, range};
-use crate::diagnosis::rig::regress::{Columns, left};
+use crate::diagnosis::rig::regress::{Columns, left, variance};
 use crate::diagnosis::rig::search::WORTH;
 use crate::diagnosis::rig::table::MapError;
 use crate::diagnosis::rig::{MapBase, SavedRig, Signals, Task};
@@ -67,8 +67,9 @@ pub fn check(saved: &SavedRig, log: &Signals) -> Result<Checked, MapError> {
     }
     let mended = rmse([own, (&healed, &sizes)], [offset, &[]])?;
     let healthy = rmse([none, none], [gains, &[]])?;
-    // as RMSE, the part of the gap at which an effect is claimed
-    let claimed = (WORTH.sqrt() * saved.gap.recalibrated).max(f64::MIN_POSITIVE);
+    // as RMSE, the part of the gap at which an effect is claimed; of a log that shows less, less
+    let shows = (variance(&log.output).sqrt() / saved.spread).min(1.0);
+    let claimed = (WORTH.sqrt() * saved.gap.recalibrated * shows).max(f64::MIN_POSITIVE);
     let is_worse = after - before >= WORSE * claimed;
     let gap = before.powi(2) - saved.gap.noise_floor.powi(2);
     let closed = (before.powi(2) - after.powi(2)) / gap.max(f64::MIN_POSITIVE);
@@ -131,7 +132,9 @@ mod tests {
             signals(vec![], (0..1200).map(pressure).collect(), 0.1)
         };
         let map = "output = \"y\"\nrate_hz = 10.0\nnominal = \"still\"\n";
-        let [same, other] = judged(map, &log(3.0, 20.0), [log(1.7, 20.0), log(3.0, 50.0)]);
+        let others = [log(1.7, 20.0), log(3.0, 50.0), log(0.2, 50.0)];
+        let [same, other, small] = judged(map, &log(3.0, 20.0), others);
+        assert_eq!(small.judgement, Judgement::AnotherUnit, "{small:?}");
         assert_eq!(same.judgement, Judgement::ThisMachine, "{same:?}");
         assert!(same.closed > 0.95, "{same:?}");
         assert_eq!(other.judgement, Judgement::AnotherUnit, "{other:?}");

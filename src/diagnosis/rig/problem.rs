@@ -73,7 +73,7 @@ impl RigProblem<'_> {
     }
 
     /// Variance of the outputs, each within its log.
-    fn variance(&self) -> f64 {
+    pub(super) fn variance(&self) -> f64 {
         let of = |log: &Signals| variance(&log.output) * log.output.len() as f64;
         self.logs.iter().map(of).sum::<f64>() / self.task.y.len() as f64
     }

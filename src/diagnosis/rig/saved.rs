@@ -30,6 +30,8 @@ pub struct SavedRig {
     pub closed_ci95: Option<[f64; 2]>,
     /// What the output moves per unit of each input, identified together with the effects.
     pub with_effects: Vec<f64>,
+    /// Standard deviation of the output on the logs.
+    pub spread: f64,
     /// RMSE on held-out blocks of the logs.
     pub gap: Figures,
     /// What the columns of the logs mean.
@@ -81,6 +83,7 @@ impl SavedRig {
             closed_ci95: whole.map(|entry| entry.closed_ci95),
             effect: set.members.iter().map(effect).collect(),
             with_effects: with_effects.to_vec(),
+            spread: problem.variance().sqrt(),
             gap: done.document.gap.clone(),
             map: problem.map.clone(),
             nominal: scale.clone(),
@@ -116,6 +119,7 @@ impl Check for SavedRig {
                 .hint(AGAIN);
         }
         for (key, value, least) in [
+            ("spread", self.spread, LEAST),
             ("gap.recalibrated", self.gap.recalibrated, 0.0),
             ("gap.noise_floor", self.gap.noise_floor, 0.0),
             ("nominal.middle", n.middle, -LARGEST),
