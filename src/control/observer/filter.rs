@@ -254,11 +254,11 @@ impl Observer {
         (modelled + columns * self.theta() + self.residual(), there)
     }
 
-    /// Variance of the settled bend with the channels at `there`, rad², summed over both axes.
-    pub fn settled_variance(&self, there: &Channels) -> f64 {
+    /// Variance of the settled bend with the channels at `there`, by what was `known`, rad², summed over both axes.
+    pub fn settled_variance(&self, known: &Knowledge, there: &Channels) -> f64 {
         let columns = there.columns(&self.lines, &self.geometry);
         let rows = (0..2).map(|axis| row_of(Some(&columns), axis));
-        rows.map(|row| row.dot(&(self.known.p * row))).sum()
+        rows.map(|row| row.dot(&(known.p * row))).sum()
     }
 
     /// Standard deviation of the half-width of channel `i`, mm.

@@ -66,6 +66,8 @@ pub(super) fn watch_base(
     let Some(rate_rad_s) = rate_rad_s.filter(|_| !state.fusion.tracks_base()) else {
         return;
     };
+    let (before, observer) = (&state.before_base.laws[0], &state.observer);
+    let open_loop_2 = observer.settled_variance(before, &observer.now);
     let observed = WatchInput {
         rate_rad_s,
         estimate: estimate.0,
@@ -74,7 +76,8 @@ pub(super) fn watch_base(
         remaining: state.setpoint.target.bend.0 - estimate.0,
         still_s: state.motors.still_s,
         response_s: state.dynamics.response_max_s,
-        twist_per_bend_max: state.fusion.twist_per_bend_max(),
+        turn_variance: state.fusion.turn_variance(config.fuse.watch.memory_s),
+        open_loop_rad: open_loop_2.max(0.0).sqrt(),
         dt_s: input.dt_s,
     };
     let (played, quiet) = (state.played(), state.base.quiet);
@@ -87,6 +90,7 @@ pub(super) fn watch_base(
     }
     state.base.moved = flagged;
     if flagged {
+        state.base.watch.forget(&config.fuse.watch);
         // the tip is where it was in the last quiet pose, moved by what the pistons have done since; what was learned
         // since the base began to turn is taken back
         let by_pistons = quiet.estimate + played - quiet.played;

@@ -5,7 +5,6 @@ use super::types::LoopConfig;
 use crate::control::dynamics::{DynamicsPrior, DynamicsRange};
 use crate::control::feedforward::Feedforward;
 use crate::control::observer::bank::DynamicsBank;
-use crate::control::observer::laws::LAWS;
 use crate::control::observer::{Knowledge, Observer, Periodic};
 use crate::control::obstruction::ObstructionDetector;
 use crate::control::rule::Rule;
@@ -75,33 +74,29 @@ pub(super) struct Known {
     bank: DynamicsBank,
 }
 
-/// Values and standard deviations of the parameters of the laws.
-type Learned = [[f64; LAWS]; 2];
-
 /// Laws of before a motion of the base that is not noticed yet can have begun.
 #[derive(Debug, Clone)]
 pub(super) struct BeforeBaseMotion {
     /// At least, and at most, [`UNNOTICED_S`] ago.
-    laws: [Learned; 2],
+    pub(super) laws: [Knowledge; 2],
     age_s: f64,
-    /// Time for which the sway has grown, s, and the standard deviation that it gives the measured bend, rad.
-    grew_s: f64,
+    /// The base sways.
+    sways: bool,
+    /// Standard deviation that a sway gives the measured bend, rad.
     pub(super) sway_rad: f64,
 }
 
 /// Time within which a motion of the base is noticed, s: twice the memory of [`Watch`].
 const UNNOTICED_S: f64 = 10.0;
-/// Longest time for which what one turn of the base leaves grows, s; see [`Sway::grows`](crate::estimation::fusion::sway::Sway::grows).
-const ONE_TURN_S: f64 = 5.0;
 /// Standard deviations of a sway, which is no noise but has the same sign for seconds, that a measurement of the bend has in it.
 const SWAY_SIGMAS: f64 = 3.0;
 
 impl BeforeBaseMotion {
-    fn of(laws: Learned) -> Self {
+    fn of(laws: Knowledge) -> Self {
         Self {
             laws: [laws; 2],
             age_s: 0.0,
-            grew_s: 0.0,
+            sways: false,
             sway_rad: 0.0,
         }
     }
@@ -176,7 +171,7 @@ impl LoopState {
             sides: Default::default(),
             accepted: config.lines,
             shown_by_accepted: Vector2::zeros(),
-            before_base: BeforeBaseMotion::of(observer.learned()),
+            before_base: BeforeBaseMotion::of(observer.known),
             known: Known {
                 laws: observer.known,
                 dynamics,
@@ -283,33 +278,27 @@ impl LoopState {
     /// What is known now is all there is to return to.
     fn begin(&mut self) {
         self.remember();
-        self.before_base = BeforeBaseMotion::of(self.observer.learned());
+        self.before_base = BeforeBaseMotion::of(self.observer.known);
     }
 
     /// Asks the watch whether the base sways. Once it does, takes back what was learned while that was not noticed.
     pub(super) fn attribute_to_base(&mut self, dt_s: f64) {
-        let watch = &self.base.watch;
-        let sway_rad = watch.sway.mean_square().sqrt();
+        let sway = &self.base.watch.sway;
         let before = &mut self.before_base;
+        let began = !std::mem::replace(&mut before.sways, sway.sways());
+        let sway_rad = sway.mean_square().sqrt();
         before.sway_rad = 0.0;
         if sway_rad == 0.0 {
-            (before.age_s, before.grew_s) = (before.age_s + dt_s, 0.0);
+            before.age_s += dt_s;
             if before.age_s > UNNOTICED_S {
-                (before.laws, before.age_s) = ([before.laws[1], self.observer.learned()], 0.0);
+                (before.laws, before.age_s) = ([before.laws[1], self.observer.known], 0.0);
             }
-            return;
-        }
-        let turned = before.grew_s <= ONE_TURN_S;
-        if watch.sway.grows() {
-            before.grew_s += dt_s;
-        }
-        if before.grew_s <= ONE_TURN_S {
-            return;
-        }
-        before.sway_rad = SWAY_SIGMAS * sway_rad;
-        if turned {
-            let by_laws = self.observer.settled_by_laws();
-            self.unlearn(&by_laws, 0.0);
+        } else if before.sways {
+            before.sway_rad = SWAY_SIGMAS * sway_rad;
+            if began {
+                let by_laws = self.observer.settled_by_laws();
+                self.unlearn(&by_laws, 0.0);
+            }
         }
     }
 
@@ -318,7 +307,7 @@ impl LoopState {
     pub(super) fn unlearn(&mut self, bend: &Vector2<f64>, sigmas: f64) {
         let before = &mut self.before_base;
         (before.laws[1], before.age_s) = (before.laws[0], 0.0);
-        self.observer.assume(&before.laws[0]);
+        self.observer.known = before.laws[0];
         self.observer.believe(bend, sigmas);
     }
 

@@ -4,14 +4,14 @@
 //! curvature cannot make, and x and y components, which the pistons should have caused. This gives two tests.
 //!
 //! * **Twist**: `∫ φ̇_z` with a memory of [`WatchConfig::memory_s`]. Torsion and a tilted mount cause some twist in
-//!   proportion to the motion of the set-point. The limit allows for it: first the configured share, later no more
-//!   than the twist that the estimator has found for this tip.
+//!   proportion to the bend. [`TwistLaw`] learns how much with its covariance, and the test is of what that leaves, in
+//!   standard deviations.
 //! * **Bend**: `∫ (φ̇_xy − model)`, starting when the loop has settled on a constant set-point, since the model is not
 //!   accurate enough during a motion. It counts only if the tip turned and the pistons had not driven it that way: an
 //!   obstructed tip deviates by *not* turning while it is pushed, and an overestimated backlash by turning further
 //!   than it is pushed.
 //!
-//! A sway stays below both limits. [`super::sway`] estimates it, so that the feedback can leave it out.
+//! A twist that has reversed twice is a sway and no turn. [`super::sway`] estimates its size, so that the feedback can leave it out.
 //!
 //! Neither test detects a rotation that looks like bending while the tip moves. A cable that becomes taut, or an
 //! obstruction, makes the tip lag its pistons by as much, and one IMU cannot tell the three apart. The residual
@@ -25,6 +25,7 @@
 use crate::estimation::fusion::bend::right_jacobian_inverse;
 use crate::estimation::fusion::intake::{held_s, share};
 use crate::estimation::fusion::sway::Sway;
+use crate::estimation::fusion::twist_law::TwistLaw;
 use crate::model::Bend;
 use crate::parameters;
 use nalgebra::{Vector2, Vector3};
@@ -34,11 +35,14 @@ parameters! {
     pub struct WatchConfig: Copy {
         /// Detects base motion.
         enabled: bool = true;
-        /// Unexplained twist that flags base motion. A larger value misses larger turns.
-        twist_deg: f64 = 5.0, "deg", 0.1..=90.0, "5 is above the noise of the estimate";
-        /// Twist that is allowed per degree of set-point motion: torsion and a tilted mount. Less is allowed once the tip has
-        /// shown that it twists less. A larger value attributes more of a turn to the tip.
-        twist_share: f64 = 0.45, "", 0.0..=2.0, "0.45 covers torsion and a tilted mount";
+        /// Unexplained twist that flags base motion, in standard deviations. A larger value misses larger turns.
+        twist_sigmas: f64 = 4.5, "sigma", 1.0..=100.0, "4.5 is above what torsion and tilt leave unexplained";
+        /// Twist that neither bend nor noise explains on a base that stands, 1 σ. A larger value misses larger turns.
+        twist_deg: f64 = 0.13, "deg", 0.01..=90.0, "0.13 is the error of a good gyroscope over a motion";
+        /// Size of a turn of the base relative to its twist, once that is significant: the turn has only begun, and most of it is about
+        /// other axes. A turn that is smaller than what the pistons alone may do wrong is corrected as bending. A larger value
+        /// sets the feedback aside for smaller turns of a tip that is not known yet.
+        turn_per_twist: f64 = 8.0, "", 0.0..=1e3, "8 is a turn of 5 deg noticed at 0.6 deg";
         /// Unexplained bend that flags base motion. A larger value misses larger turns.
         bend_deg: f64 = 5.5, "deg", 0.1..=90.0, "5.5 is above what creep makes";
         /// Unexplained bend at which it is asked whether the pistons caused it. A larger value asks later.
@@ -71,8 +75,10 @@ pub struct WatchInput {
     pub still_s: f64,
     /// Sum of lag and dead time of the lines, s.
     pub response_s: f64,
-    /// Largest twist per bend that is consistent with the estimates so far, rad/rad; `None` if not estimated.
-    pub twist_per_bend_max: Option<f64>,
+    /// Variance of the integral of that rate over the memory, rad².
+    pub turn_variance: f64,
+    /// Standard deviation of the bend that the pistons alone would give, rad.
+    pub open_loop_rad: f64,
     /// Time since the last tick, s.
     pub dt_s: f64,
 }
@@ -83,14 +89,16 @@ pub struct Watch {
     /// Model and set-point of the previous tick, rad.
     last: Option<(Vector2<f64>, Vector2<f64>)>,
     path_fast: f64,
-    path_slow: f64,
     /// Bend that the pistons caused, and that the gyroscope measured, with the fast memory, rad.
     driven: Vector2<f64>,
     turned: Vector2<f64>,
-    /// Unexplained twist, rad.
+    law: TwistLaw,
+    /// Twist, and change of the bend vector and of its size, rad.
     twist: f64,
-    /// Time for which it has exceeded its limit, s.
-    twisted_s: f64,
+    change: Vector3<f64>,
+    /// Unexplained twist, rad, and in standard deviations.
+    unexplained: f64,
+    sigmas: f64,
     settled: bool,
     /// Unexplained bend, rad.
     bend: Vector2<f64>,
@@ -117,14 +125,13 @@ enum Onset {
     Driven,
 }
 
-/// Memories of the path of the set-point, in addition to twice the response time of the lines, s: the fast one
-/// determines when the set-point counts as constant, the slow one scales the allowed twist.
+/// Memory of the path of the set-point, in addition to twice the response time of the lines, s: it determines when the set-point counts
+/// as constant.
 const PATH_FAST_S: f64 = 0.25;
-const PATH_SLOW_S: f64 = 0.6;
 /// Share of the onset from which a motion counts.
 const DRIVEN_SHARE: f64 = 0.5;
-/// Time for which the twist must exceed its limit, s.
-const CONFIRM_S: f64 = 0.03;
+/// Unexplained twist up to which the law of the twist learns, in standard deviations.
+const LEARNS_SIGMAS: f64 = 3.0;
 /// Path of the set-point below which it counts as constant, rad (1°).
 const CONSTANT_RAD: f64 = 0.017;
 /// Unexplained bend that counts as having come back, rad (1.5°).
@@ -145,19 +152,37 @@ impl Watch {
         let path = (input.setpoint - setpoint).norm();
         let decay = |tau_s: f64| (-input.dt_s / (tau_s + 2.0 * input.response_s)).exp();
         self.path_fast = self.path_fast * decay(PATH_FAST_S) + path;
-        self.path_slow = self.path_slow * decay(PATH_SLOW_S) + path;
         // rate of the rotation vector φ = (b_y, b_x, 0)
         let phi = Bend(input.estimate).rotation_vector();
         let phi_rate = right_jacobian_inverse(&phi) * input.rate_rad_s;
         let fade = 1.0 - share(input.dt_s, config.memory_s);
-        self.twist = self.twist * fade + phi_rate.z * input.dt_s;
+        let twisted = phi_rate.z * input.dt_s;
+        let change = (self.law).step(
+            &input.estimate,
+            twisted,
+            self.sigmas.abs() > LEARNS_SIGMAS,
+            input.dt_s,
+        );
+        self.twist = self.twist * fade + twisted;
+        self.change = self.change * fade + change;
+        self.unexplained = self.twist - self.law.twist(&self.change);
+        let variance = config.twist_deg.to_radians().powi(2)
+            + input.turn_variance
+            + self.law.variance(&self.change);
+        self.sigmas = self.unexplained / variance.sqrt();
         // b = (φ_y, φ_x)
         let turned = Vector2::new(phi_rate.y, phi_rate.x) * input.dt_s;
         self.driven = self.driven * decay(PATH_FAST_S) + input.model - model;
         self.turned = self.turned * decay(PATH_FAST_S) + turned;
         self.follow_bend(config, input, turned, input.model - model, fade);
+        let significant = self.sigmas.abs() > LEARNS_SIGMAS;
+        let side = if significant {
+            self.sigmas.signum()
+        } else {
+            0.0
+        };
         self.sway
-            .step(&input.estimate, phi_rate.z * input.dt_s, input.dt_s);
+            .step(&self.law, &change, twisted, side, input.dt_s);
         let held = (self.path_fast <= CONSTANT_RAD)
             .then(|| (turned - (input.model - model), input.model - input.estimate));
         self.sway.hold(held, input.dt_s);
@@ -195,15 +220,14 @@ impl Watch {
         }
     }
 
-    fn exceeds(&mut self, config: &WatchConfig, input: &WatchInput) -> bool {
-        let shown = input.twist_per_bend_max.unwrap_or(config.twist_share);
-        let own = config.twist_share.min(shown) * self.path_slow;
-        let twist_max = config.twist_deg.to_radians() + own;
-        self.twisted_s = held_s(self.twisted_s, self.twist.abs() > twist_max, input.dt_s);
+    fn exceeds(&self, config: &WatchConfig, input: &WatchInput) -> bool {
         let bent = self.bend.norm() > config.bend_deg.to_radians() + self.tolerated
             && self.onset == Onset::Unprovoked
             && !self.sway.is_disturbance();
-        config.enabled && (bent || self.twisted_s > CONFIRM_S)
+        let twisted = self.sigmas.abs() > config.twist_sigmas
+            && config.turn_per_twist * self.unexplained.abs() > input.open_loop_rad
+            && !self.sway.sways();
+        config.enabled && (bent || twisted)
     }
 
     /// Follows the unexplained bend since the last quiet pose while the flag is up; true once it has come back without a
@@ -213,9 +237,9 @@ impl Watch {
     pub fn returned(&mut self, unexplained: &Vector2<f64>, dt_s: f64) -> bool {
         let size = unexplained.norm();
         self.excursion = self.excursion.max(size);
-        let agrees = size < RETURNED_RAD && self.twist.abs() < QUIET_RAD;
+        let agrees = size < RETURNED_RAD && self.unexplained.abs() < QUIET_RAD;
         self.back_s = held_s(self.back_s, agrees, dt_s);
-        let back = self.back_s >= RETURN_AFTER_S || self.sway.is_disturbance();
+        let back = self.back_s >= RETURN_AFTER_S || self.sway.is_disturbance() || self.sway.sways();
         if back {
             self.back_s = 0.0;
             let most = self.tolerated.max(SWAY_MARGIN * self.excursion);
@@ -226,9 +250,14 @@ impl Watch {
         back
     }
 
+    /// The base has turned: seen from where it was, the tip twists otherwise.
+    pub fn forget(&mut self, config: &WatchConfig) {
+        self.law.forget(config.turn_per_twist * self.unexplained);
+    }
+
     /// True if the loop has settled without unexplained motion: the present state is a valid one to return to.
     pub fn quiet(&self) -> bool {
-        self.settled && self.bend.norm() < QUIET_RAD && self.twist.abs() < QUIET_RAD
+        self.settled && self.bend.norm() < QUIET_RAD && self.unexplained.abs() < QUIET_RAD
     }
 }
 
@@ -259,7 +288,8 @@ mod tests {
                     0.0
                 },
                 response_s: 0.04,
-                twist_per_bend_max: None,
+                turn_variance: 0.0,
+                open_loop_rad: 0.0,
                 dt_s: DT_S,
             };
             watch.step(&WatchConfig::default(), &input)
@@ -306,13 +336,13 @@ mod tests {
 
     #[test]
     fn creep_and_an_obstructed_tip_raise_no_flag() {
-        let creep = flagged(
-            |_| Vector3::x() * 1.5f64.to_radians(),
-            constant,
-            constant,
-            Vector2::zeros(),
-        );
-        assert_eq!(creep, None);
+        let phi = Bend(constant(0.0)).rotation_vector();
+        let turns = right_jacobian_inverse(&phi).try_inverse().unwrap();
+        for axis in [Vector3::x(), Vector3::y()] {
+            let rate = turns * axis * 1.5f64.to_radians();
+            let creep = flagged(|_| rate, constant, constant, Vector2::zeros());
+            assert_eq!(creep, None);
+        }
         let pushing = |t: f64| Vector2::new(0.7 + 0.1 * t, 0.0);
         assert_eq!(
             flagged(
@@ -335,51 +365,96 @@ mod tests {
         );
     }
 
+    /// Times at which the watch raises its flag over 80 s, in which a tip with this twist per bend bends to and fro and its base turns
+    /// about the axis of the tip by `angle`, rad; and the watch at the end.
+    fn over_80_s(twist: f64, angle: impl Fn(f64) -> f64) -> (Watch, Vec<f64>) {
+        let mut watch = Watch::default();
+        let mut flags = Vec::new();
+        for k in 0..16_000 {
+            let t = f64::from(k) * DT_S;
+            let along = |t: f64| 0.5 + 0.4 * (0.7 * t).sin();
+            let bends = along(t) - along(t - DT_S);
+            let bend = Vector2::new(along(t), 0.0);
+            let turned = Vector3::new(0.0, bends, twist * bends + angle(t) - angle(t - DT_S));
+            let input = WatchInput {
+                rate_rad_s: turned / DT_S,
+                estimate: bend,
+                model: bend,
+                setpoint: bend,
+                remaining: bend,
+                still_s: 0.0,
+                response_s: 0.04,
+                turn_variance: 0.0,
+                open_loop_rad: 0.0,
+                dt_s: DT_S,
+            };
+            if watch.step(&WatchConfig::default(), &input) {
+                flags.push(t);
+            }
+        }
+        (watch, flags)
+    }
+
     #[test]
-    fn the_estimated_twist_lowers_the_limit() {
-        let flags = |limit: Option<f64>| {
-            let mut watch = Watch::default();
-            (0..200).any(|k| {
-                let t = f64::from(k) * DT_S;
-                let bend = Vector2::new(0.2 + t.min(1.0), 0.0);
-                let twisting = if t < 0.5 { 0.4 } else { 0.0 };
-                let rate_rad_s = Vector3::new(0.0, 1.0, twisting);
-                let input = WatchInput {
-                    rate_rad_s,
-                    estimate: bend,
-                    model: bend,
-                    setpoint: bend,
-                    remaining: bend,
-                    still_s: 0.0,
-                    response_s: 0.04,
-                    twist_per_bend_max: limit,
-                    dt_s: DT_S,
-                };
-                watch.step(&WatchConfig::default(), &input)
-            })
+    fn a_tip_may_twist_in_proportion_to_its_bend_and_a_base_may_not_turn_by_less() {
+        for twist in [-0.2, -0.05, 0.0, 0.1, 0.25] {
+            let (_, flags) = over_80_s(twist, |_| 0.0);
+            assert!(flags.is_empty(), "{twist}: {flags:?}");
+            // 2° within half a second, where a tip of 0.25 twists by 11° to and fro
+            let turn = |t: f64| 0.035 * ((t - 30.0) / 0.5).clamp(0.0, 1.0);
+            let (_, flags) = over_80_s(twist, turn);
+            let first = flags.first().copied().unwrap_or_default();
+            assert!((30.0..30.5).contains(&first), "{twist}: {first}");
+        }
+    }
+
+    #[test]
+    fn a_base_that_turns_to_and_fro_sways_and_one_that_turns_on_does_not() {
+        for (deg, period_s) in [(1.0, 3.0), (2.0, 7.0), (4.0, 15.0)] {
+            let angle =
+                |t: f64| f64::to_radians(deg) * (std::f64::consts::TAU * t / period_s).sin();
+            let (watch, flags) = over_80_s(0.05, |t| angle((t - 20.0).max(0.0)));
+            let last = flags.last().copied().unwrap_or_default();
+            assert!(
+                watch.sway.sways() && last < 20.0 + 1.75 * period_s,
+                "{deg}° in {period_s} s: {last} s"
+            );
+        }
+        let turns = |t: f64| {
+            let by = |at: f64| 0.07 * ((t - at) / 0.5).clamp(0.0, 1.0);
+            by(25.0) - by(35.0) - by(50.0) + by(75.0)
         };
-        assert!(
-            !flags(None),
-            "the default limit allows 11° of twist over half a radian"
-        );
-        assert!(
-            flags(Some(0.1)) && !flags(Some(3.0)),
-            "a smaller estimate lowers the limit, a larger one does not raise it"
-        );
+        let (watch, flags) = over_80_s(0.05, turns);
+        assert!(!watch.sway.sways());
+        for at in [25.0, 35.0, 50.0, 75.0] {
+            assert!(
+                flags.iter().any(|t| (at..at + 0.6).contains(t)),
+                "the turn at {at} s: {flags:?}"
+            );
+        }
     }
 
     #[test]
     fn a_commanded_motion_raises_no_flag() {
-        // 60° within a second, with a fifth of the rate as twist and half of the bend missing from the model
-        let commanded = |t: f64| Vector2::new((t - 1.0).clamp(0.0, 1.0) * 1.05, 0.0);
-        let half = move |t: f64| commanded(t) * 0.5;
-        let rate = |t: f64| {
-            if (1.0..2.0).contains(&t) {
-                Vector3::new(0.0, 1.05, 0.2)
-            } else {
-                Vector3::zeros()
-            }
-        };
-        assert_eq!(flagged(rate, half, commanded, Vector2::zeros()), None);
+        // 60° within a second, with a sixth of it as twist and half of the bend missing from the model
+        let bend = |t: f64| Vector2::new((t - 1.0).clamp(0.0, 1.0) * 1.05, 0.0);
+        let mut watch = Watch::default();
+        for k in 0..800 {
+            let t = f64::from(k) * DT_S;
+            let moves = if (1.0..2.0).contains(&t) { 1.05 } else { 0.0 };
+            let input = WatchInput {
+                rate_rad_s: Vector3::new(0.0, moves, moves / 6.0),
+                estimate: bend(t),
+                model: bend(t) * 0.5,
+                setpoint: bend(t),
+                remaining: Vector2::zeros(),
+                still_s: 0.0,
+                response_s: 0.04,
+                turn_variance: 0.0,
+                open_loop_rad: 0.0,
+                dt_s: DT_S,
+            };
+            assert!(!watch.step(&WatchConfig::default(), &input), "{t} s");
+        }
     }
 }

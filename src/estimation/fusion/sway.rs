@@ -1,26 +1,22 @@
 //! How much the base sways, without an IMU on it: twist that the bend does not explain.
 //!
 //! A section of constant curvature cannot twist. What a tip twists in proportion to its bend is torsion of the section and tilt of the
-//! mount; a regression over the last minute finds both. The rest is a base that turns, which then turns the tip about the other two
-//! axes as well. Bend of the tip itself, such as breath causes, comes without twist. What the pistons do not explain is the sum of
+//! mount ([`TwistLaw`]). The rest is a base that turns, which then turns the tip about the other two axes as well. Bend of the tip itself, such as breath causes, comes without twist. What the pistons do not explain is the sum of
 //! both. The best linear estimate of the tip's part is that sum times its share in the mean square (Wiener 1949), so feedback that
 //! takes only this share follows a disturbance of the tip and ignores a sway.
 
 use crate::estimation::fusion::intake::share;
-use nalgebra::{Matrix3, Vector2, Vector3};
+use crate::estimation::fusion::twist_law::TwistLaw;
+use nalgebra::{Vector2, Vector3};
 
 /// Memory of the mean squares, and time after which a turn is forgotten, s.
 const MEMORY_S: f64 = 5.0;
+/// Reversals of the unexplained twist, each within [`FADE_S`] of the one before, that make a sway: one is a turn and its way back.
+const SWAY_REVERSALS: u32 = 2;
 /// Time after which a sway counts as past, s: longer than the pause of a slow one.
 const FADE_S: f64 = 20.0;
-/// Memory of the regression, s.
-const REGRESSION_S: f64 = 60.0;
-/// Mean square of the bend at which the regression believes half of what it finds, rad².
-const RIDGE: f64 = 0.003;
-/// Twist per bend that is allowed for a section that is not known yet.
-const TORSION_SHARE: f64 = 0.1;
-/// Part of the explained twist by which a torsion of another form may differ: it levels off, and depends on the direction.
-const TORSION_FORM: f64 = 0.4;
+/// Standard deviations of the twist of the mechanism that are none of a sway.
+const OWN_SIGMAS: f64 = 2.0;
 /// Mean square of a sway in bend from that of its twist: two of three axes bend, and a memory of 5 s shows a third to a half of it.
 const SWAY_PER_TWIST: f64 = 6.0;
 /// Root mean square of the twist that the gyroscopes and the regression leave on a base that stands, rad (0.8°), and the largest that
@@ -39,17 +35,15 @@ const DISTURBED_SHARE: f64 = 0.1;
 /// Mean squares over the last seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Sway {
-    last: Option<Vector3<f64>>,
     /// Twist, bend vector and its size, each without what is older than the memory, rad.
     twist: f64,
     bend: Vector3<f64>,
-    /// Mean products of the bend with itself and with the twist, rad².
-    moment: Matrix3<f64>,
-    cross: Vector3<f64>,
     /// Twist that the bend does not explain, rad².
     twist2: f64,
-    /// It grows.
-    grows: bool,
+    /// Sign of the last significant twist, time since it, s, and how often it has changed.
+    side: f64,
+    rests_s: f64,
+    reversals: u32,
     /// Bend since the set-point came to stand that the model does not explain, rad.
     held: Vector2<f64>,
     /// Bend that the model does not explain, rad².
@@ -59,26 +53,39 @@ pub struct Sway {
 }
 
 impl Sway {
-    /// One tick: the bend, rad, and by how much the tip has twisted, rad.
-    pub fn step(&mut self, bend: &Vector2<f64>, twisted: f64, dt_s: f64) {
-        // the rate about z of a tip twisted by c β falls short of c β̇, because the twist turns the rate of the bend as well
-        let bend = bend.push(bend.norm() * (1.0 - bend.norm_squared() / 4.0));
-        let before = self.last.replace(bend).unwrap_or(bend);
-        let (fade, k) = (1.0 - share(dt_s, MEMORY_S), share(dt_s, REGRESSION_S));
+    /// One tick: by how much bend vector and size have changed and the tip has twisted, rad; and `side`, the sign of the twist within a
+    /// motion that no law explains, 0 if that is not significant.
+    pub fn step(
+        &mut self,
+        law: &TwistLaw,
+        change: &Vector3<f64>,
+        twisted: f64,
+        side: f64,
+        dt_s: f64,
+    ) {
+        let fade = 1.0 - share(dt_s, MEMORY_S);
         self.twist = self.twist * fade + twisted;
-        self.bend = self.bend * fade + bend - before;
-        self.moment += (self.bend * self.bend.transpose() - self.moment) * k;
-        self.cross += (self.bend * self.twist - self.cross) * k;
-        let torsion = (self.moment + Matrix3::identity() * RIDGE)
-            .cholesky()
-            .map_or_else(Vector3::zeros, |m| m.solve(&self.cross));
-        let explained = torsion.dot(&self.bend);
-        let unknown = self.bend.xy().norm() * RIDGE / (RIDGE + self.moment.trace());
-        let own = TORSION_SHARE * unknown + TORSION_FORM * explained.abs();
-        let rest = ((self.twist - explained).abs() - own).clamp(0.0, TWIST_MAX_RAD);
-        self.grows = rest * rest > self.twist2;
-        let memory_s = if self.grows { MEMORY_S } else { FADE_S };
+        self.bend = self.bend * fade + change;
+        let own = OWN_SIGMAS * law.variance(&self.bend).sqrt();
+        let rest = ((self.twist - law.twist(&self.bend)).abs() - own).clamp(0.0, TWIST_MAX_RAD);
+        let grows = rest * rest > self.twist2;
+        let memory_s = if grows { MEMORY_S } else { FADE_S };
         self.twist2 += (rest * rest - self.twist2) * share(dt_s, memory_s);
+        self.reverse(side, dt_s);
+    }
+
+    fn reverse(&mut self, side: f64, dt_s: f64) {
+        self.rests_s += dt_s;
+        if self.rests_s > FADE_S {
+            self.reversals = 0;
+        }
+        if side == 0.0 {
+            return;
+        }
+        if side == -self.side && self.rests_s <= FADE_S {
+            self.reversals = self.reversals.saturating_add(1);
+        }
+        (self.side, self.rests_s) = (side, 0.0);
     }
 
     /// One tick of a hold: by how much the tip has bent beyond the model, and all that the model does not explain, rad. `None` while the
@@ -99,9 +106,9 @@ impl Sway {
         SWAY_PER_TWIST * (self.twist2 - TWIST_MIN_RAD * TWIST_MIN_RAD).max(0.0)
     }
 
-    /// The mean square grows. After one turn of the base it does for `MEMORY_S` ln 2, which is 3.5 s.
-    pub fn grows(&self) -> bool {
-        self.grows
+    /// The base turns to and fro.
+    pub fn sways(&self) -> bool {
+        self.reversals >= SWAY_REVERSALS
     }
 
     /// Something bends the tip in hold after hold, such as breath.
@@ -132,28 +139,12 @@ mod tests {
         for k in 0..20 * 200 {
             let t = f64::from(k) * 0.005;
             let turned = axis * (angle(t + 0.005) - angle(t));
-            let bend = axis.xy() * angle(t);
-            sway.step(&bend, turned.z, 0.005);
-            sway.hold((k % 200 > 0).then_some((turned.xy(), bend)), 0.005);
+            let (bend, bends) = (axis.xy() * angle(t), turned.xy());
+            let change = bends.push(bends.dot(&bend) / bend.norm().max(1e-9));
+            sway.step(&TwistLaw::default(), &change, turned.z, 0.0, 0.005);
+            sway.hold((k % 200 > 0).then_some((bends, bend)), 0.005);
         }
         sway
-    }
-
-    #[test]
-    fn after_one_turn_the_twist_stops_growing_and_in_a_sway_it_grows_on() {
-        let grew_s = |angle: fn(f64) -> f64| {
-            let mut sway = Sway::default();
-            let ticks = 0..40 * 200;
-            let grew = ticks.filter(|&k| {
-                let t = f64::from(k) * 0.005;
-                sway.step(&Vector2::new(0.5, 0.0), angle(t + 0.005) - angle(t), 0.005);
-                sway.grows()
-            });
-            grew.count() as f64 * 0.005
-        };
-        let once = grew_s(|t| 0.15 * t.min(1.0));
-        let again = grew_s(|t| 0.15 * (0.6 * t).sin());
-        assert!((2.0..5.0).contains(&once) && again > 7.0, "{once} {again}");
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use super::bank::{Bank, M};
 use super::config::BendFilterConfig;
 use super::kalman::{ACC, BASE, FIELD, GYRO, MAG, MOUNT, N, SCALE, StateVector, TWIST, block};
-use super::laws::{Twist, bend_by_turn};
+use super::laws::bend_by_turn;
 use super::window::Window;
 use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::filter::{TipEstimator, TipSample};
@@ -51,8 +51,6 @@ struct Derived {
     mount: UnitQuaternion<f64>,
     /// Covariance of the bend vector, rad².
     covariance: Matrix2<f64>,
-    /// Largest twist per bend that is consistent with the estimates, rad/rad.
-    twist_per_bend_max: f64,
 }
 
 /// The filter: nominal values, hypotheses around them, and the readings since the last correction.
@@ -192,10 +190,9 @@ impl BendFilter {
     pub fn twist_misfit(&self) -> f64 {
         self.twist_nis.sqrt()
     }
-    /// Largest twist per bend that is consistent with the estimates at the present bend, rad/rad: the present twist, plus three
-    /// standard deviations of torsion and tilt together and of the part that is not proportional.
-    pub fn twist_per_bend_max(&self) -> f64 {
-        self.derived.twist_per_bend_max
+    /// Variance of the estimated gyroscope bias about the least certain axis, (rad/s)².
+    pub fn gyro_bias_variance(&self) -> f64 {
+        self.sigma_of(GYRO).powi(2)
     }
 
     /// The axis that bending never turns about, `Exp(−μ) z`.
@@ -268,14 +265,6 @@ impl BendFilter {
         let rows = bend_by_turn(&self.bend().0);
         let total = turn + by_mount * mounts * by_mount.transpose();
         self.derived.covariance = rows * total * rows.transpose();
-        let twist = Twist::of(&self.s, &self.axis());
-        let mut h = [0.0; N];
-        let by_tilt = twist.psi_by_tilt / twist.beta.max(1e-2);
-        (h[TWIST], h[MOUNT], h[MOUNT + 1]) = (1.0, -by_tilt.x, -by_tilt.y);
-        let known = self.bank.variance(&[h]).sqrt();
-        let sigma = known.hypot(self.twist_sigma_rad(1.0));
-        let about_z = Twist::of(&self.s, &Vector3::z()).psi / twist.beta.max(1e-2);
-        self.derived.twist_per_bend_max = about_z.abs() + 3.0 * sigma;
     }
 }
 

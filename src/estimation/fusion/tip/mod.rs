@@ -183,9 +183,14 @@ impl Fusion {
             && !self.in_force().contains(HealthCause::FieldDisturbed)
             && self.bend_filter().is_some_and(contradicts)
     }
-    /// Largest twist per bend that is consistent with the estimates so far, rad/rad, if the bend filter runs.
-    pub fn twist_per_bend_max(&self) -> Option<f64> {
-        self.bend_filter().map(BendFilter::twist_per_bend_max)
+    /// Variance of the rate of [`Fusion::rate_rad_s`] about an axis, integrated over `time_s`, rad².
+    pub fn turn_variance(&self, time_s: f64) -> f64 {
+        let Some(tracker) = &self.tracker else {
+            return 0.0;
+        };
+        let (alignment, filter) = (&tracker.alignment, tracker.bend_filter());
+        let white = alignment.gyro_sigma_rad_s.powi(2) * alignment.periods_s().0 * time_s;
+        white + filter.map_or(0.0, BendFilter::gyro_bias_variance) * time_s * time_s
     }
     /// The selected estimator, once aligned.
     pub fn estimator(&self) -> Option<&Estimator> {
