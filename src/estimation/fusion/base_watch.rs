@@ -103,6 +103,8 @@ pub struct Watch {
     /// Unexplained bend, rad.
     bend: Vector2<f64>,
     onset: Onset,
+    /// The flag was raised by a twist.
+    twisted: bool,
     /// Unexplained bend that came back by itself, rad: the tip sways, and the base does not.
     tolerated: f64,
     /// Largest unexplained bend since the flag, rad.
@@ -220,28 +222,30 @@ impl Watch {
         }
     }
 
-    fn exceeds(&self, config: &WatchConfig, input: &WatchInput) -> bool {
+    fn exceeds(&mut self, config: &WatchConfig, input: &WatchInput) -> bool {
         let bent = self.bend.norm() > config.bend_deg.to_radians() + self.tolerated
             && self.onset == Onset::Unprovoked
             && !self.sway.is_disturbance();
         let twisted = self.sigmas.abs() > config.twist_sigmas
             && config.turn_per_twist * self.unexplained.abs() > input.open_loop_rad
             && !self.sway.sways();
+        self.twisted |= twisted;
         config.enabled && (bent || twisted)
     }
 
     /// Follows the unexplained bend since the last quiet pose while the flag is up; true once it has come back without a
     /// twist. Then it was no turn of the base, or one that was undone, and sways of that size are tolerated from now on.
-    /// A base that sways passes through agreement; so it must last. A disturbance that bends the tip again and again is none of the
-    /// base.
+    /// A base that sways passes through agreement; so it must last. A disturbance that bends the tip again and again, and does not
+    /// twist it, is none of the base.
     pub fn returned(&mut self, unexplained: &Vector2<f64>, dt_s: f64) -> bool {
         let size = unexplained.norm();
         self.excursion = self.excursion.max(size);
         let agrees = size < RETURNED_RAD && self.unexplained.abs() < QUIET_RAD;
         self.back_s = held_s(self.back_s, agrees, dt_s);
-        let back = self.back_s >= RETURN_AFTER_S || self.sway.is_disturbance() || self.sway.sways();
+        let disturbed = self.sway.is_disturbance() && !self.twisted;
+        let back = self.back_s >= RETURN_AFTER_S || disturbed || self.sway.sways();
         if back {
-            self.back_s = 0.0;
+            (self.back_s, self.twisted) = (0.0, false);
             let most = self.tolerated.max(SWAY_MARGIN * self.excursion);
             self.tolerated = most.min(SWAY_MAX_RAD);
             (self.excursion, self.bend, self.onset, self.settled) =
@@ -252,7 +256,8 @@ impl Watch {
 
     /// The base has turned: seen from where it was, the tip twists otherwise.
     pub fn forget(&mut self, config: &WatchConfig) {
-        self.law.forget(config.turn_per_twist * self.unexplained);
+        let turn = config.turn_per_twist * self.unexplained;
+        self.law.forget(turn, config.memory_s);
     }
 
     /// True if the loop has settled without unexplained motion: the present state is a valid one to return to.

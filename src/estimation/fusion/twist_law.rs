@@ -12,6 +12,8 @@ const PRIOR: f64 = 0.1;
 const WALK: f64 = 0.002;
 /// Random walk of the twist that is not in proportion to bend, rad/√s.
 const NOISE: f64 = 0.0023;
+/// Innovation gate, σ.
+const GATE: f64 = 3.0;
 /// Share of the twist by which it may be of another form: it levels off with the bend, and depends on the direction.
 const FORM: f64 = 0.3;
 
@@ -21,6 +23,8 @@ pub struct TwistLaw {
     last: Option<Vector3<f64>>,
     c: Vector3<f64>,
     p: Matrix3<f64>,
+    /// Time until it learns again, s.
+    pause_s: f64,
 }
 
 impl Default for TwistLaw {
@@ -29,6 +33,7 @@ impl Default for TwistLaw {
             last: None,
             c: Vector3::zeros(),
             p: Matrix3::identity() * (PRIOR * PRIOR),
+            pause_s: 0.0,
         }
     }
 }
@@ -46,18 +51,23 @@ impl TwistLaw {
         // the rate about z of a tip twisted by c β falls short of c β̇, because the twist turns the rate of the bend as well
         let now = bend.push(bend.norm() * (1.0 - bend.norm_squared() / 4.0));
         let change = now - self.last.replace(now).unwrap_or(now);
-        if !disturbed && dt_s > 0.0 {
+        self.pause_s -= dt_s;
+        if !disturbed && self.pause_s < 0.0 {
             self.p += Matrix3::identity() * (WALK * WALK * dt_s);
             let gain = self.p * change;
             let variance = change.dot(&gain) + NOISE * NOISE * dt_s;
-            self.c += gain * ((twisted - self.c.dot(&change)) / variance);
-            self.p -= gain * gain.transpose() / variance;
+            let innovation = twisted - self.c.dot(&change);
+            if innovation.powi(2) < GATE * GATE * variance {
+                self.c += gain * (innovation / variance);
+                self.p -= gain * gain.transpose() / variance;
+            }
         }
         change
     }
 
-    /// The base has turned by about `turn`, rad, about each axis: seen from where it was, the tip twists otherwise.
-    pub fn forget(&mut self, turn: f64) {
+    /// The base turns by about `turn`, rad, about each axis, within `turns_s`: seen from where it was, the tip twists otherwise.
+    pub fn forget(&mut self, turn: f64, turns_s: f64) {
+        self.pause_s = turns_s;
         for i in 0..2 {
             self.p[(i, i)] += turn * turn;
         }
