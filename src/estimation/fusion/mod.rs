@@ -31,7 +31,7 @@ pub mod second;
 pub mod standstill;
 pub mod sway;
 pub mod tip;
-mod twist_law;
+pub mod twist_law;
 pub mod vqf;
 
 pub use filter::{FilterStatus, OrientationFilter, Periods, TipEstimator, TipSample};
