@@ -285,8 +285,9 @@ impl LoopState {
     pub(super) fn attribute_to_base(&mut self, dt_s: f64) {
         let sway = &self.base.watch.sway;
         let before = &mut self.before_base;
-        let began = !std::mem::replace(&mut before.sways, sway.sways());
         let sway_rad = sway.mean_square().sqrt();
+        let sways = sway.sways() && sway_rad > 0.0;
+        let began = !std::mem::replace(&mut before.sways, sways) && sways;
         before.sway_rad = 0.0;
         if sway_rad == 0.0 {
             before.age_s += dt_s;
