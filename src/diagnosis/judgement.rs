@@ -23,9 +23,10 @@ impl Judgement {
     /// The judgement from what gains that are identified on the log explain beyond those of the model, in units of the least that is
     /// claimed: `refitted` beside the effects or, if the effects make the model worse, `healthy` without them.
     pub fn new(is_worse: bool, refitted: f64, healthy: impl FnOnce() -> f64) -> Self {
-        let (gained, otherwise) = match is_worse {
-            true => (healthy(), Self::WorseThanNothing),
-            false => (refitted, Self::ThisMachine),
+        let (gained, otherwise) = if is_worse {
+            (healthy(), Self::WorseThanNothing)
+        } else {
+            (refitted, Self::ThisMachine)
         };
         if gained >= 1.0 {
             Self::AnotherUnit

@@ -87,8 +87,8 @@ pub struct ArmResult {
     pub held: Vec<Held>,
 }
 
-/// Bend error of a settled tip, degrees.
-const SETTLED_DEG: f64 = 1.0;
+/// Largest bend error of a settled tip, degrees.
+pub const SETTLED_DEG: f64 = 1.0;
 
 /// Runs an arm; `progress` is called after every scored state.
 ///

@@ -2,6 +2,7 @@
 
 use crate::control::Frame;
 use crate::control::saturation::Saturation;
+use crate::experiment::arm::SETTLED_DEG;
 use crate::model::Bend;
 use crate::service::LearnedGains;
 use crate::service::protocol::VERSION;
@@ -14,13 +15,10 @@ pub fn blocked(f: &Frame) -> bool {
     f.blocked || f.saturation != Saturation::No
 }
 
-/// Greatest bend by which a settled tip is believed to miss its target, rad (1°).
-const SETTLED_RAD: f64 = 0.0175;
-
-/// The tip rests where it was told to be, or as near as it can get.
+/// The tip rests, and is believed to be where it was told to within [`SETTLED_DEG`], or as near as it can get.
 pub fn settled(f: &Frame) -> bool {
     let missing = f.target.bend.0 - f.belief.settled;
-    blocked(f) || f.at_rest && missing.norm() < SETTLED_RAD
+    blocked(f) || f.at_rest && missing.norm().to_degrees() < SETTLED_DEG
 }
 
 /// Why the tip cannot get nearer to its target.

@@ -55,10 +55,10 @@ fn said(model: &SavedModel, effects: &[&'static dyn Effect], args: &Args) -> Str
         let advice = Remedy::of(*e).advice();
         verdict.push(format!("{}: {advice}", plain(e.name())));
     }
-    let mut out = vec![match verdict.is_empty() {
-        true => "The verdict names no effect; the recalibrated gains are all there is to apply."
-            .to_owned(),
-        false => format!("The verdict asks for this: {}.", verdict.join("; ")),
+    let mut out = vec![if verdict.is_empty() {
+        "The verdict names no effect; the recalibrated gains are all there is to apply.".to_owned()
+    } else {
+        format!("The verdict asks for this: {}.", verdict.join("; "))
     }];
     let calib = args.calib.as_deref();
     out.extend(calib.map(|path| format!("written to {}", path.display())));

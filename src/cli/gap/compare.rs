@@ -107,9 +107,12 @@ fn residuals(log: &Observed, compared: &Compared) -> Result<Vec<u8>> {
         let unit = if q == Quantity::Gyro { "deg_s" } else { "deg" };
         for (i, axis) in ["x", "y", "z"].into_iter().enumerate() {
             let name = format!("{}_{axis}_{unit}", q.name());
-            add(name, &|k| match log.bins[k].weight[q] > 0.0 {
-                true => compared.held_out.residual[q][k][i].to_degrees(),
-                false => f64::NAN,
+            add(name, &|k| {
+                if log.bins[k].weight[q] > 0.0 {
+                    compared.held_out.residual[q][k][i].to_degrees()
+                } else {
+                    f64::NAN
+                }
             });
         }
     }

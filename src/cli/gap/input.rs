@@ -82,9 +82,12 @@ pub fn observe(path: &Path, rig: &Rig) -> Result<Observed> {
 /// # Errors
 /// That of the reader, or a log that is given twice.
 pub fn each<T>(paths: &[PathBuf], read: impl Fn(&Path) -> Result<T>) -> Result<Vec<T>> {
-    let one = |(n, path): (usize, &PathBuf)| match paths[..n].contains(path) {
-        true => bail!("{}: given twice; a log counts once", path.display()),
-        false => read(path),
+    let one = |(n, path): (usize, &PathBuf)| {
+        if paths[..n].contains(path) {
+            bail!("{}: given twice; a log counts once", path.display())
+        } else {
+            read(path)
+        }
     };
     paths.iter().enumerate().map(one).collect()
 }

@@ -197,9 +197,10 @@ pub fn read(table: &Path) -> Result<Vec<FleetRow>> {
     let open = File::open(table).map_err(|e| miette!("{file}: {}", why_unreadable(table, &e)))?;
     let columns = columns::read(open).map_err(|e| other(&e.to_string()))?;
     let rows = row::rows(&columns).map_err(|e| other(&e.to_string()))?;
-    match rows.iter().any(|row| row.log.is_empty()) {
-        true => Err(other("it has no column `log`")),
-        false => Ok(rows),
+    if rows.iter().any(|row| row.log.is_empty()) {
+        Err(other("it has no column `log`"))
+    } else {
+        Ok(rows)
     }
 }
 

@@ -254,11 +254,12 @@ impl Observer {
         (modelled + columns * self.theta() + self.residual(), there)
     }
 
-    /// Variance of the settled bend with the channels at `there`, by what was `known`, rad², summed over both axes.
-    pub fn settled_variance(&self, known: &Knowledge, there: &Channels) -> f64 {
-        let columns = there.columns(&self.lines, &self.geometry);
+    /// Standard deviation of the settled bend at the counted steps by what is or was `known`, rad, over both axes.
+    pub fn settled_sigma(&self, known: &Knowledge) -> f64 {
+        let columns = self.now.columns(&self.lines, &self.geometry);
         let rows = (0..2).map(|axis| row_of(Some(&columns), axis));
-        rows.map(|row| row.dot(&(known.p * row))).sum()
+        let variance: f64 = rows.map(|row| row.dot(&(known.p * row))).sum();
+        variance.max(0.0).sqrt()
     }
 
     /// Standard deviation of the half-width of channel `i`, mm.

@@ -132,10 +132,7 @@ fn belief(state: &LoopState) -> Belief {
     let observer = &state.observer;
     Belief {
         settled: observer.settled_by_laws() + observer.residual(),
-        sigma_rad: observer
-            .settled_variance(&observer.known, &observer.now)
-            .max(0.0)
-            .sqrt(),
+        sigma_rad: observer.settled_sigma(&observer.known),
         residual: observer.residual(),
         line_sigmas: state.line_sigmas(),
         response_error_s: state.dynamics.error_max_s(),

@@ -5,8 +5,7 @@ use super::types::{Input, LoopConfig};
 use crate::estimation::fusion::base_watch::{Watch, WatchInput};
 use crate::estimation::fusion::tip::FusionInput;
 use crate::model::Bend;
-use crate::primitives::ImuReading;
-use crate::primitives::lasting;
+use crate::primitives::{ImuReading, lasting};
 use nalgebra::Vector3;
 
 /// Time since the last step after which the tip counts as still, s.
@@ -66,8 +65,6 @@ pub(super) fn watch_base(
     let Some(rate_rad_s) = rate_rad_s.filter(|_| !state.fusion.tracks_base()) else {
         return;
     };
-    let (before, observer) = (&state.before_base.laws[0], &state.observer);
-    let open_loop_2 = observer.settled_variance(before, &observer.now);
     let observed = WatchInput {
         rate_rad_s,
         estimate: estimate.0,
@@ -77,11 +74,13 @@ pub(super) fn watch_base(
         still_s: state.motors.still_s,
         response_s: state.dynamics.response_max_s,
         turn_variance: state.fusion.turn_variance(config.fuse.watch.memory_s),
-        open_loop_rad: open_loop_2.max(0.0).sqrt(),
         dt_s: input.dt_s,
     };
     let (played, quiet) = (state.played(), state.base.quiet);
-    let flagged = state.base.watch.step(&config.fuse.watch, &observed);
+    let (observer, before) = (&state.observer, &state.before_base.laws[0]);
+    let open_loop_rad = || observer.settled_sigma(before);
+    let watch = &mut state.base.watch;
+    let flagged = watch.step(&config.fuse.watch, &observed, open_loop_rad);
     if state.base.moved {
         let bend = state.fusion.bend_on_standing_base().unwrap_or(estimate).0;
         let unexplained = bend - quiet.estimate - (played - quiet.played);

@@ -378,3 +378,52 @@ fn observer(config: &LoopConfig, lines: [Line; 3], dynamics: &DynamicsRange) -> 
     let sigmas = learns.then_some(config.line_sigmas);
     Observer::new(&f.observer, &config.geometry, lines, sigmas, dynamics)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Board, Calibration, Gains, assemble, source};
+    use crate::estimation::fusion::base_watch::WatchInput;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn what_was_learned_in_a_sway_is_taken_back_however_it_begins() {
+        let board: Board =
+            source::parse("sim.toml", include_str!("../../../boards/sim.toml")).unwrap();
+        let calib: Calibration =
+            source::parse("paper.toml", include_str!("../../../calib/paper.toml")).unwrap();
+        let config = assemble(&board, &calib, &Gains::default());
+        let dt_s = 0.005;
+        for (first_deg, then_deg) in [(1.2f64, 8.0f64), (8.0, 8.0), (3.0, 6.0)] {
+            let mut state = LoopState::new(&config);
+            let mut learned = state.observer.learned();
+            let known = learned[0];
+            learned[0][0] += 0.1;
+            state.observer.assume(&learned);
+            let mut small = false;
+            for k in 0..20 * 200 {
+                let t = f64::from(k) * dt_s;
+                let size_deg = if t < 8.0 { first_deg } else { then_deg };
+                let rate = size_deg.to_radians() * (0.3 * std::f64::consts::TAU * t).sin();
+                let input = WatchInput {
+                    rate_rad_s: Vector3::z() * rate,
+                    estimate: Vector2::new(0.5, 0.0),
+                    model: Vector2::new(0.5, 0.0),
+                    setpoint: Vector2::new(0.5, 0.0),
+                    remaining: Vector2::zeros(),
+                    still_s: 1.0,
+                    response_s: 0.04,
+                    turn_variance: 0.0,
+                    dt_s,
+                };
+                let watch = &mut state.base.watch;
+                watch.step(&config.fuse.watch, &input, || 0.0);
+                small |= watch.sway.sways() && watch.sway.mean_square() == 0.0;
+                state.attribute_to_base(dt_s);
+            }
+            assert!(state.before_base.sway_rad > 0.0, "{first_deg}°");
+            assert!(small || first_deg > 2.0, "{first_deg}°");
+            assert_eq!(state.observer.learned()[0], known, "{first_deg}°");
+        }
+    }
+}

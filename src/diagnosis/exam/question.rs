@@ -144,9 +144,10 @@ impl Question {
         let (mut make, mut hidden) = (bare, false);
         for name in &self.names {
             for last in (1..=DRAWS).map(|draw| draw == DRAWS) {
-                let severity = match last {
-                    true => 1.0,
-                    false => rng.random_range(0.0..1.0),
+                let severity = if last {
+                    1.0
+                } else {
+                    rng.random_range(0.0..1.0)
                 };
                 let with = make.clone().with_effect(name, severity, &mut rng)?;
                 let recorded_with = Recorded::new(of(&with, first, true)?, &lines);

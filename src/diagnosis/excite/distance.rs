@@ -202,9 +202,10 @@ impl Information {
             let left_by = self.imitated(&self.spans[j]);
             for i in 0..n {
                 for (c, size) in self.spans[i].points.clone().zip(&scale[i]) {
-                    let left = match i == j {
-                        true => self.gram[(c, c)],
-                        false => left_by(c),
+                    let left = if i == j {
+                        self.gram[(c, c)]
+                    } else {
+                        left_by(c)
                     };
                     let d = size * left.max(0.0).sqrt();
                     of[(i, j)] = of[(i, j)].min(d);

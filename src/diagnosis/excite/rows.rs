@@ -127,9 +127,10 @@ impl Machine {
                     break;
                 }
                 // a way of no length is done at once
-                let share = match move_s > 0.0 {
-                    true => ((t - begun_s) / move_s).min(1.0),
-                    false => 1.0,
+                let share = if move_s > 0.0 {
+                    ((t - begun_s) / move_s).min(1.0)
+                } else {
+                    1.0
                 };
                 out.t_s.push(t);
                 out.piston_mm.push(from + (to - from) * share);

@@ -88,9 +88,10 @@ pub fn table(rows: &[FleetRow]) -> Vec<(String, Column)> {
     let text = |cell: &Value| cell.as_str().unwrap_or_default().to_owned();
     let column = |(number, name): (bool, &String)| {
         let cells = objects.iter().map(|object| &object[name.as_str()]);
-        let column = match number {
-            true => Column::Numbers(cells.map(|c| c.as_f64().unwrap_or(f64::NAN)).collect()),
-            false => Column::Texts(cells.map(text).collect()),
+        let column = if number {
+            Column::Numbers(cells.map(|c| c.as_f64().unwrap_or(f64::NAN)).collect())
+        } else {
+            Column::Texts(cells.map(text).collect())
         };
         (name.clone(), column)
     };

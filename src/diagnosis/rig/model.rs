@@ -80,11 +80,10 @@ fn spring(d: &Drive, power: i32) -> Vec<Vec<f64>> {
 impl MapBase {
     /// Identifies the nominal model on the logs; `None` if their inputs do not determine it.
     pub fn new(map: &MapFile, logs: &[Signals]) -> Option<Self> {
-        let swing = (map.nominal == Nominal::Resonance).then(|| resonance(&logs[0]));
+        let swing = (map.nominal == Nominal::Resonance).then(|| resonance(logs));
         let of_each: Vec<Vec<Vec<f64>>> = logs.iter().map(|log| driven(log, swing)).collect();
         let inputs = stacked(of_each.clone());
-        let ones = |log: &Signals| vec![vec![1.0; log.t.len()]];
-        let mut base = apart(logs.iter().map(ones).collect());
+        let mut base = offsets(logs);
         base.extend(inputs.iter().cloned());
         let columns = Columns::free(base.iter().map(Vec::as_slice).collect());
         let task = Task::new(logs.iter().map(|log| log.output.as_slice()));
@@ -119,9 +118,10 @@ impl MapBase {
             operator: *operator,
             eta,
             ci95: [eta; 2],
-            columns: match operator.is_state {
-                true => apart(of_each.collect()),
-                false => stacked(of_each),
+            columns: if operator.is_state {
+                apart(of_each.collect())
+            } else {
+                stacked(of_each)
             },
         }
     }
@@ -160,6 +160,12 @@ fn stacked(logs: impl IntoIterator<Item = Vec<Vec<f64>>>) -> Vec<Vec<f64>> {
         all
     };
     logs.into_iter().reduce(below).unwrap_or_default()
+}
+
+/// The offset of each log.
+fn offsets(logs: &[Signals]) -> Vec<Vec<f64>> {
+    let ones = |log: &Signals| vec![vec![1.0; log.t.len()]];
+    apart(logs.iter().map(ones).collect())
 }
 
 /// Columns of several logs, each zero in the other logs.
@@ -234,12 +240,15 @@ pub fn driven(log: &Signals, swing: Option<[f64; 2]>) -> Vec<Vec<f64>> {
 }
 
 /// Frequency, rad/s, and damping with the least cost, from a grid and a pattern search.
-fn resonance(log: &Signals) -> [f64; 2] {
-    let ones = vec![1.0; log.output.len()];
-    let task = Task::new([log.output.as_slice()]);
+fn resonance(logs: &[Signals]) -> [f64; 2] {
+    let step_s = step_s(&logs[0]);
+    let base = offsets(logs);
+    let task = Task::new(logs.iter().map(|log| log.output.as_slice()));
+    let swing = |wh: f64, zeta: f64| [2.0 * (wh / 2.0).atan() / step_s, zeta];
     let at = |(wh, zeta): (f64, f64)| {
-        let column = oscillator(&log.inputs[0], wh, zeta);
-        let cost = task.cost(&Columns::free(vec![&ones, &column]));
+        let column = stacked(logs.iter().map(|log| driven(log, Some(swing(wh, zeta)))));
+        let columns = base.iter().chain(&column).map(Vec::as_slice);
+        let cost = task.cost(&Columns::free(columns.collect()));
         (cost.unwrap_or(f64::INFINITY), wh, zeta)
     };
     let least = |tried: Vec<(f64, f64)>| {
@@ -264,5 +273,5 @@ fn resonance(log: &Signals) -> [f64; 2] {
             None => step /= 2.0,
         }
     }
-    [2.0 * (best.1 / 2.0).atan() / step_s(log), best.2]
+    swing(best.1, best.2)
 }

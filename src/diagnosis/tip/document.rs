@@ -203,9 +203,10 @@ impl TipProblem<'_> {
         let nominal = &self.nominal;
         // one of several effects is credited with what returns when it is taken out
         let rest = found.without(chosen, e.name()).unwrap_or(nominal);
-        let (before, after) = match chosen.names.contains(&e.name()) {
-            true => (rest, Some(chosen)),
-            false => (nominal, found.set(&[e.name()])),
+        let (before, after) = if chosen.names.contains(&e.name()) {
+            (rest, Some(chosen))
+        } else {
+            (nominal, found.set(&[e.name()]))
         };
         let with = after.unwrap_or(nominal);
         let closed = with.closed(before, self.gap());

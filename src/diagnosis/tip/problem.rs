@@ -78,9 +78,10 @@ impl Problem for TipProblem<'_> {
         long + self.short(set) + 2.0 * PER_EFFECT * set.names.len() as f64
     }
     fn density(&self, set: &Candidate) -> Vec<Feature> {
-        let gyro = match self.log.has[Quantity::Gyro] {
-            true => -set.held_out.density[1][Quantity::Gyro],
-            false => 0.0,
+        let gyro = if self.log.has[Quantity::Gyro] {
+            -set.held_out.density[1][Quantity::Gyro]
+        } else {
+            0.0
         };
         vec![("density", -self.short(set)), ("density_gyro", gyro)]
     }

@@ -23,11 +23,12 @@
 //! does not freeze the feedback, since a disturbed field has the same effect.
 
 use crate::estimation::fusion::bend::right_jacobian_inverse;
-use crate::estimation::fusion::intake::{held_s, share};
+use crate::estimation::fusion::intake::share;
 use crate::estimation::fusion::sway::Sway;
-use crate::estimation::fusion::twist_law::TwistLaw;
+use crate::estimation::fusion::twist_law::{GATE_SIGMAS, TwistLaw};
 use crate::model::Bend;
 use crate::parameters;
+use crate::primitives::lasting;
 use nalgebra::{Vector2, Vector3};
 
 parameters! {
@@ -77,8 +78,6 @@ pub struct WatchInput {
     pub response_s: f64,
     /// Variance of the integral of that rate over the memory, rad².
     pub turn_variance: f64,
-    /// Standard deviation of the bend that the pistons alone would give, rad.
-    pub open_loop_rad: f64,
     /// Time since the last tick, s.
     pub dt_s: f64,
 }
@@ -132,8 +131,6 @@ enum Onset {
 const PATH_FAST_S: f64 = 0.25;
 /// Share of the onset from which a motion counts.
 const DRIVEN_SHARE: f64 = 0.5;
-/// Unexplained twist up to which the law of the twist learns, in standard deviations.
-const LEARNS_SIGMAS: f64 = 3.0;
 /// Path of the set-point below which it counts as constant, rad (1°).
 const CONSTANT_RAD: f64 = 0.017;
 /// Unexplained bend that counts as having come back, rad (1.5°).
@@ -147,8 +144,14 @@ const SWAY_MAX_RAD: f64 = 0.26;
 const QUIET_RAD: f64 = 0.017;
 
 impl Watch {
-    /// Processes one tick; true when the base has moved.
-    pub fn step(&mut self, config: &WatchConfig, input: &WatchInput) -> bool {
+    /// Processes one tick; true when the base has moved. `open_loop_rad` is the standard deviation of the bend that the pistons alone
+    /// would give, which is asked for when the twist is significant.
+    pub fn step(
+        &mut self,
+        config: &WatchConfig,
+        input: &WatchInput,
+        open_loop_rad: impl FnOnce() -> f64,
+    ) -> bool {
         let now = (input.model, input.setpoint);
         let (model, setpoint) = self.last.replace(now).unwrap_or(now);
         let path = (input.setpoint - setpoint).norm();
@@ -159,12 +162,8 @@ impl Watch {
         let phi_rate = right_jacobian_inverse(&phi) * input.rate_rad_s;
         let fade = 1.0 - share(input.dt_s, config.memory_s);
         let twisted = phi_rate.z * input.dt_s;
-        let change = (self.law).step(
-            &input.estimate,
-            twisted,
-            self.sigmas.abs() > LEARNS_SIGMAS,
-            input.dt_s,
-        );
+        let disturbed = self.sigmas.abs() > GATE_SIGMAS;
+        let change = (self.law).step(&input.estimate, twisted, disturbed, input.dt_s);
         self.twist = self.twist * fade + twisted;
         self.change = self.change * fade + change;
         self.unexplained = self.twist - self.law.twist(&self.change);
@@ -177,7 +176,7 @@ impl Watch {
         self.driven = self.driven * decay(PATH_FAST_S) + input.model - model;
         self.turned = self.turned * decay(PATH_FAST_S) + turned;
         self.follow_bend(config, input, turned, input.model - model, fade);
-        let significant = self.sigmas.abs() > LEARNS_SIGMAS;
+        let significant = self.sigmas.abs() > GATE_SIGMAS;
         let side = if significant {
             self.sigmas.signum()
         } else {
@@ -188,7 +187,7 @@ impl Watch {
         let held = (self.path_fast <= CONSTANT_RAD)
             .then(|| (turned - (input.model - model), input.model - input.estimate));
         self.sway.hold(held, input.dt_s);
-        self.exceeds(config, input)
+        self.exceeds(config, open_loop_rad)
     }
 
     fn follow_bend(
@@ -222,13 +221,13 @@ impl Watch {
         }
     }
 
-    fn exceeds(&mut self, config: &WatchConfig, input: &WatchInput) -> bool {
+    fn exceeds(&mut self, config: &WatchConfig, open_loop_rad: impl FnOnce() -> f64) -> bool {
         let bent = self.bend.norm() > config.bend_deg.to_radians() + self.tolerated
             && self.onset == Onset::Unprovoked
             && !self.sway.is_disturbance();
         let twisted = self.sigmas.abs() > config.twist_sigmas
-            && config.turn_per_twist * self.unexplained.abs() > input.open_loop_rad
-            && !self.sway.sways();
+            && !self.sway.sways()
+            && config.turn_per_twist * self.unexplained.abs() > open_loop_rad();
         self.twisted |= twisted;
         config.enabled && (bent || twisted)
     }
@@ -241,7 +240,7 @@ impl Watch {
         let size = unexplained.norm();
         self.excursion = self.excursion.max(size);
         let agrees = size < RETURNED_RAD && self.unexplained.abs() < QUIET_RAD;
-        self.back_s = held_s(self.back_s, agrees, dt_s);
+        self.back_s = lasting(agrees, self.back_s, dt_s);
         let disturbed = self.sway.is_disturbance() && !self.twisted;
         let back = self.back_s >= RETURN_AFTER_S || disturbed || self.sway.sways();
         if back {
@@ -294,10 +293,9 @@ mod tests {
                 },
                 response_s: 0.04,
                 turn_variance: 0.0,
-                open_loop_rad: 0.0,
                 dt_s: DT_S,
             };
-            watch.step(&WatchConfig::default(), &input)
+            watch.step(&WatchConfig::default(), &input, || 0.0)
         })
     }
 
@@ -390,10 +388,9 @@ mod tests {
                 still_s: 0.0,
                 response_s: 0.04,
                 turn_variance: 0.0,
-                open_loop_rad: 0.0,
                 dt_s: DT_S,
             };
-            if watch.step(&WatchConfig::default(), &input) {
+            if watch.step(&WatchConfig::default(), &input, || 0.0) {
                 flags.push(t);
             }
         }
@@ -441,14 +438,14 @@ mod tests {
 
     #[test]
     fn a_commanded_motion_raises_no_flag() {
-        // 60° within a second, with a sixth of it as twist and half of the bend missing from the model
+        // 60° within a second, with a fifth of it as twist and half of the bend missing from the model
         let bend = |t: f64| Vector2::new((t - 1.0).clamp(0.0, 1.0) * 1.05, 0.0);
         let mut watch = Watch::default();
         for k in 0..800 {
             let t = f64::from(k) * DT_S;
             let moves = if (1.0..2.0).contains(&t) { 1.05 } else { 0.0 };
             let input = WatchInput {
-                rate_rad_s: Vector3::new(0.0, moves, moves / 6.0),
+                rate_rad_s: Vector3::new(0.0, moves, moves / 5.0),
                 estimate: bend(t),
                 model: bend(t) * 0.5,
                 setpoint: bend(t),
@@ -456,10 +453,12 @@ mod tests {
                 still_s: 0.0,
                 response_s: 0.04,
                 turn_variance: 0.0,
-                open_loop_rad: 0.0,
                 dt_s: DT_S,
             };
-            assert!(!watch.step(&WatchConfig::default(), &input), "{t} s");
+            assert!(
+                !watch.step(&WatchConfig::default(), &input, || 0.0),
+                "{t} s"
+            );
         }
     }
 }

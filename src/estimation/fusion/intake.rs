@@ -73,11 +73,6 @@ pub fn share(dt_s: f64, tau_s: f64) -> f64 {
     1.0 - (-dt_s / tau_s).exp()
 }
 
-/// Time for which a condition has held without a break, a tick of `dt_s` after it had held for `before_s`.
-pub fn held_s(before_s: f64, holds: bool, dt_s: f64) -> f64 {
-    if holds { before_s + dt_s } else { 0.0 }
-}
-
 /// Sum of readings of a vector.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Mean {

@@ -12,8 +12,8 @@ const PRIOR: f64 = 0.1;
 const WALK: f64 = 0.002;
 /// Random walk of the twist that is not in proportion to bend, rad/√s.
 const NOISE: f64 = 0.0023;
-/// Innovation gate, σ.
-const GATE: f64 = 3.0;
+/// Innovation gate, σ: of a tick, and of what is left of a motion.
+pub const GATE_SIGMAS: f64 = 3.0;
 /// Share of the twist by which it may be of another form: it levels off with the bend, and depends on the direction.
 const FORM: f64 = 0.3;
 
@@ -51,13 +51,13 @@ impl TwistLaw {
         // the rate about z of a tip twisted by c β falls short of c β̇, because the twist turns the rate of the bend as well
         let now = bend.push(bend.norm() * (1.0 - bend.norm_squared() / 4.0));
         let change = now - self.last.replace(now).unwrap_or(now);
-        self.pause_s -= dt_s;
-        if !disturbed && self.pause_s < 0.0 {
+        self.pause_s = (self.pause_s - dt_s).max(0.0);
+        if !disturbed && self.pause_s == 0.0 && dt_s > 0.0 {
             self.p += Matrix3::identity() * (WALK * WALK * dt_s);
             let gain = self.p * change;
             let variance = change.dot(&gain) + NOISE * NOISE * dt_s;
             let innovation = twisted - self.c.dot(&change);
-            if innovation.powi(2) < GATE * GATE * variance {
+            if innovation.powi(2) < GATE_SIGMAS * GATE_SIGMAS * variance {
                 self.c += gain * (innovation / variance);
                 self.p -= gain * gain.transpose() / variance;
             }

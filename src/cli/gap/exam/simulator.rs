@@ -65,9 +65,10 @@ impl Simulator {
         let names = names.map(|name| &*name.to_owned().leak());
         let known = by_catalogue(names.filter(|name| *name != "none"));
         let why = "the program lists no effect of the catalogue; with --list it prints one effect a line, its name first";
-        match known[0].is_empty() {
-            true => Err(malformed(&text, why)),
-            false => Ok(known),
+        if known[0].is_empty() {
+            Err(malformed(&text, why))
+        } else {
+            Ok(known)
         }
     }
 

@@ -251,9 +251,10 @@ pub fn closed_ci95(scores: [&HeldOut; 3], floor: f64, value: f64, seed: u64) -> 
             with += after[i];
             gap += nominal[i];
         }
-        let closed = match gap > 0.0 {
-            true => (without - with) / gap,
-            false => value,
+        let closed = if gap > 0.0 {
+            (without - with) / gap
+        } else {
+            value
         };
         ((1.0 - closed).max(LEFT_MIN) / left).ln().powi(2)
     };
@@ -262,9 +263,10 @@ pub fn closed_ci95(scores: [&HeldOut; 3], floor: f64, value: f64, seed: u64) -> 
     let between = BETWEEN_LOGS * value.clamp(0.0, 1.0);
     let half = 1.96 * (square / DRAWS as f64 + between * between).sqrt();
     let least = left * (-half).exp();
-    let high = match least < LEFT_MIN {
-        true => 1.0,
-        false => (1.0 - least).max(value).min(1.0),
+    let high = if least < LEFT_MIN {
+        1.0
+    } else {
+        (1.0 - least).max(value).min(1.0)
     };
     [(1.0 - left * half.exp()).max(-1.0), high]
 }

@@ -74,9 +74,10 @@ impl Gram {
         let log = nominal.problem.log;
         let model = Model::named(catalogue, &of.map(|k| alone[k].0.names[0]));
         let problem = LeastSquares::new(log, model);
-        let of = match alone[of[0]].0.names == [problem.model.effects[0].name()] {
-            true => of,
-            false => [of[1], of[0]],
+        let of = if alone[of[0]].0.names == [problem.model.effects[0].name()] {
+            of
+        } else {
+            [of[1], of[0]]
         };
         let changes = of.map(|k| self.at[k + 1] - 1);
         let own = of.into_iter().flat_map(|k| self.at[k]..self.at[k + 1] - 1);

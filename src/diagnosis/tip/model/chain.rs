@@ -99,9 +99,10 @@ fn append(log: &Observed, segment: &Segment, model: &Model, theta: &[f64], out: 
         lagged = q - behind + (lagged - before + behind) * keep;
         before = q;
         let middle = middles.next_if(|bin| bin.at == k).is_some();
-        out.push(match every || middle {
-            true => orientation(&chain.pose(&mut memory, &at, &lagged)),
-            false => Matrix3::zeros(),
+        out.push(if every || middle {
+            orientation(&chain.pose(&mut memory, &at, &lagged))
+        } else {
+            Matrix3::zeros()
         });
     }
 }
@@ -120,9 +121,10 @@ fn orientation(pose: &Pose) -> Matrix3<f64> {
 fn rotation(bend: &Bend) -> Matrix3<f64> {
     let beta2 = bend.0.norm_squared();
     let beta = beta2.sqrt();
-    let (s, v) = match beta < 1e-6 {
-        true => (1.0, 0.5),
-        false => (beta.sin() / beta, (1.0 - beta.cos()) / beta2),
+    let (s, v) = if beta < 1e-6 {
+        (1.0, 0.5)
+    } else {
+        (beta.sin() / beta, (1.0 - beta.cos()) / beta2)
     };
     let (x, y) = (bend.0.y, bend.0.x);
     let first = [1.0 - v * y * y, v * x * y, -s * y];

@@ -152,12 +152,11 @@ impl Imu {
                 a += 1;
             }
             let b = (a + 1).min(instants.len() - 1);
-            let share = match b > a {
-                true => {
-                    let (from, to) = (instants[a].t_s, instants[b].t_s);
-                    ((t - from) / (to - from)).clamp(0.0, 1.0)
-                }
-                false => 0.0,
+            let share = if b > a {
+                let (from, to) = (instants[a].t_s, instants[b].t_s);
+                ((t - from) / (to - from)).clamp(0.0, 1.0)
+            } else {
+                0.0
             };
             motion[a] * (1.0 - share) + motion[b] * share
         };
@@ -262,9 +261,10 @@ fn rows_of(log: &Observed, bin: &Bin, follows_motors: bool) -> std::ops::Range<u
     let moving =
         || log.rows[from].piston_mm != log.rows[to - 1].piston_mm || bin.idle_s < bin.lasting_s;
     let middle = (from + to - 1) / 2;
-    match follows_motors && moving() {
-        true => from..to,
-        false => middle..middle + 1,
+    if follows_motors && moving() {
+        from..to
+    } else {
+        middle..middle + 1
     }
 }
 

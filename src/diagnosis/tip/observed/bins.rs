@@ -66,12 +66,13 @@ pub struct Row {
 pub fn rows(log: &BendLog) -> Vec<Row> {
     let mut out: Vec<Row> = Vec::with_capacity(log.t_s.len());
     for (&t_s, &piston_mm) in log.t_s.iter().zip(&log.piston_mm) {
-        let idle_s = out
-            .last()
-            .map_or(IDLE_BEFORE_S, |last| match piston_mm == last.piston_mm {
-                true => last.idle_s + t_s - last.t_s,
-                false => 0.0,
-            });
+        let idle_s = out.last().map_or(IDLE_BEFORE_S, |last| {
+            if piston_mm == last.piston_mm {
+                last.idle_s + t_s - last.t_s
+            } else {
+                0.0
+            }
+        });
         out.push(Row {
             t_s,
             piston_mm,

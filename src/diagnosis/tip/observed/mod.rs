@@ -219,9 +219,10 @@ impl Observed {
     fn weigh(&mut self) {
         let noise_rad = PerQuantity::from_fn(|q| self.noise_deg[q].to_radians());
         for b in &mut self.bins {
-            let turning = match b.gyr.x.is_nan() {
-                true => TURN_PER_MM * b.speed_mm_s,
-                false => b.gyr.norm(),
+            let turning = if b.gyr.x.is_nan() {
+                TURN_PER_MM * b.speed_mm_s
+            } else {
+                b.gyr.norm()
             };
             let present =
                 PerQuantity([b.reference[(0, 0)], b.acc.x, b.mag.x, b.gyr.x].map(|x| !x.is_nan()));
