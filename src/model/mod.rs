@@ -14,5 +14,5 @@ pub use bend::Bend;
 pub use chain::Chain;
 pub use described::{DescribedMachine, RestReadings, orientation};
 pub use drive::Drive;
-pub use nominal::{Event, Model, NOMINAL, lines, nominal_theta};
+pub use nominal::{Event, Mode, Model, NOMINAL, lines, nominal_theta};
 pub use transmission::{Line, Side, SideState};

@@ -1,7 +1,7 @@
 //! The parameters of the nominal model with a set of effects, and their places in one vector θ.
 
 use crate::model::Line;
-use crate::model::effects::Effect;
+use crate::model::effects::{Effect, MODE_PARAMS};
 use std::ops::Range;
 
 /// Number of nominal parameters: ln(1 + k_ε) × 3, k_λ (mm) × 3, τ₀ (s).
@@ -41,6 +41,15 @@ pub struct Event {
     pub lasting: Option<usize>,
     /// Offsets of the three channels or axes.
     pub offsets: [usize; 3],
+}
+
+/// One periodic mode of an effect: indices in θ of its frequency, Hz, and of the offsets of its sine and its cosine.
+#[derive(Debug, Clone, Copy)]
+pub struct Mode {
+    /// Frequency, Hz; 0 if the mode is absent.
+    pub frequency: usize,
+    /// Offsets of the three axes, of the sine and of the cosine.
+    pub offsets: [[usize; 3]; 2],
 }
 
 impl Model {
@@ -115,8 +124,7 @@ impl Model {
     /// Events of effect `i`, which has one group of parameters per event.
     pub fn events(&self, i: usize) -> impl Iterator<Item = Event> + use<> {
         let (e, first) = (self.effects[i], self.at[i]);
-        let events = e.info().events;
-        let size = e.params().len() / events.max(1);
+        let (events, size) = (e.info().events, e.event_params());
         (0..events).map(move |k| {
             let from = first + k * size;
             Event {
@@ -125,6 +133,34 @@ impl Model {
                 offsets: std::array::from_fn(|i| from + size - 3 + i),
             }
         })
+    }
+
+    /// Periodic modes of effect `i`.
+    pub fn modes(&self, i: usize) -> impl Iterator<Item = Mode> + use<> {
+        let (modes, end) = (self.effects[i].modes(), self.at[i + 1]);
+        (0..modes).map(move |k| {
+            let frequency = end - (modes - k) * MODE_PARAMS;
+            let offsets = |from: usize| std::array::from_fn(|axis| frequency + from + axis);
+            Mode {
+                frequency,
+                offsets: [offsets(1), offsets(4)],
+            }
+        })
+    }
+
+    /// Which parameters belong to a mode that is absent at θ, and so change nothing.
+    pub fn absent(&self, theta: &[f64]) -> Vec<bool> {
+        let mut absent = vec![false; theta.len()];
+        let modes = (0..self.effects.len()).flat_map(|i| self.modes(i));
+        for mode in modes.filter(|m| theta[m.frequency] == 0.0) {
+            absent[mode.frequency..mode.frequency + MODE_PARAMS].fill(true);
+        }
+        absent
+    }
+
+    /// Number of parameters at θ without those of absent modes.
+    pub fn present(&self, theta: &[f64]) -> usize {
+        self.absent(theta).iter().filter(|absent| !**absent).count()
     }
 
     /// Whether parameter `j` changes only the readings, not the motion.

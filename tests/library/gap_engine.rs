@@ -1,5 +1,7 @@
 //! The diagnosis on logs of the built-in plant, whose laws differ in form from the catalogue's.
 
+use crate::plant_in_c::{Case, Cold, arguments, calibration, compiled};
+use retroflex::diagnosis::exam::record;
 use retroflex::diagnosis::exam::run::run;
 use retroflex::diagnosis::exam::{Content, Question, questions, score};
 use retroflex::diagnosis::tip::observed::Observed;
@@ -8,6 +10,7 @@ use retroflex::diagnosis::verdict::VerdictKind;
 use retroflex::diagnosis::{Judgement, diagnose};
 use retroflex::log::bend_log::BendLog;
 use retroflex::model::effects::{by_catalogue, catalogue};
+use retroflex::simulation::link::Link;
 use retroflex::simulation::plant::effect_names;
 
 fn question(content: Content, names: &[&'static str], lab: bool, seed: u64) -> Question {
@@ -149,6 +152,39 @@ fn an_event_of_one_log_stays_in_that_log() {
 }
 
 /// A saved model on a fresh log of its unit, of the mended unit, and of others.
+/// Both move periodically, the first the base and the second the tip.
+#[test]
+fn a_sway_of_the_base_is_named_and_a_breath_of_the_tip_is_not_taken_for_one() {
+    let Some(folder) = compiled() else { return };
+    let plant = folder.path().join("plant");
+    let first: u64 = std::env::var("RETROFLEX_SEED").map_or(41, |s| s.parse().unwrap());
+    println!("RETROFLEX_SEED={first}");
+    for (effect, lab, seed) in [
+        ("base_motion.sway", false, first),
+        ("base_motion.sway", true, first + 1),
+        ("respiration", false, first + 2),
+    ] {
+        let case = Case {
+            effect,
+            value: None,
+            seed,
+            cold: Cold::Own,
+        };
+        let lines = calibration(&plant, &case).lines();
+        let machine = |_| Link::start(plant.to_str().unwrap(), &arguments(&case));
+        let log = record::record(machine, &lines, seed, lab).unwrap();
+        let observed = Observed::new(&log, &Rig::default()).unwrap();
+        let found = diagnose(&TipProblem::new(&observed, catalogue(), &lines, seed)).document;
+        let sways = found.verdict.names.contains(&"base_motion");
+        assert_eq!(
+            sways,
+            effect == "base_motion.sway",
+            "{effect} {seed}: {:?}",
+            found.verdict
+        );
+    }
+}
+
 #[test]
 fn a_check_tells_this_machine_from_another_and_from_a_mended_one() {
     let mut harmful = 0;

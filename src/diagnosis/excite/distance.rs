@@ -61,8 +61,7 @@ impl Rival {
 
 /// Number of parameters by which a schedule is judged.
 fn counted(effect: &dyn Effect) -> usize {
-    let (all, events) = (effect.params().len(), effect.info().events);
-    all / events.max(1) * events.clamp(1, EVENTS_MAX)
+    effect.event_params() * effect.info().events.clamp(1, EVENTS_MAX)
 }
 
 /// A value 0.3 to 1.2 prior σ from the value without effect, on either side if the limits allow both.

@@ -250,7 +250,10 @@ impl TipProblem<'_> {
                 channel: p.channel,
             }
         };
-        e.params().iter().enumerate().map(one).collect()
+        let absent = model.absent(&c.theta);
+        let present = |(k, _): &(usize, &Param)| !absent[model.at[i] + k];
+        let params = e.params().iter().enumerate();
+        params.filter(present).map(one).collect()
     }
 
     /// Stages of each group that spans more than one.

@@ -75,9 +75,9 @@ impl<'a> TipProblem<'a> {
     fn extensions(&self, set: &Candidate, wanted: usize) -> Vec<Candidate> {
         let problem = LeastSquares::new(self.log, set.model.clone());
         let base = settle(problem, &set.theta);
-        let criterion = |(_, s): &(Model, Start)| {
-            let params = s.theta.len() - base.point.theta.len();
-            schwarz(self.log, s.predicted, params)
+        let criterion = |(model, s): &(Model, Start)| {
+            let before = base.problem.model.present(&base.point.theta);
+            schwarz(self.log, s.predicted, model.present(&s.theta) - before)
         };
         let mut sets = grown(&base, self.catalogue);
         sets.sort_by(|a, b| criterion(a).total_cmp(&criterion(b)));

@@ -95,7 +95,7 @@ pub struct EffectInfo {
     /// The manoeuvre that separates it from those.
     pub separated_by: &'static str,
     /// Number of events, for an effect that happens at times of its own and therefore cannot be predicted from another log;
-    /// 0 for one that acts all the time. The parameters of an event effect are one group per event.
+    /// 0 for one that acts all the time. The parameters of an event effect are one group per event, and then its periodic modes.
     pub events: usize,
     /// Parameters, in the order of the slices that the methods of [`Effect`] take.
     pub params: &'static [Param],
@@ -109,6 +109,9 @@ impl EffectInfo {
         self.events > 0
     }
 }
+
+/// Number of parameters of a periodic mode.
+pub const MODE_PARAMS: usize = 7;
 
 /// Starting points for a fit: several, where the error surface has several valleys.
 pub type Starts = Vec<Vec<f64>>;
@@ -181,6 +184,15 @@ pub trait Effect: Send + Sync {
     /// [`EffectInfo::params`].
     fn params(&self) -> &'static [Param] {
         self.info().params
+    }
+    /// Number of periodic modes, each a group of [`MODE_PARAMS`] parameters after those of the events: its frequency, Hz, which is 0 for
+    /// an absent mode, and the three offsets of its sine and of its cosine.
+    fn modes(&self) -> usize {
+        0
+    }
+    /// Number of parameters of one event, or of all for an effect without events.
+    fn event_params(&self) -> usize {
+        (self.params().len() - self.modes() * MODE_PARAMS) / self.info().events.max(1)
     }
     /// Starting points of a fit.
     fn starts(&self) -> Starts {

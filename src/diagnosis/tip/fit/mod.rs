@@ -8,6 +8,7 @@ pub mod candidate;
 pub mod forecast;
 pub mod holdout;
 pub mod least_squares;
+pub mod modes;
 pub mod screen;
 pub mod start;
 pub mod tangent;

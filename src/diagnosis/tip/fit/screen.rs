@@ -99,6 +99,7 @@ impl Gram {
         sums.add_prior(&problem, &theta);
         let squares = squares + problem.prior(&theta);
         let start = stepped(&problem, &theta, squares, &sums, nominal)?;
-        Some((problem.model, schwarz(log, start.predicted, n), start))
+        let present = problem.model.present(&theta);
+        Some((problem.model, schwarz(log, start.predicted, present), start))
     }
 }

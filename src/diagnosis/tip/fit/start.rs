@@ -2,9 +2,10 @@
 //!
 //! An effect whose error surface has several valleys has several starting points. One step along the tangent from each
 //! predicts how far the sum of squares falls, and the fit starts at the best. The sum of squares has no gradient with
-//! respect to the time of an event; a linear least-squares scan over all times of the log finds it.
+//! respect to the time of an event; a linear least-squares scan over all times of the log finds it. [`super::modes`] finds frequencies.
 
-use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, Sums, Tangent, step};
+use crate::diagnosis::tip::fit::modes::swaying;
+use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, Sums, Tangent, schwarz, step};
 use crate::diagnosis::tip::observed::Segment;
 use crate::model::effects::{Effect, Stage};
 use crate::model::{Event, Model};
@@ -13,9 +14,9 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Time to which an event is moved so that its offsets act on the whole log, s after the start: within the rest.
-const EARLY_S: f64 = 1.5;
+pub const EARLY_S: f64 = 1.5;
 /// Duration of the events that a scan looks for, s; slower events have starting points of their own.
-const SCANNED_S: f64 = 0.5;
+pub const SCANNED_S: f64 = 0.5;
 /// Longest event that the step of a scan approximates, s.
 const QUICK_S: f64 = 5.0;
 /// Times that every event is dated again while the others stay.
@@ -42,8 +43,10 @@ pub fn best_start(base: &BaseFit<'_>, to: &LeastSquares<'_>, added: &dyn Effect)
         starts.truncate(usize::from(added.stage() == Stage::Base));
         starts.push(found);
     }
+    starts.extend(swaying(base, to, added));
     let predicted = starts.iter().filter_map(|s| predict(base, to, s));
-    predicted.min_by(|a, b| a.predicted.total_cmp(&b.predicted))
+    let criterion = |s: &Start| schwarz(to.log, s.predicted, to.model.present(&s.theta));
+    predicted.min_by(|a, b| criterion(a).total_cmp(&criterion(b)))
 }
 
 /// The sets with one effect of a catalogue more than a fit, each with its most promising start.
@@ -101,15 +104,7 @@ fn date(problem: &LeastSquares<'_>, theta: &mut [f64], events: &[Event], rounds:
     let offsets = events.iter().flat_map(|e| e.offsets);
     offsets.for_each(|o| without[o] = 0.0);
     let r0 = problem.residual_from_rest(&without, EARLY_S);
-    // per log, what one unit of each offset changes in the residuals
-    let change = |segment: &Segment| {
-        first.offsets.map(|o| {
-            let (mut moved, scale) = (without.clone(), problem.bounds[o].scale);
-            (moved[first.time], moved[o]) = (segment.start_s - log.start_s() + EARLY_S, scale);
-            let with = problem.residual_from_rest(&moved, EARLY_S);
-            with.iter().zip(&r0).map(|(x, y)| (x - y) / scale).collect()
-        })
-    };
+    let change = |segment: &Segment| changes(problem, &without, first, segment, &r0);
     let changes: Vec<[Vec<f64>; 3]> = log.segments.iter().map(change).collect();
     for event in (0..rounds).flat_map(|_| events) {
         event.offsets.iter().for_each(|&o| theta[o] = 0.0);
@@ -126,6 +121,23 @@ fn date(problem: &LeastSquares<'_>, theta: &mut [f64], events: &[Event], rounds:
             theta[o] = v.clamp(problem.bounds[o].low, problem.bounds[o].high);
         }
     }
+}
+
+/// What one unit of each offset of an event changes in the residuals `r0` of a segment from the rest on.
+pub fn changes(
+    problem: &LeastSquares<'_>,
+    without: &[f64],
+    event: &Event,
+    segment: &Segment,
+    r0: &[f64],
+) -> [Vec<f64>; 3] {
+    event.offsets.map(|o| {
+        let (mut moved, scale) = (without.to_vec(), problem.bounds[o].scale);
+        moved[event.time] = segment.start_s - problem.log.start_s() + EARLY_S;
+        moved[o] = scale;
+        let with = problem.residual_from_rest(&moved, EARLY_S);
+        with.iter().zip(r0).map(|(x, y)| (x - y) / scale).collect()
+    })
 }
 
 /// Parameters of an event effect at the events that explain most of what the base fit leaves, the largest first. Each is then

@@ -39,8 +39,11 @@ pub struct BaseFit<'a> {
     pub tangent: Tangent,
 }
 
-/// Column `c` of the tangent at a point.
-fn column(problem: &LeastSquares<'_>, point: &Point, c: usize) -> Vec<f32> {
+/// Column `c` of the tangent at a point; a parameter of an `absent` mode changes nothing.
+fn column(problem: &LeastSquares<'_>, point: &Point, c: usize, absent: bool) -> Vec<f32> {
+    if absent {
+        return vec![0.0; point.residual.len()];
+    }
     let (mut moved, b) = (point.theta.clone(), &problem.bounds[c]);
     // away from the upper limit
     let h = STEP * b.scale;
@@ -56,20 +59,26 @@ fn column(problem: &LeastSquares<'_>, point: &Point, c: usize) -> Vec<f32> {
 impl Tangent {
     /// The tangent at a point.
     pub fn new(problem: &LeastSquares<'_>, point: &Point) -> Self {
-        let columns = (0..problem.bounds.len()).into_par_iter();
+        let absent = problem.model.absent(&point.theta);
+        let columns = absent.par_iter().enumerate();
         Self {
-            columns: columns.map(|c| column(problem, point, c)).collect(),
+            columns: columns
+                .map(|(c, absent)| column(problem, point, c, *absent))
+                .collect(),
         }
     }
 
     /// The tangent at a point that adds a small effect to a base fit: only the columns of that effect are computed.
     pub fn grown(problem: &LeastSquares<'_>, point: &Point, base: &BaseFit<'_>) -> Self {
         let (model, known) = (&problem.model, &base.problem.model);
+        let absent = model.absent(&point.theta);
         let mut columns = base.tangent.columns[..NOMINAL].to_vec();
         for (i, e) in model.effects.iter().enumerate() {
             match known.position(e.name()) {
                 Some(k) => columns.extend_from_slice(known.of(&base.tangent.columns, k)),
-                None => columns.extend(model.place(i).map(|c| column(problem, point, c))),
+                None => {
+                    columns.extend(model.place(i).map(|c| column(problem, point, c, absent[c])))
+                }
             }
         }
         Self { columns }

@@ -1,0 +1,204 @@
+//! Where the fit of an effect with periodic modes starts: their frequencies and amplitudes.
+//!
+//! The sum of squares has no gradient with respect to the frequency of a mode. What an event of the effect changes in the residuals tells
+//! what its offsets change at any time, so a mode of a given frequency is linear least squares, and a scan over all frequencies that a log
+//! shows finds the best: a periodogram (Lomb 1976) in the offsets.
+
+use crate::diagnosis::tip::fit::start::{EARLY_S, SCANNED_S, changes, vanishing};
+use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, schwarz};
+use crate::model::effects::{Effect, MODE_PARAMS, by_name};
+use crate::model::{Mode, Model};
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
+use rayon::prelude::*;
+use std::f64::consts::TAU;
+
+/// Frequencies of the modes that a scan looks for, Hz, and the least number of their periods in the log.
+const MODES_HZ: f64 = 1.0;
+const PERIODS_MIN: f64 = 4.0;
+/// Steps of the scan per resolution of the log, and the parts into which it divides the log, s.
+const PER_RESOLUTION: f64 = 2.0;
+const PART_S: f64 = 0.25;
+/// Modes of other causes that are taken out before a scan gives up.
+const OTHERS_MAX: usize = 2;
+/// The effect whose event is an offset of the pistons.
+const PISTONS: &str = "missed_steps";
+
+/// Parameters of an effect with periodic modes at those that explain most of what the base fit leaves, the largest first, as many as
+/// Schwarz's criterion holds for significant; `None` without any. What the same modes of the pistons explain better is a tip that bends
+/// periodically, and is left to others. Several logs have no common phase.
+pub fn swaying(base: &BaseFit<'_>, to: &LeastSquares<'_>, added: &dyn Effect) -> Option<Vec<f64>> {
+    let (log, model) = (to.log, &to.model);
+    let effect = model.position(added.name())?;
+    if added.modes() == 0 || log.segments.len() > 1 {
+        return None;
+    }
+    let known = &base.problem.model;
+    let mut theta = model.extended(known, &base.point.theta, vanishing);
+    let mut r = to.residual_from_rest(&theta, EARLY_S);
+    let pistons = LeastSquares::new(log, Model::new(&[by_name(PISTONS)?]));
+    let standing = pistons.model.extended(known, &base.point.theta, vanishing);
+    let columns = [
+        offsets(to, effect, &theta)?,
+        offsets(&pistons, 0, &standing)?,
+    ];
+    let mut modes = model.modes(effect).peekable();
+    let mut others = OTHERS_MAX;
+    while others > 0 && modes.peek().is_some() {
+        let [own, other] = [0, 1].map(|k| best_mode(&parts(to, &columns[k], &r), log.duration_s()));
+        let (own, other) = (own?, other?);
+        let is_own = own.gain > other.gain;
+        let best = if is_own { own } else { other };
+        let left: f64 = r.iter().map(|r| r * r).sum();
+        if schwarz(log, left - best.gain, MODE_PARAMS) > schwarz(log, left, 0) {
+            break;
+        }
+        best.explain(to, &columns[usize::from(!is_own)], &mut r);
+        if !is_own {
+            others -= 1;
+        } else if let Some(Mode { frequency, offsets }) = modes.next() {
+            theta[frequency] = best.hertz;
+            for (&o, v) in offsets.iter().flatten().zip(best.offsets.iter()) {
+                theta[o] = v.clamp(to.bounds[o].low, to.bounds[o].high);
+            }
+        }
+    }
+    let first = model.modes(effect).next()?;
+    (theta[first.frequency] > 0.0).then(|| model.of(&theta, effect).to_vec())
+}
+
+/// What one unit of each offset of an effect's events changes in the residuals of a log.
+fn offsets(problem: &LeastSquares<'_>, effect: usize, theta: &[f64]) -> Option<[Vec<f64>; 3]> {
+    let event = problem.model.events(effect).next()?;
+    let mut without = theta.to_vec();
+    let lasting = event.lasting.into_iter();
+    lasting.for_each(|l| without[l] = SCANNED_S);
+    let r0 = problem.residual_from_rest(&without, EARLY_S);
+    let segment = &problem.log.segments[0];
+    Some(changes(problem, &without, &event, segment, &r0))
+}
+
+/// What the rows of a part of a log say about three offsets at its time.
+#[derive(Default)]
+struct Part {
+    t_s: f64,
+    bins: f64,
+    normal: Matrix3<f64>,
+    gradient: Vector3<f64>,
+}
+
+/// What the residuals `r` say about offsets that change them by `columns`, part by part.
+fn parts(problem: &LeastSquares<'_>, columns: &[Vec<f64>; 3], r: &[f64]) -> Vec<Part> {
+    let log = problem.log;
+    let stride = r.len() / log.bins.len();
+    let mut out: Vec<Part> = Vec::new();
+    let mut from_s = f64::NEG_INFINITY;
+    for (k, bin) in log.bins.iter().enumerate() {
+        if bin.t_s - from_s >= PART_S {
+            from_s = bin.t_s;
+            out.push(Part::default());
+        }
+        let Some(part) = out.last_mut() else { continue };
+        part.bins += 1.0;
+        part.t_s += (bin.t_s - log.start_s() - part.t_s) / part.bins;
+        for i in k * stride..(k + 1) * stride {
+            let d = Vector3::new(columns[0][i], columns[1][i], columns[2][i]);
+            part.normal += d * d.transpose();
+            part.gradient += d * r[i];
+        }
+    }
+    out
+}
+
+/// A periodic mode: what it lowers the squares by, its frequency, Hz, and the offsets of its sine and of its cosine.
+struct Found {
+    gain: f64,
+    hertz: f64,
+    offsets: Vector6<f64>,
+}
+
+impl Found {
+    /// Adds what the mode changes to the residuals.
+    fn explain(&self, problem: &LeastSquares<'_>, columns: &[Vec<f64>; 3], r: &mut [f64]) {
+        let log = problem.log;
+        let stride = r.len() / log.bins.len();
+        for (k, bin) in log.bins.iter().enumerate() {
+            let (sine, cosine) = (TAU * self.hertz * (bin.t_s - log.start_s())).sin_cos();
+            for i in k * stride..(k + 1) * stride {
+                let along =
+                    |axis: usize| self.offsets[axis] * sine + self.offsets[3 + axis] * cosine;
+                r[i] += (0..3)
+                    .map(|axis| columns[axis][i] * along(axis))
+                    .sum::<f64>();
+            }
+        }
+    }
+}
+
+/// The mode that lowers the squares most.
+fn best_mode(shown: &[Part], duration_s: f64) -> Option<Found> {
+    let step_hz = 1.0 / (PER_RESOLUTION * duration_s);
+    let first = (PERIODS_MIN * PER_RESOLUTION).ceil() as usize;
+    let frequencies = (first..=(MODES_HZ / step_hz) as usize).into_par_iter();
+    let modes = frequencies.filter_map(|k| mode_at(shown, k as f64 * step_hz));
+    modes.max_by(|a, b| a.gain.total_cmp(&b.gain))
+}
+
+/// The mode of this frequency.
+fn mode_at(shown: &[Part], hertz: f64) -> Option<Found> {
+    let (mut n, mut s) = (Matrix6::zeros(), Vector6::zeros());
+    for part in shown {
+        let (sine, cosine) = (TAU * hertz * part.t_s).sin_cos();
+        let both = [sine, cosine];
+        for (i, a) in both.iter().enumerate() {
+            let mut own = s.fixed_rows_mut::<3>(3 * i);
+            own += part.gradient * *a;
+            for (j, b) in both[..=i].iter().enumerate() {
+                let mut block = n.fixed_view_mut::<3, 3>(3 * i, 3 * j);
+                block += part.normal * (a * b);
+            }
+        }
+    }
+    n.fill_upper_triangle_with_lower_triangle();
+    let x = (n + Matrix6::identity() * 1e-6).try_inverse()? * s;
+    Some(Found {
+        gain: s.dot(&x),
+        hertz,
+        offsets: -x,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Parts of a log of 200 s whose offsets are seen along two axes with the given residuals, and not along the third.
+    fn parts_of(offset: impl Fn(f64) -> Vector3<f64>) -> Vec<Part> {
+        let part = |k: u32| {
+            let t_s = f64::from(k) * PART_S;
+            let normal = Matrix3::from_diagonal(&Vector3::new(40.0, 25.0, 0.0));
+            Part {
+                t_s,
+                bins: 1.0,
+                normal,
+                gradient: -normal * offset(t_s),
+            }
+        };
+        (0..800).map(part).collect()
+    }
+
+    #[test]
+    fn a_mode_is_found_with_its_frequency_and_phase() {
+        for hertz in [0.031, 0.2, 0.77] {
+            let shown = parts_of(|t_s| {
+                let (sine, cosine) = (TAU * hertz * t_s).sin_cos();
+                Vector3::new(0.1 * sine - 0.05 * cosine, 0.02 * cosine, 0.3)
+            });
+            let found = best_mode(&shown, 200.0).unwrap();
+            assert!((found.hertz - hertz).abs() < 1.0 / 200.0, "{}", found.hertz);
+            let exact = mode_at(&shown, hertz).unwrap();
+            let truth = Vector6::new(0.1, 0.0, 0.0, -0.05, 0.02, 0.0);
+            assert!((exact.offsets - truth).amax() < 1e-3, "{}", exact.offsets);
+            assert!(found.gain <= exact.gain * 1.001 && found.gain > 0.8 * exact.gain);
+        }
+    }
+}
