@@ -367,10 +367,11 @@ fn recalibrated(y: &[f64], inputs: &[Vec<f64>]) -> Vec<f64> {
         .into_iter()
         .chain(inputs.iter().map(Vec::as_slice))
         .collect();
-    let Some(r) = Task::new([y]).regress(&regress::Columns::free(of.clone())) else {
-        return y.to_vec();
-    };
-    regress::left(y, &of, &r.coefficients)
+    let task = Task::new([y]);
+    match task.regress(&regress::Columns::free(of.clone())) {
+        Some(r) => regress::left(&task.y, &of, &r.coefficients),
+        None => y.to_vec(),
+    }
 }
 
 #[cfg(test)]

@@ -14,6 +14,8 @@ pub mod regress;
 pub mod saved;
 pub mod search;
 pub mod table;
+#[cfg(test)]
+mod tests;
 
 pub use check::check;
 pub use document::{Document, Entry};

@@ -1,7 +1,7 @@
 //! The nominal model of a mapped rig with a set of operators.
 
 use crate::diagnosis::rig::operators::TAKES_OVER;
-use crate::diagnosis::rig::regress::Columns;
+use crate::diagnosis::rig::regress::{Columns, centred};
 use crate::diagnosis::rig::{
     DRIVEN, Drive, MapFile, Nominal, Operator, STILL, Signals, Task, none, oscillator,
 };
@@ -16,7 +16,7 @@ pub struct Member {
     pub eta: f64,
     /// Its 95 % interval.
     pub ci95: [f64; 2],
-    /// Columns on the log.
+    /// Columns on the log, [`centred`].
     pub columns: Vec<Vec<f64>>,
 }
 
@@ -44,7 +44,7 @@ pub struct MapBase {
     pub scale: Scale,
     /// Signals that the operators act on, of each log.
     pub drives: Vec<Drive>,
-    /// Columns: the offset of each log, then the inputs.
+    /// Columns: the offset of each log, then the inputs, [`centred`].
     pub base: Vec<Vec<f64>>,
 }
 
@@ -84,7 +84,7 @@ impl MapBase {
         let of_each: Vec<Vec<Vec<f64>>> = logs.iter().map(|log| driven(log, swing)).collect();
         let inputs = stacked(of_each.clone());
         let mut base = offsets(logs);
-        base.extend(inputs.iter().cloned());
+        base.extend(stacked(of_each.iter().map(level)));
         let columns = Columns::free(base.iter().map(Vec::as_slice).collect());
         let task = Task::new(logs.iter().map(|log| log.output.as_slice()));
         let weights = task.regress(&columns)?.coefficients[logs.len()..].to_vec();
@@ -113,7 +113,8 @@ impl MapBase {
 
     /// An operator at a value of η; its state starts anew with each log.
     pub fn member(&self, operator: &Operator, eta: f64) -> Member {
-        let of_each = self.drives.iter().map(|d| (operator.columns)(d, eta));
+        let of_each = self.drives.iter();
+        let of_each = of_each.map(|d| level(&(operator.columns)(d, eta)));
         Member {
             operator: *operator,
             eta,
@@ -160,6 +161,11 @@ fn stacked(logs: impl IntoIterator<Item = Vec<Vec<f64>>>) -> Vec<Vec<f64>> {
         all
     };
     logs.into_iter().reduce(below).unwrap_or_default()
+}
+
+/// Columns of a log, each without its mean.
+fn level(columns: &Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+    columns.iter().map(|column| centred(column)).collect()
 }
 
 /// The offset of each log.
@@ -246,7 +252,10 @@ fn resonance(logs: &[Signals]) -> [f64; 2] {
     let task = Task::new(logs.iter().map(|log| log.output.as_slice()));
     let swing = |wh: f64, zeta: f64| [2.0 * (wh / 2.0).atan() / step_s, zeta];
     let at = |(wh, zeta): (f64, f64)| {
-        let column = stacked(logs.iter().map(|log| driven(log, Some(swing(wh, zeta)))));
+        let column = logs
+            .iter()
+            .map(|log| level(&driven(log, Some(swing(wh, zeta)))));
+        let column = stacked(column);
         let columns = base.iter().chain(&column).map(Vec::as_slice);
         let cost = task.cost(&Columns::free(columns.collect()));
         (cost.unwrap_or(f64::INFINITY), wh, zeta)

@@ -360,13 +360,14 @@ fn since(t: &[f64]) -> Vec<f64> {
     t.iter().map(|x| x - t[0]).collect()
 }
 
-/// A linear oscillator `ÿ + 2ζω ẏ + ω² y = ω² u` by the bilinear transform, `wh = 2 tan(ω h / 2)`.
+/// A linear oscillator `ÿ + 2ζω ẏ + ω² y = ω² u` by the bilinear transform, `wh = 2 tan(ω h / 2)`, at rest at the first value.
 pub fn oscillator(u: &[f64], wh: f64, zeta: f64) -> Vec<f64> {
-    let (mut u1, mut u2, mut y1, mut y2) = (u[0], u[0], u[0], u[0]);
+    let (mut u1, mut u2, mut y1, mut y2) = (0.0, 0.0, 0.0, 0.0);
     let one = |&x: &f64| {
+        let x = x - u[0];
         let y = oscillator_step([u2, u1, x], [y2, y1], wh, zeta);
         (u2, u1, y2, y1) = (u1, x, y1, y);
-        y
+        u[0] + y
     };
     u.iter().map(one).collect()
 }

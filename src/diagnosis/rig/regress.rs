@@ -16,9 +16,15 @@ const MARGIN: f64 = 0.03;
 /// Draws of the bootstrap.
 const DRAWS: usize = 400;
 
+/// A signal without its mean: each log has an offset of its own, so that the zero of a signal must not count.
+pub fn centred(x: &[f64]) -> Vec<f64> {
+    let mean = x.iter().sum::<f64>() / x.len() as f64;
+    x.iter().map(|x| x - mean).collect()
+}
+
 /// A signal to be explained, in blocks.
 pub struct Task {
-    /// The signal, one log after the other.
+    /// The signal, [`centred`], one log after the other.
     pub y: Vec<f64>,
     /// Long and short block of each row; `None` in a margin. A block belongs to one log.
     blocks: [Vec<Option<usize>>; 2],
@@ -179,7 +185,7 @@ impl Task {
                 blocks[k].extend(self::blocks(log.len(), count, known[k]));
                 known[k] += count;
             }
-            y.extend(log);
+            y.extend(centred(log));
         }
         Self { y, blocks }
     }

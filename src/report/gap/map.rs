@@ -37,7 +37,8 @@ impl Rows {
             let start = t.last().map_or(0.0, |end| end + log.t[1] - log.t[0]);
             t.extend(log.t.iter().map(|at| start + at - log.t[0]));
         }
-        let (y, base) = (&problem.task.y, &problem.base);
+        let (logs, base) = (problem.logs.iter(), &problem.base);
+        let y: Vec<f64> = logs.flat_map(|log| log.output.iter().copied()).collect();
         let [was, is] = [&problem.nominal, chosen].map(|set| problem.left_out(set));
         let point = |k: usize| [t[k], y[k], y[k] - was[k], y[k] - is[k]];
         let driven = base.drives.iter().filter(|_| problem.map.input.is_some());

@@ -1,0 +1,166 @@
+//! Random rigs of known cause: what is found does not depend on zeros and units, and parameters are found where they are.
+
+use crate::diagnosis::rig::{Document, MapFile, Signals};
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+use std::f64::consts::TAU;
+
+const MAP: &str = "input = \"u\"\noutput = \"y\"\ntime = \"t\"\n";
+/// Steps of the simulation per row.
+const FINE: usize = 20;
+
+/// A rig with one cause.
+struct Drawn {
+    signals: Signals,
+    /// Parameter of the cause in the unit of its operator.
+    truth: f64,
+    /// Noise of a row, 1 σ.
+    noise: f64,
+}
+
+fn map() -> MapFile {
+    toml::from_str(MAP).unwrap()
+}
+
+fn range(x: &[f64]) -> [f64; 2] {
+    x.iter()
+        .fold([f64::MAX, f64::MIN], |[l, h], &x| [l.min(x), h.max(x)])
+}
+
+/// Draws units, input, size and noise. The law runs in steps that are much finer than the rows.
+fn draw(cause: &str, seed: u64) -> Drawn {
+    let mut rng = StdRng::seed_from_u64(seed * 7919 + cause.len() as u64);
+    let rows = [1500, 2500, 4000][rng.random_range(0..3)];
+    let step_s = 10f64.powf(rng.random_range(-3.0..1.0));
+    let (unit, span) = (
+        10f64.powf(rng.random_range(-3.0..3.0)),
+        rows as f64 * step_s,
+    );
+    let slow_s = span / rng.random_range(8.0..15.0);
+    let waves =
+        [1.0, 1.7, 2.9, 0.43].map(|k| (k, rng.random_range(0.4..1.0), rng.random_range(0.0..TAU)));
+    let input = |t: f64| {
+        let wave = |(k, a, p): (f64, f64, f64)| a * (TAU * k * t / slow_s + p).sin();
+        unit * waves.into_iter().map(wave).sum::<f64>()
+    };
+    let fine = |k: usize| input(k as f64 * step_s / FINE as f64);
+    let [low, high] = range(&(0..rows * FINE).map(fine).collect::<Vec<_>>());
+    let (all, middle) = (high - low, (high + low) / 2.0);
+    let size = rng.random_range(0.06..0.2);
+    let truth = match cause {
+        "delay" | "lag" => 0.3 * size * slow_s,
+        "creep" => size * slow_s,
+        "rate_limit" => rng.random_range(1.5..2.5) / slow_s,
+        "saturation" => 1.0 - 2.0 * size,
+        "asymmetry" => 0.5 + size,
+        "periodic_position" => all * rng.random_range(0.05..0.09),
+        "periodic_time" => span / rng.random_range(20.0..90.0),
+        _ => size,
+    };
+    let (mut state, mut slower) = (input(0.0), input(0.0));
+    let (dt, mut law) = (step_s / FINE as f64, vec![]);
+    for k in 0..(rows - 1) * FINE + 1 {
+        let (u, t) = (fine(k), k as f64 * dt);
+        let wave = |turns: f64| 0.3 * size * all * (TAU * turns + 1.0).sin();
+        let follow = |s: f64, tau: f64| s + (u - s) * (1.0 - (-dt / tau).exp());
+        state = match cause {
+            "play" => state.max(u - truth * all).min(u + truth * all),
+            "rate_limit" => state + (u - state).clamp(-truth * all * dt, truth * all * dt),
+            _ => follow(state, truth),
+        };
+        slower = follow(slower, 12.0 * truth);
+        if k.is_multiple_of(FINE) {
+            law.push(match cause {
+                "play" | "rate_limit" | "lag" => state,
+                "creep" => u + 0.4 * state + 0.3 * slower,
+                "delay" => input((t - truth).max(0.0)),
+                "dead_band" => u - u.clamp(-truth * all, truth * all),
+                "saturation" => middle + (u - middle).clamp(-truth * all / 2.0, truth * all / 2.0),
+                "asymmetry" => u + 0.3 * (u - low - truth * all).abs(),
+                "periodic_position" => u + wave(u / truth),
+                "periodic_time" => u + wave(t / truth),
+                "cubic" => u + 3.0 * size * u * (u / all).powi(2),
+                "drift" => u + size * all * t / span,
+                _ => u,
+            });
+        }
+    }
+    let gain = 10f64.powf(rng.random_range(-2.0..2.0)) * [-1.0, 1.0][rng.random_range(0..2)];
+    let noise = gain.abs() * all * 10f64.powf(rng.random_range(-3.0..-2.0));
+    let y = |x: &f64| gain * (x + 0.3 * all) + noise * rng.sample::<f64, _>(StandardNormal);
+    let u: Vec<f64> = (0..rows).map(|k| fine(k * FINE)).collect();
+    let signals = Signals {
+        file: String::new(),
+        output: law.iter().map(y).collect(),
+        motion: Some(u.clone()),
+        inputs: vec![u],
+        t: (0..rows).map(|k| k as f64 * step_s).collect(),
+        clocked: true,
+    };
+    Drawn {
+        signals,
+        truth,
+        noise,
+    }
+}
+
+#[test]
+fn the_zeros_of_input_and_output_do_not_count() {
+    let causes = [
+        "none",
+        "none",
+        "delay",
+        "play",
+        "cubic",
+        "saturation",
+        "drift",
+        "periodic_position",
+    ];
+    for (seed, cause) in (0..).zip(causes) {
+        let drawn = draw(cause, seed).signals;
+        let moved = |x: &[f64], by: f64| -> Vec<f64> {
+            let [low, high] = range(x);
+            x.iter().map(|x| x + by * (high - low)).collect()
+        };
+        let of = |input: f64, output: f64| {
+            let inputs = vec![moved(&drawn.inputs[0], input)];
+            let (motion, output) = (Some(inputs[0].clone()), moved(&drawn.output, output));
+            Document::new(
+                &map(),
+                &[Signals {
+                    inputs,
+                    motion,
+                    output,
+                    ..drawn.clone()
+                }],
+                1,
+            )
+        };
+        let plain = of(0.0, 0.0);
+        for (input, output) in [(30.0, 0.0), (-1e3, -1e6), (1e5, 0.0), (0.0, 1e6)] {
+            let d = of(input, output);
+            let at = format!(
+                "{cause} {seed} at {input} {output}: {:?} {:?}",
+                d.verdict, d.gap
+            );
+            assert_eq!(
+                (d.verdict.kind, &d.verdict.names),
+                (plain.verdict.kind, &plain.verdict.names),
+                "{at}"
+            );
+            let figures = |d: &Document| [d.gap.recalibrated, d.gap.explained, d.gap.noise_floor];
+            let sizes = |d: &Document| -> Vec<f64> {
+                let of_set = d
+                    .set
+                    .iter()
+                    .take(1)
+                    .flat_map(|e| e.params.iter().map(|p| p.value));
+                of_set.chain(figures(d)).collect()
+            };
+            for (a, b) in sizes(&d).into_iter().zip(sizes(&plain)) {
+                assert!((a / b - 1.0).abs() < 1e-3, "{a} is not {b}: {at}");
+            }
+        }
+    }
+}
