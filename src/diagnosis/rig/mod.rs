@@ -10,6 +10,7 @@ pub mod model;
 pub mod operators;
 pub mod poses;
 pub mod problem;
+mod refine;
 pub mod regress;
 pub mod saved;
 pub mod search;

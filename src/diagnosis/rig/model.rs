@@ -84,7 +84,7 @@ impl MapBase {
         let of_each: Vec<Vec<Vec<f64>>> = logs.iter().map(|log| driven(log, swing)).collect();
         let inputs = stacked(of_each.clone());
         let mut base = offsets(logs);
-        base.extend(stacked(of_each.iter().map(level)));
+        base.extend(stacked(of_each.iter().map(|columns| level(columns))));
         let columns = Columns::free(base.iter().map(Vec::as_slice).collect());
         let task = Task::new(logs.iter().map(|log| log.output.as_slice()));
         let weights = task.regress(&columns)?.coefficients[logs.len()..].to_vec();
@@ -164,7 +164,7 @@ fn stacked(logs: impl IntoIterator<Item = Vec<Vec<f64>>>) -> Vec<Vec<f64>> {
 }
 
 /// Columns of a log, each without its mean.
-fn level(columns: &Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+fn level(columns: &[Vec<f64>]) -> Vec<Vec<f64>> {
     columns.iter().map(|column| centred(column)).collect()
 }
 

@@ -1,7 +1,7 @@
 //! Linear regression with held-out blocks: contiguous blocks alternate between two folds, and each fold is predicted by
 //! a fit to the other. Blocks of two lengths are scored: long ones, which a drift cannot bridge, and short ones.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
@@ -98,15 +98,21 @@ impl Normal {
     /// Coefficients with the least squares, scaled to a unit diagonal, with a ridge that matters only for nearly equal columns; `None` if
     /// there are none, or if one does not have its sign.
     fn solve(&self, signs: &[(usize, i8)]) -> Option<DVector<f64>> {
+        let (factor, size) = self.factor()?;
+        let right = self.right.component_div(&size);
+        let c = factor.solve(&right).component_div(&size);
+        let right = |&(i, sign): &(usize, i8)| sign == 0 || c[i] * f64::from(sign) >= 0.0;
+        (c.iter().all(|x| x.is_finite()) && signs.iter().all(right)).then_some(c)
+    }
+
+    /// Cholesky factor of the scaled sums, and the scales.
+    fn factor(&self) -> Option<(Cholesky<f64, Dyn>, DVector<f64>)> {
         let size = self.gram.diagonal().map(|d| d.max(1e-300).sqrt());
         let n = self.gram.nrows();
         let scaled = DMatrix::from_fn(n, n, |i, j| {
             self.gram[(i, j)] / (size[i] * size[j]) + if i == j { 1e-9 } else { 0.0 }
         });
-        let right = self.right.component_div(&size);
-        let c = scaled.cholesky()?.solve(&right).component_div(&size);
-        let right = |&(i, sign): &(usize, i8)| sign == 0 || c[i] * f64::from(sign) >= 0.0;
-        (c.iter().all(|x| x.is_finite()) && signs.iter().all(right)).then_some(c)
+        Some((scaled.cholesky()?, size))
     }
 }
 
@@ -196,6 +202,15 @@ impl Task {
         let all = Normal::new(&self.y, &columns.of, |_| true);
         let c = all.solve(&columns.signs)?;
         Some(all.square - 2.0 * c.dot(&all.right) + c.dot(&(&all.gram * &c)))
+    }
+
+    /// Coefficients of a fit to all rows, and the variance of each for noise of variance one. `None` as for [`Task::cost`].
+    pub fn fit(&self, columns: &Columns<'_>) -> Option<Vec<(f64, f64)>> {
+        let all = Normal::new(&self.y, &columns.of, |_| true);
+        let (c, (factor, size)) = (all.solve(&columns.signs)?, all.factor()?);
+        let spread = factor.inverse().diagonal();
+        let one = |k: usize| (c[k], spread[k] / size[k].powi(2));
+        Some((0..c.len()).map(one).collect())
     }
 
     /// Regresses on the columns; `None` as for [`Task::cost`].

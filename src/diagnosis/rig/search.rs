@@ -4,6 +4,7 @@
 //! extended by every operator anew, and so is the best pair where it leaves something.
 
 use crate::diagnosis::rig::model::{catalogue, range};
+use crate::diagnosis::rig::operators::kind;
 use crate::diagnosis::rig::{MapBase, MapFile, Member, Operator, Regressed, Signals, Task};
 use crate::diagnosis::{Candidates, Scored, Search};
 
@@ -19,8 +20,6 @@ const REFITTED: usize = 8;
 const REFINED: u32 = 12;
 /// Orders of differences from which the noise is estimated.
 const ORDERS: u32 = 8;
-/// Chi-square of one degree of freedom at 95 %.
-const CHI_SQUARE: f64 = 3.84;
 
 /// A set of operators with its scores.
 #[derive(Clone)]
@@ -122,7 +121,7 @@ impl<'a> RigProblem<'a> {
     }
 
     /// `members` and the operator, at the η with the least cost.
-    fn best(&self, members: &[Member], operator: &Operator) -> Option<Set> {
+    pub(super) fn best(&self, members: &[Member], operator: &Operator) -> Option<Set> {
         let with = |eta: f64| [&[self.base.member(operator, eta)], members].concat();
         let cost = |eta: f64| Some((self.task.cost(&self.base.columns(&with(eta)))?, eta));
         let grid = self.base.grid(operator);
@@ -132,17 +131,15 @@ impl<'a> RigProblem<'a> {
         let between = |i: u32| low + (high - low) * f64::from(i) / f64::from(REFINED);
         let near = (1..REFINED).filter(|_| high > low).map(between);
         let costs = near.filter_map(cost).chain([best]);
-        let (least, eta) = costs.min_by(|a, b| a.0.total_cmp(&b.0))?;
-        // from the curvature of the cost, as if the short blocks were independent
-        let step = (high - low).abs() / f64::from(2 * REFINED);
-        let beside = [eta - step, eta + step].into_iter().filter_map(cost);
-        let rise = beside.map(|(cost, _)| cost / least - 1.0).sum::<f64>() / 2.0;
-        let independent = self.nominal.scores.blocks[1].len() as f64;
-        let half = step * (CHI_SQUARE / independent / rise.max(1e-12)).sqrt();
-        let (first, last) = range(&grid);
-        let mut members = with(eta);
-        members[0].ci95 = [(eta - half).max(first), (eta + half).min(last)];
-        self.set(members)
+        let (_, eta) = costs.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        let (least, found) = self.refined(with(eta))?;
+        // a period has the second harmonic of its double: of two that fit the log, the shorter one is meant
+        let half = found[0].eta / 2.0;
+        let halved = kind(operator.name) == "period" && half >= range(&grid).0;
+        let halved = halved.then(|| self.refined(with(half))).flatten();
+        let fits = |(cost, _): &(f64, _)| *cost <= least * (1.0 + self.doubt());
+        let found = halved.filter(fits).map_or(found, |(_, halved)| halved);
+        self.set(found)
     }
 
     /// The set and each operator that is not in it.
