@@ -1,5 +1,6 @@
 //! Reader of the columns that a map names.
 
+use crate::diagnosis::rig::long::Compared;
 use crate::diagnosis::rig::{MapFile, Nominal};
 use crate::log::error::ReadError;
 use crate::log::table::{Schema, Table};
@@ -50,6 +51,21 @@ pub struct Signals {
     pub t: Vec<f64>,
     /// Whether `t` is time.
     pub clocked: bool,
+}
+
+impl Signals {
+    /// The signals in no more rows than are compared.
+    pub(super) fn compared(self) -> Self {
+        let compared = Compared::new(&self.inputs, self.t.len());
+        let of = |x: &Vec<f64>| compared.of(x);
+        Self {
+            inputs: self.inputs.iter().map(of).collect(),
+            output: of(&self.output),
+            motion: self.motion.as_ref().map(of),
+            t: of(&self.t),
+            ..self
+        }
+    }
 }
 
 /// Reads the columns that a map names.
@@ -120,7 +136,8 @@ fn signals(file: &str, table: &Table, map: &MapFile) -> Result<Signals, MapError
         output,
         t,
         clocked: map.is_clocked(),
-    })
+    }
+    .compared())
 }
 
 #[cfg(test)]

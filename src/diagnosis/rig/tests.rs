@@ -1,6 +1,7 @@
 //! Random rigs of known cause: what is found does not depend on zeros and units, and parameters are found where they are.
 
 use crate::diagnosis::Scored;
+use crate::diagnosis::rig::long::ROWS_MAX;
 use crate::diagnosis::rig::{DRIVEN, Document, MapFile, RigProblem, Signals};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -219,4 +220,28 @@ fn parameters_are_found_where_they_are() {
         "{noise} of {}: {wrong:?}",
         said.len()
     );
+}
+
+/// A long log is compared in few rows, which show what the log shows: of slow motion means of rows, of fast motion a stretch.
+#[test]
+fn a_long_log_shows_in_few_rows_what_it_shows() {
+    let causes = ["delay", "lag", "play", "periodic_position"];
+    for (seed, cause) in (20..).zip(causes) {
+        for periods in [12.0, 600.0] {
+            let drawn = drive(cause, &mut StdRng::seed_from_u64(seed), 60_000, periods);
+            let logs = [drawn.signals.compared()];
+            let rows = logs[0].t.len();
+            let map = map();
+            let problem = RigProblem::new(&map, &logs, 1).unwrap();
+            let operator = DRIVEN.iter().find(|o| o.name == cause).unwrap();
+            let set = problem.best(&[], operator).unwrap();
+            let (m, left) = (&set.members[0], set.energy().sqrt() / drawn.noise);
+            let [low, high] = m.ci95;
+            assert!(
+                rows <= ROWS_MAX && (low..=high).contains(&drawn.truth) && left < 1.15,
+                "{cause} {periods}: {rows} rows, {} is not in {low} to {high}, {left}",
+                drawn.truth
+            );
+        }
+    }
 }
