@@ -186,6 +186,7 @@ impl Table {
             let mut names = schema.required.iter();
             names.try_for_each(|name| table.position(name).map(drop))?;
         }
+        table.distinct(schema)?;
 
         let known: Vec<bool> = table
             .header
@@ -258,6 +259,22 @@ impl Table {
     /// Names of the columns.
     pub fn header(&self) -> &[String] {
         &self.header
+    }
+
+    /// Refuses a header that names a column of interest twice.
+    fn distinct(&self, schema: &Schema<'_>) -> Result<(), ReadError> {
+        let known = |name: &&String| !name.is_empty() && (schema.known)(name);
+        for (k, name) in self.header.iter().enumerate().filter(|(_, n)| known(n)) {
+            let first = self.position(name)?;
+            if first != k {
+                let (first, second) = (first + 1, k + 1);
+                let problem = format!(
+                    "the header names it twice, as columns {first} and {second}; rename or remove one of them"
+                );
+                return Err(ReadError::of_column(&self.file, 1, name, problem));
+            }
+        }
+        Ok(())
     }
 
     fn position(&self, name: &str) -> Result<usize, ReadError> {

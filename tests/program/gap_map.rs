@@ -190,3 +190,35 @@ fn two_logs_of_a_rig_give_one_effect_with_a_narrower_interval() {
         &["--map", "--board"],
     );
 }
+
+#[test]
+fn a_column_that_is_named_twice_is_refused_and_names_are_trimmed() {
+    let bench = Bench::new();
+    bench.log("a.csv", 900, 0.0, [0.02, 0.5, 3.0]);
+    let text = bench.read("a.csv");
+    let named = |header: &str| {
+        let text = text
+            .replacen("t,valve,load,note", header, 1)
+            .replace(",x\n", ",1\n");
+        std::fs::write(bench.path("b.csv"), text).unwrap();
+    };
+    for (header, places) in [
+        ("t,valve,load,valve", "columns 2 and 4"),
+        ("t,valve,load, load ", "columns 3 and 4"),
+        ("t,t,load,valve", "columns 1 and 2"),
+    ] {
+        named(header);
+        bench.refused(
+            "gap diagnose b.csv --map map.toml",
+            &["b.csv, line 1", "twice", places],
+        );
+    }
+    // a column that the map does not name may be there twice
+    named("\" t\",valve , load,t2");
+    let loose = MAP
+        .replace("\"valve\"", "\" valve\"")
+        .replace("\"t\"", "\"t \"");
+    std::fs::write(bench.path("loose.toml"), loose).unwrap();
+    let r = bench.answer("gap diagnose b.csv --map loose.toml", 0);
+    assert_eq!(r["verdict"]["names"][0], "play", "{}", r["verdict"]);
+}

@@ -29,11 +29,11 @@ pub enum Columns {
 }
 
 impl Columns {
-    /// Names of the columns.
+    /// Names of the columns, trimmed as those of a header are.
     pub fn names(&self) -> Vec<&str> {
         match self {
-            Self::One(name) => vec![name],
-            Self::Many(names) => names.iter().map(String::as_str).collect(),
+            Self::One(name) => vec![name.trim()],
+            Self::Many(names) => names.iter().map(|name| name.trim()).collect(),
         }
     }
 }

@@ -84,8 +84,9 @@ pub fn read(path: &Path, map: &MapFile) -> Result<Signals, MapError> {
 }
 
 fn names(map: &MapFile) -> Vec<&str> {
-    let others = map.motion.as_deref().into_iter().chain(map.time.as_deref());
-    [map.inputs(), map.output.names(), others.collect()].concat()
+    let others = [&map.motion, &map.time].into_iter().flatten();
+    let others = others.map(|name| name.trim()).collect();
+    [map.inputs(), map.output.names(), others].concat()
 }
 
 fn signals(file: &str, table: &Table, map: &MapFile) -> Result<Signals, MapError> {
@@ -117,7 +118,7 @@ fn signals(file: &str, table: &Table, map: &MapFile) -> Result<Signals, MapError
     if constant(&output) {
         return fails(&map.output.names());
     }
-    let t = match &map.time {
+    let t = match map.time.as_deref().map(str::trim) {
         Some(name) => {
             table.increasing(name, rows.iter().copied())?;
             taken(name)?
@@ -127,7 +128,8 @@ fn signals(file: &str, table: &Table, map: &MapFile) -> Result<Signals, MapError
             (0..rows.len()).map(|k| k as f64 * step).collect()
         }
     };
-    let motion = map.motion.as_deref().map(taken).transpose()?;
+    let motion = map.motion.as_deref().map(str::trim);
+    let motion = motion.map(taken).transpose()?;
     let name = Path::new(file).file_name().unwrap_or_default();
     Ok(Signals {
         file: name.to_string_lossy().into_owned(),
