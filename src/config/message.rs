@@ -50,7 +50,7 @@ fn instead(name: &str, message: &str) -> String {
 
 /// A value of the wrong type or a list of the wrong length.
 fn typed(message: &str, row: Option<&Parameter>) -> String {
-    const VALUES: [(&str, &str); 10] = [
+    const VALUES: [(&str, &str); 11] = [
         ("invalid type: ", ""),
         ("invalid value: ", ""),
         ("floating point `", "the number `"),
@@ -61,6 +61,7 @@ fn typed(message: &str, row: Option<&Parameter>) -> String {
         ("map", "a table"),
         ("invalid length ", "a list of length "),
         ("duplicate key", "this key is stated twice"),
+        ("wanted string or table", "expected a text in quotes"),
     ];
     let words = |text: String, (from, to): &(&str, &str)| text.replace(from, to);
     let text = VALUES.iter().fold(message.to_owned(), words);

@@ -192,6 +192,33 @@ fn two_logs_of_a_rig_give_one_effect_with_a_narrower_interval() {
 }
 
 #[test]
+fn a_map_whose_values_have_a_wrong_type_is_refused_by_its_key() {
+    let bench = Bench::new();
+    bench.log("a.csv", 200, 0.0, [1.0, 0.5, 0.0]);
+    let keys = "input output motion time rate_hz input_unit output_unit nominal every";
+    for key in keys.split(' ') {
+        for value in ["3", "true", "[1, 2]", "{ a = 1 }", "\"x\""] {
+            let is_number = ["rate_hz", "every"].contains(&key);
+            if is_number == (value == "3") && (is_number || value == "\"x\"") {
+                continue;
+            }
+            let others = MAP
+                .lines()
+                .filter(|line| !line.starts_with(&format!("{key} =")));
+            let others: Vec<&str> = others.collect();
+            let map = format!("{key} = {value}\n{}", others.join("\n"));
+            std::fs::write(bench.path("wrong.toml"), &map).unwrap();
+            let (code, message) = bench.run("gap diagnose a.csv --map wrong.toml");
+            let clear = message.contains("expected") && message.contains(key);
+            assert!(
+                code == 2 && clear && !message.contains("variant"),
+                "{map}: {message}"
+            );
+        }
+    }
+}
+
+#[test]
 fn a_column_that_is_named_twice_is_refused_and_names_are_trimmed() {
     let bench = Bench::new();
     bench.log("a.csv", 900, 0.0, [0.02, 0.5, 3.0]);

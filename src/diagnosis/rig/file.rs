@@ -20,7 +20,10 @@ pub enum Nominal {
 
 /// One column or several.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[serde(
+    untagged,
+    expecting = "expected the name of a column, or a list of names"
+)]
 pub enum Columns {
     /// One.
     One(String),
