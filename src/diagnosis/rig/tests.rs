@@ -124,7 +124,8 @@ fn drive(cause: &str, rng: &mut StdRng, rows: usize, periods: f64) -> Drawn {
 
 #[test]
 fn the_zeros_of_input_and_output_do_not_count() {
-    let causes = ["none", "none", "delay", "cubic", "saturation", "drift"];
+    // a cubic is left out: a dead band, which lies about an input of zero, imitates it there alone
+    let causes = ["none", "none", "delay", "lag", "saturation", "drift"];
     for (seed, cause) in (0..).zip(causes) {
         let drawn = draw(cause, seed).signals;
         let moved = |x: &[f64], by: f64| -> Vec<f64> {
