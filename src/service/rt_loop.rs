@@ -52,7 +52,8 @@ pub struct Precondition {
     pub stops: u64,
     /// When it was received: an order that nobody waits for any longer is not carried out.
     pub since: Instant,
-    /// The only mode in which it may be carried out; `None` leaves that to the supervisor.
+    /// The only mode in which it may be carried out; `None` leaves that to the supervisor. A running calibration carries out what
+    /// [`Order::calibrates`] only if it names this mode, as its own orders do.
     pub mode: Option<Mode>,
 }
 
@@ -315,6 +316,7 @@ impl Loop {
         }
         match then.mode {
             Some(expected) if expected != mode => Err(Refusal::Mode(mode)),
+            None if mode == Mode::Calibrating && order.calibrates() => Err(Refusal::Mode(mode)),
             _ => Ok(()),
         }
     }

@@ -272,12 +272,13 @@ fn what_was_decided_on_an_old_picture_is_not_carried_out() {
     (0..2500).for_each(|_| house.cycle());
     let (mut carried_out, mut refused) = (0, 0);
     for id in 0..3000 {
-        let order = match house.rng.random_range(0..6) {
+        let order = match house.rng.random_range(0..7) {
             0 => Order::Arm,
             1 => Order::Disarm,
             2 => Order::Relax,
             3 => Order::Calibrate(house.rng.random_range(0..2) == 0),
             4 => Order::Hold,
+            5 => Order::Lines(house.hub.config.supervisor.tick.lines),
             _ => Order::Bend(
                 Shape {
                     bend: Bend::from_deg(5.0, 90.0),
@@ -299,7 +300,8 @@ fn what_was_decided_on_an_old_picture_is_not_carried_out() {
         house.cycle();
         house.hub.take_loop_output();
         let taken = house.hub.last.unwrap().order.is_some();
-        let holds = !old && precondition.mode.is_none_or(|mode| mode == before);
+        let theirs = before == Mode::Calibrating && order.calibrates();
+        let holds = !old && precondition.mode.map_or(!theirs, |mode| mode == before);
         assert_eq!(
             taken, holds,
             "{order:?} in {before}, decided in {:?}, old {old}",
@@ -316,4 +318,45 @@ fn what_was_decided_on_an_old_picture_is_not_carried_out() {
         carried_out > 500 && refused > 500,
         "{carried_out} {refused}"
     );
+}
+
+/// Every command that moves the tip or its gains, drawn, from another client. What is refused takes over neither the tip nor the
+/// attendance, so that the tip holds when the client that calibrates disconnects.
+#[test]
+fn a_calibration_is_led_by_its_client_alone() {
+    let mut house = House::new(11);
+    (0..2500).for_each(|_| house.cycle());
+    house.ask(Request::Arm {});
+    let mut begun = false;
+    for _ in 0..500 {
+        std::thread::sleep(Duration::from_millis(1));
+        house.cycle();
+        house.hub.take_loop_output();
+        house.hub.persist();
+        if house.hub.mode() == Mode::Holding && !std::mem::replace(&mut begun, true) {
+            let action = CalibrateAction::Short;
+            house.ask(Request::Calibrate { action, poses: 24 });
+        }
+    }
+    assert_eq!(house.hub.mode(), Mode::Calibrating);
+    let owner = house.hub.motion_owner;
+    assert_eq!(owner.map(|(client, _)| client), Some(1));
+    house.accepted_until_now();
+    let kinds = [0, 2, 4, 7, 9, 10, 17, 18, 19];
+    for n in 0..3000 {
+        let kind = kinds[house.rng.random_range(0..kinds.len())];
+        let request = request(&mut house.rng, kind);
+        // rows of which more will come move nothing yet
+        if !matches!(request, Request::Path { more: true, .. }) {
+            house.queue(1, request);
+        }
+        house.cycle();
+        house.round();
+        assert_eq!(house.hub.mode(), Mode::Calibrating, "request {n}");
+        assert_eq!(house.hub.motion_owner, owner, "request {n}");
+    }
+    assert_eq!(house.accepted_until_now(), BTreeMap::new());
+    house.hub.forget(1, "disconnected");
+    (0..50).for_each(|_| house.cycle());
+    assert_eq!(house.rt.runner.supervisor.mode(), Mode::Holding);
 }

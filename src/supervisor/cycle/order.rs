@@ -47,6 +47,11 @@ impl Order {
         self.leads_setpoint() || matches!(self, Self::Arm | Self::Relax | Self::Calibrate(true))
     }
 
+    /// True for an order that takes part in a calibration: while one is running, nobody else may give it.
+    pub fn calibrates(&self) -> bool {
+        self.leads_setpoint() || matches!(self, Self::Lines(_) | Self::Calibrate(_))
+    }
+
     /// True for an order that gives the set-point a target or another lead.
     pub fn leads_setpoint(&self) -> bool {
         matches!(

@@ -329,16 +329,31 @@ impl House {
             return;
         }
         for request in requests(&mut self.rng) {
-            self.sent += 1;
-            if request == (Request::Stop {}) {
-                self.shared.stop.request();
-                continue;
-            }
-            let stops = self.shared.stop.requested();
-            self.open
-                .insert(self.sent, (2 * client + 1, request.clone()));
-            self.queues[client as usize].push_back((json!(self.sent), request, stops));
+            self.queue(client, request);
         }
+    }
+
+    /// A client sends a line.
+    pub(super) fn queue(&mut self, client: u64, request: Request) {
+        self.sent += 1;
+        if request == (Request::Stop {}) {
+            self.shared.stop.request();
+            return;
+        }
+        let stops = self.shared.stop.requested();
+        self.open
+            .insert(self.sent, (2 * client + 1, request.clone()));
+        self.queues[client as usize].push_back((json!(self.sent), request, stops));
+    }
+
+    /// Reads what was answered to [`House::ask`], and takes the numbers of requests that were accepted until now.
+    pub(super) fn accepted_until_now(&mut self) -> BTreeMap<String, u64> {
+        if self.open.is_empty() {
+            self.replies
+                .iter()
+                .for_each(|from| from.try_iter().for_each(drop));
+        }
+        std::mem::take(&mut self.accepted)
     }
 }
 
