@@ -2,14 +2,15 @@
 //!
 //! Two slots of fixed size are written in turn, each `magic version sequence length crc\n`, JSON, and padding. A write overwrites the
 //! older slot in place, waits for the disk and reads the slot back. Slots are overwritten in place because a full disk accepts no new
-//! file.
+//! file. A slot that does not exist yet is written under another name first, so that it appears as a whole or not at all.
 //!
 //! The memory is written ahead: drivers are armed only once the slot that says so is on the disk. A slot that says
 //! "pistons at rest" is therefore true as long as it is the newest.
 //!
 //! Only a pair of slots that is whole is believed: both of full size and intact, each in its place (odd sequence numbers
 //! in the first), one write apart. Otherwise the newest write may be missing, and the position is unknown. A damaged slot
-//! is renamed and reported.
+//! is renamed and reported. The first write alone is no damage: it fills both slots before any driver is armed, and was ended between
+//! the two.
 
 use crate::service::memory::MemoryError;
 use crate::service::{Memory, disk};
@@ -30,6 +31,8 @@ const MAGIC: &str = "retroflex-memory";
 const SEQUENCE_MAX: u64 = 1 << 53;
 /// Size of a slot, bytes.
 const SIZE: usize = 32 * 1024;
+/// What fills it up.
+const PADDING: u8 = b' ';
 
 /// The slot of a write.
 ///
@@ -44,7 +47,7 @@ fn compose(sequence: u64, memory: &Memory) -> Result<Vec<u8>, MemoryError> {
     if slot.len() > SIZE {
         return Err(MemoryError::TooLarge(slot.len()));
     }
-    slot.resize(SIZE, b' ');
+    slot.resize(SIZE, PADDING);
     Ok(slot)
 }
 
@@ -121,7 +124,7 @@ const NAMES: [&str; 2] = ["memory.a", "memory.b"];
 /// State of the two slots.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Found {
-    /// Neither exists.
+    /// Neither exists, or the first write was ended between the two.
     #[default]
     Absent,
     /// Both are intact and belong together.
@@ -221,7 +224,7 @@ impl Store {
         });
         let sequences = [0, 1].map(|slot| slots[slot].as_ref().map(|(sequence, _)| *sequence));
         recall.found = match sequences {
-            [None, None] if recall.damaged.is_empty() => Found::Absent,
+            [None | Some(1), None] if recall.damaged.is_empty() => Found::Absent,
             [Some(a), Some(b)] if a.abs_diff(b) == 1 && place(a) == 0 => Found::Intact,
             _ => Found::Damaged,
         };
@@ -239,20 +242,15 @@ impl Store {
             whole: recall.found == Found::Intact,
             _lock: lock,
         };
-        store.reserve().map_err(MemoryError::io(folder))?;
-        Ok((store, recall))
-    }
-
-    /// Reserves the disk space of both slots. A slot that contains only spaces is empty.
-    fn reserve(&self) -> io::Result<()> {
-        for path in NAMES.map(|name| self.folder.join(name)) {
-            if std::fs::symlink_metadata(&path).is_err() {
-                let mut file = disk::open(OpenOptions::new().write(true).create_new(true), &path)?;
-                file.write_all(&vec![b' '; SIZE])?;
-                file.sync_all()?;
+        if recall.found == Found::Damaged {
+            // until the next write an empty slot stands for a damaged one, which counts as damaged too
+            for path in NAMES.map(|name| folder.join(name)) {
+                if std::fs::symlink_metadata(&path).is_err() {
+                    create_slot(&path, &[PADDING; SIZE]).map_err(MemoryError::io(&path))?;
+                }
             }
         }
-        File::open(&self.folder)?.sync_all()
+        Ok((store, recall))
     }
 
     /// Writes, waits for the disk and reads back. Returns the sequence number of the write. The first write after slots that
@@ -274,8 +272,10 @@ impl Store {
         let path = self.folder.join(NAMES[place(sequence)]);
         let slot = compose(sequence, memory)?;
         let put = || -> io::Result<()> {
-            let mut options = OpenOptions::new();
-            let mut file = disk::open(options.read(true).write(true).create(true), &path)?;
+            if std::fs::symlink_metadata(&path).is_err() {
+                create_slot(&path, &slot)?;
+            }
+            let mut file = disk::open(OpenOptions::new().read(true).write(true), &path)?;
             file.write_all(&slot)?;
             file.set_len(SIZE as u64)?;
             file.sync_data()?;
@@ -292,6 +292,21 @@ impl Store {
         self.sequence = sequence;
         Ok(sequence)
     }
+}
+
+/// Creates a slot as a whole: under another name, which then becomes its own.
+fn create_slot(path: &Path, slot: &[u8]) -> io::Result<()> {
+    let beside = path.with_added_extension("part");
+    // one that was left by a start that was ended
+    match std::fs::remove_file(&beside) {
+        Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
+        _ => {}
+    }
+    let mut file = disk::open(OpenOptions::new().write(true).create_new(true), &beside)?;
+    file.write_all(slot)?;
+    file.sync_all()?;
+    std::fs::rename(&beside, path)?;
+    File::open(path.parent().unwrap_or(Path::new(".")))?.sync_all()
 }
 
 /// Index of the slot of a write.

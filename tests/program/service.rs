@@ -14,7 +14,7 @@ use retroflex::service::flight::schema;
 use retroflex::service::store::Store;
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 fn program() -> &'static Path {
@@ -621,6 +621,55 @@ fn an_ordinary_user_needs_no_flags_and_a_simulated_plant_begins_at_rest() {
         child.kill().unwrap();
         child.wait().unwrap();
     }
+}
+
+/// A board that describes no machine, plants that end at once, and a start that is killed at any instant: none is damage to the memory.
+#[test]
+fn a_start_after_one_that_failed_is_not_lost() {
+    let folder = tempfile::tempdir().unwrap();
+    let (state, board) = (folder.path().join("state"), folder.path().join("bad.toml"));
+    std::fs::write(&board, "").unwrap();
+    let start = |args: &[&str]| {
+        let mut command = Command::new(program());
+        command
+            .args(["run", "--socket"])
+            .arg(folder.path().join("control.sock"));
+        command
+            .arg("--state")
+            .arg(&state)
+            .args(args)
+            .stderr(Stdio::null());
+        command
+    };
+    let board = ["--board", board.to_str().unwrap()];
+    for bad in [
+        board,
+        ["--plant", "exec:false"],
+        ["--plant", "exec:/nowhere"],
+    ] {
+        let code = start(&bad).status().unwrap().code();
+        assert!(matches!(code, Some(2 | 3)), "{bad:?}: {code:?}");
+    }
+    let mut rng = StdRng::seed_from_u64(5);
+    for n in 0..20 {
+        if n % 2 == 0 {
+            let _ = std::fs::remove_dir_all(&state);
+        }
+        let mut child = start(&[]).spawn().unwrap();
+        std::thread::sleep(Duration::from_micros(rng.random_range(0..60_000)));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        if state.join("lock").exists() {
+            let recall = Store::open(&state).unwrap().1;
+            assert_eq!(recall.damaged, Vec::<String>::new(), "start {n}");
+        }
+    }
+    let _ = std::fs::remove_dir_all(&state);
+    start(&board).status().unwrap();
+    let daemon = Daemon::start(program(), folder.path()).unwrap();
+    let located = |s: &serde_json::Value| s["mode"] == "disarmed" && s["lost"].is_null();
+    daemon.until(10.0, "alignment", located).unwrap();
+    daemon.end().unwrap();
 }
 
 /// Without room for them no log is written, the status and the refusal of a recording say why, and files in the way are refused.

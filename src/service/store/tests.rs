@@ -291,3 +291,48 @@ fn only_an_intact_memory_is_believed() {
         assert_eq!(bad.belief(), Belief::Lost, "{bad:?}");
     }
 }
+
+/// Starts that end before their first write, in it, and between the two slots that it fills.
+#[test]
+fn a_first_start_that_ends_early_leaves_nothing_that_counts_as_damage() {
+    let folder = tempfile::tempdir().unwrap();
+    let open = || Store::open(folder.path()).unwrap();
+    for _ in 0..3 {
+        let (_store, recall) = open();
+        assert_eq!(recall, Recall::default());
+    }
+    for cut in [0, 1, 700, SIZE - 1] {
+        let part = compose(1, &memory(1)).unwrap()[..cut].to_vec();
+        std::fs::write(folder.path().join("memory.a.part"), part).unwrap();
+        let (_store, recall) = open();
+        assert_eq!(recall, Recall::default(), "{cut}");
+    }
+    open().0.write_slot(&memory(1)).unwrap();
+    let (mut store, recall) = open();
+    assert_eq!((recall.found, recall.damaged), (Found::Absent, vec![]));
+    store.write(&memory(2)).unwrap();
+    drop(store);
+    let recall = open().1;
+    assert_eq!(
+        (recall.found, recall.memory),
+        (Found::Intact, Some(memory(2)))
+    );
+    assert!(!folder.path().join("memory.a.part").exists());
+}
+
+/// A start that fails after it has found damage does not make the next one forget it.
+#[test]
+fn damage_stays_until_the_next_write() {
+    let folder = tempfile::tempdir().unwrap();
+    Store::open(folder.path())
+        .unwrap()
+        .0
+        .write(&memory(1))
+        .unwrap();
+    for name in NAMES {
+        std::fs::write(folder.path().join(name), [0; SIZE]).unwrap();
+    }
+    for _ in 0..3 {
+        assert_eq!(Store::open(folder.path()).unwrap().1.found, Found::Damaged);
+    }
+}
