@@ -121,7 +121,7 @@ fn recall(folder: &Path) -> Result<bool> {
     let words = |m: Memory| Some(format!("armed {}, steps {:?}", m.armed, m.restart?.steps.0));
     let position = recall.memory.and_then(words);
     let shown = position.as_deref().unwrap_or("nothing");
-    println!("recalled {} . {shown}", recall.sequence);
+    output::print(format!("recalled {} . {shown}\n", recall.sequence));
     Ok(position.is_some())
 }
 

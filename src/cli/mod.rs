@@ -150,7 +150,8 @@ pub fn parse() -> Cli {
     });
     parsed.unwrap_or_else(|e| {
         if !e.use_stderr() {
-            e.exit();
+            output::print_with(|_| e.print());
+            std::process::exit(0)
         }
         eprint!("{}", help::plain(&e.render().to_string()));
         std::process::exit(2)

@@ -15,7 +15,7 @@ use std::borrow::Cow;
 use std::ffi::OsString;
 use std::fmt;
 use std::fs::Metadata;
-use std::io::{Read, Write};
+use std::io::{Read, Stdout, Write};
 use std::ops::Deref;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -84,15 +84,21 @@ pub fn bar(length: u64, text: &str) -> ProgressBar {
     bar
 }
 
-/// Prints on standard output. A reader that has closed its end, such as `head`, is not an error; any other obstacle, such as a full disk,
-/// ends the program with code 2.
+/// Prints on standard output, without control characters. A reader that has closed its end, such as `head`, is not an error; any other
+/// obstacle, such as a full disk, ends the program with code 2.
 pub fn print(text: impl AsRef<[u8]>) {
-    let mut out = std::io::stdout();
     let text = printable(text.as_ref());
-    if let Err(e) = out.write_all(&text).and_then(|()| out.flush())
-        && e.kind() != std::io::ErrorKind::BrokenPipe
-    {
-        unprintable(&format!("standard output: {e}"))
+    // whoever prints once has nothing left to do for a reader that has gone
+    let _ = print_with(|out| out.write_all(&text));
+}
+
+/// Prints on standard output by a function that does so, as [`print()`] does; false if the reader has closed its end.
+pub fn print_with(write: impl FnOnce(&mut Stdout) -> std::io::Result<()>) -> bool {
+    let mut out = std::io::stdout();
+    match write(&mut out).and_then(|()| out.flush()) {
+        Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => false,
+        Err(e) => unprintable(&format!("standard output: {e}")),
+        Ok(()) => true,
     }
 }
 

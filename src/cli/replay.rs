@@ -3,6 +3,7 @@
 pub mod settings;
 
 use crate::cli::flight::{self, flight_of};
+use crate::cli::output::print;
 use crate::cli::{ResultFile, output};
 use crate::config::Gains;
 use crate::model::Line;
@@ -66,14 +67,18 @@ pub fn run(args: &Args) -> Result<bool> {
     } else {
         format!("; {ending}")
     };
-    println!("{cycles} cycles replayed, {different} differ{shown}");
+    print(format!(
+        "{cycles} cycles replayed, {different} differ{shown}\n"
+    ));
     for (before, t_s, lost) in &replay.gaps {
-        println!("gap: {lost} cycles are missing before cycle {before} at {t_s:.3} s");
+        print(format!(
+            "gap: {lost} cycles are missing before cycle {before} at {t_s:.3} s\n"
+        ));
     }
     if skipped > 0 {
-        println!(
-            "{skipped} cycles after a gap are not compared, because nothing tells the state of the loop there"
-        );
+        print(format!(
+            "{skipped} cycles after a gap are not compared, because nothing tells the state of the loop there\n"
+        ));
     }
     if replay.altered.is_some() {
         show(&replay.changes, cycles);
@@ -86,9 +91,9 @@ pub fn run(args: &Args) -> Result<bool> {
         0 => "a field without a digest".to_owned(),
         _ => fields.join(", "),
     };
-    println!(
-        "the first difference is in cycle {number} at {t_s:.3} s, in {fields}: the software has changed since version {program} wrote the log"
-    );
+    print(format!(
+        "the first difference is in cycle {number} at {t_s:.3} s, in {fields}: the software has changed since version {program} wrote the log\n"
+    ));
     Ok(false)
 }
 
@@ -312,8 +317,8 @@ fn compare(changes: &mut [Change], t_s: f64, run: &CycleOutput, other: &CycleOut
 }
 
 fn show(changes: &[Change], cycles: u64) {
-    println!(
-        "\nWith the other settings, on the same input. This is speculation: the recorded machine did not follow them."
+    print(
+        "\nWith the other settings, on the same input. This is speculation: the recorded machine did not follow them.\n",
     );
     let row = |(name, (squares, largest, at_s)): (&&str, &Change)| {
         let rms = (squares / cycles as f64).sqrt();
@@ -322,5 +327,5 @@ fn show(changes: &[Change], cycles: u64) {
     };
     let rows = QUANTITIES.iter().zip(changes).map(row);
     let header = "difference|RMS|largest|at, s";
-    println!("{}", output::table(header, 1..4, rows));
+    print(format!("{}\n", output::table(header, 1..4, rows)));
 }

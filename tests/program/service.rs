@@ -672,6 +672,58 @@ fn a_start_after_one_that_failed_is_not_lost() {
     daemon.end().unwrap();
 }
 
+/// Every command that prints something, to a disk that is full and to a reader that is gone.
+#[test]
+fn an_answer_that_cannot_be_printed_is_no_success() {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start(program(), folder.path()).unwrap();
+    let [socket, ..] = daemon.sockets();
+    let run = |args: &[&str], to: Stdio| {
+        let mut command = Command::new(program());
+        command
+            .args(args)
+            .env("RETROFLEX_SOCKET", socket)
+            .stdout(to);
+        let out = command.stderr(Stdio::piped()).output().unwrap();
+        (
+            out.status.code(),
+            String::from_utf8_lossy(&out.stderr).into_owned(),
+        )
+    };
+    for args in [
+        &["status"][..],
+        &["status", "--json", "-"],
+        &["status", "--json", "/dev/stdout"],
+        &["status", "--watch"],
+        &["subscribe"],
+        &["--help"],
+        &["help", "bend"],
+        &["--version"],
+        &["completions", "bash"],
+        &["board", "show", "sim"],
+    ] {
+        let full = std::fs::File::options()
+            .write(true)
+            .open("/dev/full")
+            .unwrap();
+        let (code, text) = run(args, full.into());
+        assert!(
+            code == Some(2) && text.contains("No space left on device"),
+            "{args:?}: {code:?} {text}"
+        );
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        if !args.contains(&"/dev/stdout") {
+            assert_eq!(
+                run(args, writer.into()),
+                (Some(0), String::new()),
+                "{args:?}"
+            );
+        }
+    }
+    daemon.end().unwrap();
+}
+
 /// Without room for them no log is written, the status and the refusal of a recording say why, and files in the way are refused.
 #[test]
 fn a_full_disk_is_named() {

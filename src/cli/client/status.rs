@@ -49,13 +49,11 @@ pub fn status(args: &StatusArgs) -> Result<()> {
         let text = match args.json.as_deref() {
             Some(path) if path == Path::new("-") => format!("{value}\n"),
             Some(path) => output::write(path, format!("{value}\n")).map(|()| String::new())?,
-            None if redraw => format!("{CLEAR}{}", readable(&read_status(&value)?)),
             None => readable(&read_status(&value)?),
         };
-        let mut out = std::io::stdout();
-        let shown = out.write_all(text.as_bytes()).and_then(|()| out.flush());
-        // a reader that has closed its end, such as `head`, has seen enough
-        if shown.is_err() || !args.watch {
+        let clear = if redraw { CLEAR } else { "" };
+        let text = [clear.as_bytes(), &output::printable(text.as_bytes())].concat();
+        if !output::print_with(|out| out.write_all(&text)) || !args.watch {
             return Ok(());
         }
         std::thread::sleep(Duration::from_millis(500));
@@ -161,10 +159,9 @@ fn wrapped(text: &str) -> String {
 pub fn subscribe(args: &SubscribeArgs) -> Result<()> {
     let mut connection = connect(&args.at)?;
     ask(&mut connection, &Request::Subscribe { rate_hz: args.rate })?;
-    let mut out = std::io::stdout();
     loop {
         let value = connection.read().map_err(report)?;
-        if writeln!(out, "{value}").is_err() {
+        if !output::print_with(|out| writeln!(out, "{value}")) {
             return Ok(());
         }
     }
