@@ -103,10 +103,13 @@ pub fn parse(text: &[u8]) -> Result<Option<(u64, Memory)>, String> {
         ));
     }
     let length: usize = length.parse().map_err(|_| "has a damaged header")?;
-    let body = body.get(..length).ok_or("is truncated")?;
+    let (body, rest) = body.split_at_checked(length).ok_or("is truncated")?;
     let head = &header[..header.len() - crc.len()];
-    if u32::from_str_radix(crc, 16) != Ok(checksum(head, body)) {
+    if crc != format!("{:08x}", checksum(head, body)) {
         return Err("does not match its checksum".to_owned());
+    }
+    if rest.bytes().any(|byte| byte != PADDING) {
+        return Err("has more than its text and blanks".to_owned());
     }
     let sequence = sequence.parse().ok().filter(|n| *n < SEQUENCE_MAX);
     let sequence = sequence.ok_or("has a damaged header")?;

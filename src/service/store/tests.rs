@@ -336,3 +336,16 @@ fn damage_stays_until_the_next_write() {
         assert_eq!(Store::open(folder.path()).unwrap().1.found, Found::Damaged);
     }
 }
+
+/// Every bit of the text, and one of every byte after it.
+#[test]
+fn one_inverted_bit_anywhere_in_a_slot_is_noticed() {
+    let whole = compose(7, &memory(1)).unwrap();
+    let text = whole.trim_ascii_end().len();
+    let bits = (0..text * 8).chain((text..SIZE).map(|byte| byte * 8 + byte % 8));
+    for bit in bits {
+        let mut slot = whole.clone();
+        slot[bit / 8] ^= 1 << (bit % 8);
+        assert!(parse(&slot).is_err(), "bit {} of byte {}", bit % 8, bit / 8);
+    }
+}
