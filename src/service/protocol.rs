@@ -114,6 +114,8 @@ pub type PathRow = (f64, f64, f64, Option<f64>);
 pub const PATH_ROWS: usize = 100_000;
 /// Longest duration of a path, s.
 pub const PATH_MAX_S: f64 = 3600.0;
+/// Directions that may be asked for, degrees.
+pub const DIR_DEG: RangeInclusive<f64> = -360.0..=360.0;
 
 /// Argument of `bend`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -229,7 +231,7 @@ impl Failure {
     }
 }
 
-/// Parses one line into its `id` and the request.
+/// Parses one line into its `id` and the request. A stop is one whatever else its line says: to brake is the safe answer.
 pub fn parse(line: &str) -> (Value, Result<Request, Failure>) {
     let mut object = match serde_json::from_str::<Object>(line) {
         Ok(Object(object)) => object,
@@ -239,10 +241,18 @@ pub fn parse(line: &str) -> (Value, Result<Request, Failure>) {
         }
         Err(e) => return (Value::Null, Err(Failure::bad(format!("not JSON: {e}")))),
     };
-    let id = object
-        .remove("id")
-        .filter(|v| v.is_number() || v.is_string())
-        .unwrap_or(Value::Null);
+    let mut id = object.remove("id").unwrap_or_default();
+    let is_echoed = id.is_string() || id.is_u64() || id.is_i64() || id.is_null();
+    if !is_echoed {
+        id = Value::Null;
+    }
+    if object.get("cmd").is_some_and(|cmd| cmd == "stop") {
+        return (id, Ok(Request::Stop {}));
+    }
+    if !is_echoed {
+        let why = "an id is a string or a whole number of at most 64 bits";
+        return (id, Err(Failure::bad(why)));
+    }
     let version = object.remove("v");
     if version.as_ref().and_then(Value::as_u64) != Some(VERSION) {
         let found = version.map_or_else(|| "none".to_owned(), |v| v.to_string());
@@ -323,6 +333,40 @@ mod tests {
         ] {
             let (id, parsed) = parse(request_line(7, &request).trim());
             assert_eq!((id, parsed), (json!(7), Ok(request)));
+        }
+    }
+
+    /// Every kind of value for every field, and fields that there are not.
+    #[test]
+    fn a_stop_is_a_stop_whatever_else_its_line_says() {
+        let values = ["1", "2.5", "\"x\"", "null", "[]", "{}", "true", "1e300"];
+        for key in ["x", "v", "id", "bend_deg", ""] {
+            for value in values {
+                for other in ["", r#""v":1,"#] {
+                    let line = format!(r#"{{{other}"cmd":"stop","{key}":{value}}}"#);
+                    if other.is_empty() || key != "v" {
+                        assert_eq!(parse(&line).1, Ok(Request::Stop {}), "{line}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn an_id_comes_back_as_it_was_or_is_refused() {
+        let max = u64::MAX.to_string();
+        for id in ["7", "-7", &max, "\"a\"", "null"] {
+            let (echoed, request) = parse(&format!(r#"{{"v":1,"id":{id},"cmd":"arm"}}"#));
+            assert_eq!(
+                (echoed.to_string().as_str(), request),
+                (id, Ok(Request::Arm {}))
+            );
+        }
+        let long = format!("{max}0");
+        for id in ["{}", "[1]", "true", "1.5", "0.1000000000000000055", &long] {
+            let (echoed, request) = parse(&format!(r#"{{"v":1,"id":{id},"cmd":"arm"}}"#));
+            let why = request.unwrap_err().message;
+            assert!(echoed.is_null() && why.contains("an id is"), "{id}: {why}");
         }
     }
 

@@ -4,7 +4,7 @@ use super::connection::{At, Connection, ask, ask_and_print, connect, halted, pol
 use super::status::pose;
 use crate::cli::{Refused, ResultFile, output, within};
 use crate::model::Bend;
-use crate::service::protocol::{CalibrateAction, Frame, POSES, Request};
+use crate::service::protocol::{CalibrateAction, DIR_DEG, Frame, POSES, Request};
 use crate::service::status::Status;
 use crate::supervisor::Mode;
 use clap::builder::TypedValueParser;
@@ -28,8 +28,6 @@ const SAID_EVERY: Duration = Duration::from_secs(5);
 
 /// Bends that may be asked for, degrees. How far the tip reaches in a direction depends on the machine, and the service says it.
 pub(super) const BEND_DEG: RangeInclusive<f64> = -135.0..=135.0;
-/// Directions that may be asked for, degrees.
-pub(super) const DIR_DEG: RangeInclusive<f64> = -360.0..=360.0;
 
 /// Arguments of `bend`.
 #[derive(Debug, clap::Args)]

@@ -1,10 +1,10 @@
 //! `stream`: set-points from standard input, `BEND DIR` or `BEND DIR T` per line.
 
 use super::connection::{At, connect, report, status};
-use super::follow::{BEND_DEG, DIR_DEG, settle};
+use super::follow::{BEND_DEG, settle};
 use crate::cli::{Refused, within};
 use crate::model::Bend;
-use crate::service::protocol::{Failure, Request};
+use crate::service::protocol::{DIR_DEG, Failure, Request};
 use crate::supervisor::Mode;
 use miette::{Result, miette};
 use std::io::{BufRead, Read};

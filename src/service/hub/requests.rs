@@ -8,9 +8,12 @@ use crate::experiment::identify::Algorithm1;
 use crate::experiment::pose::Round;
 use crate::experiment::schedule;
 use crate::model::{Bend, Line, Shape};
+use crate::primitives::Checker;
 use crate::service::calibrate::Session;
 use crate::service::flight::start::Event;
-use crate::service::protocol::{CalibrateAction, Frame, PATH_MAX_S, PATH_ROWS, POSES, PathRow};
+use crate::service::protocol::{
+    CalibrateAction, DIR_DEG, Frame, PATH_MAX_S, PATH_ROWS, POSES, PathRow,
+};
 use crate::service::start::with_gains;
 use crate::service::{Caller, Change, Failure, Request};
 use crate::supervisor::{BEND_MAX_RAD, Mode, Order, SupervisorConfig};
@@ -91,7 +94,7 @@ impl Hub {
                 speed_deg_s,
                 frame,
             } => {
-                let target = self.target(bend_deg, dir_deg, length_mm);
+                let target = self.asked(bend_deg, dir_deg, length_mm)?;
                 let speed_rad_s = speed_deg_s.map(f64::to_radians);
                 match frame {
                     Frame::World => Order::World(target, speed_rad_s),
@@ -104,7 +107,7 @@ impl Hub {
                 length_mm,
                 t_s,
             } => {
-                let target = self.target(bend_deg, dir_deg, length_mm);
+                let target = self.asked(bend_deg, dir_deg, length_mm)?;
                 t_s.map_or(Order::Stream(target), |t_s| Order::Timed(target, t_s))
             }
             Request::Arm {} => Order::Arm,
@@ -135,6 +138,16 @@ impl Hub {
         };
         let bend_deg: Vec<f64> = (0..72).map(largest).collect();
         json!({"bend_deg": bend_deg, "r_mm": tick.geometry.r_mm, "rest_length_mm": tick.geometry.rest_length_mm})
+    }
+
+    /// The target of a request whose direction lies within a turn.
+    fn asked(&self, bend_deg: f64, dir_deg: f64, length_mm: Option<f64>) -> Result<Shape, Failure> {
+        let mut to = Checker::default();
+        to.at("dir_deg")
+            .range(dir_deg, DIR_DEG, "degrees")
+            .hint("leave out whole turns");
+        to.done().map_err(|e| Failure::bad(e.to_string()))?;
+        Ok(self.target(bend_deg, dir_deg, length_mm))
     }
 
     fn target(&self, bend_deg: f64, dir_deg: f64, length_mm: Option<f64>) -> Shape {

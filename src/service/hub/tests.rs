@@ -360,3 +360,16 @@ fn a_calibration_is_led_by_its_client_alone() {
     (0..50).for_each(|_| house.cycle());
     assert_eq!(house.rt.runner.supervisor.mode(), Mode::Holding);
 }
+
+#[test]
+fn a_direction_beyond_a_turn_is_refused_before_it_reaches_the_loop() {
+    let mut house = House::new(3);
+    for dir_deg in [360.5, -361.0, 1e19, -1e308, 1e308] {
+        house.ask(Request::bend(10.0, dir_deg, None, None));
+        house.ask(Request::stream(10.0, dir_deg, None));
+        house.ask(Request::stream(10.0, dir_deg, Some(0.0)));
+        assert!(house.hub.pending.is_empty(), "{dir_deg}");
+    }
+    house.ask(Request::bend(10.0, -360.0, None, None));
+    assert_eq!(house.hub.pending.len(), 1);
+}
