@@ -6,6 +6,7 @@
 use crate::cli::client::follow::{TransmissionArgs, transmission};
 use crate::cli::{Refused, ResultFile, output, within};
 use crate::config::MOTORS_IDLE_AFTER_S;
+use crate::config::calib::is_day;
 use crate::estimation::imu_calibration::{
     ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, from_log, gyro, mag, motor,
     mount, still,
@@ -17,8 +18,6 @@ use miette::{IntoDiagnostic, Result, miette};
 use nalgebra::Vector3;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use time::Date;
-use time::format_description::well_known::Iso8601;
 
 pub mod samples;
 
@@ -95,10 +94,8 @@ pub fn run(args: &Args) -> Result<()> {
 
 /// A day as `--date` gives it.
 fn day(text: &str) -> std::result::Result<String, String> {
-    match Date::parse(text, &Iso8601::DATE) {
-        Ok(date) if date.to_string() == text => Ok(text.to_owned()),
-        _ => Err("a day is written YYYY-MM-DD, such as 2026-03-31".to_owned()),
-    }
+    let wrong = || "a day is written YYYY-MM-DD, such as 2026-03-31".to_owned();
+    is_day(text).then(|| text.to_owned()).ok_or_else(wrong)
 }
 
 /// The tables of a calibration file; none if the file does not exist.

@@ -5,7 +5,10 @@ use crate::control::{Dynamics, DynamicsPrior};
 use crate::estimation::imu_calibration::ImuCalibration;
 use crate::model::Line;
 use crate::parameters;
-use crate::primitives::{Check, Checker, Parameters, Table};
+use crate::primitives::{Check, Checker, Parameters, Table, join};
+use time::Date;
+use time::format_description::well_known::Iso8601;
+use toml::{Table as Values, Value};
 
 parameters! {
     /// A calibration: what this tip is.
@@ -92,6 +95,29 @@ impl Check for Calibration {
     const REMEDY: &'static str =
         "`retroflex board show --calib` prints every key with its meaning, unit and range";
 
-    /// Nothing relates two values of a calibration.
-    fn check(&self, _: &mut Checker) {}
+    fn check(&self, to: &mut Checker) {
+        if let Ok(values) = Values::try_from(self) {
+            dates("", &values, to);
+        }
+    }
+}
+
+/// Checks every date of a table, also those of the tables in it. An empty one is not known.
+fn dates(at: &str, values: &Values, to: &mut Checker) {
+    for (name, value) in values {
+        let key = join(at, name);
+        match value {
+            Value::Table(inner) => dates(&key, inner, to),
+            Value::String(text) if name == "date" => to
+                .at(&key)
+                .holds(text.is_empty() || is_day(text), "this is no day")
+                .hint("write it as YYYY-MM-DD, such as 2026-03-31"),
+            _ => {}
+        }
+    }
+}
+
+/// True for a day that is written `YYYY-MM-DD`.
+pub fn is_day(text: &str) -> bool {
+    Date::parse(text, &Iso8601::DATE).is_ok_and(|date| date.to_string() == text)
 }

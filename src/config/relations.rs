@@ -6,7 +6,7 @@ use crate::hardware::machine::ImuSection;
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{Backend, PinsConfig};
 use crate::motion::stop::longest_stop_mm;
-use crate::primitives::{Check, Checker, Invalid, Parameters, Table, shown};
+use crate::primitives::{Check, Checker, Invalid, Parameters, Table, join, shown};
 use crate::simulation::plant::PlantError;
 use crate::supervisor::commission::homing::HomingMethod;
 
@@ -23,6 +23,19 @@ impl Check for Board {
             .range(g.bellow_max_mm, g.rest_length_mm..=200.0, "mm")
             .hint(at_rest);
         let (socket, status) = (&self.service.socket, &self.service.status_socket);
+        let paths = [
+            ("socket", socket),
+            ("status_socket", status),
+            ("state", &self.service.state),
+        ];
+        for (key, path) in paths {
+            let is_empty = path
+                .as_ref()
+                .is_some_and(|path| path.as_os_str().is_empty());
+            to.at(&join("service", key))
+                .holds(!is_empty, "the path is empty")
+                .hint("name a file or folder, or leave the key out");
+        }
         let same = socket.is_some() && socket == status;
         to.at("service.status_socket")
             .holds(!same, "the status socket is the command socket")

@@ -59,7 +59,37 @@ fn errors_in_files_name_line_key_and_range() {
         &["evaluate", "--board", "/nowhere/board.toml"],
         &["/nowhere/board.toml", "there is no such file"],
     );
-    let cases: [(&str, &str, &[&str]); 12] = [
+    let cases: [(&str, &str, &[&str]); 18] = [
+        (
+            "--calib",
+            "[transmission]\nk_epsilon = [2.2, 2.2, 2.2]\nk_lambda_mm = [0.9, 0.9, 0.9]\ndate = \"yesterday\"\n",
+            &["line 4", "transmission.date", "YYYY-MM-DD"],
+        ),
+        (
+            "--calib",
+            "[transmission]\nk_epsilon = [2.2, 2.2, 2.2]\nk_lambda_mm = [0.9, 0.9, 0.9]\n[imu.gyro_bias_rad_s]\nvalue = [0.0, 0.0, 0.0]\nsigma = [0.001, 0.001, 0.001]\ndate = \"2026-02-30\"\nsource = \"\"\n",
+            &["imu.gyro_bias_rad_s.date", "YYYY-MM-DD"],
+        ),
+        (
+            "--board",
+            "[service]\nsocket = \"\"\n",
+            &["line 2", "service.socket", "empty"],
+        ),
+        (
+            "--board",
+            "[service]\nstatus_socket = \"\"\n",
+            &["line 2", "service.status_socket", "empty"],
+        ),
+        (
+            "--board",
+            "[service]\nstate = \"\"\n",
+            &["line 2", "service.state", "empty"],
+        ),
+        (
+            "--track",
+            "t_s,bend_deg,dir_deg,bend_deg\n0,10,0,20\n1,20,0,10\n",
+            &["line 1", "column bend_deg", "twice"],
+        ),
         (
             "--calib",
             "[transmission]\nk_epsilon = [2.2, 2.5]\nk_lambda_mm = [0.9, 0.9, 0.9]\n",

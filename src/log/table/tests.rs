@@ -209,3 +209,13 @@ fn gzip_is_recognised_by_its_bytes_and_a_truncated_file_is_refused() {
     let none = Table::open(&folder.path().join("none.csv"), &SCHEMA);
     assert!(none.is_err_and(|e| e.to_string().contains("there is no such file")));
 }
+
+#[test]
+fn a_column_of_interest_is_named_once() {
+    for (text, name) in [("t,x,x\n0,1,2\n", "x"), ("x,t,y,t\n0,1,2,3\n", "t")] {
+        let found = error(text);
+        let expected = format!("folder/t.csv, line 1, column {name}: the header names it twice");
+        assert!(found.starts_with(&expected), "{found}");
+    }
+    assert!(parse("t,note,x,note\n0,a,1,b\n").is_ok());
+}
