@@ -216,6 +216,20 @@ fn a_parquet_table_equals_the_bend_log() {
     assert!(value("k_epsilon1") > 1.0, "{last:?}");
 }
 
+/// A compressed chunk without a checksum, whose only record claims to have this length.
+fn chunk_with(length: u64) -> Vec<u8> {
+    let record = [&[5][..], &length.to_le_bytes(), &[0; 91]].concat();
+    // a frame of one segment with one raw block (RFC 8878)
+    let size = record.len() as u32;
+    let block = &((size << 3) | 1).to_le_bytes()[..3];
+    let frame = [&[0x28, 0xb5, 0x2f, 0xfd, 0x20, size as u8], block, &record].concat();
+    let mut body = [[0; 16].as_slice(), &u64::from(size).to_le_bytes(), &[0; 4]].concat();
+    body.extend(b"\x04\0\0\0zstd");
+    body.extend((frame.len() as u64).to_le_bytes());
+    body.extend(frame);
+    [&[6][..], &(body.len() as u64).to_le_bytes(), &body].concat()
+}
+
 /// A log with an inverted bit in its middle, or a chunk twice: what can be read is read, the damage is reported with code 1 and stays
 /// reported in what is made of the log, and no part of a second is lost besides.
 #[test]
@@ -235,8 +249,14 @@ fn damage_is_reported_and_only_the_damaged_chunk_is_lost() {
         ("short length", flipped(at + 2)),
         ("kind", flipped(at)),
     ];
+    // lengths inside the chunk that no memory holds
+    let claims = [1 << 40, 6_551_466_485_182_743_132, u64::MAX - 8, u64::MAX];
+    let claims = claims.map(|length| {
+        let bytes = [&whole[..at], &chunk_with(length), &whole[next..]].concat();
+        ("inner length", bytes)
+    });
     let twice = ("twice", [&whole[..next], &whole[at..]].concat());
-    for (name, bytes) in damaged.into_iter().chain([twice]) {
+    for (name, bytes) in damaged.into_iter().chain(claims).chain([twice]) {
         let log = file(name);
         std::fs::write(&log, bytes).unwrap();
         let (info, replay) = (

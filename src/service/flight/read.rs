@@ -5,8 +5,9 @@ use crate::service::flight::cycle::{Cycle, decode};
 use crate::service::flight::file::{DAMAGE, TOPICS, io_error};
 use crate::service::flight::schema::{self, ENCODING};
 use crate::service::flight::start::Event;
-use mcap::read::{ChannelAccumulator, ChunkReader, parse_record};
-use mcap::records::{ChunkHeader, Record, op};
+use mcap::read::{ChannelAccumulator, parse_record};
+use mcap::records::{Record, op};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{MAGIC, McapResult, Message};
 use serde_json::Value;
 use std::error::Error;
@@ -239,6 +240,28 @@ fn next_chunk(source: &mut (impl BufRead + Seek), from: u64) -> io::Result<Optio
     Ok(None)
 }
 
+/// The records of a chunk. Its checksum is compared first.
+fn records(mut chunk: &[u8], most: usize) -> McapResult<Vec<Record<'static>>> {
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true)
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit(most);
+    let (mut reader, mut records) = (LinearReader::new_with_options(options), Vec::new());
+    while let Some(event) = reader.next_event() {
+        match event? {
+            LinearReadEvent::ReadRequest(bytes) => {
+                let read = chunk.read(reader.insert(bytes))?;
+                reader.notify_read(read);
+            }
+            LinearReadEvent::Record { opcode, data } => {
+                records.push(parse_record(opcode, data)?.into_owned());
+            }
+        }
+    }
+    Ok(records)
+}
+
 #[derive(Default)]
 struct Reading {
     channels: ChannelAccumulator<'static>,
@@ -261,14 +284,15 @@ impl Reading {
         if length > RECORD_MAX {
             return wrong("a record that is too long");
         }
-        let mut data = Vec::new();
-        if source.take(length).read_to_end(&mut data)? as u64 != length {
+        let mut whole = head.to_vec();
+        if source.take(length).read_to_end(&mut whole)? as u64 != length {
             return wrong("a record that is cut off");
         }
+        let data = &whole[head.len()..];
         let messages = match opcode {
             op::DATA_END => return Ok(None),
             op::HEADER | op::MESSAGE_INDEX | op::ATTACHMENT => Vec::new(),
-            op::CHUNK | op::METADATA => match parse_record(opcode, &data)? {
+            op::CHUNK | op::METADATA => match parse_record(opcode, data)? {
                 Record::Chunk { header, .. } if header.uncompressed_size > RECORD_MAX => {
                     return wrong("a chunk that is too large");
                 }
@@ -277,7 +301,9 @@ impl Reading {
                 {
                     return wrong("a chunk of a wrong length");
                 }
-                Record::Chunk { header, data } => self.chunk(header, &data)?,
+                Record::Chunk { header, .. } => {
+                    self.chunk(&whole, header.uncompressed_size.max(length))?
+                }
                 Record::Metadata(stated) if stated.name == DAMAGE => {
                     self.ending.damage.extend(stated.metadata.into_keys());
                     Vec::new()
@@ -289,10 +315,11 @@ impl Reading {
         Ok(Some((9 + length, messages)))
     }
 
-    /// The messages of a chunk, all of which is read before any of it is believed.
-    fn chunk(&mut self, header: ChunkHeader, data: &[u8]) -> McapResult<Vec<Message<'static>>> {
+    /// The messages of a chunk, all of which is read before any of it is believed. No record of it may be longer than `most` bytes,
+    /// which is more than the chunk holds.
+    fn chunk(&mut self, whole: &[u8], most: u64) -> McapResult<Vec<Message<'static>>> {
         let mut messages: Vec<Message<'static>> = Vec::new();
-        for record in ChunkReader::new(header, data)?.collect::<McapResult<Vec<_>>>()? {
+        for record in records(whole, most as usize)? {
             match record {
                 Record::Schema { header, data } => {
                     self.channels.add_schema(header, data.into_owned().into())?
