@@ -193,12 +193,6 @@ impl Table {
             .iter()
             .map(|name| (schema.known)(name))
             .collect();
-        let names = table.header.iter().enumerate();
-        let mut again = names.filter(|(k, name)| known[*k] && table.header[..*k].contains(name));
-        if let Some((_, name)) = again.next() {
-            let problem = "the header names it twice; leave out one of the two".to_owned();
-            return Err(ReadError::of_column(file, 1, name, problem));
-        }
         let mut record = csv::StringRecord::new();
         let mut line = 1;
         while reader

@@ -44,15 +44,15 @@ impl RigProblem<'_> {
                 break;
             }
             let moved = |k: i32| {
-                let all = members.iter().zip(&grids).zip(&steps);
-                let one = |((m, (low, high)), (step, _)): ((&Member, &(f64, f64)), &(f64, f64))| {
-                    let eta = (m.eta + step * 0.5f64.powi(k)).clamp(*low, *high);
+                let one = |i: usize| {
+                    let (m, (low, high), step) = (&members[i], grids[i], steps[i].0);
+                    let eta = (m.eta + step * 0.5f64.powi(k)).clamp(low, high);
                     Member {
                         ci95: m.ci95,
                         ..self.base.member(&m.operator, eta)
                     }
                 };
-                let moved: Vec<Member> = all.map(one).collect();
+                let moved: Vec<Member> = (0..members.len()).map(one).collect();
                 Some((cost_of(&moved)?, moved))
             };
             match (0..HALVINGS)
