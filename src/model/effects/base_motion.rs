@@ -20,7 +20,6 @@
 //!
 //! Away from the event the error surface is flat in its time, and away from a mode in its frequency, so a fit has to search for both.
 
-use crate::model::effects::MODE_PARAMS;
 use crate::model::effects::prelude::*;
 use std::f64::consts::TAU;
 

@@ -37,6 +37,8 @@ pub mod thermal_drift;
 pub mod torsion;
 pub mod transport_delay;
 
+pub use param::MODE_PARAMS;
+
 use crate::named;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use std::fmt;
@@ -109,9 +111,6 @@ impl EffectInfo {
         self.events > 0
     }
 }
-
-/// Number of parameters of a periodic mode.
-pub const MODE_PARAMS: usize = 7;
 
 /// Starting points for a fit: several, where the error surface has several valleys.
 pub type Starts = Vec<Vec<f64>>;

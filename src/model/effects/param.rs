@@ -4,6 +4,9 @@
 
 use crate::model::effects::Param;
 
+/// Number of parameters of a periodic mode.
+pub const MODE_PARAMS: usize = 7;
+
 impl Param {
     /// A parameter that belongs to no channel: `start` is the value at which the effect vanishes,
     /// `scale` the standard deviation of its prior, `range` the least and the largest physical value.

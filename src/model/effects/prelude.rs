@@ -1,6 +1,6 @@
 //! What the file of an effect is written with; every effect imports all of it.
 
-pub use crate::model::effects::param::join;
+pub use crate::model::effects::param::{MODE_PARAMS, join};
 pub use crate::model::effects::smooth::{
     magnitude, onset, overshoot, positive, share, sign, smoothstep,
 };

@@ -1,7 +1,7 @@
 //! A model to be fitted to a log: priors, limits and the weighted residuals at a point of its parameter space.
 
 use crate::diagnosis::tip::model::{LAG_MAX_S, Motion, Residuals, every_bin, run, sense};
-use crate::diagnosis::tip::observed::Observed;
+use crate::diagnosis::tip::observed::{CORRELATED_S, Observed};
 use crate::model::Model;
 use crate::model::effects::Param;
 
@@ -108,6 +108,12 @@ impl<'a> LeastSquares<'a> {
         let away = |(t, b): (&f64, &Param)| (PRIOR_SLOPE * (t - b.start) / b.scale).powi(2);
         theta.iter().zip(&self.bounds).map(away).sum()
     }
+}
+
+/// Schwarz's criterion (1978) of a sum of squares: what a model with this many parameters more leaves, and what they cost.
+pub fn schwarz(log: &Observed, squares: f64, params: usize) -> f64 {
+    let independent = log.duration_s() / CORRELATED_S * 3.0 * log.quantities().count() as f64;
+    independent * squares.ln() + params as f64 * independent.ln()
 }
 
 /// Parameters moved into their limits.

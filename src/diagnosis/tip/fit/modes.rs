@@ -4,7 +4,7 @@
 //! what its offsets change at any time, so a mode of a given frequency is linear least squares, and a scan over all frequencies that a log
 //! shows finds the best: a periodogram (Lomb 1976) in the offsets.
 
-use crate::diagnosis::tip::fit::start::{EARLY_S, SCANNED_S, changes, vanishing};
+use crate::diagnosis::tip::fit::offsets::{EARLY_S, SCANNED_S, changes, vanishing};
 use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, schwarz};
 use crate::model::effects::{Effect, MODE_PARAMS, by_name};
 use crate::model::{Mode, Model};

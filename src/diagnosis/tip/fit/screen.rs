@@ -5,9 +5,8 @@
 //! leave. All pairs share one normal matrix, of the tangents at all singles and of their changes.
 
 use crate::diagnosis::tip::fit::{
-    BaseFit, Candidate, LeastSquares, Start, Sums, Tangent, stepped, within,
+    BaseFit, Candidate, LeastSquares, Start, Sums, Tangent, schwarz, stepped, within,
 };
-use crate::diagnosis::tip::observed::{CORRELATED_S, Observed};
 use crate::model::effects::Effect;
 use crate::model::{Model, NOMINAL};
 use nalgebra::{DMatrix, DVector};
@@ -25,12 +24,6 @@ pub fn alone(nominal: &BaseFit<'_>, fit: BaseFit<'_>) -> Alone {
     columns.drain(..NOMINAL);
     columns.push(change);
     (candidate, Tangent { columns })
-}
-
-/// Schwarz's criterion (1978) of a sum of squares: what a model with this many parameters more leaves, and what they cost.
-pub fn schwarz(log: &Observed, squares: f64, params: usize) -> f64 {
-    let independent = log.duration_s() / CORRELATED_S * 3.0 * log.quantities().count() as f64;
-    independent * squares.ln() + params as f64 * independent.ln()
 }
 
 /// All pairs, the most promising first, with parameters from where a fit starts.

@@ -5,6 +5,7 @@
 //! respect to the time of an event; a linear least-squares scan over all times of the log finds it. [`super::modes`] finds frequencies.
 
 use crate::diagnosis::tip::fit::modes::swaying;
+use crate::diagnosis::tip::fit::offsets::{EARLY_S, SCANNED_S, changes, vanishing};
 use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, Sums, Tangent, schwarz, step};
 use crate::diagnosis::tip::observed::Segment;
 use crate::model::effects::{Effect, Stage};
@@ -13,10 +14,6 @@ use nalgebra::{DVector, Matrix3, Vector3};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Time to which an event is moved so that its offsets act on the whole log, s after the start: within the rest.
-pub const EARLY_S: f64 = 1.5;
-/// Duration of the events that a scan looks for, s; slower events have starting points of their own.
-pub const SCANNED_S: f64 = 0.5;
 /// Longest event that the step of a scan approximates, s.
 const QUICK_S: f64 = 5.0;
 /// Times that every event is dated again while the others stay.
@@ -59,11 +56,6 @@ pub fn grown(base: &BaseFit<'_>, catalogue: &[&'static dyn Effect]) -> Vec<(Mode
     };
     let others = catalogue.par_iter().filter(|e| !known.contains(&e.name()));
     others.filter_map(one).collect()
-}
-
-/// Parameters at which an effect vanishes.
-pub fn vanishing(effect: &dyn Effect) -> Vec<f64> {
-    effect.params().iter().map(|p| p.start).collect()
 }
 
 /// One Gauss-Newton step from the base fit extended by `fresh`, and the sum of squares that the tangent predicts.
@@ -121,23 +113,6 @@ fn date(problem: &LeastSquares<'_>, theta: &mut [f64], events: &[Event], rounds:
             theta[o] = v.clamp(problem.bounds[o].low, problem.bounds[o].high);
         }
     }
-}
-
-/// What one unit of each offset of an event changes in the residuals `r0` of a segment from the rest on.
-pub fn changes(
-    problem: &LeastSquares<'_>,
-    without: &[f64],
-    event: &Event,
-    segment: &Segment,
-    r0: &[f64],
-) -> [Vec<f64>; 3] {
-    event.offsets.map(|o| {
-        let (mut moved, scale) = (without.to_vec(), problem.bounds[o].scale);
-        moved[event.time] = segment.start_s - problem.log.start_s() + EARLY_S;
-        moved[o] = scale;
-        let with = problem.residual_from_rest(&moved, EARLY_S);
-        with.iter().zip(r0).map(|(x, y)| (x - y) / scale).collect()
-    })
 }
 
 /// Parameters of an event effect at the events that explain most of what the base fit leaves, the largest first. Each is then
