@@ -115,6 +115,7 @@ pub fn draw(seed: u64) -> RandomRig {
             motion: inputs.first().cloned(),
             inputs,
             output,
+            logged: t.len(),
             t,
             clocked,
         },

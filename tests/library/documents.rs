@@ -255,28 +255,27 @@ fn remedy(e: &dyn Effect) -> &'static str {
     }
 }
 
-/// Parameters in one cell of a table: `rate ×3 (1/s), vacuum_ratio`.
+/// Parameters in one cell of a table: `rate ×3 (1/s), vacuum_ratio, x1 … x13 (deg)`.
 fn summary(params: &[Param]) -> String {
-    let mut seen: Vec<(&Param, usize)> = Vec::new();
+    let stem = |p: &Param| p.name.trim_end_matches(|c: char| c.is_ascii_digit());
+    let mut groups: Vec<Vec<&Param>> = Vec::new();
     for p in params {
-        match seen.iter_mut().find(|(q, _)| q.name == p.name) {
-            Some((_, count)) => *count += 1,
-            None => seen.push((p, 1)),
+        match groups.iter_mut().find(|group| stem(group[0]) == stem(p)) {
+            Some(group) => group.push(p),
+            None => groups.push(vec![p]),
         }
     }
-    let words = seen.iter().map(|(p, count)| {
-        let times = if *count > 1 {
-            format!(" ×{count}")
-        } else {
-            String::new()
+    let words = groups.iter().map(|group| {
+        let (first, last) = (group[0].name, group[group.len() - 1].name);
+        let names = match group.len() {
+            1 => first.to_owned(),
+            n if first == last => format!("{first} ×{n}"),
+            _ => format!("{first} … {last}"),
         };
-        let unit = p.shown(0.0).1;
-        let unit = if unit.is_empty() {
-            String::new()
-        } else {
-            format!(" ({unit})")
-        };
-        format!("{}{times}{unit}", p.name)
+        match group[0].shown(0.0).1 {
+            "" => names,
+            unit => format!("{names} ({unit})"),
+        }
     });
     words.collect::<Vec<_>>().join(", ")
 }

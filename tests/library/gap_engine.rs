@@ -151,7 +151,6 @@ fn an_event_of_one_log_stays_in_that_log() {
     );
 }
 
-/// A saved model on a fresh log of its unit, of the mended unit, and of others.
 /// Both move periodically, the first the base and the second the tip.
 #[test]
 fn a_sway_of_the_base_is_named_and_a_breath_of_the_tip_is_not_taken_for_one() {
@@ -185,6 +184,7 @@ fn a_sway_of_the_base_is_named_and_a_breath_of_the_tip_is_not_taken_for_one() {
     }
 }
 
+/// A saved model on a fresh log of its unit, of the mended unit, and of others.
 #[test]
 fn a_check_tells_this_machine_from_another_and_from_a_mended_one() {
     let mut harmful = 0;

@@ -117,6 +117,7 @@ mod tests {
         let noise = |k: usize| ((k * 7919) % 101) as f64 * 1e-4;
         Signals {
             file: "y.csv".to_owned(),
+            logged: output.len(),
             motion: inputs.first().cloned(),
             t: (0..output.len()).map(|k| k as f64 * step_s).collect(),
             output: (0..).zip(output).map(|(k, y)| y + noise(k)).collect(),

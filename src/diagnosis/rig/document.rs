@@ -244,6 +244,7 @@ mod tests {
             inputs: vec![u.clone()],
             output,
             motion: Some(u),
+            logged: t.len(),
             t,
             clocked: true,
         }
@@ -302,6 +303,7 @@ mod tests {
                 inputs: vec![inputs.clone()],
                 output,
                 motion: Some(inputs.clone()),
+                logged: t.len(),
                 t: t.clone(),
                 clocked: true,
             };
@@ -346,6 +348,7 @@ mod tests {
                 inputs: vec![u.clone()],
                 output,
                 motion: Some(u),
+                logged: t.len(),
                 t,
                 clocked: true,
             };

@@ -75,6 +75,16 @@ impl MapFile {
         self.input.as_ref().map_or(vec![], Columns::names)
     }
 
+    /// Name of the column of motion, trimmed as those of a header are.
+    pub fn motion(&self) -> Option<&str> {
+        self.motion.as_deref().map(str::trim)
+    }
+
+    /// Name of the column of time, trimmed likewise.
+    pub fn time(&self) -> Option<&str> {
+        self.time.as_deref().map(str::trim)
+    }
+
     /// Whether times are in seconds, and not in rows.
     pub fn is_clocked(&self) -> bool {
         self.time.is_some() || self.rate_hz.is_some()

@@ -74,6 +74,10 @@ pub fn notes(logs: &[Signals]) -> Vec<String> {
     if rows < FEW {
         out.push(format!("the log has {rows} rows; of fewer than {FEW}, noise is taken for an effect too often. Record a longer log"));
     }
+    let logged: usize = logs.iter().map(|log| log.logged).sum();
+    if logged > rows {
+        out.push(format!("of {logged} rows, {rows} means or rows of the stretch with most motion are compared; what is faster than the means or slower than the stretch does not show. Cut the log, or set `every` in the map"));
+    }
     let (poses, first) = (poses(logs), &logs[0]);
     if !first.inputs.is_empty() && poses < FEW_POSES {
         out.push(format!("the inputs have {poses} distinct values; a law of the path fits so few poses by chance. Record a log that passes {FEW_POSES} poses or more, each from both sides"));

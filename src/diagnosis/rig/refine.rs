@@ -18,7 +18,7 @@ const CHI_SQUARE: f64 = 3.84;
 
 impl RigProblem<'_> {
     /// Part by which the cost rises at the ends of a 95 % interval, as if the short blocks were independent.
-    pub(super) fn doubt(&self) -> f64 {
+    pub(super) fn rise(&self) -> f64 {
         CHI_SQUARE / self.nominal.scores.blocks[1].len() as f64
     }
 
@@ -32,7 +32,7 @@ impl RigProblem<'_> {
             let Some(steps) = self.steps(&members) else {
                 break;
             };
-            let half = |spread: f64| (self.doubt() * cost.max(0.0) * spread).sqrt();
+            let half = |spread: f64| (self.rise() * cost.max(0.0) * spread).sqrt();
             for ((m, (low, high)), (_, spread)) in members.iter_mut().zip(&grids).zip(&steps) {
                 let half = half(*spread);
                 m.ci95 = [(m.eta - half).max(*low), (m.eta + half).min(*high)];

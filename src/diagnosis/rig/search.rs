@@ -137,7 +137,7 @@ impl<'a> RigProblem<'a> {
         let half = found[0].eta / 2.0;
         let halved = kind(operator.name) == "period" && half >= range(&grid).0;
         let halved = halved.then(|| self.refined(with(half))).flatten();
-        let fits = |(cost, _): &(f64, _)| *cost <= least * (1.0 + self.doubt());
+        let fits = |(cost, _): &(f64, _)| *cost <= least * (1.0 + self.rise());
         let found = halved.filter(fits).map_or(found, |(_, halved)| halved);
         self.set(found)
     }

@@ -51,6 +51,8 @@ pub struct Signals {
     pub t: Vec<f64>,
     /// Whether `t` is time.
     pub clocked: bool,
+    /// Rows of the log; of a long one fewer are compared.
+    pub logged: usize,
 }
 
 impl Signals {
@@ -84,9 +86,8 @@ pub fn read(path: &Path, map: &MapFile) -> Result<Signals, MapError> {
 }
 
 fn names(map: &MapFile) -> Vec<&str> {
-    let others = [&map.motion, &map.time].into_iter().flatten();
-    let others = others.map(|name| name.trim()).collect();
-    [map.inputs(), map.output.names(), others].concat()
+    let others = map.motion().into_iter().chain(map.time());
+    [map.inputs(), map.output.names(), others.collect()].concat()
 }
 
 fn signals(file: &str, table: &Table, map: &MapFile) -> Result<Signals, MapError> {
@@ -118,7 +119,7 @@ fn signals(file: &str, table: &Table, map: &MapFile) -> Result<Signals, MapError
     if constant(&output) {
         return fails(&map.output.names());
     }
-    let t = match map.time.as_deref().map(str::trim) {
+    let t = match map.time() {
         Some(name) => {
             table.increasing(name, rows.iter().copied())?;
             taken(name)?
@@ -128,8 +129,7 @@ fn signals(file: &str, table: &Table, map: &MapFile) -> Result<Signals, MapError
             (0..rows.len()).map(|k| k as f64 * step).collect()
         }
     };
-    let motion = map.motion.as_deref().map(str::trim);
-    let motion = motion.map(taken).transpose()?;
+    let motion = map.motion().map(taken).transpose()?;
     let name = Path::new(file).file_name().unwrap_or_default();
     Ok(Signals {
         file: name.to_string_lossy().into_owned(),
@@ -138,6 +138,7 @@ fn signals(file: &str, table: &Table, map: &MapFile) -> Result<Signals, MapError
         output,
         t,
         clocked: map.is_clocked(),
+        logged: rows.len(),
     }
     .compared())
 }

@@ -113,6 +113,7 @@ fn drive(cause: &str, rng: &mut StdRng, rows: usize, periods: f64) -> Drawn {
         motion: Some(u.clone()),
         inputs: vec![u],
         t: (0..rows).map(|k| k as f64 * step_s).collect(),
+        logged: rows,
         clocked: true,
     };
     Drawn {

@@ -6,7 +6,7 @@
 
 use crate::diagnosis::tip::fit::offsets::{EARLY_S, SCANNED_S, changes, vanishing};
 use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, schwarz};
-use crate::model::effects::{Effect, MODE_PARAMS, by_name};
+use crate::model::effects::{Effect, MODE_PARAMS, catalogue};
 use crate::model::{Mode, Model};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use rayon::prelude::*;
@@ -20,13 +20,11 @@ const PER_RESOLUTION: f64 = 2.0;
 const PART_S: f64 = 0.25;
 /// Modes of other causes that are taken out before a scan gives up.
 const OTHERS_MAX: usize = 2;
-/// The effect whose event is an offset of the pistons.
-const PISTONS: &str = "missed_steps";
 
 /// Parameters of an effect with periodic modes at those that explain most of what the base fit leaves, the largest first, as many as
-/// Schwarz's criterion holds for significant; `None` without any. What the same modes of the pistons explain better is a tip that bends
-/// periodically, and is left to others. Several logs have no common phase.
-pub fn swaying(base: &BaseFit<'_>, to: &LeastSquares<'_>, added: &dyn Effect) -> Option<Vec<f64>> {
+/// Schwarz's criterion holds for significant; `None` without any. What the same mode of another effect's offsets explains better (of the
+/// pistons, where a tip bends periodically) is taken out, and is none of this effect. Several logs have no common phase.
+pub fn periodic(base: &BaseFit<'_>, to: &LeastSquares<'_>, added: &dyn Effect) -> Option<Vec<f64>> {
     let (log, model) = (to.log, &to.model);
     let effect = model.position(added.name())?;
     if added.modes() == 0 || log.segments.len() > 1 {
@@ -35,26 +33,32 @@ pub fn swaying(base: &BaseFit<'_>, to: &LeastSquares<'_>, added: &dyn Effect) ->
     let known = &base.problem.model;
     let mut theta = model.extended(known, &base.point.theta, vanishing);
     let mut r = to.residual_from_rest(&theta, EARLY_S);
-    let pistons = LeastSquares::new(log, Model::new(&[by_name(PISTONS)?]));
-    let standing = pistons.model.extended(known, &base.point.theta, vanishing);
-    let columns = [
-        offsets(to, effect, &theta)?,
-        offsets(&pistons, 0, &standing)?,
-    ];
-    let mut modes = model.modes(effect).peekable();
-    let mut others = OTHERS_MAX;
-    while others > 0 && modes.peek().is_some() {
-        let [own, other] = [0, 1].map(|k| best_mode(&parts(to, &columns[k], &r), log.duration_s()));
-        let (own, other) = (own?, other?);
-        let is_own = own.gain > other.gain;
-        let best = if is_own { own } else { other };
+    let own_columns = offsets(to, effect, &theta)?;
+    let is_other = |e: &&&'static dyn Effect| e.info().is_event() && e.name() != added.name();
+    let others = catalogue().iter().filter(is_other).map(|e| {
+        let other = LeastSquares::new(log, Model::new(&[*e]));
+        let theta = (other.model).extended(known, &base.point.theta, vanishing);
+        offsets(&other, 0, &theta)
+    });
+    let others: Vec<Columns> = others.collect::<Option<_>>()?;
+    let (mut modes, mut taken_out) = (model.modes(effect).peekable(), 0);
+    while taken_out < OTHERS_MAX && modes.peek().is_some() {
+        let best = |columns| best_mode(&parts(to, columns, &r), log.duration_s());
+        let own = best(&own_columns)?;
+        let of_others = others
+            .iter()
+            .filter_map(|columns| Some((columns, best(columns)?)));
+        let other = of_others.max_by(|a, b| a.1.gain.total_cmp(&b.1.gain));
+        let other = other.filter(|(_, other)| other.gain > own.gain);
+        let is_own = other.is_none();
+        let (columns, best) = other.unwrap_or((&own_columns, own));
         let left: f64 = r.iter().map(|r| r * r).sum();
         if schwarz(log, left - best.gain, MODE_PARAMS) > schwarz(log, left, 0) {
             break;
         }
-        best.explain(to, &columns[usize::from(!is_own)], &mut r);
+        best.add_to(&mut r, to, columns);
         if !is_own {
-            others -= 1;
+            taken_out += 1;
         } else if let Some(Mode { frequency, offsets }) = modes.next() {
             theta[frequency] = best.hertz;
             for (&o, v) in offsets.iter().flatten().zip(best.offsets.iter()) {
@@ -66,12 +70,17 @@ pub fn swaying(base: &BaseFit<'_>, to: &LeastSquares<'_>, added: &dyn Effect) ->
     (theta[first.frequency] > 0.0).then(|| model.of(&theta, effect).to_vec())
 }
 
-/// What one unit of each offset of an effect's events changes in the residuals of a log.
-fn offsets(problem: &LeastSquares<'_>, effect: usize, theta: &[f64]) -> Option<[Vec<f64>; 3]> {
+/// What one unit of each of three offsets changes in the residuals of a log.
+type Columns = [Vec<f64>; 3];
+
+/// The columns of the offsets of an effect's events.
+fn offsets(problem: &LeastSquares<'_>, effect: usize, theta: &[f64]) -> Option<Columns> {
     let event = problem.model.events(effect).next()?;
     let mut without = theta.to_vec();
-    let lasting = event.lasting.into_iter();
-    lasting.for_each(|l| without[l] = SCANNED_S);
+    event
+        .lasting
+        .into_iter()
+        .for_each(|l| without[l] = SCANNED_S);
     let r0 = problem.residual_from_rest(&without, EARLY_S);
     let segment = &problem.log.segments[0];
     Some(changes(problem, &without, &event, segment, &r0))
@@ -87,7 +96,7 @@ struct Part {
 }
 
 /// What the residuals `r` say about offsets that change them by `columns`, part by part.
-fn parts(problem: &LeastSquares<'_>, columns: &[Vec<f64>; 3], r: &[f64]) -> Vec<Part> {
+fn parts(problem: &LeastSquares<'_>, columns: &Columns, r: &[f64]) -> Vec<Part> {
     let log = problem.log;
     let stride = r.len() / log.bins.len();
     let mut out: Vec<Part> = Vec::new();
@@ -109,16 +118,16 @@ fn parts(problem: &LeastSquares<'_>, columns: &[Vec<f64>; 3], r: &[f64]) -> Vec<
     out
 }
 
-/// A periodic mode: what it lowers the squares by, its frequency, Hz, and the offsets of its sine and of its cosine.
-struct Found {
+/// A mode: what it lowers the squares by, its frequency, Hz, and the offsets of its sine and of its cosine.
+struct Sinusoid {
     gain: f64,
     hertz: f64,
     offsets: Vector6<f64>,
 }
 
-impl Found {
-    /// Adds what the mode changes to the residuals.
-    fn explain(&self, problem: &LeastSquares<'_>, columns: &[Vec<f64>; 3], r: &mut [f64]) {
+impl Sinusoid {
+    /// Adds what the mode changes to the residuals `r`.
+    fn add_to(&self, r: &mut [f64], problem: &LeastSquares<'_>, columns: &Columns) {
         let log = problem.log;
         let stride = r.len() / log.bins.len();
         for (k, bin) in log.bins.iter().enumerate() {
@@ -135,18 +144,18 @@ impl Found {
 }
 
 /// The mode that lowers the squares most.
-fn best_mode(shown: &[Part], duration_s: f64) -> Option<Found> {
+fn best_mode(parts: &[Part], duration_s: f64) -> Option<Sinusoid> {
     let step_hz = 1.0 / (PER_RESOLUTION * duration_s);
     let first = (PERIODS_MIN * PER_RESOLUTION).ceil() as usize;
     let frequencies = (first..=(MODES_HZ / step_hz) as usize).into_par_iter();
-    let modes = frequencies.filter_map(|k| mode_at(shown, k as f64 * step_hz));
+    let modes = frequencies.filter_map(|k| mode_at(parts, k as f64 * step_hz));
     modes.max_by(|a, b| a.gain.total_cmp(&b.gain))
 }
 
 /// The mode of this frequency.
-fn mode_at(shown: &[Part], hertz: f64) -> Option<Found> {
+fn mode_at(parts: &[Part], hertz: f64) -> Option<Sinusoid> {
     let (mut n, mut s) = (Matrix6::zeros(), Vector6::zeros());
-    for part in shown {
+    for part in parts {
         let (sine, cosine) = (TAU * hertz * part.t_s).sin_cos();
         let both = [sine, cosine];
         for (i, a) in both.iter().enumerate() {
@@ -160,7 +169,7 @@ fn mode_at(shown: &[Part], hertz: f64) -> Option<Found> {
     }
     n.fill_upper_triangle_with_lower_triangle();
     let x = (n + Matrix6::identity() * 1e-6).try_inverse()? * s;
-    Some(Found {
+    Some(Sinusoid {
         gain: s.dot(&x),
         hertz,
         offsets: -x,

@@ -4,7 +4,7 @@
 //! predicts how far the sum of squares falls, and the fit starts at the best. The sum of squares has no gradient with
 //! respect to the time of an event; a linear least-squares scan over all times of the log finds it. [`super::modes`] finds frequencies.
 
-use crate::diagnosis::tip::fit::modes::swaying;
+use crate::diagnosis::tip::fit::modes::periodic;
 use crate::diagnosis::tip::fit::offsets::{EARLY_S, SCANNED_S, changes, vanishing};
 use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, Sums, Tangent, schwarz, step};
 use crate::diagnosis::tip::observed::Segment;
@@ -40,7 +40,7 @@ pub fn best_start(base: &BaseFit<'_>, to: &LeastSquares<'_>, added: &dyn Effect)
         starts.truncate(usize::from(added.stage() == Stage::Base));
         starts.push(found);
     }
-    starts.extend(swaying(base, to, added));
+    starts.extend(periodic(base, to, added));
     let predicted = starts.iter().filter_map(|s| predict(base, to, s));
     let criterion = |s: &Start| schwarz(to.log, s.predicted, to.model.present(&s.theta));
     predicted.min_by(|a, b| criterion(a).total_cmp(&criterion(b)))
