@@ -114,8 +114,8 @@ pub type PathRow = (f64, f64, f64, Option<f64>);
 pub const PATH_ROWS: usize = 100_000;
 /// Longest duration of a path, s.
 pub const PATH_MAX_S: f64 = 3600.0;
-/// Directions that may be asked for, degrees.
-pub const DIR_DEG: RangeInclusive<f64> = -360.0..=360.0;
+/// Directions that may be asked for, degrees: a scan may count a hundred turns.
+pub const DIR_DEG: RangeInclusive<f64> = -36_000.0..=36_000.0;
 
 /// Argument of `bend`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

@@ -116,7 +116,7 @@ mod tests {
             (
                 "30 nan",
                 None,
-                "DIR `nan`: expected a number from -360 to 360 degrees",
+                "DIR `nan`: expected a number from -36000 to 36000 degrees",
             ),
             (
                 "136 0",

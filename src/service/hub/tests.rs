@@ -362,14 +362,16 @@ fn a_calibration_is_led_by_its_client_alone() {
 }
 
 #[test]
-fn a_direction_beyond_a_turn_is_refused_before_it_reaches_the_loop() {
+fn a_direction_that_is_none_is_refused_before_it_reaches_the_loop() {
     let mut house = House::new(3);
-    for dir_deg in [360.5, -361.0, 1e19, -1e308, 1e308] {
+    for dir_deg in [36_000.5, -1e5, 1e19, -1e308, 1e308] {
         house.ask(Request::bend(10.0, dir_deg, None, None));
         house.ask(Request::stream(10.0, dir_deg, None));
         house.ask(Request::stream(10.0, dir_deg, Some(0.0)));
         assert!(house.hub.pending.is_empty(), "{dir_deg}");
     }
-    house.ask(Request::bend(10.0, -360.0, None, None));
-    assert_eq!(house.hub.pending.len(), 1);
+    for turns in [-100.0, 1.25, 37.0] {
+        house.ask(Request::bend(10.0, 360.0 * turns, None, None));
+        assert_eq!(std::mem::take(&mut house.hub.pending).len(), 1, "{turns}");
+    }
 }
