@@ -9,6 +9,8 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// Interval at which the motion along a path is looked at, s.
 const SCAN_S: f64 = 0.005;
+/// Time before the first row in which the pistons get ready for the motion: longer than the crossing of a backlash, s.
+pub const RUN_UP_S: f64 = 0.4;
 /// Share of the pistons' speed and acceleration that a path may use; the rest is for feedback and backlash.
 const USABLE: f64 = 0.9;
 /// Rows of a live path from which its motion is estimated: those of this time, and at least three, s.
@@ -52,13 +54,19 @@ impl Path {
         self.t_s[self.t_s.len() - 1] - self.t_s[0]
     }
 
-    /// The path at a time after its first row, s. It rests before its first row and after its last.
+    /// The path at a time after its first row, s. It rests after its last row, and before its first, where for [`RUN_UP_S`] its
+    /// acceleration is the mean one that leads to the initial rate: so the pistons cross their backlash before the tip is to move.
     pub fn at(&self, after_s: f64) -> Reference {
         let t = self.t_s[0] + after_s;
         let last = self.t_s.len() - 1;
-        if t < self.t_s[0] || t > self.t_s[last] {
-            let end = if t < self.t_s[0] { 0 } else { last };
-            return reference([self.rows[end], Vector3::zeros(), Vector3::zeros()]);
+        if t < self.t_s[0] {
+            let mut reference = self.at(0.0);
+            let ready = if after_s < -RUN_UP_S { 0.0 } else { 1.0 / RUN_UP_S };
+            reference.acceleration = std::mem::take(&mut reference.rate) * ready;
+            return reference;
+        }
+        if t > self.t_s[last] {
+            return reference([self.rows[last], Vector3::zeros(), Vector3::zeros()]);
         }
         let k = self.t_s.partition_point(|&row| row <= t).clamp(1, last) - 1;
         let h = self.t_s[k + 1] - self.t_s[k];

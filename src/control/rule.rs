@@ -37,8 +37,8 @@ pub struct Rule {
     pub aim_mm: Vector3<f64>,
     /// The same within their limits, mm.
     pub goal_mm: Vector3<f64>,
-    /// Common length commanded last, rad of output.
-    pub length: f64,
+    /// Common length spent beside the commanded one, rad of output.
+    pub free: f64,
     /// Time for which the set-point has rested, s.
     pub held_s: f64,
     /// Target of the last move, and the time since.

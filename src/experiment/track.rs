@@ -1,6 +1,7 @@
 //! A path driven in closed loop on a fresh world, scored against the true bend.
 
 use crate::control::Path;
+use crate::control::path::RUN_UP_S;
 use crate::experiment::arm::{percentile, root_mean};
 use crate::experiment::error::ExperimentError;
 use crate::experiment::rig::Rig;
@@ -62,7 +63,9 @@ pub fn run(
             break;
         }
     }
-    let (from_s, duration_s) = (rig.now().0, path.duration_s());
+    let ready_s = RUN_UP_S + rig.state.answers_after_s(&rig.config, dt_s);
+    let from_s = rig.now().0 + if live { 0.0 } else { ready_s };
+    let duration_s = path.duration_s();
     let mut samples = Vec::new();
     let mut estimate_sq = Vec::new();
     while samples.len() as f64 * dt_s < duration_s + DELAYS_S.1 {
@@ -74,6 +77,9 @@ pub fn run(
             path.at(now_s + ahead_s)
         });
         let (frame, reply) = rig.advance(None)?;
+        if now_s < -dt_s / 2.0 {
+            continue;
+        }
         let truth = Bend::nearest(&reply.truth.ok_or(ExperimentError::NoReference)?).0;
         samples.push(truth);
         if now_s < duration_s {

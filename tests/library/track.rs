@@ -59,6 +59,24 @@ fn circles_are_followed() {
 }
 
 #[test]
+fn a_path_begins_after_the_backlash_has_been_crossed() {
+    for (n, (from_deg, hz)) in [(0.0, 0.5), (200.0, -0.5), (75.0, 0.35), (310.0, -0.2)]
+        .into_iter()
+        .enumerate()
+    {
+        let at = |t: f64| (25.0, (from_deg + 360.0 * hz * t).rem_euclid(360.0));
+        let path = path(1.0, at);
+        let mut world = unit(n as u64, 40 + n as u64);
+        let r = track::run(&mut Rig::new(config(), &mut world), &path, false, &mut || ()).unwrap();
+        println!("{from_deg}° {hz} Hz: {r:?}");
+        // the distance in which the tip gains its speed, and a degree and a half
+        let speed_deg_s = 25.0 * TAU * f64::abs(hz);
+        let most_deg = 1.5 + speed_deg_s.powi(2) / 2000.0;
+        assert!(r.max_deg < most_deg, "{most_deg}: {r:?}");
+    }
+}
+
+#[test]
 fn a_figure_of_eight_is_followed_through_its_backlash_crossings() {
     // measured 0.45
     let eight = |t: f64| {

@@ -193,10 +193,10 @@ fn print_result(value: &Value) {
 
 /// A result in words: the recording or the gains file that it names.
 pub(super) fn words(value: &Value) -> String {
-    let replay = if value["replayable"] == true {
-        ", can be replayed"
-    } else {
-        ""
+    let replay = match value["replayable"].as_bool() {
+        Some(true) => ", can be replayed",
+        Some(false) => ", cannot be replayed, because it did not begin disarmed at rest",
+        None => "",
     };
     let file = value["path"].as_str();
     match (file, value["rows"].as_u64(), value["gains"].as_str()) {

@@ -186,7 +186,7 @@ impl Decision<'_> {
         };
         let observer = &state.observer;
         let learned = bend_of(&observer.now.outputs(&observer.theta())) - observer.now.nominal();
-        let length_mm = geometry.rest_length_mm + state.rule.length * geometry.r_mm;
+        let length_mm = state.setpoint.length.at.x + state.rule.free * geometry.r_mm;
         let wanted_mm = geometry.lengths(&Shape::new(bend - learned, length_mm));
         let play_output_mm = described.play_outputs(&wanted_mm);
         let v = std::array::from_fn(|i| play_output_mm[i] / observer.mm_per_rad(i));
@@ -216,7 +216,7 @@ impl Decision<'_> {
         }
         let stays = state.rule;
         // a described machine is believed anew in the next tick: the slope of its laws need not be known
-        self.go(f, &(foreseen.nominal + change), Some(stays.length));
+        self.go(f, &(foreseen.nominal + change), Some(stays.free));
         let (allowed_mm, cut) = self.allowed(self.state.rule.aim_mm);
         let state = &mut *self.state;
         if cut != Cut::None {
@@ -284,10 +284,10 @@ impl Decision<'_> {
         self.estimate + (bend - self.estimate).cap_magnitude(press)
     }
 
-    /// Chooses sides and common length for a bend of the channels, and aims the pistons there. `keep` is the common length that a
-    /// correction keeps.
+    /// Chooses sides and common length for a bend of the channels, and aims the pistons there. `keep` is the free common length
+    /// that a correction keeps.
     fn go(&mut self, f: &FeedbackConfig, bend: &Vector2<f64>, keep: Option<f64>) {
-        let (_, aim_mm) = self.choose(f.free_length_mm, bend, keep);
+        let (_, aim_mm) = self.choose([0.0, f.free_length_mm], bend, keep);
         self.aim(aim_mm);
     }
 
@@ -299,10 +299,11 @@ impl Decision<'_> {
         };
     }
 
-    /// Chooses sides and common length, of which `free_mm` may be spent, for a bend of the channels; and the pistons there, mm.
+    /// Chooses sides and common length for a bend of the channels, and the pistons there, mm. Beside the commanded length and `free`, rad,
+    /// `spare_mm` may be spent.
     fn choose(
         &mut self,
-        free_mm: f64,
+        [free, spare_mm]: [f64; 2],
         bend: &Vector2<f64>,
         keep: Option<f64>,
     ) -> (Choice, Vector3<f64>) {
@@ -310,25 +311,27 @@ impl Decision<'_> {
         let theta = state.observer.theta();
         let (_, there) = state.observer.at(&state.rule.goal_mm);
         let longer_mm = state.setpoint.length.at.x - config.geometry.rest_length_mm;
+        let commanded = longer_mm / config.geometry.r_mm;
         let from = inverse::From {
             observer: &state.observer,
             limits: &config.limits,
             there: &there,
             theta: &theta,
             estimate: &self.estimate,
-            keep,
-            length: longer_mm / config.geometry.r_mm,
-            free_mm,
+            keep: keep.map(|free| commanded + free),
+            length: commanded + free,
+            free_mm: spare_mm,
         };
         let choice = inverse::choose(&from, bend);
         let aim_mm = inverse::pistons(&from, &choice, &state.rule.aim_mm);
-        state.rule.length = choice.length;
+        state.rule.free = choice.length - commanded;
         (choice, aim_mm)
     }
 
-    /// A moving reference: the pistons pass where the set-point is, and cross their backlash where the reference turns.
+    /// A moving reference: the pistons pass where the set-point is, and cross their backlash where the reference turns. The free common
+    /// length stays as it was.
     fn pass(&mut self, bend: &Vector2<f64>, motion: &[Vector3<f64>; 2]) {
-        let (choice, _) = self.choose(0.0, bend, None);
+        let (choice, _) = self.choose([self.state.rule.free, 0.0], bend, None);
         let (config, state, dt_s) = (self.config, &mut *self.state, self.dt_s);
         let (observer, limits) = (&state.observer, &config.motion.limits);
         let theta = observer.theta();

@@ -112,7 +112,8 @@ impl SetPoint {
     }
 
     pub(super) fn has_arrived(&self) -> bool {
-        let stands = self.bend.velocity == Vector2::zeros();
+        let departs = self.acceleration.is_some_and(|a| a != Vector2::zeros());
+        let stands = self.bend.velocity == Vector2::zeros() && !departs;
         stands
             && self.bend.arrived(&self.target.bend.0)
             && self.length.arrived(&Vector1::new(self.target.length.0))

@@ -350,7 +350,6 @@ impl LoopState {
         self.shown_by_accepted = self.played();
         self.push_sides();
         self.rule = Rule::resting(piston_mm);
-        self.rule.length = (self.setpoint.length.at.x - rest_length_mm) / config.geometry.r_mm;
         // what the estimate did meanwhile is no disturbance
         self.periodic = Periodic::new(&f.periodic);
         (self.unexplained, self.last_estimate) = (Vector2::zeros(), at.0);

@@ -249,7 +249,7 @@ impl Hub {
         });
         if let Some((t_s, Source::Path { began_s })) = last.map(|t| (t.sensed.t.0, t.source)) {
             value["path"] = self.path.clone();
-            value["path"]["at_s"] = json!(t_s - began_s);
+            value["path"]["at_s"] = json!((t_s - began_s).max(0.0));
         }
         if let (Value::Object(to), Value::Object(from)) = (&mut value, more) {
             to.extend(from);

@@ -1,5 +1,6 @@
 //! How the source of the set-point leads to the reference of a cycle.
 
+use crate::control::path::RUN_UP_S;
 use crate::control::{Path, Reference};
 use crate::model::{Bend, Shape};
 use crate::primitives::{Base, Mm, Rotation, Tip, World};
@@ -21,10 +22,11 @@ impl Supervisor {
         std::mem::swap(&mut self.path, path);
     }
 
-    /// Follows the loaded path from its beginning.
+    /// Follows the loaded path from its beginning, once the pistons had the time to get ready.
     pub(super) fn play(&mut self, now_s: f64) -> Result<(), Refusal> {
         let first = self.path.as_ref().ok_or(Refusal::NoPath)?.at(0.0).shape;
-        self.bend(Source::Path { began_s: now_s }, &first, None, None)
+        let began_s = now_s + RUN_UP_S + self.state.answers_after_s(&self.config.tick, 0.0);
+        self.bend(Source::Path { began_s }, &first, None, None)
     }
 
     /// Takes a set-point with a time. The first one starts the clock of the stream, and so does one that comes too late.

@@ -5,6 +5,7 @@ use crate::estimation::fusion::health::CauseSet;
 use crate::model::{Bend, Shape};
 use crate::primitives::{Seconds, Steps};
 use crate::supervisor::cycle::restart_check;
+use crate::supervisor::cycle::source::Source;
 use crate::supervisor::cycle::state::Position;
 use crate::supervisor::gate::{Following, GateInput};
 use crate::supervisor::mode::Event;
@@ -213,8 +214,8 @@ impl Supervisor {
         if !(self.stopped && self.mode.moves()) && self.gate.hand_over() {
             self.take_over(frame.estimate.map_or(Bend::STRAIGHT, |e| e.bend));
         }
-        let streams = self.stream_until_s.is_some();
-        if self.mode == Mode::Tracking && !streams && frame.phase == TickPhase::Holding {
+        let goes_on = self.stream_until_s.is_some() || matches!(self.source, Source::Path { .. });
+        if self.mode == Mode::Tracking && !goes_on && frame.phase == TickPhase::Holding {
             self.occur(Event::Settled);
         }
     }
