@@ -61,7 +61,11 @@ impl Path {
         let last = self.t_s.len() - 1;
         if t < self.t_s[0] {
             let mut reference = self.at(0.0);
-            let ready = if after_s < -RUN_UP_S { 0.0 } else { 1.0 / RUN_UP_S };
+            let ready = if after_s < -RUN_UP_S {
+                0.0
+            } else {
+                1.0 / RUN_UP_S
+            };
             reference.acceleration = std::mem::take(&mut reference.rate) * ready;
             return reference;
         }

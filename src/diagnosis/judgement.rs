@@ -10,7 +10,7 @@ named! {
         /// The model fits the machine of the log.
         #[serde(rename = "this machine")]
         ThisMachine = "this machine",
-        /// Other gains fit the log better: it is of another unit.
+        /// Other gains, or effects of another size, fit the log better: it is of another unit.
         #[serde(rename = "another unit")]
         AnotherUnit = "another unit",
         /// The log has less error without the effects of the model.
@@ -20,8 +20,8 @@ named! {
 }
 
 impl Judgement {
-    /// The judgement from what gains that are identified on the log explain beyond those of the model, in units of the least that is
-    /// claimed: `refitted` beside the effects or, if the effects make the model worse, `healthy` without them.
+    /// The judgement from what is explained beyond the model by what is identified on the log, in units of the least that is claimed:
+    /// `refitted` by gains and effects or, if the effects make the model worse, `healthy` by gains without them.
     pub fn new(is_worse: bool, refitted: f64, healthy: impl FnOnce() -> f64) -> Self {
         let (gained, otherwise) = if is_worse {
             (healthy(), Self::WorseThanNothing)
@@ -45,7 +45,7 @@ pub struct Checked {
     pub before: f64,
     /// Error with the effects.
     pub after: f64,
-    /// Error with the effects and with gains that are identified on this log.
+    /// Error with gains, and for a mapped rig sizes of the effects, that are identified on this log.
     pub refitted: f64,
     /// Part of the gap that the effects close.
     pub closed: f64,

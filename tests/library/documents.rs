@@ -266,11 +266,15 @@ fn summary(params: &[Param]) -> String {
         }
     }
     let words = groups.iter().map(|group| {
-        let (first, last) = (group[0].name, group[group.len() - 1].name);
-        let names = match group.len() {
-            1 => first.to_owned(),
-            n if first == last => format!("{first} ×{n}"),
-            _ => format!("{first} … {last}"),
+        let names: Vec<&str> = group.iter().map(|p| p.name).collect();
+        let (first, n) = (names[0], names.len());
+        let counted = (1..=n).map(|k| format!("{}{k}", stem(group[0])));
+        let names = if n > 1 && names.iter().all(|name| *name == first) {
+            format!("{first} ×{n}")
+        } else if n > 2 && counted.eq(names.iter().copied()) {
+            format!("{first} … {}", names[n - 1])
+        } else {
+            names.join(", ")
         };
         match group[0].shown(0.0).1 {
             "" => names,

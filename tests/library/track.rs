@@ -67,7 +67,13 @@ fn a_path_begins_after_the_backlash_has_been_crossed() {
         let at = |t: f64| (25.0, (from_deg + 360.0 * hz * t).rem_euclid(360.0));
         let path = path(1.0, at);
         let mut world = unit(n as u64, 40 + n as u64);
-        let r = track::run(&mut Rig::new(config(), &mut world), &path, false, &mut || ()).unwrap();
+        let r = track::run(
+            &mut Rig::new(config(), &mut world),
+            &path,
+            false,
+            &mut || (),
+        )
+        .unwrap();
         println!("{from_deg}° {hz} Hz: {r:?}");
         // the distance in which the tip gains its speed, and a degree and a half
         let speed_deg_s = 25.0 * TAU * f64::abs(hz);

@@ -8,7 +8,7 @@ use nalgebra::{Vector1, Vector2, Vector3};
 
 /// Ratio of the acceleration with which the set-point catches up with the reference to the pace's, or to the reference's if
 /// that is greater.
-const CATCH_UP: f64 = 2.0;
+const CATCH_UP: f64 = 3.5;
 
 /// Target and set-point: bend in rad, length in mm.
 #[derive(Debug, Clone)]

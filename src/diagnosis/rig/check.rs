@@ -4,7 +4,7 @@ use crate::diagnosis::rig::model::{driven, range};
 use crate::diagnosis::rig::regress::{Columns, left, variance};
 use crate::diagnosis::rig::search::WORTH;
 use crate::diagnosis::rig::table::MapError;
-use crate::diagnosis::rig::{MapBase, SavedRig, Signals, Task};
+use crate::diagnosis::rig::{MapBase, Operator, SavedRig, Signals, Task};
 use crate::diagnosis::{Checked, Judgement};
 
 /// Largest nominal prediction on a fresh log, in half ranges of the fitted one.
@@ -15,7 +15,8 @@ const WORSE: f64 = 1.0 / 3.0;
 /// Columns and their fixed sizes.
 type Fixed<'a> = (&'a [Vec<f64>], &'a [f64]);
 
-/// Runs both models over a fresh log. Only the offset and the states at the start are fitted again.
+/// Runs both models over a fresh log, of which only the offset and the states at the start are fitted; beside them, gains and effects
+/// that are fitted to it.
 ///
 /// # Errors
 /// [`MapError`] if the model says nothing about the log.
@@ -41,14 +42,14 @@ pub fn check(saved: &SavedRig, log: &Signals) -> Result<Checked, MapError> {
         terms.extend((operator.columns)(&drive, e.value));
         healed.extend(operator.healed(&drive, e.sizes.len()));
     }
-    let states = |values: &[f64]| -> Vec<Vec<f64>> {
-        let all = effects.iter().zip(values).filter(|((o, _), _)| o.is_state);
+    let at = |values: &[f64], is_free: fn(&Operator) -> bool| -> Vec<Vec<f64>> {
+        let all = effects.iter().zip(values).filter(|((o, _), _)| is_free(o));
         let columns = all.flat_map(|((o, _), value)| (o.columns)(&drive, *value));
         columns.collect()
     };
     let values: Vec<f64> = effects.iter().map(|(_, e)| e.value).collect();
     let none: Fixed<'_> = (&[], &[]);
-    let (terms, found): (Fixed<'_>, _) = ((&terms, &sizes), states(&values));
+    let (terms, found): (Fixed<'_>, _) = ((&terms, &sizes), at(&values, |o| o.is_state));
     let (nominal, own) = (
         (&inputs[..], &scale.weights[..]),
         (&inputs[..], &saved.with_effects[..]),
@@ -56,13 +57,13 @@ pub fn check(saved: &SavedRig, log: &Signals) -> Result<Checked, MapError> {
     let before = rmse([nominal, none], [offset, &[]])?;
     let after = rmse([own, terms], [offset, &found])?;
     let mut refitted = rmse([none, terms], [gains, &found])?;
-    // a rig without inputs has no gains: its time constants tell units apart
-    for (k, (operator, _)) in effects.iter().enumerate().filter(|_| inputs.is_empty()) {
-        for value in (operator.grid)(&drive) {
+    // units differ by the sizes of their effects as well, where the log determines them
+    for (k, (operator, e)) in effects.iter().enumerate() {
+        for value in (operator.grid)(&drive).into_iter().chain([e.value]) {
             let mut values = values.clone();
             values[k] = value;
-            let other = states(&values);
-            refitted = refitted.min(rmse([none, terms], [gains, &other])?);
+            let other = rmse([none, none], [gains, &at(&values, |_| true)]);
+            refitted = refitted.min(other.unwrap_or(f64::INFINITY));
         }
     }
     let mended = rmse([own, (&healed, &sizes)], [offset, &[]])?;
@@ -75,7 +76,7 @@ pub fn check(saved: &SavedRig, log: &Signals) -> Result<Checked, MapError> {
     let closed = (before.powi(2) - after.powi(2)) / gap.max(f64::MIN_POSITIVE);
     Ok(Checked {
         judgement: Judgement::new(is_worse, (after - refitted) / claimed, || {
-            (mended.min(before) - healthy) / claimed
+            (mended.min(before) - healthy.min(refitted)) / claimed
         }),
         before,
         after,
@@ -100,7 +101,8 @@ fn rmse(y: &[f64], fixed: [Fixed<'_>; 2], free: [&[Vec<f64>]; 2]) -> Option<f64>
 mod tests {
     use super::*;
     use crate::diagnosis::diagnose;
-    use crate::diagnosis::rig::{MapFile, RigProblem, oscillator};
+    use crate::diagnosis::rig::{MapFile, RigProblem, oscillator, play};
+    use rand::{RngExt, SeedableRng, rngs::StdRng};
 
     /// What a model of the first log says of others.
     fn judged<const N: usize>(map: &str, known: &Signals, others: [Signals; N]) -> [Checked; N] {
@@ -139,6 +141,51 @@ mod tests {
         assert_eq!(same.judgement, Judgement::ThisMachine, "{same:?}");
         assert!(same.closed > 0.95, "{same:?}");
         assert_eq!(other.judgement, Judgement::AnotherUnit, "{other:?}");
+    }
+
+    #[test]
+    fn a_rig_whose_effect_has_another_size_is_another_and_fresh_motion_is_none() {
+        const STEP_S: f64 = 0.02;
+        type Law = fn(&[f64], f64) -> Vec<f64>;
+        let cubic: Law = |u, share| u.iter().map(|u| u + share * u.powi(3)).collect();
+        let lag: Law = |u, tau| {
+            let (mut y, keep) = (u[0], (-STEP_S / tau).exp());
+            let one = |u: &f64| {
+                y = u + (y - u) * keep;
+                y
+            };
+            u.iter().map(one).collect()
+        };
+        let laws: [(&str, Law, f64); 3] = [
+            ("play", play, 0.2),
+            ("cubic", cubic, 0.4),
+            ("lag", lag, 0.5),
+        ];
+        let map = "input = \"u\"\noutput = \"y\"\ntime = \"t\"\n";
+        let mut rng = StdRng::seed_from_u64(17);
+        for (name, law, size) in laws {
+            let mut log = |size: f64| {
+                let waves: [[f64; 3]; 5] = std::array::from_fn(|_| {
+                    let range = |low: f64, high: f64| low..high;
+                    [range(0.1, 0.3), range(0.2, 2.5), range(0.0, 6.3)]
+                        .map(|range| rng.random_range(range))
+                });
+                let at = |k: usize| {
+                    let wave = |[a, w, phase]: &[f64; 3]| a * (w * k as f64 * STEP_S + phase).sin();
+                    waves.iter().map(wave).sum::<f64>()
+                };
+                let u: Vec<f64> = (0..3000).map(at).collect();
+                let y = law(&u, size).into_iter().map(|y| 12.0 * y);
+                signals(vec![u.clone()], y.collect(), STEP_S)
+            };
+            let known = log(size);
+            let others = [log(size), log(0.5 * size), log(1.5 * size)];
+            let [same, less, more] = judged(map, &known, others);
+            assert_eq!(same.judgement, Judgement::ThisMachine, "{name}: {same:?}");
+            for other in [less, more] {
+                assert_eq!(other.judgement, Judgement::AnotherUnit, "{name}: {other:?}");
+            }
+        }
     }
 
     #[test]
