@@ -27,7 +27,7 @@ pub(super) struct Answer {
     pub(super) columns: Columns,
     /// Rate of the predicted bend, rad/s, the largest within the response time, and the derivative with respect to the lag.
     pub(super) rate: Vector2<f64>,
-    pub(super) recent_rate: Vector2<f64>,
+    pub(super) recent_rate: f64,
     pub(super) lag_derivative: Vector2<f64>,
     /// What the tip did otherwise at the last measurement, rad, and its rate, rad/s.
     pub(super) residual: Vector2<f64>,
@@ -184,10 +184,7 @@ impl Observer {
         answer.lag_derivative = -answer.rate + (answer.lag_derivative + answer.rate) * keep;
         let answered_s = self.dynamics.response_s() + self.timing_error_s / TIMING_SIGMAS;
         let slowest = (-dt_s / answered_s.max(0.02)).exp();
-        answer.recent_rate *= slowest;
-        if answer.rate.norm() > answer.recent_rate.norm() {
-            answer.recent_rate = answer.rate;
-        }
+        answer.recent_rate = answer.rate.norm().max(answer.recent_rate * slowest);
         self.due_s += dt_s;
     }
 

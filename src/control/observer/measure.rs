@@ -22,9 +22,6 @@ const OUTLIER_2: f64 = 9.0;
 const SETTLED_RAD_S: f64 = 0.03;
 /// How long an error of timing has the same sign, s: with and without states for lag and dead time.
 const SAME_SIGN_S: [f64; 2] = [0.1, 3.0];
-/// Variance across the motion in units of that along it: what the estimate of a tip that turns is off by. With 0, held poses err by
-/// 0.03° more (ten units of the twin), with 1 a circle by 0.04° more.
-const ACROSS: f64 = 0.1;
 /// Largest corrections of lag and dead time as shares of both, and in s; how sure the bank must be before they are corrected.
 const CORRECTION_SHARE: [f64; 2] = [0.4, 0.15];
 const CORRECTION_S: f64 = 0.012;
@@ -75,7 +72,7 @@ impl Observer {
         answer.residual_rate += (rate - answer.residual_rate) * (dt_s / RESIDUAL_RATE_S).min(1.0);
         let least = config.noise_deg.to_radians().powi(2);
         let noise_2 = (change.norm_squared() / 4.0).min(OUTLIER_2 * least.max(self.noise_2));
-        if answer.recent_rate.norm() < SETTLED_RAD_S {
+        if answer.recent_rate < SETTLED_RAD_S {
             self.noise_2 += (noise_2 - self.noise_2) * (dt_s / NOISE_S).min(1.0);
         }
         let response_s = self.dynamics.response_s();
@@ -85,20 +82,15 @@ impl Observer {
             timing_s = timing_s.max(self.timing_error_s / 3.0);
         }
         let unsettled = config.unsettled_s * (answer.residual_rate - SETTLED_RAD_S).max(0.0);
+        let timing_2 = (timing_s * answer.recent_rate).powi(2) + unsettled.powi(2);
         let same_sign = (SAME_SIGN_S[usize::from(!corrects)] / dt_s).max(1.0);
-        let mut certain = least.max(self.noise_2);
-        let mut doubted = doubt(measured.covariance, &(residual - self.residual()), dt_s);
-        self.variance = certain + doubted.trace() / 2.0;
+        self.variance = least.max(self.noise_2);
         if laws {
-            // what comes early or late is off along the motion, the estimate a little across it, and what has not settled in any
-            // direction
-            let early = self.answer.recent_rate * timing_s;
-            certain += unsettled.powi(2) * same_sign;
-            let across = Matrix2::identity() * (ACROSS * early.norm_squared());
-            doubted += (early * early.transpose() * (1.0 - ACROSS) + across) * same_sign;
-            self.variance += (unsettled.powi(2) + early.norm_squared()) * same_sign;
+            self.variance += timing_2 * same_sign;
         }
-        let doubted = doubted.symmetric_eigen();
+        let (axes, doubt_2) = doubt(measured.covariance, &(residual - self.residual()), dt_s);
+        let certain = self.variance;
+        self.variance += doubt_2.mean();
         let rows = [0, 1].map(|axis| {
             // what the laws may have wrong is g's if they do not learn
             let columns = laws.then_some(&self.answer.columns);
@@ -110,11 +102,11 @@ impl Observer {
             row
         });
         for axis in 0..2 {
-            let along = doubted.eigenvectors.column(axis);
+            let along = axes.column(axis);
             let row = rows[0] * along[0] + rows[1] * along[1];
             let innovation = (bend - self.predicted() - self.residual()).dot(&along);
             self.known
-                .correct(&row, innovation, certain + doubted.eigenvalues[axis], laws);
+                .correct(&row, innovation, certain + doubt_2[axis], laws);
         }
         self.take_times();
         self.take_plays();
@@ -195,9 +187,13 @@ impl Observer {
     }
 }
 
-/// Measurement noise by the covariance of the estimate, rad². An error of the estimate lasts for seconds, and an innovation beyond
-/// [`DOUBTED_SIGMAS`] is none of it.
-fn doubt(covariance: Matrix2<f64>, innovation: &Vector2<f64>, dt_s: f64) -> Matrix2<f64> {
+/// Principal axes of the covariance of the estimate, rad², and the measurement noise along each, rad². An error of the estimate lasts for
+/// seconds, and an innovation beyond [`DOUBTED_SIGMAS`] is none of it.
+fn doubt(
+    covariance: Matrix2<f64>,
+    innovation: &Vector2<f64>,
+    dt_s: f64,
+) -> (Matrix2<f64>, Vector2<f64>) {
     let known = covariance.symmetric_eigen();
     let doubt_2 = Vector2::from_fn(|k, _| {
         let sigma = known.eigenvalues[k].max(0.0).sqrt();
@@ -206,8 +202,7 @@ fn doubt(covariance: Matrix2<f64>, innovation: &Vector2<f64>, dt_s: f64) -> Matr
         let doubted = (sigma - SIGMA_RAD).max(0.0).powi(2) * (1.0 - off * off).max(0.0);
         doubted * SAME_SIGN_S[1] / dt_s
     });
-    let axes = known.eigenvectors;
-    axes * Matrix2::from_diagonal(&doubt_2) * axes.transpose()
+    (known.eigenvectors, doubt_2)
 }
 
 #[cfg(test)]
@@ -342,7 +337,10 @@ mod tests {
     #[test]
     fn an_estimate_is_doubted_along_the_axis_that_it_does_not_know() {
         let covariance = Matrix2::new(0.05f64.powi(2), 0.0, 0.0, 0.001f64.powi(2));
-        let along = |innovation| doubt(covariance, &innovation, DT_S);
+        let along = |innovation: Vector2<f64>| {
+            let (axes, doubt_2) = doubt(covariance, &innovation, DT_S);
+            axes * Matrix2::from_diagonal(&doubt_2) * axes.transpose()
+        };
         let small = along(Vector2::new(0.02, 0.02));
         assert!(small[(0, 0)] > 0.1 && small[(1, 1)].abs() < 1e-9, "{small}");
         let large = along(Vector2::new(0.2, 0.0));
