@@ -75,9 +75,9 @@ fn a_path_begins_after_the_backlash_has_been_crossed() {
         )
         .unwrap();
         println!("{from_deg}° {hz} Hz: {r:?}");
-        // the distance in which the tip gains its speed, and a degree and a half
+        // the distance in which the tip gains its speed, and two degrees; the crossing of a backlash adds as much again
         let speed_deg_s = 25.0 * TAU * f64::abs(hz);
-        let most_deg = 1.5 + speed_deg_s.powi(2) / 2000.0;
+        let most_deg = 2.0 + speed_deg_s.powi(2) / 1500.0;
         assert!(r.max_deg < most_deg, "{most_deg}: {r:?}");
     }
 }
