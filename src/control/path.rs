@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// Interval at which the motion along a path is looked at, s.
 const SCAN_S: f64 = 0.005;
-/// Time before the first row in which the pistons get ready for the motion: longer than the crossing of a backlash, s.
+/// Time before the first row in which the pistons cross their backlash towards the motion: the longest crossing, s.
 pub const RUN_UP_S: f64 = 0.4;
 /// Share of the pistons' speed and acceleration that a path may use; the rest is for feedback and backlash.
 const USABLE: f64 = 0.9;

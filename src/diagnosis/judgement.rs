@@ -10,7 +10,7 @@ named! {
         /// The model fits the machine of the log.
         #[serde(rename = "this machine")]
         ThisMachine = "this machine",
-        /// Other gains, or effects of another size, fit the log better: it is of another unit.
+        /// Other gains or, of a mapped rig, effects of another size fit the log better: it is of another unit.
         #[serde(rename = "another unit")]
         AnotherUnit = "another unit",
         /// The log has less error without the effects of the model.
@@ -21,7 +21,7 @@ named! {
 
 impl Judgement {
     /// The judgement from what is explained beyond the model by what is identified on the log, in units of the least that is claimed:
-    /// `refitted` by gains and effects or, if the effects make the model worse, `healthy` by gains without them.
+    /// `refitted` by gains and, of a mapped rig, effects, or, if the effects make the model worse, `healthy` by gains without them.
     pub fn new(is_worse: bool, refitted: f64, healthy: impl FnOnce() -> f64) -> Self {
         let (gained, otherwise) = if is_worse {
             (healthy(), Self::WorseThanNothing)

@@ -1,7 +1,6 @@
 //! A path driven in closed loop on a fresh world, scored against the true bend.
 
 use crate::control::Path;
-use crate::control::path::RUN_UP_S;
 use crate::experiment::arm::{percentile, root_mean};
 use crate::experiment::error::ExperimentError;
 use crate::experiment::rig::Rig;
@@ -63,8 +62,8 @@ pub fn run(
             break;
         }
     }
-    let ready_s = RUN_UP_S + rig.state.answers_after_s(&rig.config, dt_s);
-    let from_s = rig.now().0 + if live { 0.0 } else { ready_s };
+    let begins_after_s = rig.state.begins_after_s(&rig.config);
+    let from_s = rig.now().0 + if live { 0.0 } else { begins_after_s };
     let duration_s = path.duration_s();
     let mut samples = Vec::new();
     let mut estimate_sq = Vec::new();

@@ -44,11 +44,11 @@ fn drive(path: &Path, live: bool) -> TrackResult {
 
 #[test]
 fn circles_are_followed() {
-    // measured 0.43, 0.60 and 1.09
+    // measured 0.26, 0.40 and 0.82
     for (bend_deg, hz, seconds, bound_deg) in [
-        (30.0, 0.1, 20.0, 0.6),
-        (30.0, 0.2, 10.0, 0.8),
-        (25.0, 0.5, 6.0, 1.5),
+        (30.0, 0.1, 20.0, 0.4),
+        (30.0, 0.2, 10.0, 0.55),
+        (25.0, 0.5, 6.0, 1.05),
     ] {
         let r = drive(&circle(seconds, bend_deg, hz), false);
         assert!(
@@ -58,27 +58,19 @@ fn circles_are_followed() {
     }
 }
 
+/// A crossing after the path has begun costs 6 to 8°.
 #[test]
 fn a_path_begins_after_the_backlash_has_been_crossed() {
-    for (n, (from_deg, hz)) in [(0.0, 0.5), (200.0, -0.5), (75.0, 0.35), (310.0, -0.2)]
-        .into_iter()
-        .enumerate()
-    {
-        let at = |t: f64| (25.0, (from_deg + 360.0 * hz * t).rem_euclid(360.0));
-        let path = path(1.0, at);
-        let mut world = unit(n as u64, 40 + n as u64);
-        let r = track::run(
-            &mut Rig::new(config(), &mut world),
-            &path,
-            false,
-            &mut || (),
-        )
-        .unwrap();
-        println!("{from_deg}° {hz} Hz: {r:?}");
-        // the distance in which the tip gains its speed, and two degrees; the crossing of a backlash adds as much again
-        let speed_deg_s = 25.0 * TAU * f64::abs(hz);
-        let most_deg = 2.0 + speed_deg_s.powi(2) / 1500.0;
-        assert!(r.max_deg < most_deg, "{most_deg}: {r:?}");
+    for (n, (from_deg, hz)) in (0..).zip([(0.0, 0.5), (200.0, -0.5), (75.0, 0.5), (310.0, -0.5)]) {
+        let path = path(1.0, |t| {
+            (25.0, (from_deg + 360.0 * hz * t).rem_euclid(360.0))
+        });
+        let mut world = unit(n, 40 + n);
+        let mut rig = Rig::new(config(), &mut world);
+        let r = track::run(&mut rig, &path, false, &mut || ()).unwrap();
+        println!("from {from_deg}° at {hz} Hz: {r:?}");
+        // gaining its speed costs the tip 3°
+        assert!(r.max_deg < 4.5, "from {from_deg}° at {hz} Hz: {r:?}");
     }
 }
 

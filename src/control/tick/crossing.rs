@@ -1,12 +1,13 @@
 //! The inverse of a backlash under a reference that moves: where a piston passes, and when it crosses.
 
+use crate::control::path::RUN_UP_S;
 use crate::model::SideState;
 use crate::motion::{MotionLimits, MotionState, Stop};
 
 /// Motion of the play output that the crossing of a backlash may cost, mm.
 const CROSSING_COST_MM: f64 = 0.03;
 /// Shortest and longest crossing, s: a piston needs the first from rest to rest.
-const CROSSING_S: (f64, f64) = (0.08, 0.4);
+const CROSSING_S: (f64, f64) = (0.08, RUN_UP_S);
 /// Part of a crossing in which the piston starts and stops, s.
 const STARTING_S: f64 = 0.05;
 /// Speed of a play output below which its direction is not a new one, mm/s.

@@ -7,7 +7,7 @@ use crate::model::{Geometry, Shape};
 use nalgebra::{Vector1, Vector2, Vector3};
 
 /// Ratio of the acceleration with which the set-point catches up with the reference to the pace's, or to the reference's if
-/// that is greater.
+/// that is greater. With the default pace it is four fifths of what pistons of 600 mm/s² can with the paper's gains.
 const CATCH_UP: f64 = 3.5;
 
 /// Target and set-point: bend in rad, length in mm.

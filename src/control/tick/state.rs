@@ -7,6 +7,7 @@ use crate::control::feedforward::Feedforward;
 use crate::control::observer::bank::DynamicsBank;
 use crate::control::observer::{Knowledge, Observer, Periodic};
 use crate::control::obstruction::ObstructionDetector;
+use crate::control::path::RUN_UP_S;
 use crate::control::rule::Rule;
 use crate::control::saturation::SaturationMonitor;
 use crate::estimation::fusion::base_watch::Watch;
@@ -200,6 +201,11 @@ impl LoopState {
     /// Time from the command of a tick until the tip answers it, without the lag, which the feedforward leads, s.
     pub fn answers_after_s(&self, config: &LoopConfig, dt_s: f64) -> f64 {
         self.observer.dynamics.delay_s + config.motion.lead_s.max(dt_s)
+    }
+
+    /// Time from an order until the tip begins a path that is known in advance, s: its pistons cross their backlash first.
+    pub fn begins_after_s(&self, config: &LoopConfig) -> f64 {
+        RUN_UP_S + self.answers_after_s(config, 0.0)
     }
 
     /// Transmission gains in use.

@@ -140,7 +140,7 @@ impl Hub {
         json!({"bend_deg": bend_deg, "r_mm": tick.geometry.r_mm, "rest_length_mm": tick.geometry.rest_length_mm})
     }
 
-    /// The target of a request whose direction is one.
+    /// The target of a request whose direction is in range.
     fn asked(&self, bend_deg: f64, dir_deg: f64, length_mm: Option<f64>) -> Result<Shape, Failure> {
         let mut to = Checker::default();
         to.at("dir_deg")

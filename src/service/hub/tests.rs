@@ -362,7 +362,7 @@ fn a_calibration_is_led_by_its_client_alone() {
 }
 
 #[test]
-fn a_direction_that_is_none_is_refused_before_it_reaches_the_loop() {
+fn a_direction_out_of_range_is_refused_before_it_reaches_the_loop() {
     let mut house = House::new(3);
     for dir_deg in [36_000.5, -1e5, 1e19, -1e308, 1e308] {
         house.ask(Request::bend(10.0, dir_deg, None, None));

@@ -1,6 +1,5 @@
 //! How the source of the set-point leads to the reference of a cycle.
 
-use crate::control::path::RUN_UP_S;
 use crate::control::{Path, Reference};
 use crate::model::{Bend, Shape};
 use crate::primitives::{Base, Mm, Rotation, Tip, World};
@@ -25,7 +24,7 @@ impl Supervisor {
     /// Follows the loaded path from its beginning, once the pistons had the time to get ready.
     pub(super) fn play(&mut self, now_s: f64) -> Result<(), Refusal> {
         let first = self.path.as_ref().ok_or(Refusal::NoPath)?.at(0.0).shape;
-        let began_s = now_s + RUN_UP_S + self.state.answers_after_s(&self.config.tick, 0.0);
+        let began_s = now_s + self.state.begins_after_s(&self.config.tick);
         self.bend(Source::Path { began_s }, &first, None, None)
     }
 
