@@ -34,7 +34,12 @@ def test_a_session_with_the_service(service):
         times = [frame["t"] for _, frame in zip(range(20), tip.frames(100))]
         assert times == sorted(times) and 0.1 < times[-1] - times[0] and time.monotonic() - began < 5
         assert tip.follow([(0.1 * k, 30, 45 + 3 * k, None) for k in range(11)])["time_scale"] >= 1
-        time.sleep(1.2)
+        began = time.monotonic()
+        while tip.status()["path"] is not None or tip.status()["mode"] != "holding":
+            assert time.monotonic() - began < 10
+            time.sleep(0.02)
+        # the path lasts a second, and begins once the pistons are ready
+        assert 1 < time.monotonic() - began < 4
         rows = tip.record_stop()["rows"]
         log = read_log(recording["path"])
         assert len(log["time_s"]) == rows and max(log["cmd_bend_deg"]) > 29

@@ -392,7 +392,8 @@ class Client:
         """Follows the spline through rows (t_s, bend_deg, dir_deg, length_mm or None for the rest length), from the first on.
 
         Returns `duration_s` and `time_scale`, the factor by which the path is slowed down to what the tip can follow. `path` in
-        the status tells where on it the tip is.
+        the status tells where on it the tip is: its `at_s` is 0 while the pistons cross their backlash towards the first
+        row, and `path` is None at the end.
         """
         result: Dict[str, Any] = {}
         for begin in range(0, max(len(rows), 1), _PATH_ROWS):

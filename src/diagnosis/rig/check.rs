@@ -143,8 +143,10 @@ mod tests {
         assert_eq!(other.judgement, Judgement::AnotherUnit, "{other:?}");
     }
 
-    /// Answers to inputs of about ±1 at times [`STEP_S`] apart, by the size of the effect.
-    const LAWS: [(&str, fn(&[f64], f64) -> Vec<f64>, f64); 8] = [
+    /// The answer to inputs of about ±1 at times [`STEP_S`] apart, by the size of the effect.
+    type Law = fn(&[f64], f64) -> Vec<f64>;
+    /// Effects with a usual size.
+    const LAWS: [(&str, Law, f64); 8] = [
         ("play", play, 0.2),
         (
             "dead band",
