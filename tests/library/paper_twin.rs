@@ -1,9 +1,12 @@
 //! The paper's experiment on the paper twin: the open-loop results of the paper, and the closed loop.
 
-use crate::common::evaluate;
+use crate::common::{evaluate, plant, repo, twin};
 use rayon::prelude::*;
+use retroflex::config::gains::Gains;
+use retroflex::config::{assemble, source};
 use retroflex::experiment::arm::ArmResult;
 use retroflex::experiment::evaluation::Arm;
+use retroflex::experiment::sweep::{CONDITIONS, Study};
 
 /// Bend RMSE of the three open-loop arms on the paper's prototype, degrees.
 const PAPER_DEG: [(Arm, f64); 3] = [
@@ -120,5 +123,29 @@ fn the_closed_loop_meets_its_bounds_on_20_units() {
         );
         assert_eq!(closed(i).states, 120);
         check_closed_loop(closed(i)).unwrap_or_else(|why| panic!("seed {seed}: {why}"));
+    }
+}
+
+/// A tip that breathes, on units of the sweep: a cold start, in which the laws are learned beside the breath, counts as well.
+#[test]
+fn a_breath_is_cancelled_after_its_first_periods() {
+    let breath = CONDITIONS.iter().find(|c| c.name == "respiration_deg");
+    let calibration = source::read(&repo("calib/paper.toml")).unwrap();
+    let study = Study {
+        config: assemble(&twin(), &calibration, &Gains::default()),
+        make: plant().make(),
+        seed: 300,
+        units: 10,
+    };
+    for (size_deg, most_deg) in [(2.0, 0.45), (3.0, 0.28), (5.0, 0.4)] {
+        let error_sq = |n| {
+            let unit = study.unit_under(breath.unwrap(), size_deg, n);
+            let closed = study.run(&study.config, Arm::Closed, &unit, n).unwrap();
+            closed.bend_rmse_deg.powi(2)
+        };
+        let sum: f64 = (0..study.units).into_par_iter().map(error_sq).sum();
+        let rmse_deg = (sum / study.units as f64).sqrt();
+        println!("breath of {size_deg}°: {rmse_deg:.2}°");
+        assert!(rmse_deg < most_deg, "breath of {size_deg}°: {rmse_deg:.2}°");
     }
 }

@@ -35,7 +35,7 @@ const HIGH_HZ: f64 = 0.48;
 /// Random walk of the fundamental, rad/√s; less for the harmonics.
 const WALK: f64 = 0.006;
 /// Random walk of the offset per rad of path, and per √s, rad.
-const PATH_WALK: f64 = 0.05;
+const PATH_WALK: f64 = 0.03;
 const DRIFT: f64 = 0.0035;
 /// Standard deviation of the offset at first, rad.
 const OFFSET_RAD: f64 = 0.02;
@@ -48,7 +48,7 @@ const OUTLIER_2: f64 = 25.0;
 const INDEPENDENT: f64 = 0.1;
 /// Interval between two updates, s, and the time before a first belief, s.
 const PERIOD_S: f64 = 0.02;
-const FIRST_S: f64 = 2.0;
+const FIRST_S: f64 = 3.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Oscillator {
@@ -186,10 +186,7 @@ impl Periodic {
         }
         if jumped {
             // neither a breath nor a drift: what was before says nothing about what follows
-            *self = Self::new(config);
-            for one in &mut self.bank {
-                (one.states[0][0], one.states[1][0]) = (residual.x, residual.y);
-            }
+            self.restart(config, residual);
         }
         let mut best = 1;
         for k in 2..self.bank.len() {
@@ -205,6 +202,14 @@ impl Periodic {
             let now = self.believed.filter(|&k| self.bank[k].cost < enough);
             now.unwrap_or(best)
         });
+    }
+
+    /// Begins anew: nothing is known but that the laws leave this residual, rad.
+    pub fn restart(&mut self, config: &PeriodicConfig, residual: &Vector2<f64>) {
+        *self = Self::new(config);
+        for one in &mut self.bank {
+            (one.states[0][0], one.states[1][0]) = (residual.x, residual.y);
+        }
     }
 
     /// Frequency that is believed, Hz.

@@ -51,7 +51,12 @@ pub(super) fn learn(
         let least = f.observer.noise_deg.to_radians().powi(2);
         let (noise, moved) = (observer.variance.max(least), observer.rate().norm() * dt_s);
         let (periodic, unexplained) = (&mut state.periodic, &state.unexplained);
-        periodic.step(&f.periodic, unexplained, 2.0 * noise, moved, dt_s);
+        if state.obstruction.blocked {
+            // what holds the tip back is no disturbance
+            periodic.restart(&f.periodic, unexplained);
+        } else {
+            periodic.step(&f.periodic, unexplained, 2.0 * noise, moved, dt_s);
+        }
     }
     let sway_2 = state.before_base.sway_rad.powi(2);
     let measured = Measured {
