@@ -252,7 +252,7 @@ pub struct MemoryState {
 /// How far a path has come.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct PathState {
-    /// Time in the path, s.
+    /// Time in the path, s; 0 until its first row is due.
     pub at_s: f64,
     /// Duration of the path, s.
     pub duration_s: f64,

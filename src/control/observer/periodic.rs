@@ -48,7 +48,7 @@ const OUTLIER_2: f64 = 25.0;
 const INDEPENDENT: f64 = 0.1;
 /// Interval between two updates, s, and the time before a first belief, s.
 const PERIOD_S: f64 = 0.02;
-const FIRST_S: f64 = 3.0;
+const FIRST_S: f64 = 2.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Oscillator {
@@ -210,6 +210,11 @@ impl Periodic {
         for one in &mut self.bank {
             (one.states[0][0], one.states[1][0]) = (residual.x, residual.y);
         }
+    }
+
+    /// Whether it has taken in nothing yet.
+    pub fn is_new(&self) -> bool {
+        self.age_s == 0.0
     }
 
     /// Frequency that is believed, Hz.

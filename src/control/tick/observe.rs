@@ -51,8 +51,8 @@ pub(super) fn learn(
         let least = f.observer.noise_deg.to_radians().powi(2);
         let (noise, moved) = (observer.variance.max(least), observer.rate().norm() * dt_s);
         let (periodic, unexplained) = (&mut state.periodic, &state.unexplained);
-        if state.obstruction.blocked {
-            // what holds the tip back is no disturbance
+        // what holds the tip back is no disturbance, nor is what comes free on the way to the next pose
+        if state.obstruction.blocked || moving && periodic.is_new() {
             periodic.restart(&f.periodic, unexplained);
         } else {
             periodic.step(&f.periodic, unexplained, 2.0 * noise, moved, dt_s);
