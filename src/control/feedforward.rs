@@ -6,6 +6,7 @@
 //! last solution with the last slope, so a tick needs one or two evaluations of the laws and never more than five. Nothing
 //! allocates after [`Feedforward::new`].
 
+use crate::control::limits::relief;
 use crate::model::effects::{Memory, Moment};
 use crate::model::{Bend, Chain, DescribedMachine, Shape, orientation};
 use crate::primitives::Rotation;
@@ -24,8 +25,11 @@ const ROUNDS: usize = 5;
 const SOLVED_MM: f64 = 0.002;
 /// Largest change of a bellow per evaluation, mm.
 const CHANGE_MAX_MM: f64 = 1.0;
-/// Largest distance of the solution from the nominal one, mm of bellow: a law far outside its log is not followed further.
-const CORRECTION_MAX_MM: f64 = 4.0;
+/// Largest distance of the solution from the nominal one, mm of bellow: the range of a bellow. A law far outside its log is not followed
+/// further.
+const CORRECTION_MAX_MM: f64 = 9.0;
+/// Least change of a nominal bellow per common change of length.
+const PART_MIN: f64 = 0.2;
 /// Least product, in units of the squared change, with which the slope is updated.
 const SLOPE_MIN: f64 = 0.05;
 /// Evaluations of the drive's inverse.
@@ -114,12 +118,13 @@ impl Feedforward {
 
     /// Play outputs of the nominal channels, mm, that give the `wanted` shape, itself given as bellow lengths.
     pub fn play_outputs(&mut self, wanted_mm: &Vector3<f64>) -> Vector3<f64> {
-        let bellow_mm = self.invert(wanted_mm);
+        let bellow_mm = self.invert(wanted_mm, &Vector3::repeat(f64::INFINITY));
         self.machine.play_outputs(&bellow_mm)
     }
 
-    /// Nominal bellow lengths, mm, whose play outputs give the `wanted` shape, itself given as bellow lengths.
-    pub fn invert(&mut self, wanted_mm: &Vector3<f64>) -> Vector3<f64> {
+    /// Nominal bellow lengths, mm, whose play outputs give the `wanted` shape, itself given as bellow lengths. Where one of them is beyond
+    /// its `room_mm` either way, the shape has the wanted bend and another length.
+    pub fn invert(&mut self, wanted_mm: &Vector3<f64>, room_mm: &Vector3<f64>) -> Vector3<f64> {
         let mut before: Option<(Vector3<f64>, Vector3<f64>)> = None;
         for _ in 0..ROUNDS {
             let shape = self.foresee(&self.machine.play_outputs(&self.solution_mm));
@@ -127,6 +132,9 @@ impl Feedforward {
             if let Some((solution, shape)) = before {
                 self.learn_slope(&(self.solution_mm - solution), &(reached - shape));
             }
+            let part = self.slope.column_sum().map(|part| part.max(PART_MIN));
+            let next = self.solution_mm + self.slope * (wanted_mm - reached);
+            let wanted_mm = wanted_mm.add_scalar(relief(&next, &part, room_mm));
             let missing = wanted_mm - reached;
             if missing.amax() < SOLVED_MM {
                 break;
@@ -202,6 +210,8 @@ mod tests {
     use crate::model::effects::by_name;
     use crate::model::nominal_theta;
     use crate::model::transmission::Line;
+    use rand::rngs::StdRng;
+    use rand::{RngExt, SeedableRng};
 
     const DT_S: f64 = 0.005;
 
@@ -243,7 +253,7 @@ mod tests {
                 let mut reached = Bend::STRAIGHT;
                 for _ in 0..500 {
                     let bellow_mm = if inverted {
-                        state.invert(&wanted_mm)
+                        state.invert(&wanted_mm, &ANY_ROOM)
                     } else {
                         wanted_mm
                     };
@@ -284,12 +294,55 @@ mod tests {
         }
     }
 
+    const ANY_ROOM: Vector3<f64> = Vector3::new(f64::INFINITY, f64::INFINITY, f64::INFINITY);
+
+    /// Tips that take more of a bellow than its piston has room for, at bends that lead there from any direction.
+    #[test]
+    fn where_a_piston_has_no_room_the_length_gives_way_and_the_pistons_come_to_rest() {
+        let mut rng = StdRng::seed_from_u64(1);
+        let mut relieved = 0;
+        for _ in 0..60 {
+            let extra: [f64; 3] = std::array::from_fn(|_| rng.random_range(0.0..0.25));
+            let taut: [f64; 2] = std::array::from_fn(|_| rng.random_range(-0.1..0.1));
+            let cable = [rng.random_range(0.0..0.15), 0.0, taut[0], taut[1]];
+            let machine = machine(&[("stiffening", &extra), ("cable_stiffness", &cable)]);
+            let mut state = Feedforward::new(Arc::clone(&machine));
+            let [bend, dir] = [55.0..70.0, 0.0..360.0].map(|of| rng.random_range(of));
+            let wanted = Bend::from_deg(bend, dir);
+            let shape = Shape::new(wanted.0, machine.geometry.rest_length_mm);
+            let wanted_mm = machine.geometry.lengths(&shape);
+            let mut hold = |room_mm: &Vector3<f64>| {
+                let (mut last, mut moved) = (Vector3::zeros(), 0.0);
+                let mut reached = Bend::STRAIGHT;
+                for tick in 0..500 {
+                    let bellow_mm = state.invert(&wanted_mm, room_mm);
+                    moved += f64::from(tick > 400) * (bellow_mm - last).norm();
+                    last = bellow_mm;
+                    reached = state.advance(&machine.play_outputs(&bellow_mm), DT_S).bend;
+                }
+                assert!(moved < 0.01, "the pistons go on for {moved} mm");
+                (last, (reached.0 - wanted.0).norm().to_degrees())
+            };
+            let (needed_mm, _) = hold(&ANY_ROOM);
+            let room_mm = Vector3::repeat(rng.random_range(0.7..0.95) * needed_mm.amax());
+            let (bellow_mm, error_deg) = hold(&room_mm);
+            // a shorter or longer tip needs about as much of the difference of its bellows
+            if needed_mm.max() - needed_mm.min() < 1.9 * room_mm[0] {
+                relieved += 1;
+                let beyond_mm = bellow_mm.amax() - room_mm[0];
+                assert!(beyond_mm < SOLVED_MM, "{bellow_mm} of {room_mm}");
+                assert!(error_deg < 0.1, "{error_deg}° at {bend}° toward {dir}°");
+            }
+        }
+        assert!(relieved > 15, "{relieved} of 60 were relieved");
+    }
+
     #[test]
     fn without_effects_the_inverse_is_the_nominal_one() {
         let mut state = Feedforward::new(machine(&[]));
         let wanted = Vector3::new(-3.0, 1.0, 2.0);
         for _ in 0..3 {
-            assert!((state.invert(&wanted) - wanted).amax() < SOLVED_MM);
+            assert!((state.invert(&wanted, &ANY_ROOM) - wanted).amax() < SOLVED_MM);
         }
         assert!((state.counted(&wanted) - wanted).amax() < 1e-12);
     }

@@ -58,17 +58,14 @@ impl ActuatorLimits {
     /// Length to add to all bellows (mm) so that no piston exceeds its travel. Bending depends on differences only, so the
     /// other two channels can relieve one at its limit. If that is not enough, the excess is shared.
     pub fn relief(&self, q_mm: &Vector3<f64>, lines: &[Line; 3]) -> f64 {
-        let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
-        for i in 0..3 {
-            let room = lines[i].bellow_mm((self.travel_mm - lines[i].k_lambda_mm).max(0.0));
-            low = low.max(-room - q_mm[i]);
-            high = high.min(room - q_mm[i]);
-        }
-        if low > high {
-            (low + high) / 2.0
-        } else {
-            0.0f64.clamp(low, high)
-        }
+        relief(q_mm, &Vector3::repeat(1.0), &self.room(lines))
+    }
+
+    /// Largest length change of each bellow that a piston makes within its travel, mm.
+    pub fn room(&self, lines: &[Line; 3]) -> Vector3<f64> {
+        Vector3::from_fn(|i, _| {
+            lines[i].bellow_mm((self.travel_mm - lines[i].k_lambda_mm).max(0.0))
+        })
     }
 
     /// Share of the bend of `shape`, at most 1, that these lines can hold at its length.
@@ -114,6 +111,21 @@ impl ActuatorLimits {
             by_travel
         });
         (bounded, cut)
+    }
+}
+
+/// The least common change, of which each length takes its `part`, by which no length exceeds its `room` either way. If there is none,
+/// the excess is shared.
+pub fn relief(q_mm: &Vector3<f64>, part: &Vector3<f64>, room_mm: &Vector3<f64>) -> f64 {
+    let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
+    for i in 0..3 {
+        low = low.max((-room_mm[i] - q_mm[i]) / part[i]);
+        high = high.min((room_mm[i] - q_mm[i]) / part[i]);
+    }
+    if low > high {
+        (low + high) / 2.0
+    } else {
+        0.0f64.clamp(low, high)
     }
 }
 

@@ -1,21 +1,21 @@
 //! The arm `diagnosed`: a log of the standard schedule on a world of its own, and the machine that its diagnosis describes.
 
 use crate::control::LoopConfig;
-use crate::diagnosis::excite::{Machine, rounded, standard};
+use crate::diagnosis::excite::{Machine, ScheduleRow, standard};
 use crate::diagnosis::tip::fit::best_predicting;
 use crate::diagnosis::tip::observed::Observed;
-use crate::diagnosis::tip::{Rig, recalibrated};
+use crate::diagnosis::tip::{self as diagnosis, recalibrated};
 use crate::experiment::error::ExperimentError;
+use crate::experiment::evaluation::Arm;
+use crate::experiment::rig::Rig;
 use crate::log::bend_log::{BendLog, ImuColumns};
-use crate::model::DescribedMachine;
+use crate::model::{Bend, DescribedMachine, Shape};
 use crate::simulation::world::World;
-use crate::supervisor::MachineError;
+use crate::supervisor::Sensed;
 use nalgebra::Vector3;
 
 /// Time of a row of the log, s.
 const ROW_S: f64 = 0.02;
-/// Time over which the corners of the path are rounded, s.
-const ROUNDED_S: f64 = 0.12;
 
 /// Records a log with the gains of `config` and describes the machine. The reference of the world is not used. The search for
 /// the smallest set that explains the log, which names causes, is left out: a feedforward needs the set that predicts best.
@@ -24,10 +24,10 @@ const ROUNDED_S: f64 = 0.12;
 /// [`ExperimentError`] from the world, or if the log cannot be diagnosed.
 pub fn described(
     config: &LoopConfig,
-    rig: &Rig,
+    rig: &diagnosis::Rig,
     world: &mut dyn World,
 ) -> Result<DescribedMachine, ExperimentError> {
-    let rig = Rig {
+    let rig = diagnosis::Rig {
         geometry: config.geometry,
         ..*rig
     };
@@ -41,51 +41,87 @@ pub fn described(
     Ok(machine.foreseeable())
 }
 
-/// Drives the standard schedule in open loop and records pistons and tip IMU, each row a mean over 20 ms.
+/// Drives the standard schedule in closed loop, as `play` does, and records pistons and tip IMU, each row a mean over 20 ms. Feedback takes
+/// the tip to the poses for which the feedforward is asked later; from an open loop that falls short, laws would have to be extrapolated.
 ///
 /// # Errors
-/// The world's.
+/// [`ExperimentError`] from the world or the alignment.
 pub fn record(
     config: &LoopConfig,
-    rig: &Rig,
+    rig: &diagnosis::Rig,
     world: &mut dyn World,
-) -> Result<BendLog, MachineError> {
+) -> Result<BendLog, ExperimentError> {
     let machine = Machine::new(*rig, config.lines);
-    let mut rows = standard::rows(&machine);
-    rows.retain(|r| machine.reaches(r));
-    let period_s = world.info().period_s;
-    let of = |time_s: f64| ((time_s / period_s).round() as usize).max(1);
-    let path = rounded(&machine.drive(&rows, period_s).piston_mm, of(ROUNDED_S));
-    let nan = Vector3::repeat(f64::NAN);
-    let mut log = BendLog::default();
-    let (mut acc, mut gyr, mut mag) = (vec![], vec![], vec![]);
-    for (n, row) in path.chunks_exact(of(ROW_S)).enumerate() {
-        let (mut sums, mut samples) = ([Vector3::zeros(); 3], [0.0; 3]);
-        let mut piston = Vector3::zeros();
-        for at in row {
-            let counts = config.drive.steps(at);
-            piston += config.drive.piston_mm(&counts);
-            let Some(sample) = world.step(&counts)?.imu else {
-                continue;
-            };
-            let sample = config.imu.apply(&sample);
-            let (acc, gyr) = (Some(sample.acc_m_s2), Some(sample.gyro_rad_s));
-            for (k, value) in [acc, gyr, sample.mag_ut].into_iter().enumerate() {
-                if let Some(value) = value {
-                    (sums[k], samples[k]) = (sums[k] + value, samples[k] + 1.0);
-                }
+    let k_epsilon = config.lines.map(|line| line.k_epsilon);
+    let mut bench = Rig::new(Arm::Closed.config(config), world);
+    bench.align()?;
+    let usual = config.bend_pace.speed;
+    let mut log = BendLog {
+        imu: Some(ImuColumns::default()),
+        ..BendLog::default()
+    };
+    let mut mean = Mean::default();
+    let mut before = ScheduleRow::rest(0.0, &rig.geometry);
+    let rows = standard::rows(&machine).into_iter();
+    for row in rows.filter(|r| machine.reaches(r)) {
+        let (seconds, speed_deg_s) = row.segment(&before, &rig.geometry, k_epsilon);
+        bench.config.bend_pace.speed = speed_deg_s.map_or(usual, f64::to_radians);
+        let bend = Bend::from_deg(row.bend_deg, row.dir_deg).0;
+        let mut command = Some(Shape::new(bend, row.len_mm));
+        let ticks = ((seconds + row.hold_s) / bench.period_s()).round() as usize;
+        for _ in 0..ticks {
+            let (_, sensed) = bench.advance(command.take())?;
+            mean.add(config, &sensed);
+            if mean.ticks * bench.period_s() >= ROW_S - bench.period_s() / 2.0 {
+                std::mem::take(&mut mean).write(&mut log);
             }
         }
-        for (k, column) in [&mut acc, &mut gyr, &mut mag].into_iter().enumerate() {
-            let any = samples[k] > 0.0;
-            column.push(if any { sums[k] / samples[k] } else { nan });
-        }
-        // the mean of the times of a row
-        let middle = (n * row.len()) as f64 + 0.5 * (row.len() + 1) as f64;
-        log.t_s.push(middle * period_s);
-        log.piston_mm.push(piston / row.len() as f64);
-        log.command.push(nan);
+        before = row;
     }
-    log.imu = Some(ImuColumns { acc, gyr, mag });
     Ok(log)
+}
+
+/// Sums of what becomes one row of the log.
+#[derive(Default)]
+struct Mean {
+    ticks: f64,
+    t_s: f64,
+    piston_mm: Vector3<f64>,
+    /// Specific force, rate and field, each with the number of its samples.
+    imu: [(Vector3<f64>, f64); 3],
+}
+
+impl Mean {
+    fn add(&mut self, config: &LoopConfig, sensed: &Sensed) {
+        self.ticks += 1.0;
+        self.t_s += sensed.t.0;
+        self.piston_mm += config.drive.piston_mm(&sensed.counted);
+        let Some(sample) = sensed.imu.sample() else {
+            return;
+        };
+        let sample = config.imu.apply(sample);
+        let values = [
+            Some(sample.acc_m_s2),
+            Some(sample.gyro_rad_s),
+            sample.mag_ut,
+        ];
+        for ((sum, n), value) in self.imu.iter_mut().zip(values) {
+            if let Some(value) = value {
+                (*sum, *n) = (*sum + value, *n + 1.0);
+            }
+        }
+    }
+
+    fn write(self, log: &mut BendLog) {
+        log.t_s.push(self.t_s / self.ticks);
+        log.piston_mm.push(self.piston_mm / self.ticks);
+        log.command.push(Vector3::repeat(f64::NAN));
+        if let Some(imu) = &mut log.imu {
+            let columns = [&mut imu.acc, &mut imu.gyr, &mut imu.mag];
+            for (column, (sum, n)) in columns.into_iter().zip(self.imu) {
+                // of no samples, the mean is not a number
+                column.push(sum / n);
+            }
+        }
+    }
 }

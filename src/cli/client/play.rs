@@ -8,9 +8,8 @@ use crate::cli::{Refused, output};
 use crate::diagnosis::excite::{ScheduleRow, rows};
 use crate::experiment::path::PathFile;
 use crate::log::table::{Schema, Table};
-use crate::model::{Bend, Geometry};
+use crate::model::Geometry;
 use crate::service::protocol::{Failure, PathRow, RecordAction, Request};
-use crate::service::status::Status;
 use crate::supervisor::Mode;
 use miette::{IntoDiagnostic, Report, Result, miette};
 use std::path::{Path, PathBuf};
@@ -198,7 +197,10 @@ fn run_rows(connection: &mut Connection, rows: &[ScheduleRow]) -> Result<()> {
     let mut before = ScheduleRow::rest(0.0, &Geometry::default());
     for row in rows {
         let now = status(connection)?;
-        let (seconds, speed_deg_s) = segment(&before, row, &now);
+        let k_epsilon = now.k_epsilon.unwrap_or([K_EPSILON; 3]);
+        let (seconds, speed_deg_s) = row.segment(&before, &Geometry::default(), k_epsilon);
+        // the service accepts 0.1 to 720 °/s
+        let speed_deg_s = speed_deg_s.map(|s| s.clamp(0.1, 720.0));
         let request = Request::bend(row.bend_deg, row.dir_deg, Some(row.len_mm), speed_deg_s);
         ask(connection, &request)?;
         arrive_and_hold(connection, now.t, seconds, row)?;
@@ -206,21 +208,6 @@ fn run_rows(connection: &mut Connection, rows: &[ScheduleRow]) -> Result<()> {
         bar.inc(1);
     }
     Ok(())
-}
-
-/// Duration of the segment between two rows, s, and the speed of its set-point, °/s (`None` if it does not bend).
-fn segment(from: &ScheduleRow, to: &ScheduleRow, status: &Status) -> (f64, Option<f64>) {
-    let geometry = Geometry::default();
-    let k_epsilon = status.k_epsilon.unwrap_or([K_EPSILON; 3]);
-    let change = to.lengths(&geometry) - from.lengths(&geometry);
-    let piston_mm = |i: usize| (change[i] * (1.0 + k_epsilon[i])).abs();
-    let fastest_mm = (0..3).map(piston_mm).fold(0.0, f64::max);
-    let seconds = fastest_mm / to.speed_mm_s;
-    let bend = |r: &ScheduleRow| Bend::from_deg(r.bend_deg, r.dir_deg).0;
-    let bend_deg = (bend(to) - bend(from)).norm().to_degrees();
-    // the service accepts 0.1 to 720 °/s
-    let speed_deg_s = (bend_deg / seconds).clamp(0.1, 720.0);
-    (seconds, Some(speed_deg_s).filter(|_| bend_deg > 0.1))
 }
 
 /// Waits for the end of the segment and of the hold, on the clock of the machine, which a simulation may run faster. It is an error if

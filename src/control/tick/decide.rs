@@ -130,10 +130,11 @@ impl Decision<'_> {
     fn open_loop(&mut self) -> Vector2<f64> {
         let (config, state, dt_s) = (self.config, &mut *self.state, self.dt_s);
         let wanted_mm = config.geometry.lengths(&state.setpoint.shape());
-        let mut bellow_mm = wanted_mm.add_scalar(config.limits.relief(&wanted_mm, &state.lines));
-        if let Some(described) = &mut state.described {
-            bellow_mm = described.invert(&bellow_mm);
-        }
+        let (limits, lines) = (&config.limits, &state.lines);
+        let bellow_mm = match &mut state.described {
+            Some(described) => described.invert(&wanted_mm, &limits.room(lines)),
+            None => wanted_mm.add_scalar(limits.relief(&wanted_mm, lines)),
+        };
         let piston_mm = Vector3::from_fn(|i, _| {
             let (line, side) = (&state.lines[i], state.sides[i]);
             let (piston_mm, next) = config.side.invert(line, side, bellow_mm[i], dt_s);

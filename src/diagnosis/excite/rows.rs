@@ -61,6 +61,22 @@ impl ScheduleRow {
         geometry.lengths(&Shape::new(bend.0, self.len_mm))
     }
 
+    /// Duration of the way from another row, s, with these gains, and the speed of a set-point that takes as long, °/s; `None` if it does
+    /// not bend.
+    pub fn segment(
+        &self,
+        from: &Self,
+        geometry: &Geometry,
+        k_epsilon: [f64; 3],
+    ) -> (f64, Option<f64>) {
+        let change = self.lengths(geometry) - from.lengths(geometry);
+        let piston_mm = |i: usize| (change[i] * (1.0 + k_epsilon[i])).abs();
+        let seconds = (0..3).map(piston_mm).fold(0.0, f64::max) / self.speed_mm_s;
+        let bend = |r: &Self| Bend::from_deg(r.bend_deg, r.dir_deg).0;
+        let bend_deg = (bend(self) - bend(from)).norm().to_degrees();
+        (seconds, (bend_deg > 0.1).then(|| bend_deg / seconds))
+    }
+
     /// The row rounded to the digits that a file holds, so that the designed schedule is the written one.
     pub fn rounded(&self) -> Self {
         let to = |x: f64, digits: f64| (x * digits).round() / digits;
