@@ -6,7 +6,6 @@ use crate::diagnosis::tip::fit::best_predicting;
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::tip::{self as diagnosis, recalibrated};
 use crate::experiment::error::ExperimentError;
-use crate::experiment::evaluation::Arm;
 use crate::experiment::rig::Rig;
 use crate::log::bend_log::{BendLog, ImuColumns};
 use crate::model::{Bend, DescribedMachine, Shape};
@@ -53,7 +52,7 @@ pub fn record(
 ) -> Result<BendLog, ExperimentError> {
     let machine = Machine::new(*rig, config.lines);
     let k_epsilon = config.lines.map(|line| line.k_epsilon);
-    let mut bench = Rig::new(Arm::Closed.config(config), world);
+    let mut bench = Rig::new(config.clone(), world);
     bench.align()?;
     let usual = config.bend_pace.speed;
     let mut log = BendLog {

@@ -134,7 +134,7 @@ impl JumpDetector {
 
 /// A suspicion ends after this many consecutive moves …
 const GOOD_MOVES: u8 = 2;
-/// … whose residual is within this share of the threshold.
+/// … whose residual is within this share of what the fault would leave, or of the threshold if the fault is not that of a line.
 const GOOD_SHARE: f64 = 0.5;
 
 /// A suspicion and its age.
@@ -142,10 +142,22 @@ const GOOD_SHARE: f64 = 0.5;
 struct Verdict {
     suspicion: Suspicion,
     age_s: f64,
+    /// The share is that of the motion since the baseline, not of the deflection.
+    of_motion: bool,
     /// The residual grew abruptly.
     abrupt: bool,
     /// Consecutive moves that ended without the residual.
     good_moves: u8,
+}
+
+impl Verdict {
+    /// Residual that the suspected fault of a line leaves at a predicted bend, `moved` from the baseline, rad.
+    fn residual(&self, predicted: &Vector2<f64>, moved: &Vector2<f64>) -> Option<Vector2<f64>> {
+        let Suspicion { channel, share, .. } = self.suspicion;
+        let spoke = Geometry::spoke(usize::from(channel?.checked_sub(1)?));
+        let bend = if self.of_motion { moved } else { predicted };
+        (share != 0.0).then(|| spoke * (2.0 / 3.0 * share * spoke.dot(bend)))
+    }
 }
 
 /// The monitor.
@@ -227,14 +239,24 @@ impl ResidualMonitor {
         self.assess(input)
     }
 
-    /// Withdraws a suspicion after moves that ended as predicted.
+    /// Withdraws a suspicion after moves that ended as predicted without the fault. A pose in which the fault would show little says
+    /// nothing.
     fn acquit(&mut self, input: &ResidualInput) {
         let Some(verdict) = &mut self.verdict else {
             return;
         };
-        let moved = (input.predicted - self.baseline.1).norm();
-        let allowed = self.config.rest_deg.to_radians() + self.config.share * moved;
-        let good = self.smooth.norm() < GOOD_SHARE * allowed;
+        let moved = input.predicted - self.baseline.1;
+        let rest = self.config.rest_deg.to_radians();
+        let allowed = rest + self.config.share * moved.norm();
+        let expected = verdict.residual(&input.predicted, &moved);
+        let good = match expected {
+            Some(expected) if expected.norm() < rest => return,
+            Some(expected) => {
+                let found = self.smooth.dot(&expected) / expected.norm_squared();
+                found < GOOD_SHARE && self.smooth.norm() < allowed
+            }
+            None => self.smooth.norm() < GOOD_SHARE * allowed,
+        };
         verdict.good_moves = if good { verdict.good_moves + 1 } else { 0 };
         if verdict.good_moves >= GOOD_MOVES {
             self.forget();
@@ -257,13 +279,13 @@ impl ResidualMonitor {
         if let Some(mut verdict) = self.verdict {
             // a larger residual identifies the cause better
             verdict.age_s += input.dt_s;
-            let now = self.classify(input, moved, sudden, verdict.abrupt);
+            let (now, of_motion) = self.classify(input, moved, sudden, verdict.abrupt);
             // the reaction of the loop is motion that is not answered yet: it lets a line look less responsive than it is
             let then = verdict.suspicion;
             let same = now.share * then.share >= 0.0
                 && (now.kind, then.kind) != (SuspicionKind::NoResponse, SuspicionKind::Weak);
             if verdict.age_s < UPDATE_S && beyond && same && now.deg > verdict.suspicion.deg {
-                verdict.suspicion = now;
+                (verdict.suspicion, verdict.of_motion) = (now, of_motion);
             }
             self.verdict = Some(verdict);
             return None;
@@ -272,18 +294,26 @@ impl ResidualMonitor {
             return None;
         }
         let abrupt = sudden || self.rising_s - self.beyond_s < ABRUPT_S + input.answer_s;
-        let suspicion = self.classify(input, moved, sudden, abrupt);
+        let (suspicion, of_motion) = self.classify(input, moved, sudden, abrupt);
         self.verdict = Some(Verdict {
             suspicion,
             age_s: 0.0,
+            of_motion,
             abrupt,
             good_moves: 0,
         });
         Some(suspicion)
     }
 
-    /// Channel and kind of the fault that explains the residual; `moved` is the motion since the baseline, rad.
-    fn classify(&self, input: &ResidualInput, moved: f64, sudden: bool, abrupt: bool) -> Suspicion {
+    /// Channel and kind of the fault that explains the residual, and whether its share is that of the motion since the baseline; `moved` is
+    /// that motion, rad.
+    fn classify(
+        &self,
+        input: &ResidualInput,
+        moved: f64,
+        sudden: bool,
+        abrupt: bool,
+    ) -> (Suspicion, bool) {
         use SuspicionKind::{Burst, Contact, Inverted, Leak, LostSteps, NoResponse, Strong, Weak};
         let u = if sudden { self.jump.jump } else { self.smooth };
         let along: [f64; 3] = std::array::from_fn(|j| u.dot(&Geometry::spoke(j)));
@@ -316,7 +346,7 @@ impl ResidualMonitor {
         let deflected = deflection_mm.abs() > DEFLECTION_MIN_MM;
         // a residual along one spoke has its cause in one line, even if the controller reports an obstruction
         let one_line = along[j].abs() > 0.9 * u.norm();
-        if in_motion && one_line && of_motion < LOST {
+        let suspicion = if in_motion && one_line && of_motion < LOST {
             let inverted = of_motion < -1.5;
             of(if inverted { Inverted } else { NoResponse }, of_motion)
         } else if self.settled && one_line && deflected && of_deflection < LOST {
@@ -343,6 +373,7 @@ impl ResidualMonitor {
                 (share, false) if share < 0.0 => of(Leak, share),
                 (share, _) => of(Strong, share),
             }
-        }
+        };
+        (suspicion, suspicion.share == of_motion)
     }
 }

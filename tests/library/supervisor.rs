@@ -170,23 +170,39 @@ fn a_fault_of_one_line_is_attributed_to_its_channel() {
     }
 }
 
+/// While a line is weak or strong its suspicion stays; once it is repaired, two moves that would show the fault end it.
 #[test]
-#[ignore = "the suspicion of a weak line outlives its repair by more than eight moves; the cause is not known"]
 fn a_suspicion_ends_once_moves_come_good() {
-    let mut f = held(65.0, 70.0);
-    f.runner.machine.world.plant.faults.bellow_gain[1] = 0.4;
-    assert!(f.run(5.0).suspicion.is_some());
-    // the line stays weak: the suspicion stays
-    f.bend(40.0, 70.0);
-    assert!(f.run(3.0).suspicion.is_some());
-    f.runner.machine.world.plant.faults.bellow_gain[1] = 1.0;
-    f.run(3.0);
-    let ended = (0..8).position(|k| {
-        f.bend(if k % 2 == 0 { 60.0 } else { 30.0 }, 70.0);
-        f.run(3.0).suspicion.is_none()
-    });
-    println!("the suspicion ended with move {ended:?} after the repair");
-    assert!(ended.is_some(), "{:?}", f.run(0.1).suspicion);
+    let mut ended = Vec::new();
+    for (channel, dir_deg) in [(0, 50.0), (1, 70.0), (2, 300.0), (1, 200.0)] {
+        for gain in [0.4, 0.55, 1.8] {
+            let mut f = held(65.0, dir_deg);
+            f.runner.machine.world.plant.faults.bellow_gain[channel] = gain;
+            let now = f.run(5.0);
+            // the worst ones end in a fault
+            let Some(suspicion) = now.suspicion.filter(|_| now.mode == Mode::Holding) else {
+                continue;
+            };
+            let case = format!("gain {gain} of line {}: {suspicion}", channel + 1);
+            for bend_deg in [40.0, 60.0, 35.0] {
+                f.bend(bend_deg, dir_deg);
+                let stays = f.run(3.0).suspicion.is_some();
+                assert!(stays, "{case}: withdrawn at {bend_deg}°");
+            }
+            f.runner.machine.world.plant.faults.bellow_gain[channel] = 1.0;
+            f.run(3.0);
+            let moves = (0..8).position(|k| {
+                f.bend(if k % 2 == 0 { 60.0 } else { 30.0 }, dir_deg);
+                f.run(3.0).suspicion.is_none()
+            });
+            println!("{case}: ended with move {:?}", moves.map(|k| k + 1));
+            ended.push(moves);
+        }
+    }
+    assert!(ended.len() > 8, "{} were suspected", ended.len());
+    let late = ended.iter().filter(|moves| moves.is_none_or(|k| k > 1));
+    // line 1, with the paper's gains as the calibration: without a fault it errs by 24° at the first pose and by 6° at another
+    assert!(late.count() <= 1, "{ended:?}");
 }
 
 #[test]

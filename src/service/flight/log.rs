@@ -4,7 +4,7 @@
 //! cycles show the gap. While the disk has no room, or fails, nothing is written, and the status says why.
 
 use crate::config::ServiceSection;
-use crate::service::disk::{mib, require_free};
+use crate::service::disk::{free_bytes, mib, require_free};
 use crate::service::flight::file::{FlightFile, io_error, zero_unix_ns};
 use crate::service::flight::start::{Event, Logged};
 use mcap::McapResult;
@@ -221,7 +221,8 @@ fn run(
     }
 }
 
-/// Deletes the oldest logs, all but `keep`, until there is room for one more.
+/// Deletes the oldest logs until there is room for one more, but neither `keep` nor the newest one beside it. If that cannot make room,
+/// because other files fill the disk, no log is deleted for it.
 fn prune(folder: &Path, bounds: &ServiceSection, keep: &[PathBuf]) -> io::Result<()> {
     // somebody else may delete logs too
     let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
@@ -230,13 +231,49 @@ fn prune(folder: &Path, bounds: &ServiceSection, keep: &[PathBuf]) -> io::Result
     let mut old: Vec<PathBuf> = old.filter(|path| !keep.contains(path)).rev().collect();
     loop {
         let room = require_free(folder, bounds);
-        let much = old.iter().map(size).sum::<u64>() > most;
-        match old.pop() {
-            Some(path) if room.is_err() || much => match std::fs::remove_file(path) {
-                Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
-                _ => {}
-            },
-            _ => return room,
+        let sizes: Vec<u64> = old.iter().map(size).collect();
+        let helps =
+            free_bytes(folder)? + sizes.iter().skip(1).sum::<u64>() >= mib(bounds.record_free_mib);
+        let much = sizes.iter().sum::<u64>() > most;
+        if old.len() < 2 || !(much || helps && room.is_err()) {
+            return room;
         }
+        match old.pop().map(std::fs::remove_file) {
+            Some(Err(e)) if e.kind() != io::ErrorKind::NotFound => return Err(e),
+            _ => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn logs_are_deleted_oldest_first_and_not_where_that_makes_no_room() {
+        let left = |record_free_mib: f64, flight_max_mib: f64| {
+            let folder = tempfile::tempdir().unwrap();
+            let paths: Vec<PathBuf> = (1..=5).map(|n| part_path(folder.path(), n, 1)).collect();
+            for path in &paths {
+                let file = std::fs::File::create(path).unwrap();
+                file.set_len(1 << 20).unwrap();
+            }
+            let bounds = ServiceSection {
+                record_free_mib,
+                flight_max_mib,
+                flight_file_mib: 1.0,
+                ..ServiceSection::default()
+            };
+            let room = prune(folder.path(), &bounds, &paths[4..]);
+            let left = flights(folder.path()).unwrap();
+            assert_eq!(left, paths[5 - left.len()..]);
+            (room.is_ok(), left.len())
+        };
+        // of four beside the present one, as many as are allowed, and at least the newest
+        for (max_mib, expected) in [(5.0, 5), (4.0, 4), (3.0, 3), (2.0, 2), (1.0, 2)] {
+            assert_eq!(left(0.0, max_mib), (true, expected), "{max_mib} MiB");
+        }
+        // other files fill the disk
+        assert_eq!(left(1e9, 64.0), (false, 5));
     }
 }
