@@ -100,8 +100,10 @@ pub fn run(args: &Args) -> Result<()> {
     let claim = Claim::new(&board.service).map_err(report)?;
     let machine = open(args, path.as_deref(), &board)?;
     let mut supervisor = assemble(&board, &calibration, &gains, machine.info());
-    if let Some((_, machine)) = feedforward {
+    let mut model = None;
+    if let Some((path, machine)) = feedforward {
         supervisor.tick = supervisor.tick.fed_forward(machine);
+        model = Some(path);
     }
     let config = RunConfig {
         supervisor,
@@ -111,6 +113,8 @@ pub fn run(args: &Args) -> Result<()> {
         board,
         gains: args.gains.clone(),
         calibration,
+        calib: args.calib.clone(),
+        feedforward: model,
         tip,
     };
     let pace = args.fast.or(machine.is_simulated().then_some(1.0));

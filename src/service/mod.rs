@@ -121,6 +121,13 @@ pub fn serve(
 ) -> Result<(), ServiceError> {
     let (mut store, recall) = (claim.store, claim.recall);
     let (belief, memory) = believed(&recall, machine.is_simulated());
+    if let (Some(gains), Some(file)) = (Start::accepted(&config, &memory), &config.calib) {
+        let (tip, file) = (&gains.tip, file.display());
+        tracing::info!(
+            event = "calibration",
+            "the accepted calibration of tip `{tip}` outranks {file}; to use the gains of the file, write another `tip` in it"
+        );
+    }
     let start = Start::new(&config, &memory, belief);
     config.supervisor = start.config.clone();
     if recall.found != Found::Intact {
@@ -206,7 +213,7 @@ fn believed(recall: &Recall, simulated: bool) -> (Belief, Memory) {
         tracing::error!(event = "memory_damaged", "{line}");
     }
     if belief == Belief::Lost {
-        let mend = "`retroflex zero`, or `retroflex home` without the service";
+        let mend = "`retroflex status` says what ends that; `retroflex home`, without the service, does too";
         tracing::error!(
             event = "lost",
             "no memory tells where the pistons are: {mend}"

@@ -114,6 +114,8 @@ pub type PathRow = (f64, f64, f64, Option<f64>);
 pub const PATH_ROWS: usize = 100_000;
 /// Longest duration of a path, s.
 pub const PATH_MAX_S: f64 = 3600.0;
+/// Least time from a row of a path to the next, s.
+pub const PATH_STEP_S: f64 = 1e-6;
 /// Directions that may be asked for, degrees: a scan may count a hundred turns.
 pub const DIR_DEG: RangeInclusive<f64> = -36_000.0..=36_000.0;
 
@@ -231,10 +233,12 @@ impl Failure {
     }
 }
 
-/// Parses one line into its `id` and the request. A stop is one whatever else its line says: to brake is the safe answer.
+/// Parses one line into its `id` and the request. A stop is one whatever else its line says, also one that is not JSON: to brake is the
+/// safe answer.
 pub fn parse(line: &str) -> (Value, Result<Request, Failure>) {
     let mut object = match serde_json::from_str::<Object>(line) {
         Ok(Object(object)) => object,
+        Err(_) if says_stop(line) => return (Value::Null, Ok(Request::Stop {})),
         Err(e) if e.is_data() => {
             let why = format!("a request is one JSON object per line: {e}");
             return (Value::Null, Err(Failure::bad(why)));
@@ -262,6 +266,12 @@ pub fn parse(line: &str) -> (Value, Result<Request, Failure>) {
     let request = serde_json::from_value(Value::Object(object))
         .map_err(|e| Failure::bad(format!("not understood: {e}")));
     (id, request)
+}
+
+/// True if a line that cannot be read says `"cmd":"stop"`, with or without blanks.
+fn says_stop(line: &str) -> bool {
+    let dense: String = line.split_whitespace().collect();
+    dense.contains(r#""cmd":"stop""#)
 }
 
 /// A JSON object in which no key is given twice: two readers of such a line could understand two requests.
@@ -352,6 +362,28 @@ mod tests {
         }
     }
 
+    /// A whole line with every end cut off, with something in every place, and what is no request.
+    #[test]
+    fn a_stop_that_is_not_json_is_a_stop_too() {
+        let whole = r#"{"v":1,"id":3,"cmd" : "stop","foo":[1]}"#;
+        let said = whole.find("p\"").unwrap() + 2;
+        for end in said..whole.len() {
+            assert_eq!(parse(&whole[..end]).1, Ok(Request::Stop {}), "{end}");
+        }
+        for end in 0..said {
+            assert!(parse(&whole[..end]).1.is_err(), "{end}");
+        }
+        for other in [
+            r#"{"v":1,"cmd":"stop","foo":}"#,
+            r#"{"v":1,"cmd":"stop","cmd":"arm"}"#,
+            r#"[{"cmd": "stop"}]"#,
+        ] {
+            assert_eq!(parse(other).1, Ok(Request::Stop {}), "{other}");
+        }
+        let named = r#"{"v":1,"cmd":"record","action":"start","name":"\"cmd\":\"stop\""}"#;
+        assert_ne!(parse(named).1, Ok(Request::Stop {}));
+    }
+
     #[test]
     fn an_id_comes_back_as_it_was_or_is_refused() {
         let max = u64::MAX.to_string();
@@ -378,7 +410,7 @@ mod tests {
             (r#"{"cmd":"arm"}"#, "version none"),
             (r#"{"v":2,"cmd":"arm"}"#, "version 2"),
             (
-                r#"{"v":1,"cmd":"stop","cmd":"arm"}"#,
+                r#"{"v":1,"cmd":"bend","cmd":"arm"}"#,
                 "\"cmd\" is given twice",
             ),
             (r#"{"v":1,"cmd":"fly"}"#, "fly"),

@@ -3,7 +3,7 @@
 use crate::config::{Board, Calibration, Gains, ServiceSection};
 use crate::control::{Dynamics, DynamicsPrior, LoopConfig, RestartState};
 use crate::service::flight::start::Header;
-use crate::service::{Belief, Memory};
+use crate::service::{Belief, LearnedGains, Memory};
 use crate::supervisor::{MachineInfo, Supervisor, SupervisorConfig};
 use std::path::PathBuf;
 
@@ -19,6 +19,10 @@ pub struct RunConfig {
     pub gains: Option<PathBuf>,
     /// The calibration.
     pub calibration: Calibration,
+    /// Its file; `None` runs on the one that comes with the program.
+    pub calib: Option<PathBuf>,
+    /// File of the model for the feedforward, if there is one.
+    pub feedforward: Option<PathBuf>,
     /// Identity of the mounted tip; empty if none was given.
     pub tip: String,
     /// Hash of [`Self::texts`].
@@ -41,15 +45,19 @@ pub struct Start {
 }
 
 impl Start {
+    /// The accepted calibration, if it is in use: it was made on the mounted tip, and no model describes the machine, whose gains were
+    /// identified together with its effects.
+    pub fn accepted<'a>(config: &RunConfig, memory: &'a Memory) -> Option<&'a LearnedGains> {
+        let described = config.supervisor.tick.feedforward.is_some();
+        let accepted = memory.accepted.as_ref();
+        accepted.filter(|gains| gains.tip == config.tip && !described)
+    }
+
     /// Applies what the memory holds about the mounted tip.
     pub fn new(config: &RunConfig, memory: &Memory, belief: Belief) -> Self {
         let mut supervisor = config.supervisor.clone();
-        // the gains of a described machine were identified together with its effects
         let described = supervisor.tick.feedforward.is_some();
-        if let Some(gains) = &memory.accepted
-            && gains.tip == config.tip
-            && !described
-        {
+        if let Some(gains) = Self::accepted(config, memory) {
             supervisor.tick.lines = gains.lines();
             supervisor.tick.dynamics = DynamicsPrior::calibrated(Dynamics {
                 lag_s: gains.lag_s,

@@ -148,6 +148,8 @@ pub struct Status {
     pub blocked: bool,
     /// A stop is latched.
     pub stopped: bool,
+    /// The service is ending, and accepts no more commands.
+    pub ending: bool,
     /// The operator has stated the zero, and no measurement has confirmed it.
     pub unverified: bool,
     /// Why the tip cannot get nearer to its target.
@@ -170,6 +172,8 @@ pub struct Status {
     pub calibration_failed: Option<String>,
     /// Source of the gains in use.
     pub calibration: Option<String>,
+    /// File of the model for the feedforward.
+    pub feedforward: Option<String>,
     /// Identity of the mounted tip.
     pub tip: Option<String>,
     /// How the last recording ended.

@@ -75,7 +75,8 @@ pub fn read_slot(path: &Path) -> Result<Option<(u64, Memory)>, String> {
         Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(e) => return Err(e.to_string()),
         Ok(SIZE) => {}
-        Ok(size) => return Err(format!("has {size} bytes or more instead of {SIZE}")),
+        Ok(size) if size < SIZE => return Err(format!("has {size} bytes instead of {SIZE}")),
+        Ok(_) => return Err(format!("has more than {SIZE} bytes")),
     }
     parse(&text)?.map_or_else(|| Err("is empty".to_owned()), |slot| Ok(Some(slot)))
 }

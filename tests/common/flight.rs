@@ -52,6 +52,8 @@ pub fn fly(
         board,
         gains: None,
         calibration,
+        calib: None,
+        feedforward: None,
         tip: String::new(),
         config_hash,
         texts,

@@ -5,6 +5,7 @@ mod accept;
 mod attacks;
 mod bad_input;
 mod boards;
+mod clients;
 mod command_line;
 #[path = "../common/mod.rs"]
 mod common;

@@ -2,6 +2,7 @@
 
 use crate::cli::output::print;
 use crate::cli::{Refused, Unreachable};
+use crate::model::Bend;
 use crate::service::client::connect_within;
 use crate::service::paths;
 use crate::service::protocol::{Failure, Request};
@@ -23,6 +24,8 @@ const PROBE_MAX: Duration = Duration::from_millis(100);
 
 /// Longest wait for pistons that brake and drivers that energise.
 const BUSY_MAX: Duration = Duration::from_secs(1);
+/// Largest difference between two targets that are the same, degrees: rounding.
+const SAME_DEG: f64 = 0.1;
 
 /// Address of the service.
 #[derive(Debug, Clone, clap::Args)]
@@ -174,6 +177,12 @@ pub(super) fn halted(s: &Status) -> Option<String> {
             Some(s.fault.clone().unwrap_or(format!("mode {mode}")))
         }
     }
+}
+
+/// True if another command has given the tip another target than this one.
+pub(super) fn is_led_elsewhere(s: &Status, target: Bend) -> bool {
+    let off = s.target.unwrap_or_default().bend().0 - target.0;
+    off.norm().to_degrees() > SAME_DEG
 }
 
 /// Sends a request and prints its result, unless that is empty.

@@ -1,6 +1,8 @@
 //! Commands that wait for their end: a move, an alignment, a calibration.
 
-use super::connection::{At, Connection, ask, ask_and_print, connect, halted, poll};
+use super::connection::{
+    At, Connection, ask, ask_and_print, connect, halted, is_led_elsewhere, poll,
+};
 use super::status::pose;
 use crate::cli::{Refused, ResultFile, output, within};
 use crate::model::Bend;
@@ -20,8 +22,6 @@ const ALIGNED_MAX: Duration = Duration::from_secs(10);
 const MOVED_MAX: Duration = Duration::from_secs(60);
 /// Longest wait of `arm` for a service that has just been started.
 const STARTED_MAX: Duration = Duration::from_secs(2);
-/// Largest difference between two targets that are the same, degrees: rounding.
-const SAME_DEG: f64 = 0.1;
 
 /// Period of the lines that report progress where there is no terminal.
 const SAID_EVERY: Duration = Duration::from_secs(5);
@@ -112,10 +112,9 @@ pub fn settle(connection: &mut Connection, request: &Request, sent_to: Bend) -> 
         let mode = s.mode_name().unwrap_or_default();
         let (estimate, target) = (pose(&s.estimate), pose(&s.target));
         let line = format!("{mode}  estimate {estimate} of {target}");
-        let off = s.target.unwrap_or_default().bend().0 - sent_to.0;
         let why = match halted(s) {
             Some(why) => why,
-            None if off.norm().to_degrees() > SAME_DEG => {
+            None if is_led_elsewhere(s, sent_to) => {
                 format!("another command replaced this one: {line}")
             }
             None if s.settled => {
@@ -213,9 +212,13 @@ pub fn transmission(args: &TransmissionArgs) -> Result<bool> {
         return Ok(false);
     }
     show_gains(&last, &args.json)?;
-    eprintln!(
-        "apply them with `retroflex calibrate transmission --accept`, or discard them with `--discard`"
-    );
+    let apply = match &last.feedforward {
+        Some(model) => format!(
+            "the gains of the feedforward model {model} stay in use: to apply these, start the service without it, then accept them"
+        ),
+        None => "apply them with `retroflex calibrate transmission --accept`".to_owned(),
+    };
+    eprintln!("{apply}, or discard them with `--discard`");
     Ok(true)
 }
 

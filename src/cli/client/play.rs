@@ -3,12 +3,14 @@
 //! The speed of a row is that of the fastest piston. The speed of the set-point follows from the gains in use: pistons
 //! move by (1 + k_ε) Δq (Eq. 16), and all arrive at the same time.
 
-use super::connection::{At, Connection, ask, connect, halted, poll, report, status, words};
+use super::connection::{
+    At, Connection, ask, connect, halted, is_led_elsewhere, poll, report, status, words,
+};
 use crate::cli::{Refused, output};
 use crate::diagnosis::excite::{ScheduleRow, rows};
 use crate::experiment::path::PathFile;
 use crate::log::table::{Schema, Table};
-use crate::model::Geometry;
+use crate::model::{Bend, Geometry};
 use crate::service::protocol::{Failure, PathRow, RecordAction, Request};
 use crate::supervisor::Mode;
 use miette::{IntoDiagnostic, Report, Result, miette};
@@ -69,7 +71,7 @@ pub fn play(args: &PlayArgs) -> Result<()> {
     }
     // after an earlier motion the straight tip is not quite where the first row is
     let rest = ScheduleRow::rest(AT_REST_S, &Geometry::default());
-    let rested = arrive_and_hold(&mut connection, now.t, 0.0, &rest);
+    let rested = arrive_and_hold(&mut connection, now.t, 0.0, &rest, false);
     let outcome = rested.and_then(|()| schedule.run(&mut connection));
     let recorded = ask(&mut connection, &request(RecordAction::Stop));
     if let Ok(recorded) = &recorded {
@@ -142,13 +144,15 @@ impl Schedule {
     /// What the service says of a row, with its place in the file.
     fn refusal(&self, file: &Path, message: &str) -> Report {
         let place = || {
-            let (row, _) = message.strip_prefix("row ")?.split_once(',')?;
-            let (_, expected) = message.split_once("expected ")?;
-            Some((row.parse::<usize>().ok()?.checked_sub(1)?, expected))
+            let (place, expected) = message.strip_prefix("row ")?.split_once(": expected ")?;
+            let (row, given) = place.split_once(", ")?;
+            let (column, value) = given.split_once(' ')?;
+            let row = row.parse::<usize>().ok()?.checked_sub(1)?;
+            Some((row, column.replace("length_mm", "len_mm"), value, expected))
         };
         match (self, place()) {
-            (Self::Path(path), Some((row, expected))) if row < path.table.rows() => {
-                miette!("{}", path.refuse(row, expected))
+            (Self::Path(path), Some((row, column, value, expected))) if row < path.table.rows() => {
+                miette!("{}", path.table.refuse(row, &column, value, expected))
             }
             _ => miette!("{}, {message}", file.display()),
         }
@@ -173,18 +177,31 @@ fn run_path(connection: &mut Connection, rows: &[PathRow]) -> Result<()> {
         ..ScheduleRow::rest(0.0, &Geometry::default())
     };
     ask(connection, &to_first(rows[0]))?;
-    arrive_and_hold(connection, now.t, 0.0, &first)?;
+    arrive_and_hold(connection, now.t, 0.0, &first, true)?;
+    let began_s = status(connection)?.t;
+    let (_, bend_deg, dir_deg, _) = rows[rows.len() - 1];
+    let end = Bend::from_deg(bend_deg, dir_deg);
     let (rows, more) = (vec![], false);
     let answer = ask(connection, &Request::Path { rows, more })?;
+    let duration_s = answer["duration_s"].as_f64().unwrap_or_default();
     if let Some(slower) = answer["time_scale"].as_f64().filter(|scale| *scale > 1.0) {
         eprintln!(
             "note: the path asks {slower:.2} times the speed that the pistons can follow; it is played that much slower"
         );
     }
-    poll(connection, 20, |s| match halted(s) {
-        Some(why) => Some(Err(Refused(format!("the path ended early: {why}")).into())),
-        None => (s.path.is_none() && s.mode == Some(Mode::Holding)).then_some(Ok(())),
+    poll(connection, 20, |s| {
+        let is_over = s.path.is_none();
+        let early = is_over && (s.t - began_s < duration_s || is_led_elsewhere(s, end));
+        match halted(s).or_else(|| early.then(replaced)) {
+            Some(why) => Some(Err(Refused(format!("the path ended early: {why}")).into())),
+            None => (is_over && s.mode == Some(Mode::Holding)).then_some(Ok(())),
+        }
     })?
+}
+
+/// What is said where the tip follows another command than this one.
+fn replaced() -> String {
+    "another command ended it".to_owned()
 }
 
 /// The move to the first row of a path, at the usual speed.
@@ -203,7 +220,7 @@ fn run_rows(connection: &mut Connection, rows: &[ScheduleRow]) -> Result<()> {
         let speed_deg_s = speed_deg_s.map(|s| s.clamp(0.1, 720.0));
         let request = Request::bend(row.bend_deg, row.dir_deg, Some(row.len_mm), speed_deg_s);
         ask(connection, &request)?;
-        arrive_and_hold(connection, now.t, seconds, row)?;
+        arrive_and_hold(connection, now.t, seconds, row, true)?;
         before = *row;
         bar.inc(1);
     }
@@ -211,21 +228,29 @@ fn run_rows(connection: &mut Connection, rows: &[ScheduleRow]) -> Result<()> {
 }
 
 /// Waits for the end of the segment and of the hold, on the clock of the machine, which a simulation may run faster. It is an error if
-/// the service stops moving.
+/// the service stops moving, or if another command leads the tip away from a row that was asked for, or moves a tip that was not asked
+/// to move.
 fn arrive_and_hold(
     connection: &mut Connection,
     started_s: f64,
     seconds: f64,
     row: &ScheduleRow,
+    asked: bool,
 ) -> Result<()> {
+    let target = Bend::from_deg(row.bend_deg, row.dir_deg);
     let mut arrived_s: Option<f64> = None;
     poll(connection, 5, |s| {
-        if let Some(why) = halted(s) {
+        let is_on_its_way = s.mode == Some(Mode::Tracking);
+        let elsewhere = if asked {
+            is_led_elsewhere(s, target)
+        } else {
+            is_on_its_way
+        };
+        if let Some(why) = halted(s).or_else(|| elsewhere.then(replaced)) {
             let (bend_deg, dir_deg) = (row.bend_deg, row.dir_deg);
             let text = format!("the schedule ended at bend {bend_deg}° toward {dir_deg}°: {why}");
             return Some(Err(Refused(text).into()));
         }
-        let is_on_its_way = s.mode == Some(Mode::Tracking);
         let late_max_s = if is_on_its_way { LATE_MAX_S } else { 0.0 };
         if s.t - started_s >= seconds + late_max_s {
             arrived_s.get_or_insert(s.t);

@@ -88,11 +88,21 @@ fn path(path: &PathState) -> String {
 pub(super) fn rows(s: &Status) -> Vec<(&'static str, String)> {
     let when = |holds: bool, words: &'static str| if holds { words } else { "" };
     let energised = when(s.energised, ", energised");
-    let stopped = when(s.stopped, ", stopped until `retroflex arm`");
+    let stopped = match (s.stopped, s.ending) {
+        (true, true) => ", stopped; the service is ending",
+        (true, false) => ", stopped until `retroflex arm`",
+        (false, ending) => when(ending, "; the service is ending"),
+    };
     let pistons = s.piston_mm.iter().flatten().map(|mm| format!("{mm:.2}"));
     let (estimate, target) = (pose(&s.estimate), pose(&s.target));
     let mode = [s.mode_name().unwrap_or("null"), energised, stopped].concat();
-    let of_tip = |(tip, calibration)| format!("{tip}   calibration {calibration}");
+    let gains = match s.feedforward {
+        Some(_) => "feedforward and calibration",
+        None => "calibration",
+    };
+    let of_tip = |(tip, calibration)| format!("{tip}   {gains} {calibration}");
+    let waits =
+        "a calibration waits for `retroflex calibrate transmission --accept` or `--discard`";
     let (late, most, lost) = (s.late_cycles, s.max_lateness_us, s.lost_frames);
     let of_loop =
         |cycles| format!("{cycles} cycles, {late} late, at most {most} µs, {lost} frames lost");
@@ -108,6 +118,7 @@ pub(super) fn rows(s: &Status) -> Vec<(&'static str, String)> {
             "tip",
             s.tip.as_ref().zip(s.calibration.as_ref()).map(of_tip),
         ),
+        ("proposed", s.proposed.as_ref().map(|_| waits.to_owned())),
         ("loop", s.cycles.map(of_loop)),
         ("fault", s.fault.clone()),
         ("lost", s.lost.clone()),
@@ -164,5 +175,56 @@ pub fn subscribe(args: &SubscribeArgs) -> Result<()> {
         if !output::print_with(|out| writeln!(out, "{value}")) {
             return Ok(());
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_drives_the_tip_and_what_waits_is_shown() {
+        let said = |status: &Status| {
+            let rows = rows(status).into_iter();
+            let lines: Vec<String> = rows.map(|(name, text)| format!("{name}: {text}")).collect();
+            lines.join("\n")
+        };
+        for (stopped, ending, part) in [
+            (true, false, "null, stopped until `retroflex arm`"),
+            (true, true, "null, stopped; the service is ending"),
+            (false, true, "null; the service is ending"),
+        ] {
+            let status = Status {
+                stopped,
+                ending,
+                ..Status::default()
+            };
+            let text = said(&status);
+            assert!(text.contains(part), "{text}");
+            assert!(!(ending && text.contains("arm")), "{text}");
+        }
+        let mut status = Status {
+            tip: Some("A".to_owned()),
+            calibration: Some("x.toml".to_owned()),
+            ..Status::default()
+        };
+        assert!(said(&status).contains("tip: A   calibration x.toml"));
+        assert!(!said(&status).contains("proposed"));
+        status.feedforward = status.calibration.clone();
+        status.proposed = Some(crate::service::LearnedGains {
+            k_epsilon: [2.0; 3],
+            k_lambda_mm: [0.9; 3],
+            lag_s: 0.0,
+            delay_s: 0.0,
+            tip: String::new(),
+            unix_s: 0.0,
+            source: String::new(),
+        });
+        let text = said(&status);
+        assert!(
+            text.contains("tip: A   feedforward and calibration x.toml"),
+            "{text}"
+        );
+        assert!(text.contains("--accept"), "{text}");
     }
 }

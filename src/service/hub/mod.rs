@@ -107,8 +107,10 @@ pub struct Hub {
     pub(super) next_id: u64,
     pub(super) pending: BTreeMap<u64, Pending>,
     pub(super) subscriptions: Vec<Subscription>,
-    /// Rows of a path of which more will come, and the client that sends them.
-    pub(super) path_rows: (u64, Vec<PathRow>),
+    /// Rows of paths of which more will come, by the client that sends them.
+    pub(super) path_rows: HashMap<u64, Vec<PathRow>>,
+    /// The client whose clock a stream with times is on.
+    pub(super) streamer: u64,
     /// Duration of the last path and by how much it was slowed, for the status.
     pub(super) path: Value,
     pub(super) last: Option<CycleOutput>,
@@ -194,7 +196,8 @@ impl Hub {
             next_id: 1,
             pending: BTreeMap::new(),
             subscriptions: Vec::new(),
-            path_rows: (0, Vec::new()),
+            path_rows: HashMap::new(),
+            streamer: 0,
             path: Value::Null,
             last: None,
             note: None,

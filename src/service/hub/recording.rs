@@ -8,7 +8,6 @@ use crate::service::flight::start::Event;
 use crate::service::paths::Paths;
 use crate::service::record::{Progress, Recording};
 use crate::service::{Belief, Caller, Change, Failure, RecordAction, Start, Watched, status};
-use crate::supervisor::cycle::order::hint;
 use crate::supervisor::{Mode, Source, TripCause};
 use serde_json::{Value, json};
 use std::collections::HashMap;
@@ -145,12 +144,14 @@ impl Hub {
 
     fn recording_over(&mut self, recording: &Recording, result: io::Result<Option<&'static str>>) {
         let (shown, rows) = (recording.path.display(), recording.rows.count);
+        let exists = "a recording of this name exists; give another name, or remove its files (.csv.gz and .mcap)";
+        let result = result.map_err(|e| match e.kind() {
+            io::ErrorKind::AlreadyExists => exists.to_owned(),
+            _ => e.to_string(),
+        });
         let (reply, why) = match result {
             Ok(reason) => (Ok(recording_json(recording)), reason.map(str::to_owned)),
-            Err(e) => (
-                Err(Failure::refused(format!("{shown}: {e}"))),
-                Some(e.to_string()),
-            ),
+            Err(e) => (Err(Failure::refused(format!("{shown}: {e}"))), Some(e)),
         };
         match &why {
             None => tracing::info!(event = "record", path = %shown, rows, "recording finished"),
@@ -161,7 +162,10 @@ impl Hub {
         for caller in recording.starting.iter().chain(&recording.ending) {
             self.reply(caller, &reply);
         }
-        self.recording_ended = why.or(self.recording_ended.take());
+        // one that was refused has not begun
+        if recording.starting.is_none() {
+            self.recording_ended = why.or(self.recording_ended.take());
+        }
     }
 
     /// Ends the logs with the service, and waits for the disk.
@@ -203,6 +207,18 @@ impl Hub {
         }
     }
 
+    /// Why the position of the pistons is unknown, and what ends that.
+    fn lost(&self) -> String {
+        let why = self.why_lost();
+        let attitude = self.note.and_then(|note| note.state.rest);
+        let zero = attitude.map_or("zero --straight", |_| "zero");
+        let relax = "; `retroflex relax` drives back by the remembered steps";
+        let relax = if self.is_at_zero() { "" } else { relax };
+        format!(
+            "{why}: the position of the pistons is unknown; relax the tip by hand, then run `retroflex {zero}`{relax}"
+        )
+    }
+
     /// The status as a JSON object.
     fn status(&self) -> Value {
         let last = self.last.as_ref();
@@ -213,7 +229,10 @@ impl Hub {
         let (shared, memory) = (&self.io.shared, &self.memory);
         let settled = last.is_some_and(|t| t.mode == Mode::Holding && status::settled(&t.frame));
         let given = &self.config.calibration.transmission.source;
-        let calibration = memory.accepted.as_ref().map_or(given, |g| &g.source);
+        let model = self.config.feedforward.as_ref();
+        let model = model.map(|file| file.display().to_string());
+        let accepted = Start::accepted(&self.config, memory).map(|g| &g.source);
+        let calibration = model.as_ref().or(accepted).unwrap_or(given);
         let granted = |(name, grant): &(_, crate::hardware::rt::Grant)| json!({"what": name, "grant": grant.to_string()});
         let more = json!({
             "program": env!("CARGO_PKG_VERSION"),
@@ -226,14 +245,16 @@ impl Hub {
             "settled": settled,
             "stopped": last.is_some_and(|t| t.stopped),
             "fault": last.and_then(|t| t.latched).map(TripCause::advice),
+            "ending": self.ending.is_some(),
             "calibration": calibration,
+            "feedforward": model,
             "calibrating": self.calibration.as_ref().map(Session::progress),
             "calibration_failed": self.calibration_failed,
             "proposed": memory.proposed,
             "recording": self.recording.as_ref().map(recording_json),
             "recording_ended": self.recording_ended,
             "flight_log": self.flight.as_ref().map(flight_json),
-            "lost": (self.mode() == Mode::Lost).then(|| format!("{}: {}", self.why_lost(), hint(Mode::Lost))),
+            "lost": (self.mode() == Mode::Lost).then(|| self.lost()),
             "unverified": memory.unverified,
             "hangs_deg": self.hangs_deg(),
             "thread_age_s": Watched::ALL.iter().map(|w| (w.name(), shared.age_s(*w))).collect::<HashMap<_, _>>(),

@@ -12,12 +12,15 @@ use crate::primitives::Checker;
 use crate::service::calibrate::Session;
 use crate::service::flight::start::Event;
 use crate::service::protocol::{
-    CalibrateAction, DIR_DEG, Frame, PATH_MAX_S, PATH_ROWS, POSES, PathRow,
+    CalibrateAction, DIR_DEG, Frame, PATH_MAX_S, PATH_ROWS, PATH_STEP_S, POSES, PathRow,
 };
+use crate::service::rt_loop::Precondition;
 use crate::service::start::with_gains;
 use crate::service::{Caller, Change, Failure, Request};
 use crate::supervisor::{BEND_MAX_RAD, Mode, Order, SupervisorConfig};
 use serde_json::{Value, json};
+use std::fmt::Display;
+use std::ops::RangeInclusive;
 use std::time::Instant;
 
 impl Hub {
@@ -108,6 +111,14 @@ impl Hub {
                 t_s,
             } => {
                 let target = self.asked(bend_deg, dir_deg, length_mm)?;
+                if t_s.is_some() && self.streamer != caller.client {
+                    // a set-point without a time ends the clock of another client
+                    self.streamer = caller.client;
+                    let id = self.next_id();
+                    let (stops, since, mode) = (caller.stops, caller.since, None);
+                    let then = Precondition { stops, since, mode };
+                    self.push_order(id, Order::Stream(target), then);
+                }
                 t_s.map_or(Order::Stream(target), |t_s| Order::Timed(target, t_s))
             }
             Request::Arm {} => Order::Arm,
@@ -140,14 +151,53 @@ impl Hub {
         json!({"bend_deg": bend_deg, "r_mm": tick.geometry.r_mm, "rest_length_mm": tick.geometry.rest_length_mm})
     }
 
-    /// The target of a request whose direction is in range.
+    /// The target of a request whose direction and length are in range.
     fn asked(&self, bend_deg: f64, dir_deg: f64, length_mm: Option<f64>) -> Result<Shape, Failure> {
+        let target = self.target(bend_deg, dir_deg, length_mm);
         let mut to = Checker::default();
         to.at("dir_deg")
             .range(dir_deg, DIR_DEG, "degrees")
             .hint("leave out whole turns");
+        to.at("length_mm")
+            .range(target.length.0, self.lengths_mm(), "mm")
+            .hint("that is the range of the bellows ([geometry] of the board file)");
         to.done().map_err(|e| Failure::bad(e.to_string()))?;
-        Ok(self.target(bend_deg, dir_deg, length_mm))
+        Ok(target)
+    }
+
+    /// Lengths that may be asked for, mm.
+    fn lengths_mm(&self) -> RangeInclusive<f64> {
+        let limits = &self.config.supervisor.tick.limits;
+        limits.bellow_min_mm..=limits.bellow_max_mm
+    }
+
+    /// Refuses a row of a path that is not in range by itself, or in time after the first one and the one before.
+    fn check_row(&self, rows: &[PathRow], k: usize) -> Result<(), Failure> {
+        let (t_s, _, dir_deg, length_mm) = rows[k];
+        let from_s = match k {
+            0 => t_s,
+            _ => rows[k - 1].0 + PATH_STEP_S,
+        };
+        let checks = [
+            ("t_s", t_s, from_s..=rows[0].0 + PATH_MAX_S, "s"),
+            ("dir_deg", dir_deg, DIR_DEG, "degrees"),
+            (
+                "length_mm",
+                length_mm.unwrap_or(*self.lengths_mm().start()),
+                self.lengths_mm(),
+                "mm",
+            ),
+        ];
+        for (column, value, allowed, unit) in checks {
+            if !allowed.contains(&value) {
+                let (row, least, most) = (k + 1, allowed.start(), allowed.end());
+                let why = format!(
+                    "row {row}, {column} {value:?}: expected a number from {least} to {most} {unit}"
+                );
+                return Err(Failure::bad(why));
+            }
+        }
+        Ok(())
     }
 
     fn target(&self, bend_deg: f64, dir_deg: f64, length_mm: Option<f64>) -> Shape {
@@ -159,18 +209,16 @@ impl Hub {
     /// Collects the rows of a path and checks them; with the last ones, hands it to the loop, slowed down so that the pistons can
     /// follow it and it is no faster than a bend. True once that is done.
     fn path(&mut self, rows: &[PathRow], more: bool, client: u64) -> Result<bool, Failure> {
-        let (before, mut all) = std::mem::take(&mut self.path_rows);
-        if before != client {
-            all.clear();
-        }
+        let mut all = self.path_rows.remove(&client).unwrap_or_default();
         let from = if more { all.len().saturating_sub(1) } else { 0 };
         all.extend_from_slice(rows);
         if all.len() > PATH_ROWS {
             return Err(Failure::bad(format!("a path has at most {PATH_ROWS} rows")));
         }
+        (from..all.len()).try_for_each(|k| self.check_row(&all, k))?;
         let checked = &all[from..];
         if more && checked.len() < 2 {
-            self.path_rows = (client, all);
+            self.path_rows.insert(client, all);
             return Ok(false);
         }
         let shapes = checked.iter().map(|&(_, bend_deg, dir_deg, length_mm)| {
@@ -189,7 +237,7 @@ impl Hub {
             return Err(Failure::bad(why));
         }
         if more {
-            self.path_rows = (client, all);
+            self.path_rows.insert(client, all);
             return Ok(false);
         }
         let time_scale = path
@@ -209,8 +257,14 @@ impl Hub {
         let why = "no gains file was given; start the service with `retroflex run --gains FILE`";
         let path = self.config.gains.clone();
         let path = path.ok_or_else(|| Failure::refused(why))?;
-        let stay = |e| Failure::bad(format!("{e}; the present gains stay in use"));
-        let gains: Gains = source::read(&path).map_err(stay)?;
+        let stay = |e: &dyn Display| Failure::bad(format!("{e}; the present gains stay in use"));
+        // the end of anything else may never come, and the hub does not wait
+        if std::fs::metadata(&path).is_ok_and(|file| !file.is_file()) {
+            let shown = path.display();
+            let why = format!("{shown}: this is no regular file; put the gains file in its place");
+            return Err(stay(&why));
+        }
+        let gains: Gains = source::read(&path).map_err(|e| stay(&e))?;
         let now = &self.config;
         let next = with_gains(&now.supervisor, &now.board, &now.calibration, &gains);
         let (text, lines) = (crate::config::show::compact(&gains), next.tick.lines);
@@ -275,6 +329,11 @@ impl Hub {
         let why = "there is no proposed calibration to accept; run `retroflex calibrate transmission` first";
         let gains = self.memory.proposed.clone();
         let gains = gains.ok_or_else(|| Failure::refused(why))?;
+        if self.config.feedforward.is_some() {
+            return refuse(
+                "the gains of the feedforward model are in use, which were identified together with it: start the service without the model to accept the calibration",
+            );
+        }
         if gains.tip != self.config.tip {
             return refuse(format!(
                 "the calibration was made on tip `{}`, but tip `{}` is mounted",

@@ -79,7 +79,10 @@ impl Hub {
     fn mount_tip(&mut self) {
         let memory = &mut self.memory;
         if memory.tip != self.config.tip {
-            tracing::info!(event = "tip", before = %memory.tip, now = %self.config.tip, "another tip is mounted");
+            // an empty name is that of no tip: the memory is new, or none was named
+            if !memory.tip.is_empty() {
+                tracing::info!(event = "tip", before = %memory.tip, now = %self.config.tip, "another tip is mounted");
+            }
             memory.proposed = None;
             memory.tip.clone_from(&self.config.tip);
         }
@@ -122,6 +125,7 @@ impl Hub {
     /// A client was disconnected: its recording ends, and the motion that it attended.
     pub(super) fn forget(&mut self, client: u64, reason: &'static str) {
         self.subscriptions.retain(|s| s.client != client);
+        self.path_rows.remove(&client);
         if reason != "disconnected"
             && let Some(hidden) = self.log_limit.admit("dropped")
         {

@@ -173,6 +173,9 @@ impl Supervisor {
         if sensed.inputs.emergency_stop {
             return Err(Refusal::StillThere);
         }
+        if self.mode == Mode::Lost && self.sent == Steps::default() {
+            return Err(Refusal::NoSteps);
+        }
         self.take(Event::Relax)?;
         self.clear_alarm(sensed);
         self.gate.relax();

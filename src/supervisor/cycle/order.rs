@@ -126,7 +126,9 @@ pub enum Refusal {
     )]
     NoBase,
     /// The time of a set-point is not later than that of the one before.
-    #[error("the times of a stream must increase")]
+    #[error(
+        "the times of a stream must increase from each set-point to the next until the stream ends"
+    )]
     Backwards,
     /// A set-point comes too early.
     #[error("a set-point may come at most 1 s ahead of its time")]
@@ -134,6 +136,11 @@ pub enum Refusal {
     /// No path was loaded.
     #[error("no path was given")]
     NoPath,
+    /// The position is unknown, and no steps are remembered.
+    #[error(
+        "the position of the pistons is unknown, and no steps are remembered by which they could be driven back: relax the tip by hand, then run the `zero` that `retroflex status` names"
+    )]
+    NoSteps,
 }
 
 impl Refusal {
@@ -167,7 +174,7 @@ pub fn hint(mode: Mode) -> &'static str {
             "remove the cause, then `retroflex reset-fault`; `retroflex relax` returns the tip to rest"
         }
         Mode::Lost => {
-            "the position of the pistons is unknown; relax the tip by hand, then run `retroflex zero`; `retroflex relax` drives back by the remembered steps"
+            "the position of the pistons is unknown; `retroflex status` says what ends that"
         }
     }
 }

@@ -28,24 +28,25 @@ impl Supervisor {
         self.bend(Source::Path { began_s }, &first, None, None)
     }
 
-    /// Takes a set-point with a time. The first one starts the clock of the stream, and so does one that comes too late.
+    /// Takes a set-point with a time, later than that of the one before. The first one starts the clock of the stream, and so does one
+    /// that comes too late: both are for now.
     pub(super) fn stream(&mut self, to: &Shape, t_s: f64, now_s: f64) -> Result<(), Refusal> {
         if !t_s.is_finite() {
             return Err(Refusal::NotANumber);
         }
         let dead_man_s = self.config.dead_man_s;
-        let running = match self.source {
-            Source::Stream { offset_s } if t_s + offset_s >= now_s - dead_man_s => Some(offset_s),
+        let mut running = match self.source {
+            Source::Stream { offset_s } => Some(offset_s),
             _ => None,
         };
-        let offset_s = running.unwrap_or(now_s - t_s);
-        let at_s = t_s + offset_s;
-        if running
-            .and(self.recent.newest_s())
-            .is_some_and(|newest_s| at_s <= newest_s)
+        if let (Some(offset_s), Some(newest_s)) = (running, self.recent.newest_s())
+            && t_s + offset_s <= newest_s
         {
             return Err(Refusal::Backwards);
         }
+        running = running.filter(|offset_s| t_s + offset_s >= now_s - dead_man_s);
+        let offset_s = running.unwrap_or(now_s - t_s);
+        let at_s = t_s + offset_s;
         if at_s > now_s + AHEAD_MAX_S {
             return Err(Refusal::Ahead);
         }

@@ -127,6 +127,8 @@ fn config(folder: &Path) -> RunConfig {
         board,
         gains: Some(file),
         calibration,
+        calib: None,
+        feedforward: None,
         tip: String::new(),
     }
 }
