@@ -6,6 +6,7 @@ use crate::hardware::pins::{self, Backend, PinsConfig};
 use crate::motion::StepperMode;
 use crate::report::table;
 use clap::Args;
+use clap::builder::TypedValueParser;
 use miette::{IntoDiagnostic, Result, bail};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -35,7 +36,7 @@ pub struct Rt {
     #[arg(long, default_value_t = 10.0, value_parser = within(0.2..=3600.0, "s"))]
     seconds: f64,
     /// Number of threads that load the processors meanwhile.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024).map(usize::from))]
     load: usize,
 }
 

@@ -16,7 +16,6 @@ use crate::log::table::text;
 use crate::primitives::ImuSample;
 use miette::{IntoDiagnostic, Result, miette};
 use nalgebra::Vector3;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 pub mod samples;
@@ -98,13 +97,17 @@ fn day(text: &str) -> std::result::Result<String, String> {
     is_day(text).then(|| text.to_owned()).ok_or_else(wrong)
 }
 
-/// The tables of a calibration file; none if the file does not exist.
-fn existing(path: &Path) -> Result<toml::Table> {
-    match text(path) {
-        Ok(text) => text.parse().map_err(|e| miette!("{}: {e}", path.display())),
-        Err(e) if e.kind() == ErrorKind::NotFound => Ok(toml::Table::new()),
-        Err(e) => Err(miette!("{}: {e}", path.display())),
+/// The tables of a calibration file that a command updates; none if there is no such file yet.
+///
+/// # Errors
+/// A report that names the file.
+pub fn existing(path: &Path) -> Result<toml::Table> {
+    // to read a pipe would wait for ever
+    if !path.is_file() {
+        return Ok(toml::Table::new());
     }
+    let text = text(path).map_err(|e| miette!("{}: {e}", path.display()))?;
+    text.parse().map_err(|e| miette!("{}: {e}", path.display()))
 }
 
 /// A line that describes the result, or the reason why the data do not suffice.

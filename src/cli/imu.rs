@@ -17,7 +17,8 @@ commands! {
 /// Arguments of `imu score`.
 #[derive(Debug, clap::Args)]
 pub struct ScoreArgs {
-    /// Recordings, *.csv or *.csv.gz.
+    /// IMU recordings with a reference, *.csv or *.csv.gz: time_s, acc_x to acc_z, gyr_x to gyr_z, ref_qw to ref_qz (docs/formats.md). A
+    /// bend log is none.
     #[arg(required = true)]
     files: Vec<PathBuf>,
     /// Filter to run; the default is the most accurate one.

@@ -84,7 +84,8 @@ pub fn within(
 /// # Errors
 /// A report that names file and key.
 pub fn described(path: &Path, board: &Board) -> Result<Arc<DescribedMachine>> {
-    described_by(&path.display().to_string(), tip_model(path)?, board)
+    let model = tip_model(path)?;
+    Ok(described_by(&path.display().to_string(), &model, board))
 }
 
 /// Whether a saved model is that of a mapped rig, and not of a tip.
@@ -131,17 +132,7 @@ pub fn feedforward(
 }
 
 /// [`described`] for a model that has been read from `origin`.
-///
-/// # Errors
-/// A report that names the key.
-pub fn described_by(
-    origin: &str,
-    model: SavedModel,
-    board: &Board,
-) -> Result<Arc<DescribedMachine>> {
-    if let Some(problem) = model.unknown_names() {
-        bail!("{origin}: {problem}");
-    }
+pub fn described_by(origin: &str, model: &SavedModel, board: &Board) -> Arc<DescribedMachine> {
     let whole = model.described(board.geometry.law());
     let machine = whole.clone().foreseeable();
     let mut left_out: Vec<&str> = whole.names().collect();
@@ -150,7 +141,7 @@ pub fn described_by(
         let names = left_out.join(", ");
         eprintln!("{origin}: left out, because it happens once: {names}");
     }
-    Ok(Arc::new(machine))
+    Arc::new(machine)
 }
 
 /// Configuration texts as the header of a flight log holds them; the text of the model for the feedforward may follow.

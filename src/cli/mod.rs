@@ -250,5 +250,24 @@ mod tests {
                 .contains("'-1' for '--seed <SEED>': expected a whole number, not negative")
         );
         assert!(message("retroflex bend x").contains("'x' for '<BEND>': expected a number"));
+        for (line, words) in [
+            ("evaluate --sweep --live", ["--live", "--sweep"]),
+            ("evaluate --ablate --live", ["--live", "--ablate"]),
+            (
+                "gap exam --rounds 0",
+                ["--rounds", "0 is not in 1 to 10000"],
+            ),
+            ("gap exam --every 0", ["--every", "0 is not in 1 to 10000"]),
+            (
+                "bench rt --load 100000",
+                ["--load", "100000 is not in 0 to 1024"],
+            ),
+        ] {
+            let message = message(&format!("retroflex {line}"));
+            assert!(
+                words.iter().all(|w| message.contains(w)),
+                "{line}: {message}"
+            );
+        }
     }
 }

@@ -41,8 +41,8 @@ pub struct ReadError {
     place: String,
     /// What is wrong, with the mend.
     problem: String,
-    /// The header lacks a required column, so the file may be a table of another kind.
-    pub is_other_table: bool,
+    /// A required column that the header lacks; the file may be a table of another kind.
+    pub lacking: Option<String>,
 }
 
 impl ReadError {
@@ -51,7 +51,7 @@ impl ReadError {
         Self {
             place: file.to_owned(),
             problem,
-            is_other_table: false,
+            lacking: None,
         }
     }
 
@@ -69,7 +69,7 @@ impl ReadError {
     pub(super) fn lacking(file: &str, column: &str, header: &str) -> Self {
         let problem = format!("is missing; the header names {header}");
         Self {
-            is_other_table: true,
+            lacking: Some(column.to_owned()),
             ..Self::of_column(file, 1, column, problem)
         }
     }

@@ -397,9 +397,10 @@ impl Table {
         let mut before_s = f64::NEG_INFINITY;
         for row in rows {
             if before_s.is_finite() && t[row] - before_s > longest_s {
+                let latest_s = before_s + longest_s;
+                let [latest, longest] = [latest_s, longest_s].map(|s| (s * 1e3).round() / 1e3);
                 let expected = format!(
-                    "at most {:e}, which is {longest_s:e} after the row before; split the table where the clock jumps, or correct the value",
-                    before_s + longest_s
+                    "at most {latest} s, which is {longest} s after the row before; split the table where the clock jumps, or correct the value"
                 );
                 return Err(self.refuse(row, name, &t[row].to_string(), &expected));
             }

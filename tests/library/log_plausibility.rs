@@ -52,7 +52,17 @@ fn each_piston(log: &mut BendLog, change: fn(&mut Vector3<f64>)) -> bool {
     true
 }
 
-const WRONG: [Wrong; 14] = [
+fn each_reading(log: &mut BendLog, change: fn(&mut Vector3<f64>)) -> bool {
+    let Some(imu) = &mut log.imu else {
+        return false;
+    };
+    for readings in [&mut imu.acc, &mut imu.gyr, &mut imu.mag] {
+        readings.iter_mut().for_each(change);
+    }
+    true
+}
+
+const WRONG: [Wrong; 20] = [
     ("acc_* looks like g", |log| {
         log.imu
             .as_mut()
@@ -79,6 +89,24 @@ const WRONG: [Wrong; 14] = [
     }),
     ("piston*_mm looks like m", |log| {
         scale(&mut log.piston_mm, 1e-3)
+    }),
+    ("gyr_*: x and y look exchanged", |log| {
+        each_reading(log, |v| v.swap_rows(0, 1))
+    }),
+    ("gyr_*: x and z look exchanged", |log| {
+        each_reading(log, |v| v.swap_rows(0, 2))
+    }),
+    ("gyr_*: y and z look exchanged", |log| {
+        each_reading(log, |v| v.swap_rows(1, 2))
+    }),
+    ("gyr_*: x looks like it has the other sign", |log| {
+        each_reading(log, |v| v.x = -v.x)
+    }),
+    ("gyr_*: y looks like it has the other sign", |log| {
+        each_reading(log, |v| v.y = -v.y)
+    }),
+    ("gyr_*: z looks like it has the other sign", |log| {
+        each_reading(log, |v| v.z = -v.z)
     }),
     ("piston1_mm and piston2_mm look exchanged", |log| {
         each_piston(log, |p| p.swap_rows(0, 1))

@@ -10,6 +10,7 @@ use retroflex::diagnosis::fleet::{GAINS, Survey};
 use retroflex::log::columns;
 use std::io::Read;
 use std::net::TcpListener;
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -55,16 +56,28 @@ fn short_logs(folder: &Path) {
     }
 }
 
+/// Logs that cannot be read: a link to nothing, a link to itself, and a file without permissions, which root may read.
+fn unreadable_logs(folder: &Path) {
+    let logs = folder.join("logs/c");
+    std::fs::create_dir_all(&logs).unwrap();
+    std::os::unix::fs::symlink("nowhere.csv", logs.join("gone.csv")).unwrap();
+    std::os::unix::fs::symlink("loop.csv", logs.join("loop.csv")).unwrap();
+    std::fs::write(logs.join("shut.csv"), "x\n").unwrap();
+    let shut = std::fs::Permissions::from_mode(0o000);
+    std::fs::set_permissions(logs.join("shut.csv"), shut).unwrap();
+}
+
 #[test]
 fn a_killed_run_resumes_and_shards_merge_to_the_same_table() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     short_logs(folder);
+    unreadable_logs(folder);
     // a circle of links
     std::os::unix::fs::symlink("..", folder.join("logs/a/up")).unwrap();
     let text = good(folder, "gap diagnose logs --rows all.parquet");
     assert!(
-        text.contains("6 logs, 6 of them diagnosed now; 1 cannot be diagnosed"),
+        text.contains("9 logs, 9 of them diagnosed now; 4 cannot be diagnosed"),
         "{text}"
     );
     let whole = std::fs::read(folder.join("all.parquet")).unwrap();
@@ -84,11 +97,18 @@ fn a_killed_run_resumes_and_shards_merge_to_the_same_table() {
         "{:?}",
         of("b/four.csv")
     );
+    for log in ["c/gone.csv", "c/loop.csv", "c/shut.csv"] {
+        let row = of(log);
+        assert!(
+            row.verdict.is_empty() && row.refused.contains(log),
+            "{row:?}"
+        );
+    }
     assert!(of("a/one.csv").numbers["p_leak"] >= 0.0 && !of("a/one.csv").verdict.is_empty());
     // nothing is diagnosed twice
     assert!(
         good(folder, "gap diagnose logs --rows all.parquet")
-            .contains("6 logs, 0 of them diagnosed now")
+            .contains("9 logs, 0 of them diagnosed now")
     );
 
     // killed as soon as the first row is kept
@@ -110,7 +130,7 @@ fn a_killed_run_resumes_and_shards_merge_to_the_same_table() {
     run.wait().unwrap();
     assert!(!folder.join("killed.parquet").exists());
     let text = good(folder, "gap diagnose logs --rows killed.parquet");
-    assert!(!text.contains("6 of them diagnosed now"), "{text}");
+    assert!(!text.contains("9 of them diagnosed now"), "{text}");
     assert!(std::fs::read(folder.join("killed.parquet")).unwrap() == whole);
 
     for k in 1..=3 {
@@ -139,6 +159,46 @@ fn a_killed_run_resumes_and_shards_merge_to_the_same_table() {
             .unwrap()
             .contains("<svg")
     );
+}
+
+#[test]
+fn a_faulty_table_of_units_is_refused_by_line_and_column() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    std::fs::write(folder.join("a.csv"), "x\n").unwrap();
+    std::fs::write(folder.join("b.csv"), "x\n").unwrap();
+    let run = |units: &str, logs: &str| {
+        std::fs::write(folder.join("units.table"), units).unwrap();
+        let line = format!("gap diagnose {logs} --rows r.parquet --units units.table");
+        let out = retroflex(folder, &line).output().unwrap();
+        let text = String::from_utf8_lossy(&out.stderr);
+        let words: Vec<&str> = text.split_whitespace().collect();
+        (out.status.code(), words.join(" "))
+    };
+    for (row, place, word) in [
+        ("b.csv,u,l,2020-02-31", "line 3, column date", "2020-02-31"),
+        ("b.csv,u,l,yesterday", "line 3, column date", "YYYY-MM-DD"),
+        ("b.csv,u,l,2020-2-3", "line 3, column date", "YYYY-MM-DD"),
+        ("a.csv,u,l,2020-02-03", "line 3, column log", "line 2"),
+        ("c.csv,u,l,2020-02-03", "line 3, column log", "no such log"),
+    ] {
+        let units = format!("log,unit,lot,date\na.csv,u,l,2020-02-01\n{row}\n");
+        let (code, text) = run(&units, "a.csv b.csv");
+        assert!(
+            code == Some(2) && text.contains(place) && text.contains(word),
+            "{row}: {text}"
+        );
+        assert!(!folder.join("r.parquet").exists());
+    }
+    let (code, text) = run("log,unit\na.csv,u\n", "a.csv none.csv");
+    assert!(code == Some(2) && text.contains("none.csv"), "{text}");
+    for units in [
+        "log,unit,lot,date\na.csv,u,l,\nb.csv,u,l,2020-02-29\n",
+        "log,unit\nb.csv,u\n",
+    ] {
+        let (code, text) = run(units, "a.csv b.csv");
+        assert_eq!(code, Some(0), "{text}");
+    }
 }
 
 /// A process that ends with the test.

@@ -326,6 +326,18 @@ fn a_faulty_model_is_refused_by_key_and_no_schedule_is_written() {
             model("[[effect]]\nname = \"creep\"\nparams = { depth = 1.0 }\n"),
             vec!["creep", "depth", "tau"],
         ),
+        (
+            model(
+                "[[effect]]\nname = \"leak\"\nparams = { \"rate@1\" = 0.01, \"rate@2\" = 0.01, \"rate@3\" = 0.01, vacuum_ratio = 1e10 }\n",
+            ),
+            vec!["line 13", "effect[1].params.vacuum_ratio", "1e10", "0 to 4"],
+        ),
+        (
+            model(
+                "[[effect]]\nname = \"leak\"\n[effect.params]\n\"rate@2\" = 0.01\n\"rate@3\" = 0.01\nvacuum_ratio = 1\n",
+            ),
+            vec!["effect[1].params.rate@1", "missing"],
+        ),
         (model("colour = 1\n"), vec!["line", "colour"]),
         (model("").replace("2.5", "25.0"), vec!["k_epsilon[2]", "25"]),
     ] {
@@ -352,6 +364,49 @@ fn a_faulty_model_is_refused_by_key_and_no_schedule_is_written() {
         retroflex(&["gap", "excite", "--out", &path("s.csv"), "--rounds", "0"]).0,
         2
     );
+}
+
+#[test]
+fn a_calibration_keeps_its_tip_and_its_imu_when_a_model_is_applied() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("tip.toml");
+    let out = path.to_str().unwrap();
+    let apply = || retroflex(&["gap", "apply", "tests/corpus/model.toml", "--calib", out]);
+    let transmission = "[transmission]\ntip = \"A7\"\nk_epsilon = [2.0, 2.0, 2.0]\nk_lambda_mm = [0.8, 0.8, 0.8]\n";
+    let imu = "[imu.mount_deg]\nvalue = [0.1, 0.2, 0.3]\nsigma = [0.1, 0.1, 0.1]\ndate = \"2026-01-02\"\nsource = \"bends.csv\"\n";
+    for (old, tip, mount) in [
+        (None, "", false),
+        (Some(transmission.to_owned()), "A7", false),
+        (Some(imu.to_owned()), "", true),
+        (Some(format!("{transmission}{imu}")), "A7", true),
+    ] {
+        match &old {
+            Some(old) => std::fs::write(&path, old).unwrap(),
+            None => assert!(!path.exists()),
+        }
+        let (code, message) = apply();
+        assert_eq!(code, 0, "{message}");
+        let table: toml::Table = std::fs::read_to_string(&path).unwrap().parse().unwrap();
+        assert_eq!(table["transmission"]["tip"].as_str(), Some(tip), "{old:?}");
+        assert_eq!(
+            table["transmission"]["k_epsilon"][1].as_float(),
+            Some(2.3),
+            "{old:?}"
+        );
+        let kept = table.get("imu").and_then(|imu| imu.get("mount_deg"));
+        let kept = kept.and_then(|mount| mount["value"][1].as_float());
+        assert_eq!(kept, mount.then_some(0.2), "{old:?}");
+    }
+    for other in [
+        "base = \"pi4\"\n",
+        "words\n",
+        "[transmission]\nk_epsilon = \"high\"\n",
+    ] {
+        std::fs::write(&path, other).unwrap();
+        let (code, message) = apply();
+        assert!(code == 2 && message.contains("tip.toml"), "{message}");
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), other);
+    }
 }
 
 #[test]
@@ -417,7 +472,22 @@ fn a_mapped_log_is_diagnosed_and_a_faulty_map_refused() {
             "input = \"u\"\noutput = \"y\"\nnominal = \"resonance\"\n",
             vec!["needs a clock"],
         ),
-        ("output = \"y\"\n", vec!["no input", "still"]),
+        (
+            "output = \"y\"\n",
+            vec!["bad.toml, line 1", "input: names no column", "still"],
+        ),
+        (
+            "input = \"u\"\noutput = \"y\"\nmotion = \"nope\"\n",
+            vec!["log.csv", "column nope", "bad.toml", "`motion`"],
+        ),
+        (
+            "output = \"y\"\ninput = [\"u\", \"t\", \" u\"]\n",
+            vec!["bad.toml, line 2", "input: column `u` is named twice"],
+        ),
+        (
+            "input = \"u\"\noutput = [\"y\", \"u\"]\n",
+            vec!["bad.toml, line 2", "output: column `u` is named twice"],
+        ),
     ] {
         std::fs::write(path("bad.toml"), map).unwrap();
         let (code, message) = run(&path("bad.toml"));

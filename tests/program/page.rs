@@ -626,7 +626,49 @@ fn a_stop_is_answered_under_every_attack_on_the_port_of_the_page() {
     page.open().next("frame");
 }
 
-/// Chromium, if there is one.
+/// A file that is no diagnosis is refused at the start and not shown later; one that is written later is shown.
+#[test]
+fn only_a_diagnosis_is_shown_as_one() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = service(folder.path());
+    let file = folder.path().join("found.json");
+    let others = [
+        "time_s,piston1_mm\n0,0\n",
+        "[]\n",
+        "{\"verdict\": \"none\", \"gap\": {}}\n",
+        "{\"verdict\": {\"names\": []}}\n",
+        "<!DOCTYPE html>\n",
+    ];
+    for other in others {
+        std::fs::write(&file, other).unwrap();
+        let refused = Command::new(program())
+            .args(["page", "--listen", "127.0.0.1:0", "--socket", "none"])
+            .arg("--diagnosis")
+            .arg(&file)
+            .output()
+            .unwrap();
+        let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert!(
+            refused.status.code() == Some(2) && message.contains("no diagnosis"),
+            "{other}: {message}"
+        );
+    }
+    std::fs::remove_file(&file).unwrap();
+    let page = Page::start(&daemon, &["--diagnosis", file.to_str().unwrap()]);
+    assert_eq!(page.get("/diagnosis").2, "null");
+    let found = json!({"verdict": {"kind": "none", "names": []}, "gap": {"recalibrated_deg": 0.1}});
+    for text in [found.to_string(), others[0].to_owned()] {
+        std::fs::write(&file, &text).unwrap();
+        let shown = if text == others[0] { "null" } else { &text };
+        let since = Instant::now();
+        while page.get("/diagnosis").2 != shown {
+            assert!(since.elapsed() < Duration::from_secs(10), "{text}");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+}
+
 /// Files that never answer: a pipe without a writer, and one whose writer writes nothing.
 #[test]
 fn a_diagnosis_that_does_not_answer_keeps_nobody_waiting() {
@@ -674,6 +716,7 @@ fn a_diagnosis_that_does_not_answer_keeps_nobody_waiting() {
     }
 }
 
+/// Chromium, if there is one.
 fn chromium() -> Option<PathBuf> {
     let named = std::env::var_os("RETROFLEX_CHROMIUM").map(PathBuf::from);
     let folders = std::env::var_os("PATH").unwrap_or_default();

@@ -19,7 +19,7 @@ pub fn from_file(file: &Path) -> Result<Vec<ImuSample>> {
     let all = match bend_log::read(file) {
         Ok(log) => from_log::samples(&log),
         // without bend-log columns the file may be an IMU recording
-        Err(e) if e.is_other_table => {
+        Err(e) if e.lacking.is_some() => {
             let recording = recording::read(file).into_diagnostic()?;
             recording.rows.iter().map(|r| r.sample).collect()
         }

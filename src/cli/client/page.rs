@@ -11,6 +11,7 @@ use super::connection::{At, socket};
 use crate::cli::inputs::unlistenable;
 use crate::cli::output::print;
 use crate::log::error::why_unreadable;
+use crate::log::table::text;
 use hyper::body::Bytes;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use site::Site;
@@ -51,6 +52,7 @@ pub fn page(args: &PageArgs) -> Result<()> {
             "--listen {listen}: others can reach it: name the file of a token with --token-file, which is created if there is none"
         );
     }
+    args.diagnosis.as_deref().map_or(Ok(()), check_diagnosis)?;
     let fail = |e: std::io::Error| unlistenable(listen, e.kind());
     let listener = TcpListener::bind(listen).map_err(fail)?;
     let address = listener.local_addr().map_err(fail)?;
@@ -70,6 +72,21 @@ pub fn page(args: &PageArgs) -> Result<()> {
     server::run(listener, site).into_diagnostic()
 }
 
+/// Refuses a file that is no diagnosis. One that does not exist yet may become one, and a pipe may keep everybody waiting.
+fn check_diagnosis(path: &Path) -> Result<()> {
+    let fail = |why: &str| miette!("--diagnosis {}: {why}", path.display());
+    if !path.is_file() && !path.is_dir() {
+        return Ok(());
+    }
+    let text = text(path).map_err(|e| fail(&why_unreadable(path, &e)))?;
+    if site::is_diagnosis(&text) {
+        return Ok(());
+    }
+    Err(fail(
+        "this is no diagnosis; name what `gap diagnose --json FILE` wrote",
+    ))
+}
+
 /// The token of a file, which is created if there is none.
 fn token(path: &Path) -> Result<String> {
     let fail = |why: String| miette!("--token-file {}: {why}", path.display());
@@ -79,7 +96,7 @@ fn token(path: &Path) -> Result<String> {
         let written = writeln!(file, "{:032x}", rand::random::<u128>());
         written.map_err(|e| fail(e.kind().to_string()))?;
     }
-    let text = crate::log::table::text(path).map_err(|e| fail(why_unreadable(path, &e)))?;
+    let text = text(path).map_err(|e| fail(why_unreadable(path, &e)))?;
     let is_open = |file: std::fs::Metadata| file.permissions().mode() & 0o007 != 0;
     if path.metadata().is_ok_and(is_open) {
         let why = "everybody may read it; withdraw that with `chmod o=`";

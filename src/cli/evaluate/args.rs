@@ -40,9 +40,10 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     pub(super) track: Option<PathBuf>,
     /// With --track: each point of the path becomes known only at its time, as from a joystick.
-    #[arg(long, requires = "track")]
+    #[arg(long, requires = "track", conflicts_with_all = ["sweep", "ablate"])]
     pub(super) live: bool,
-    /// Seed of the built-in plant; selects the simulated unit and its noise.
+    /// Seed of the built-in plant, which selects the simulated unit and its noise. A described machine (`model:`) takes its noise from
+    /// it, a simulator (`exec:`) nothing.
     #[arg(long, default_value_t = 0)]
     pub(super) seed: u64,
     /// Instead of the arms: the closed loop and the best open loop over conditions, with the paper's calibration unless

@@ -1,14 +1,13 @@
 //! `retroflex gap apply`: writes what a calibration file can hold of a saved model, and says what it cannot.
 
-use crate::cli::calibrate::today;
-use crate::cli::gap::input;
-use crate::cli::{ResultFile, output};
+use crate::cli::calibrate::{existing, today};
+use crate::cli::{ResultFile, inputs, output};
 use crate::config::{Calibration, DynamicsSection, TransmissionSection};
 use crate::diagnosis::tip::{Remedy, SavedModel};
 use crate::estimation::imu_calibration::Entry;
 use crate::model::effects::{Effect, by_name};
 use crate::report::gap::words::plain;
-use miette::{IntoDiagnostic, Result};
+use miette::{IntoDiagnostic, Result, miette};
 use std::path::{Path, PathBuf};
 
 /// Largest and least lag of a calibration file, s.
@@ -21,7 +20,8 @@ const DELAY_MAX_S: f64 = 0.6;
 pub struct Args {
     /// Model saved by `gap diagnose --save`.
     model: PathBuf,
-    /// Calibration file to write; without it, the command only says what it would hold.
+    /// Calibration file to write; without it, the command only says what it would hold. Of a calibration that exists, the name of the
+    /// tip and the errors of the IMU that the model does not know are kept, comments are not.
     #[arg(long, value_name = "OUT.toml")]
     calib: Option<ResultFile>,
 }
@@ -31,7 +31,7 @@ pub struct Args {
 /// # Errors
 /// A report that names the faulty input.
 pub fn run(args: &Args) -> Result<()> {
-    let model = input::saved(&args.model)?;
+    let model = inputs::tip_model(&args.model)?;
     let forecast = model.forecast.iter().flat_map(|f| &f.effect);
     let mut effects: Vec<&'static dyn Effect> = Vec::new();
     for saved in model.effect.iter().chain(forecast) {
@@ -40,7 +40,9 @@ pub fn run(args: &Args) -> Result<()> {
         }
     }
     if let Some(path) = &args.calib {
-        let calibration = calibration(&model, beside(&args.model, path)?, &today());
+        let old = existing(path)?.try_into();
+        let old: Calibration = old.map_err(|e| miette!("{}: {e}", path.display()))?;
+        let calibration = calibration(&model, old, beside(&args.model, path)?, &today());
         let text = toml::to_string_pretty(&calibration).into_diagnostic()?;
         output::write(path, text)?;
     }
@@ -113,8 +115,14 @@ fn place(model: &SavedModel, e: &dyn Effect) -> Place {
     }
 }
 
-/// The calibration that a model implies. `feedforward` is the path of the model as the calibration names it, `date` that of today.
-fn calibration(model: &SavedModel, feedforward: String, date: &str) -> Calibration {
+/// The calibration that a model implies, for the tip and the IMU of `old`. `feedforward` is the path of the model as the calibration
+/// names it, `date` that of today.
+fn calibration(
+    model: &SavedModel,
+    old: Calibration,
+    feedforward: String,
+    date: &str,
+) -> Calibration {
     let value = |name: &str| {
         let e = by_name(name).filter(|e| place(model, *e) == Place::Calibration)?;
         Some((model.params_of(e)?, e))
@@ -140,6 +148,7 @@ fn calibration(model: &SavedModel, feedforward: String, date: &str) -> Calibrati
         transmission: TransmissionSection {
             k_epsilon: model.nominal.k_epsilon,
             k_lambda_mm: model.nominal.k_lambda_mm,
+            tip: old.transmission.tip,
             date: date.to_owned(),
             source: model.source.clone(),
             ..TransmissionSection::default()
@@ -149,10 +158,16 @@ fn calibration(model: &SavedModel, feedforward: String, date: &str) -> Calibrati
             delay_s: (usual.delay_s + late).min(DELAY_MAX_S),
             ..usual
         },
-        ..Calibration::default()
+        imu: old.imu,
     };
-    calibration.imu.acc_bias_m_s2 = entry("accel_bias", |x| x);
-    calibration.imu.mag_bias_ut = entry("hard_iron", |x| x);
-    calibration.imu.mount_deg = entry("mount_misalignment", f64::to_degrees);
+    let imu = &mut calibration.imu;
+    let (same, degrees): (fn(f64) -> f64, fn(f64) -> f64) = (|x| x, f64::to_degrees);
+    for (kept, name, unit) in [
+        (&mut imu.acc_bias_m_s2, "accel_bias", same),
+        (&mut imu.mag_bias_ut, "hard_iron", same),
+        (&mut imu.mount_deg, "mount_misalignment", degrees),
+    ] {
+        *kept = entry(name, unit).or(kept.take());
+    }
     calibration
 }

@@ -3,7 +3,7 @@
 use crate::cli::gap::input;
 use crate::cli::{ResultFile, inputs, output};
 use crate::config::source;
-use crate::diagnosis::rig::{self, MapFile, SavedRig, table};
+use crate::diagnosis::rig::{self, MapFile, SavedRig};
 use crate::diagnosis::tip::check;
 use crate::diagnosis::{Checked, Judgement};
 use crate::report::gap::words::short;
@@ -44,7 +44,7 @@ pub fn run(args: &Args) -> Result<bool> {
             "{file}: this is the model of a tip; leave --map out, or give a model that `gap diagnose --map --save` wrote"
         ),
         (false, None, board) => {
-            let model = input::saved(&args.model)?;
+            let model = inputs::tip_model(&args.model)?;
             check(
                 &model,
                 &input::observe(&args.log, &input::rig(board.as_deref())?)?,
@@ -66,7 +66,7 @@ fn check_rig(args: &Args) -> Result<Checked> {
             );
         }
     }
-    let log = table::read(&args.log, &model.map).into_diagnostic()?;
+    let log = input::mapped(&args.log, &model.map, &args.model)?;
     rig::check(&model, &log).into_diagnostic()
 }
 

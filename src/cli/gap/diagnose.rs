@@ -6,7 +6,7 @@ use crate::cli::gap::rows::{self, RowsArgs, Settings};
 use crate::cli::{ResultFile, output};
 use crate::config::source;
 use crate::diagnosis::diagnose;
-use crate::diagnosis::rig::{Document, MapFile, RigProblem, SavedRig, table};
+use crate::diagnosis::rig::{Document, MapFile, RigProblem, SavedRig};
 use crate::diagnosis::tip::observed::Segment;
 use crate::diagnosis::tip::{SavedModel, TipProblem};
 use crate::model::effects::catalogue;
@@ -108,7 +108,7 @@ pub fn run(args: &Args) -> Result<()> {
 /// Diagnoses logs of another rig.
 fn run_mapped(map_file: &Path, args: &Args) -> Result<()> {
     let map: MapFile = source::read(map_file)?;
-    let logs = input::each(&args.logs, |path| table::read(path, &map).into_diagnostic())?;
+    let logs = input::each(&args.logs, |path| input::mapped(path, &map, map_file))?;
     let bar = busy();
     let problem = RigProblem::new(&map, &logs, args.seed);
     let done = problem.as_ref().map(|problem| (problem, diagnose(problem)));

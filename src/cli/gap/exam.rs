@@ -8,6 +8,7 @@ use crate::diagnosis::exam::{Answer, ExamScore, Question, questions, score};
 use crate::model::effects::by_catalogue;
 use crate::report::exam::summary;
 use crate::simulation::plant::effect_names;
+use clap::builder::TypedValueParser;
 use miette::{IntoDiagnostic, Result};
 use serde::Serialize;
 use simulator::Simulator;
@@ -26,10 +27,10 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Questions per effect; one round is about 140 logs and takes some four minutes on two cores.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=10_000).map(usize::from))]
     rounds: usize,
     /// Ask only every n-th question: 4 takes a fourth of the time and doubles the uncertainty.
-    #[arg(long, default_value_t = 4)]
+    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=10_000).map(usize::from))]
     every: usize,
 }
 
@@ -60,8 +61,8 @@ pub fn run(args: &Args) -> Result<()> {
         Some(simulator) => simulator.effects().into_diagnostic()?,
         None => by_catalogue(effect_names().map(|e| e.name)),
     };
-    let asked = questions(args.seed, args.rounds.max(1), &known).into_iter();
-    let asked: Vec<Question> = asked.step_by(args.every.max(1)).collect();
+    let asked = questions(args.seed, args.rounds, &known).into_iter();
+    let asked: Vec<Question> = asked.step_by(args.every).collect();
     let draw = |q: &Question| simulator.as_ref().map_or_else(|| q.draw(), |s| s.draw(q));
     eprintln!("seed {}, {} logs", args.seed, asked.len());
     let bar = output::bar(asked.len() as u64, "{pos} of {len} logs, {eta} left,");

@@ -37,7 +37,7 @@ pub struct Args {
 /// # Errors
 /// A report that names the faulty input.
 pub fn run(args: &Args) -> Result<()> {
-    let like = args.like.as_deref().map(input::saved).transpose()?;
+    let like = args.like.as_deref().map(inputs::tip_model).transpose()?;
     let lines = match &like {
         Some(model) => model.with_effects.lines(),
         None => inputs::calibration(None)?.lines(),

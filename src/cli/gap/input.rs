@@ -1,8 +1,10 @@
 //! Inputs that the gap commands share: machine, log and saved model.
 
 use crate::cli::inputs;
+use crate::diagnosis::rig::table::{self, MapError};
+use crate::diagnosis::rig::{MapFile, Signals};
+use crate::diagnosis::tip::Rig;
 use crate::diagnosis::tip::observed::Observed;
-use crate::diagnosis::tip::{Rig, SavedModel};
 use crate::log::{bend_log, plausibility};
 use crate::model::Line;
 use miette::{IntoDiagnostic, Result, bail, miette};
@@ -77,6 +79,27 @@ pub fn observe(path: &Path, rig: &Rig) -> Result<Observed> {
     Ok(observed)
 }
 
+/// Reads a log with the map that stands in `file`.
+///
+/// # Errors
+/// That of the reader; a column that the log lacks is named with its key in the map.
+pub fn mapped(path: &Path, map: &MapFile, file: &Path) -> Result<Signals> {
+    table::read(path, map).map_err(|e| {
+        let lacking = match &e {
+            MapError::Read(e) => e.lacking.as_deref(),
+            _ => None,
+        };
+        let mut columns = map.columns().into_iter();
+        match columns.find(|(_, name)| Some(*name) == lacking) {
+            Some((key, _)) => miette!(
+                "{e}; {} names it under `{key}`: correct the one that is wrong",
+                file.display()
+            ),
+            None => miette!("{e}"),
+        }
+    })
+}
+
 /// Reads several logs.
 ///
 /// # Errors
@@ -96,16 +119,4 @@ pub fn each<T>(paths: &[PathBuf], read: impl Fn(&Path) -> Result<T>) -> Result<V
 pub fn file_name(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default();
     name.to_string_lossy().into_owned()
-}
-
-/// Reads a saved model and checks its names against the catalogue.
-///
-/// # Errors
-/// A report that names file and key.
-pub fn saved(path: &Path) -> Result<SavedModel> {
-    let model = inputs::tip_model(path)?;
-    match model.unknown_names() {
-        Some(problem) => Err(miette!("{}: {problem}", path.display())),
-        None => Ok(model),
-    }
 }

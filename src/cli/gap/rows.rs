@@ -5,6 +5,7 @@
 
 use crate::cli::gap::input;
 use crate::cli::{ResultFile, output};
+use crate::config::calib::is_day;
 use crate::diagnosis::diagnose;
 use crate::diagnosis::fleet::row::{self, FleetRow};
 use crate::diagnosis::tip::{Rig, TipProblem};
@@ -91,8 +92,10 @@ pub fn run(logs: &[PathBuf], settings: &Settings, args: &RowsArgs, table: &Path)
     let known = known(table, &journal)?;
     let mut open = Vec::new();
     for task in &mut tasks {
-        let bytes = fs::read(&task.path).map_err(|e| miette!("{}: {e}", task.path.display()))?;
-        (task.row.content, task.row.settings) = (format!("{:016x}", fnv(bytes)), hash.clone());
+        // a log that cannot be read has a row that says so, as one that cannot be diagnosed
+        let content = fs::read(&task.path).map(|bytes| format!("{:016x}", fnv(bytes)));
+        task.row.content = content.unwrap_or_default();
+        task.row.settings.clone_from(&hash);
         match known.get(&task.row.log) {
             Some(old) if old.content == task.row.content && old.settings == hash => {
                 task.row.take_result(old)
@@ -117,6 +120,8 @@ pub fn run(logs: &[PathBuf], settings: &Settings, args: &RowsArgs, table: &Path)
 fn tasks(logs: &[PathBuf], args: &RowsArgs) -> Result<Vec<Task>> {
     let mut tasks = Vec::new();
     for path in logs {
+        let there = path.symlink_metadata();
+        there.map_err(|e| miette!("{}: {}", path.display(), why_unreadable(path, &e)))?;
         let parent = path.parent().filter(|_| !path.is_dir());
         collect(path, parent.unwrap_or(path), &mut tasks)?;
     }
@@ -127,15 +132,7 @@ fn tasks(logs: &[PathBuf], args: &RowsArgs) -> Result<Vec<Task>> {
         bail!("{a:?} and {b:?} have the same name; give the folder that holds both");
     }
     if let Some(units) = &args.units {
-        let file = units.display();
-        let mut reader = csv::Reader::from_path(units).map_err(|e| miette!("{file}: {e}"))?;
-        for record in reader.deserialize() {
-            let known: Unit = record.map_err(|e| miette!("{file}: {e}"))?;
-            let Some(task) = tasks.iter_mut().find(|task| task.row.log == known.log) else {
-                bail!("{file}: {}: there is no such log", known.log);
-            };
-            (task.row.unit, task.row.lot, task.row.date) = (known.unit, known.lot, known.date);
-        }
+        tell_units(&mut tasks, units)?;
     }
     if let Some(Shard(k, n)) = args.shard {
         tasks.retain(|task| fnv(task.row.log.bytes()) % n == k - 1);
@@ -146,6 +143,40 @@ fn tasks(logs: &[PathBuf], args: &RowsArgs) -> Result<Vec<Task>> {
         );
     }
     Ok(tasks)
+}
+
+/// Fills in what a table `--units` says.
+fn tell_units(tasks: &mut [Task], units: &Path) -> Result<()> {
+    let file = units.display();
+    let failed = |e| miette!("{file}: {e}");
+    let mut reader = csv::Reader::from_path(units).map_err(failed)?;
+    let header = reader.headers().map_err(failed)?.clone();
+    let mut told = HashMap::new();
+    for record in reader.records() {
+        let record = record.map_err(failed)?;
+        let line = record.position().map_or(0, csv::Position::line);
+        let Unit {
+            log,
+            unit,
+            lot,
+            date,
+        } = record.deserialize(Some(&header)).map_err(failed)?;
+        let Some(task) = tasks.iter_mut().find(|task| task.row.log == log) else {
+            bail!("{file}, line {line}, column log: `{log}`: there is no such log");
+        };
+        if let Some(first) = told.insert(log.clone(), line) {
+            bail!(
+                "{file}, line {line}, column log: line {first} names `{log}`, too; remove one of them"
+            );
+        }
+        if !(date.is_empty() || is_day(&date)) {
+            bail!(
+                "{file}, line {line}, column date: `{date}` is no day; write it as YYYY-MM-DD, such as 2026-03-31, or leave it empty"
+            );
+        }
+        (task.row.unit, task.row.lot, task.row.date) = (unit, lot, date);
+    }
+    Ok(())
 }
 
 /// Every log at or below a path. Unless a table says otherwise, the file is the unit and its folder the lot.

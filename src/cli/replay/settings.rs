@@ -5,12 +5,13 @@ use crate::config::source;
 use crate::config::supervisor::assemble;
 use crate::config::{Board, Calibration, Gains};
 use crate::control::DynamicsPrior;
+use crate::diagnosis::tip::SavedModel;
 use crate::estimation::fusion::estimator::EstimatorName;
 use crate::model::{DescribedMachine, Line};
 use crate::primitives::Check;
 use crate::service::flight::start::Header;
 use crate::supervisor::SupervisorConfig;
-use miette::{IntoDiagnostic, Result};
+use miette::Result;
 use serde::de::DeserializeOwned;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -72,12 +73,12 @@ impl Settings {
         };
         let board: Board = text(board)?;
         let name = "model of the log";
-        let described = model.first().map(|text| {
-            let model = source::parse(name, text).into_diagnostic()?;
-            inputs::described_by(name, model, &board)
-        });
+        let model = model
+            .first()
+            .map(|text| source::parse::<SavedModel>(name, text));
+        let model = model.transpose().map_err(|e| e.to_string())?;
         Ok(Self {
-            feedforward: described.transpose().map_err(|e| e.to_string())?,
+            feedforward: model.map(|model| inputs::described_by(name, &model, &board)),
             gains: text(gains)?,
             calibration: text(calibration)?,
             learned: Some((header.lines, header.dynamics)),

@@ -85,6 +85,19 @@ impl MapFile {
         self.time.as_deref().map(str::trim)
     }
 
+    /// Every column that is named, under its key.
+    pub fn columns(&self) -> Vec<(&'static str, &str)> {
+        let all = [
+            ("input", self.inputs()),
+            ("output", self.output.names()),
+            ("motion", self.motion().into_iter().collect()),
+            ("time", self.time().into_iter().collect()),
+        ];
+        let each = all.into_iter();
+        each.flat_map(|(key, names)| names.into_iter().map(move |name| (key, name)))
+            .collect()
+    }
+
     /// Whether times are in seconds, and not in rows.
     pub fn is_clocked(&self) -> bool {
         self.time.is_some() || self.rate_hz.is_some()
@@ -107,15 +120,23 @@ impl MapFile {
         to.at(&at("output"))
             .holds(!self.output.names().is_empty(), "names no column")
             .hint("name the output column");
+        let columns = self.columns();
+        let signals = columns.iter().enumerate();
+        for (n, (key, name)) in signals.filter(|(_, c)| matches!(c.0, "input" | "output")) {
+            let is_first = columns[..n].iter().all(|(_, other)| other != name);
+            to.at(&at(key))
+                .holds(is_first, &format!("column `{name}` is named twice"))
+                .hint("a column is one input or belongs to the output: name it once");
+        }
         let (inputs, driven) = (self.inputs().len(), !self.inputs().is_empty());
         match self.nominal {
             Nominal::Still => to
-                .at("input")
+                .at(&at("input"))
                 .holds(!driven, "is given although nominal = \"still\" has none")
                 .hint("remove the input, or set nominal = \"line\""),
             Nominal::Line => to
-                .at("output")
-                .holds(driven, "has no input")
+                .at(&at("input"))
+                .holds(driven, "names no column")
                 .hint("name the input, or set nominal = \"still\""),
             Nominal::Resonance => {
                 to.at(&at("nominal"))

@@ -86,8 +86,7 @@ pub fn read(path: &Path, map: &MapFile) -> Result<Signals, MapError> {
 }
 
 fn names(map: &MapFile) -> Vec<&str> {
-    let others = map.motion().into_iter().chain(map.time());
-    [map.inputs(), map.output.names(), others.collect()].concat()
+    map.columns().into_iter().map(|(_, name)| name).collect()
 }
 
 fn signals(file: &str, table: &Table, map: &MapFile) -> Result<Signals, MapError> {

@@ -4,12 +4,15 @@ use crate::diagnosis::tip::fit::{Candidate, best_predicting};
 use crate::diagnosis::tip::model::LAG_MAX_S;
 use crate::diagnosis::tip::observed::Observed;
 use crate::diagnosis::tip::{Diagnosed, confused_with};
-use crate::model::effects::{Effect, Param, by_name, catalogue};
+use crate::model::effects::{Effect, MODE_PARAMS, Param, by_name, catalogue};
 use crate::model::{DescribedMachine, Geometry, Line, RestReadings, lines, nominal_theta};
 use crate::primitives::{Check, Checker};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+
+/// Part of a range by which the digits of a number that was written by hand may be beyond it.
+const ROUNDING: f64 = 1e-5;
 
 /// Advice for every value that is out of range.
 const AGAIN: &str = "diagnose the log again with --save";
@@ -107,8 +110,49 @@ fn saved_effects(from: &Candidate) -> Vec<SavedEffect> {
 /// Parameters of an effect among saved ones, in catalogue order.
 fn params_of(saved: &[SavedEffect], effect: &dyn Effect) -> Option<Vec<f64>> {
     let saved = saved.iter().find(|s| s.name == effect.name())?;
-    let value = |p: &Param| saved.params.get(&key(p)).copied().unwrap_or(p.start);
+    let value = |p: &Param| {
+        saved
+            .params
+            .get(&key(p))
+            .map_or(p.start, |v| rounded(p, *v))
+    };
     Some(effect.params().iter().map(value).collect())
+}
+
+/// A value that only its last digits put beyond the limits, moved onto them.
+fn rounded(p: &Param, value: f64) -> f64 {
+    let within = value.clamp(p.low, p.high);
+    let is_near = (value - within).abs() <= ROUNDING * (p.high - p.low);
+    if is_near { within } else { value }
+}
+
+impl SavedEffect {
+    /// Reports what the catalogue does not have, what is missing, and values that no machine has. `at` is the key of this effect.
+    fn check(&self, at: &str, to: &mut Checker) {
+        let Some(e) = by_name(&self.name) else {
+            let problem = format!("effect `{}` is not in the catalogue", self.name);
+            return to.refuse(&format!("{at}.name"), problem, AGAIN);
+        };
+        let keys: Vec<String> = e.params().iter().map(key).collect();
+        let at = |key: &str| format!("{at}.params.{key}");
+        if let Some(stray) = self.params.keys().find(|k| !keys.contains(k)) {
+            let (name, keys) = (&self.name, keys.join(", "));
+            let problem = format!("effect `{name}` has no such parameter; it has {keys}");
+            to.refuse(&at(stray), problem, AGAIN);
+        }
+        // a file that is older than the modes has none
+        let required = e.params().len() - e.modes() * MODE_PARAMS;
+        for (n, (p, key)) in e.params().iter().zip(&keys).enumerate() {
+            match self.params.get(key) {
+                Some(value) => to
+                    .at(&at(key))
+                    .range(rounded(p, *value), p.low..=p.high, p.unit)
+                    .hint(AGAIN),
+                None if n < required => to.refuse(&at(key), "is missing".to_owned(), AGAIN),
+                None => {}
+            }
+        }
+    }
 }
 
 impl SavedModel {
@@ -176,29 +220,6 @@ impl SavedModel {
         let similar = self.effect.iter().flat_map(|e| confused_with(&e.name));
         names.chain(similar.map(|n| (*n).to_owned())).collect()
     }
-
-    /// The effects of the verdict, and those of the forecast.
-    fn all_effects(&self) -> impl Iterator<Item = &SavedEffect> {
-        let forecast = self.forecast.iter().flat_map(|f| &f.effect);
-        self.effect.iter().chain(forecast)
-    }
-
-    /// The first effect or parameter that the catalogue does not have, as a problem; `None` if there is none.
-    pub fn unknown_names(&self) -> Option<String> {
-        for s in self.all_effects() {
-            let Some(e) = by_name(&s.name) else {
-                return Some(format!("effect `{}` is not in the catalogue", s.name));
-            };
-            let keys: Vec<String> = e.params().iter().map(key).collect();
-            if let Some(stray) = s.params.keys().find(|k| !keys.contains(k)) {
-                let (has, keys) = (format!("effect `{}` has no", s.name), keys.join(", "));
-                return Some(format!("{has} parameter `{stray}`; it has {keys}"));
-            }
-        }
-        let mut grouped = self.equivalent.iter().flatten();
-        let stray = grouped.find(|n| by_name(n).is_none());
-        stray.map(|n| format!("equivalent: effect `{n}` is not in the catalogue"))
-    }
 }
 
 impl Check for SavedModel {
@@ -237,11 +258,192 @@ impl Check for SavedModel {
             within(to, "field_ut", &rest.field_ut, 1000.0, "µT");
             within(to, "gyro_bias_rad_s", &rest.gyro_bias_rad_s, 1.0, "rad/s");
         }
-        for (i, e) in self.all_effects().enumerate() {
-            let finite = e.params.values().all(|v| v.is_finite());
-            to.at(&format!("effect.{i}.params"))
-                .holds(finite, "a parameter is not a finite number")
+        let forecast = self
+            .forecast
+            .as_ref()
+            .map(|f| ("forecast.effect", &f.effect));
+        for (at, effects) in [("effect", &self.effect)].into_iter().chain(forecast) {
+            for (i, effect) in effects.iter().enumerate() {
+                let at = format!("{at}.{i}");
+                let is_first = effects[..i].iter().all(|other| other.name != effect.name);
+                to.at(&format!("{at}.name"))
+                    .holds(is_first, "this effect is stated twice")
+                    .hint(AGAIN);
+                effect.check(&at, to);
+            }
+        }
+        for name in self.equivalent.iter().flatten() {
+            let problem = format!("effect `{name}` is not in the catalogue");
+            to.at("equivalent")
+                .holds(by_name(name).is_some(), &problem)
                 .hint(AGAIN);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::primitives::Invalid;
+
+    const GAINS: SavedGains = SavedGains {
+        k_epsilon: [2.2; 3],
+        k_lambda_mm: [0.9; 3],
+        lag_s: 0.02,
+    };
+
+    fn model(effect: Vec<SavedEffect>) -> SavedModel {
+        SavedModel {
+            schema: 1,
+            source: "log.csv".to_owned(),
+            equivalent: Vec::new(),
+            nominal: GAINS,
+            with_effects: GAINS,
+            effect,
+            rest: None,
+            forecast: None,
+        }
+    }
+
+    fn checked(model: &SavedModel) -> Result<(), Invalid> {
+        let mut checker = Checker::default();
+        model.check(&mut checker);
+        checker.done()
+    }
+
+    /// An effect with each parameter at `value`.
+    fn at(e: &dyn Effect, value: fn(&Param) -> f64) -> SavedEffect {
+        SavedEffect {
+            name: e.name().to_owned(),
+            params: e.params().iter().map(|p| (key(p), value(p))).collect(),
+        }
+    }
+
+    /// The key at which a model with this effect is refused, as an effect of the verdict and as one of the forecast.
+    fn refused(effect: &SavedEffect) -> Invalid {
+        let verdict = checked(&model(vec![effect.clone()])).unwrap_err();
+        let forecast = SavedForecast {
+            gains: GAINS,
+            effect: vec![effect.clone()],
+        };
+        let forecast = checked(&SavedModel {
+            forecast: Some(forecast),
+            ..model(Vec::new())
+        })
+        .unwrap_err();
+        assert_eq!(forecast.key, format!("forecast.{}", verdict.key));
+        assert_eq!(forecast.problem, verdict.problem);
+        verdict
+    }
+
+    #[test]
+    fn every_effect_is_read_back_at_its_limits() {
+        let limits: [fn(&Param) -> f64; 2] = [|p| p.low, |p| p.high];
+        for limit in limits {
+            let effects = catalogue().iter().map(|e| at(*e, limit)).collect();
+            let text = toml::to_string_pretty(&model(effects)).unwrap();
+            let again: SavedModel = toml::from_str(&text).unwrap();
+            assert_eq!(checked(&again), Ok(()));
+            for e in catalogue() {
+                let limits: Vec<f64> = e.params().iter().map(limit).collect();
+                assert_eq!(again.params_of(*e), Some(limits), "{}", e.name());
+            }
+        }
+    }
+
+    #[test]
+    fn what_no_machine_has_is_refused_with_its_key() {
+        for e in catalogue() {
+            let good = at(*e, |p| p.start);
+            assert_eq!(checked(&model(vec![good.clone()])), Ok(()), "{}", e.name());
+            let required = e.params().len() - e.modes() * MODE_PARAMS;
+            for (n, p) in e.params().iter().enumerate() {
+                let name = format!("effect.0.params.{}", key(p));
+                let range = p.high - p.low;
+                for bad in [
+                    p.low - 0.001 * range,
+                    p.high + 0.001 * range,
+                    1e10,
+                    f64::NAN,
+                    f64::NEG_INFINITY,
+                ] {
+                    let mut effect = good.clone();
+                    effect.params.insert(key(p), bad);
+                    let why = refused(&effect);
+                    assert_eq!(why.key, name);
+                    let limits = format!("is outside {} to {}", p.low, p.high);
+                    assert!(why.problem.contains(&limits), "{why}");
+                }
+                let mut effect = good.clone();
+                effect.params.insert(key(p), p.high + 1e-6 * range);
+                let near = model(vec![effect.clone()]);
+                assert_eq!(checked(&near), Ok(()), "{name}");
+                assert_eq!(near.params_of(*e).unwrap()[n], p.high, "{name}");
+                effect.params.remove(&key(p));
+                if n < required {
+                    let why = refused(&effect);
+                    assert_eq!(
+                        (why.key.as_str(), why.problem.as_str()),
+                        (name.as_str(), "is missing")
+                    );
+                } else {
+                    assert_eq!(checked(&model(vec![effect])), Ok(()), "{name}");
+                }
+            }
+            let mut effect = good.clone();
+            effect.params.insert("colour".to_owned(), 0.0);
+            assert_eq!(refused(&effect).key, "effect.0.params.colour");
+        }
+        let twice = vec![at(catalogue()[0], |p| p.start); 2];
+        assert_eq!(checked(&model(twice)).unwrap_err().key, "effect.1.name");
+        let ghost = SavedEffect {
+            name: "ghost".to_owned(),
+            params: BTreeMap::new(),
+        };
+        assert_eq!(refused(&ghost).key, "effect.0.name");
+    }
+
+    #[test]
+    fn gains_that_no_line_has_are_refused_with_their_key() {
+        let spoil: [(&str, fn(&mut SavedGains, f64)); 3] = [
+            ("k_epsilon.1", |g, bad| g.k_epsilon[1] = bad),
+            ("k_lambda_mm.2", |g, bad| g.k_lambda_mm[2] = bad),
+            ("lag_s", |g, bad| g.lag_s = bad),
+        ];
+        for (key, spoil) in spoil {
+            for bad in [-0.1, 10.1, 1e10, f64::NAN] {
+                let mut gains = GAINS;
+                spoil(&mut gains, bad);
+                for (table, spoilt) in [
+                    (
+                        "nominal",
+                        SavedModel {
+                            nominal: gains.clone(),
+                            ..model(Vec::new())
+                        },
+                    ),
+                    (
+                        "with_effects",
+                        SavedModel {
+                            with_effects: gains.clone(),
+                            ..model(Vec::new())
+                        },
+                    ),
+                    (
+                        "forecast.gains",
+                        SavedModel {
+                            forecast: Some(SavedForecast {
+                                gains: gains.clone(),
+                                effect: Vec::new(),
+                            }),
+                            ..model(Vec::new())
+                        },
+                    ),
+                ] {
+                    let why = checked(&spoilt).unwrap_err();
+                    assert_eq!(why.key, format!("{table}.{key}"));
+                }
+            }
         }
     }
 }

@@ -1,10 +1,12 @@
 //! Refuses a bend log whose units or wiring cannot be right, before any diagnosis gives it a physical cause.
 //!
-//! Three kinds of check, in this order:
+//! Four kinds of check, in this order:
 //!
 //! * units, from the median magnitude of each sensor and from the piston speed: a still accelerometer reads 9.81 m/s², the
 //!   Earth's field is 25 to 65 µT (Alken et al. 2021, IGRF-13), the pistons move millimetres in seconds;
 //! * single values beyond what the machine or the sensor can do;
+//! * axes of the sensor: gravity turns in them as the gyroscope says, unless two are exchanged or one is reversed, which makes a
+//!   left-handed frame;
 //! * wiring, from the rotations of the tip over windows of two seconds: measured by the tracker or integrated from the
 //!   gyroscope on one side, predicted from the pistons by the nominal model on the other. Exchanged pistons or reversed signs
 //!   turn the prediction in a way that no effect of the catalogue does.
@@ -34,7 +36,8 @@ pub fn check(log: &BendLog, geometry: &Geometry, lines: &[Line; 3]) -> Result<()
     let in_motion = || {
         let motion = Motion::of(log, geometry, lines);
         let unit = motion.piston_unit(log).or_else(|| motion.rate_unit());
-        unit.or_else(|| motion.wiring())
+        let axes = unit.or_else(|| motion.axes());
+        axes.or_else(|| motion.wiring())
     };
     let first = values::clock_unit(log)
         .or_else(|| values::sensor_units(log.imu.as_ref()?, ""))
@@ -61,6 +64,9 @@ mod tests {
             k_lambda_mm: 0.9,
         })
     }
+
+    /// Bias of the gyroscope, rad/s.
+    const BIAS: Vector3<f64> = Vector3::new(0.01, -0.02, 0.005);
 
     /// Two minutes of poses in twelve directions, 100 rows a second, of a tip that follows the nominal model.
     fn sound() -> BendLog {
@@ -102,9 +108,8 @@ mod tests {
                 .push((base * turn).inverse() * Vector3::new(0.0, 0.0, 9.81));
             imu.mag
                 .push((base * turn).inverse() * Vector3::new(20.0, 0.0, -43.0));
-            imu.gyr.push(
-                (before.inverse() * turn).scaled_axis() / 0.01 + Vector3::new(0.01, -0.02, 0.005),
-            );
+            imu.gyr
+                .push((before.inverse() * turn).scaled_axis() / 0.01 + BIAS);
             before = turn;
         }
         log.imu = Some(imu);
@@ -165,6 +170,45 @@ mod tests {
                 "{words}: {message}"
             );
         }
+    }
+
+    #[test]
+    fn axes_of_the_sensor_are_told_from_the_pistons() {
+        let cases: [Case<Vector3<f64>>; 6] = [
+            ("x and y look exchanged", &|v| v.swap_rows(0, 1)),
+            ("x and z look exchanged", &|v| v.swap_rows(0, 2)),
+            ("y and z look exchanged", &|v| v.swap_rows(1, 2)),
+            ("x looks like it has the other sign", &|v| v.x = -v.x),
+            ("y looks like it has the other sign", &|v| v.y = -v.y),
+            ("z looks like it has the other sign", &|v| v.z = -v.z),
+        ];
+        for (words, change) in cases {
+            for with_tracker in [false, true] {
+                let message = verdict(|log| {
+                    if with_tracker {
+                        let mut at = UnitQuaternion::identity();
+                        let turned = |rate: &Vector3<f64>| {
+                            at *= UnitQuaternion::from_scaled_axis((rate - BIAS) * 0.01);
+                            Some(at)
+                        };
+                        log.reference = Some(imu(log).gyr.iter().map(turned).collect());
+                    }
+                    let imu = imu(log);
+                    for v in [&mut imu.acc, &mut imu.gyr, &mut imu.mag] {
+                        v.iter_mut().for_each(change);
+                    }
+                });
+                assert!(
+                    message.contains("columns acc_*, gyr_*") && message.contains(words),
+                    "{words}: {message}"
+                );
+            }
+        }
+        let message = verdict(|log| imu(log).gyr.iter_mut().for_each(|v| *v = -*v));
+        assert!(
+            message.contains("gyr_* looks like it has the other sign"),
+            "{message}"
+        );
     }
 
     #[test]

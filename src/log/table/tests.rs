@@ -75,7 +75,7 @@ fn errors_name_file_line_and_column() {
         ),
         (
             "t,x\n0,0\n1,0\n2,0\n1.7e9,0\n1700000001,0\n",
-            "line 5, column t: `1700000000` is not at most 8.6402e4",
+            "line 5, column t: `1700000000` is not at most 86402 s, which is 86400 s after the row before",
         ),
         (
             "t,x\n0,0\n600,0\n1200,0\n7e6,0\n",

@@ -108,14 +108,21 @@ fn follow_once(control: &Path, latest: &watch::Sender<Bytes>) -> Result<Infallib
     }
 }
 
-/// Reads a file of JSON now and then in a thread of its own, so that nobody waits for a file that does not answer.
+/// Whether a text is what `gap diagnose --json` writes: a verdict with its names, and a gap.
+pub fn is_diagnosis(text: &str) -> bool {
+    let found: Option<Value> = serde_json::from_str(text).ok();
+    found.is_some_and(|found| found["verdict"]["names"].is_array() && found["gap"].is_object())
+}
+
+/// Reads a diagnosis now and then in a thread of its own, so that nobody waits for a file that does not answer. Anything else is nothing.
 pub fn read_again(file: Option<PathBuf>) -> watch::Receiver<Bytes> {
     const NOTHING: Bytes = Bytes::from_static(b"null");
     let (sender, latest) = watch::channel(NOTHING);
     if let Some(file) = file {
         std::thread::spawn(move || {
             while !sender.is_closed() {
-                sender.send_replace(text(&file).map_or(NOTHING, Bytes::from));
+                let found = text(&file).ok().filter(|text| is_diagnosis(text));
+                sender.send_replace(found.map_or(NOTHING, Bytes::from));
                 std::thread::sleep(READ_AGAIN);
             }
         });
