@@ -189,6 +189,11 @@ fn layers(name: &str, text: &str) -> Result<Vec<Layer>, ConfigError> {
             Some(text) => Layer::new(&format!("boards/{base}.toml"), text)?,
             None if base.ends_with(".toml") => {
                 let path = Path::new(&layer.name).with_file_name(base);
+                // a running service reads its gains again, and a pipe would keep it waiting
+                if path.exists() && !path.is_file() {
+                    let problem = format!("base: `{base}` is no regular file");
+                    return Err(wrong(problem, "name a file of this kind"));
+                }
                 Layer::new(&path.display().to_string(), &text_of(&path)?)?
             }
             None => {
@@ -276,5 +281,21 @@ mod tests {
             .unwrap_err()
             .to_string();
         assert!(e.starts_with("/nowhere/x.toml: "), "{e}");
+    }
+
+    #[test]
+    fn a_base_is_a_regular_file() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("folder.toml")).unwrap();
+        std::os::unix::fs::symlink("/dev/zero", folder.path().join("device.toml")).unwrap();
+        let name = folder.path().join("f.toml").display().to_string();
+        for base in ["folder.toml", "device.toml"] {
+            let found = parse::<File>(&name, &format!("base = \"{base}\"\n"));
+            let why = found.unwrap_err().to_string();
+            assert!(
+                why.contains("line 1") && why.contains("no regular file"),
+                "{why}"
+            );
+        }
     }
 }
