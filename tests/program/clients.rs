@@ -69,7 +69,8 @@ fn what_another_command_ends_was_not_played_to_its_end() {
     ];
     let on_the_path = |s: &Value| s["path"]["at_s"].as_f64().is_some_and(|at_s| at_s > 0.5);
     let on_the_way = |s: &Value| s["mode"] == "tracking";
-    let plays: [(&str, &dyn Fn(&Value) -> bool); 2] = [
+    type Begun<'a> = &'a dyn Fn(&Value) -> bool;
+    let plays: [(&str, Begun<'_>); 2] = [
         (path.as_str(), &on_the_path),
         (schedule.as_str(), &on_the_way),
     ];

@@ -161,13 +161,8 @@ fn calibration(
         imu: old.imu,
     };
     let imu = &mut calibration.imu;
-    let (same, degrees): (fn(f64) -> f64, fn(f64) -> f64) = (|x| x, f64::to_degrees);
-    for (kept, name, unit) in [
-        (&mut imu.acc_bias_m_s2, "accel_bias", same),
-        (&mut imu.mag_bias_ut, "hard_iron", same),
-        (&mut imu.mount_deg, "mount_misalignment", degrees),
-    ] {
-        *kept = entry(name, unit).or(kept.take());
-    }
+    imu.acc_bias_m_s2 = entry("accel_bias", |x| x).or(imu.acc_bias_m_s2.take());
+    imu.mag_bias_ut = entry("hard_iron", |x| x).or(imu.mag_bias_ut.take());
+    imu.mount_deg = entry("mount_misalignment", f64::to_degrees).or(imu.mount_deg.take());
     calibration
 }

@@ -73,10 +73,10 @@ impl Settings {
         };
         let board: Board = text(board)?;
         let name = "model of the log";
-        let model = model
-            .first()
-            .map(|text| source::parse::<SavedModel>(name, text));
-        let model = model.transpose().map_err(|e| e.to_string())?;
+        let parsed = |text: &String| -> std::result::Result<SavedModel, String> {
+            source::parse(name, text).map_err(|e| e.to_string())
+        };
+        let model = model.first().map(parsed).transpose()?;
         Ok(Self {
             feedforward: model.map(|model| inputs::described_by(name, &model, &board)),
             gains: text(gains)?,

@@ -405,7 +405,8 @@ mod tests {
 
     #[test]
     fn gains_that_no_line_has_are_refused_with_their_key() {
-        let spoil: [(&str, fn(&mut SavedGains, f64)); 3] = [
+        type Spoil = fn(&mut SavedGains, f64);
+        let spoil: [(&str, Spoil); 3] = [
             ("k_epsilon.1", |g, bad| g.k_epsilon[1] = bad),
             ("k_lambda_mm.2", |g, bad| g.k_lambda_mm[2] = bad),
             ("lag_s", |g, bad| g.lag_s = bad),
