@@ -1,6 +1,6 @@
 //! One connection of a client: bounded reading, splitting into lines, and bounded writing.
 
-use crate::service::protocol::LINE_MAX;
+use crate::service::protocol::{LINE_MAX, says_stop};
 use nix::sys::socket::UnixCredentials;
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
@@ -101,10 +101,14 @@ impl Client {
             };
             let text = match std::str::from_utf8(&self.input[taken..taken + end]) {
                 Ok(text) => Ok(text.trim().to_owned()),
-                Err(_) => {
-                    self.closing = true;
-                    Err("a line must be UTF-8 text")
-                }
+                // what is no text may say `stop` all the same
+                Err(_) => match String::from_utf8_lossy(&self.input[taken..taken + end]) {
+                    lossy if says_stop(&lossy) => Ok(lossy.trim().to_owned()),
+                    _ => {
+                        self.closing = true;
+                        Err("a line must be UTF-8 text")
+                    }
+                },
             };
             taken += end + 1;
             if text.as_ref().is_ok_and(String::is_empty) {

@@ -269,7 +269,7 @@ pub fn parse(line: &str) -> (Value, Result<Request, Failure>) {
 }
 
 /// True if a line that cannot be read says `"cmd":"stop"`, with or without blanks.
-fn says_stop(line: &str) -> bool {
+pub(super) fn says_stop(line: &str) -> bool {
     let dense: String = line.split_whitespace().collect();
     dense.contains(r#""cmd":"stop""#)
 }

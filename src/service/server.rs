@@ -244,6 +244,23 @@ mod tests {
     }
 
     #[test]
+    fn a_line_that_is_no_text_may_say_stop() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut server = server(folder.path(), Duration::from_secs(60));
+        let mut client = UnixStream::connect(folder.path().join("socket")).unwrap();
+        for line in [
+            &b"{\"cmd\" : \"stop\",\"x\":\"\xff\"}\n"[..],
+            b"\xe9{\"cmd\":\"stop\"\n",
+        ] {
+            client.write_all(line).unwrap();
+            let lines = rounds(&mut server);
+            let text = lines[0].text.as_deref().unwrap();
+            let stop = Ok(crate::service::Request::Stop {});
+            assert_eq!(crate::service::protocol::parse(text).1, stop);
+        }
+    }
+
+    #[test]
     fn lines_beyond_the_unanswered_ones_are_marked_and_idle_clients_go() {
         let folder = tempfile::tempdir().unwrap();
         let mut server = server(folder.path(), Duration::from_millis(50));

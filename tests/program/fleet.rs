@@ -63,6 +63,8 @@ fn unreadable_logs(folder: &Path) {
     std::os::unix::fs::symlink("nowhere.csv", logs.join("gone.csv")).unwrap();
     std::os::unix::fs::symlink("loop.csv", logs.join("loop.csv")).unwrap();
     std::fs::write(logs.join("shut.csv"), "x\n").unwrap();
+    let pipe = Command::new("mkfifo").arg(logs.join("pipe.csv")).status();
+    assert!(pipe.unwrap().success());
     let shut = std::fs::Permissions::from_mode(0o000);
     std::fs::set_permissions(logs.join("shut.csv"), shut).unwrap();
 }
@@ -77,7 +79,7 @@ fn a_killed_run_resumes_and_shards_merge_to_the_same_table() {
     std::os::unix::fs::symlink("..", folder.join("logs/a/up")).unwrap();
     let text = good(folder, "gap diagnose logs --rows all.parquet");
     assert!(
-        text.contains("9 logs, 9 of them diagnosed now; 4 cannot be diagnosed"),
+        text.contains("10 logs, 10 of them diagnosed now; 5 cannot be diagnosed"),
         "{text}"
     );
     let whole = std::fs::read(folder.join("all.parquet")).unwrap();
@@ -97,7 +99,7 @@ fn a_killed_run_resumes_and_shards_merge_to_the_same_table() {
         "{:?}",
         of("b/four.csv")
     );
-    for log in ["c/gone.csv", "c/loop.csv", "c/shut.csv"] {
+    for log in ["c/gone.csv", "c/loop.csv", "c/shut.csv", "c/pipe.csv"] {
         let row = of(log);
         assert!(
             row.verdict.is_empty() && row.refused.contains(log),
@@ -108,7 +110,7 @@ fn a_killed_run_resumes_and_shards_merge_to_the_same_table() {
     // nothing is diagnosed twice
     assert!(
         good(folder, "gap diagnose logs --rows all.parquet")
-            .contains("9 logs, 0 of them diagnosed now")
+            .contains("10 logs, 0 of them diagnosed now")
     );
 
     // killed as soon as the first row is kept
@@ -130,7 +132,7 @@ fn a_killed_run_resumes_and_shards_merge_to_the_same_table() {
     run.wait().unwrap();
     assert!(!folder.join("killed.parquet").exists());
     let text = good(folder, "gap diagnose logs --rows killed.parquet");
-    assert!(!text.contains("9 of them diagnosed now"), "{text}");
+    assert!(!text.contains("10 of them diagnosed now"), "{text}");
     assert!(std::fs::read(folder.join("killed.parquet")).unwrap() == whole);
 
     for k in 1..=3 {

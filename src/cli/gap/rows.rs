@@ -93,8 +93,9 @@ pub fn run(logs: &[PathBuf], settings: &Settings, args: &RowsArgs, table: &Path)
     let mut open = Vec::new();
     for task in &mut tasks {
         // a log that cannot be read has a row that says so, as one that cannot be diagnosed
-        let content = fs::read(&task.path).map(|bytes| format!("{:016x}", fnv(bytes)));
-        task.row.content = content.unwrap_or_default();
+        let bytes = task.path.is_file().then(|| fs::read(&task.path));
+        let bytes = bytes.and_then(Result::ok);
+        task.row.content = bytes.map_or_else(String::new, |bytes| format!("{:016x}", fnv(bytes)));
         task.row.settings.clone_from(&hash);
         match known.get(&task.row.log) {
             Some(old) if old.content == task.row.content && old.settings == hash => {
@@ -273,6 +274,11 @@ fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Re
 
 fn diagnose_one(settings: &Settings, task: &mut Task) {
     let Settings { rig, lines, seed } = settings;
+    // a pipe would keep all the others waiting
+    if task.path.exists() && !task.path.is_file() {
+        task.row.refused = format!("{}: this is no regular file", task.row.log);
+        return;
+    }
     match input::observe(&task.path, rig) {
         Ok(log) => {
             let done = diagnose(&TipProblem::new(&log, catalogue(), lines, *seed));

@@ -275,7 +275,10 @@ const LEFT_HANDED: [LeftHanded; 7] = [
         Vector3::new(v.x, v.y, -v.z)
     }),
     // gravity has no sign here: only the gyroscope's is told
-    ("gyr_* looks like it has the other sign", |v| -v),
+    (
+        "gyr_* looks like it has the other sign, or the rows run backwards",
+        |v| -v,
+    ),
 ];
 
 /// A way in which pistons may be wired.
