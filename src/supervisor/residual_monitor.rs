@@ -374,6 +374,7 @@ impl ResidualMonitor {
                 (share, _) => of(Strong, share),
             }
         };
+        // no other share is computed from the motion
         (suspicion, suspicion.share == of_motion)
     }
 }

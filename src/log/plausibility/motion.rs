@@ -153,7 +153,7 @@ impl Motion {
             b.1
         });
         let text = format!(
-            "{says}: by the gyroscope, gravity should turn the other way (correlation {as_is:.2}), so the axes are left-handed"
+            "{says}: by the gyroscope, gravity should turn the other way (correlation {as_is:.2})"
         );
         let mend = "correct the columns of each sensor that has these axes, so that x, y, z are those of the tip";
         finding("columns acc_*, gyr_*", text, mend)
