@@ -15,6 +15,9 @@ use nalgebra::Vector3;
 
 /// The paper's criterion: relative step below 2 %.
 const CONVERGED: f64 = 0.02;
+/// Share by which k_ε changes from one calibration to the next: the absolute temperature of the air in a line rises by 5 % from a room
+/// at 22 °C to a body at 37 °C.
+const WARMED: f64 = 0.05;
 /// Largest number of passes.
 pub const PASSES_MAX: usize = 12;
 
@@ -37,11 +40,13 @@ impl Identified {
         self.channels.map(|e| e.line)
     }
 
-    /// Standard deviations of k_ε and k_λ in mm, per channel, no smaller than a calibration is repeatable.
+    /// Standard deviations of k_ε and k_λ in mm, per channel. They cover how far a later calibration of the same tip differs.
     pub fn line_sigmas(&self) -> [[f64; 2]; 3] {
         self.channels.map(|e| {
-            let sigma = |i, least| e.covariance[(i, i)].max(0.0).sqrt().max(least);
-            [sigma(0, 0.05), sigma(1, 0.03)]
+            let variance = |i| e.covariance[(i, i)].max(0.0);
+            let later = WARMED * e.line.k_epsilon;
+            let k_lambda_mm = f64::sqrt(variance(1)).max(0.03);
+            [(variance(0) + later * later).sqrt(), k_lambda_mm]
         })
     }
 }

@@ -10,7 +10,7 @@ use retroflex::control::learning::batch::Prior;
 use retroflex::control::tick::LoopConfig;
 use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
-use retroflex::experiment::identify::algorithm_1;
+use retroflex::experiment::identify::{Identified, algorithm_1};
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::{HOLD_S, arrivals, paper, short};
 use retroflex::model::arc::Shape;
@@ -53,60 +53,57 @@ fn effective_closed(config: &LoopConfig, mut world: Sim) -> [f64; 3] {
     [0, 1, 2].map(|i| product[i] / square[i])
 }
 
-/// Largest relative difference in k_ε between 24 poses with the paper's gains as prior and 120 poses without prior, on the
-/// same unit from the same start.
-fn short_against_full(seed: u64, open: fn(u64, u64) -> Sim) -> f64 {
+/// 24 poses with the paper's gains as prior, and 120 poses without prior, on the same unit from the same start.
+fn short_and_full(seed: u64, open: fn(u64, u64) -> Sim) -> [Identified; 2] {
     let prior = source::read::<Calibration>(&repo("calib/paper.toml"))
         .unwrap()
         .prior();
-    let config = for_world(&uncalibrated(), &open(seed, 0));
-    let brief = algorithm_1(
-        &config,
-        &mut open(seed, 60),
-        &short(24),
-        Some(&prior),
-        &mut |_| (),
-    )
-    .unwrap();
     let alone = prior.map(|p| Prior {
         k_epsilon_sigma: 1e3,
         k_lambda_sigma_mm: 1e3,
         ..p
     });
-    let full = algorithm_1(
-        &config,
-        &mut open(seed, 60),
-        &paper(),
-        Some(&alone),
-        &mut |_| (),
-    )
-    .unwrap();
-    let off =
-        [0, 1, 2].map(|i: usize| brief.lines()[i].k_epsilon / full.lines()[i].k_epsilon - 1.0);
-    println!(
-        "unit {seed}: k_ε {:+.1}, {:+.1}, {:+.1} %",
-        100.0 * off[0],
-        100.0 * off[1],
-        100.0 * off[2]
-    );
-    off.iter().fold(0.0, |worst, o| o.abs().max(worst))
+    let config = for_world(&uncalibrated(), &open(seed, 0));
+    [(short(24), prior), (paper(), alone)].map(|(poses, prior)| {
+        let mut world = open(seed, 60);
+        algorithm_1(&config, &mut world, &poses, Some(&prior), &mut |_| ()).unwrap()
+    })
 }
 
 #[test]
 fn a_short_calibration_agrees_with_a_full_one() {
-    let worst = (1..=8)
-        .map(|seed| short_against_full(seed, plain))
-        .fold(0.0, f64::max);
-    assert!(worst < 0.03, "{:.1} %", 100.0 * worst);
+    for seed in 1..=8 {
+        let [brief, full] = short_and_full(seed, plain);
+        let off = largest_change(&brief.lines(), &full.lines());
+        assert!(off < 0.03, "unit {seed}: {:.1} %", 100.0 * off);
+    }
 }
 
+/// The gain of the twin depends on pose and time, because of its cable and because its air warms: the two differ by up to 18 %.
 #[test]
-#[ignore = "known limitation: on the twin, whose gain depends on pose and time because of cable and warming air, one channel differs by up to 14 %"]
-fn a_short_calibration_agrees_with_a_full_one_on_the_twin() {
-    let worst = (1..=8)
-        .map(|seed| short_against_full(seed, unit))
-        .fold(0.0, f64::max);
-    assert!(worst < 0.03, "{:.1} %", 100.0 * worst);
+fn the_interval_of_a_short_calibration_holds_a_full_one_on_the_twin() {
+    let mut squares = Vec::new();
+    for seed in 401..=410 {
+        let [brief, full] = short_and_full(seed, unit);
+        for i in 0..3 {
+            let [k, k_full] = [&brief, &full].map(|found| found.lines()[i].k_epsilon);
+            let [sigma, sigma_full] = [&brief, &full].map(|found| found.line_sigmas()[i][0]);
+            println!(
+                "unit {seed}, line {i}: {k:.2} ± {sigma:.2}, 120 poses {k_full:.2} ± {sigma_full:.2}"
+            );
+            squares.push(((k - k_full) / sigma.hypot(sigma_full)).powi(2));
+        }
+    }
+    let outside = squares.iter().filter(|z_2| **z_2 > 1.96 * 1.96).count();
+    let mean = squares.iter().sum::<f64>() / squares.len() as f64;
+    println!(
+        "{outside} of {} outside 95 %, mean square {mean:.2}",
+        squares.len()
+    );
+    assert!(
+        outside <= 1 && mean > 0.25,
+        "{outside} outside, mean square {mean:.2}"
+    );
 }
 
 fn largest_change(a: &[Line; 3], b: &[Line; 3]) -> f64 {
