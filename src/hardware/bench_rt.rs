@@ -8,11 +8,9 @@
 use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt::{self, RtRequest, RtStatus, monotonic_ns};
 use crate::hardware::stepper::{StartError, Stepper, Summary};
-use crate::motion::Motion;
-use crate::motion::queue::SyncStatus;
 use crate::motion::{
-    EmergencyStop, Histogram, Inputs, Levels, MotionLimits, StepGenerator, StepperConfig,
-    StepperMode,
+    DriveState, EmergencyStop, Histogram, Inputs, Levels, Motion, MotionLimits, StepGenerator,
+    StepperConfig, StepperMode,
 };
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
@@ -31,17 +29,11 @@ pub struct RtBenchConfig {
     pub stepper: StepperConfig,
 }
 
-impl Default for RtBenchConfig {
-    fn default() -> Self {
-        Self {
-            rate_hz: 4000.0,
-            duration_s: 10.0,
-            load_threads: 0,
-            stepper: StepperConfig {
-                step_interval_min_us: 50.0,
-                ..StepperConfig::default()
-            },
-        }
+/// The step thread of a bench that is given no board.
+pub fn stepper() -> StepperConfig {
+    StepperConfig {
+        step_interval_min_us: 50.0,
+        ..StepperConfig::default()
     }
 }
 
@@ -139,13 +131,14 @@ fn drive(
         let now_ns = monotonic_ns();
         next_ns += tick_ns;
         match stepper.sync(now_ns) {
-            SyncStatus::Ready => {}
-            SyncStatus::Restart(rest_mm) => motion.reset(rest_mm),
-            SyncStatus::Faulted(_) | SyncStatus::Dead | SyncStatus::Silent => break,
-            SyncStatus::Busy => {
+            Ok(restart) => restart
+                .into_iter()
+                .for_each(|rest_mm| motion.reset(rest_mm)),
+            Err(DriveState::Busy) => {
                 rt::sleep_until_ns(next_ns);
                 continue;
             }
+            Err(_) => break,
         }
         let first = motion.state()[0];
         if first.is_rest() && first.position_mm.abs() > 0.5 * limits.travel_max_mm {

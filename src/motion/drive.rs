@@ -4,7 +4,6 @@
 //! stopped leaves the step generator to brake. Hardware and simulation run the same drive: there the step generator is a
 //! thread with pins, here the step core alone in simulated time.
 
-use crate::motion::queue::SyncStatus;
 use crate::motion::stop::longest_stop_mm;
 use crate::motion::{
     Motion, MotionLimits, MotionState, Segment, StepperFault, StepperMode, StepperOrder,
@@ -53,8 +52,11 @@ impl DriveLimits {
 
 /// What a drive needs of a step generator: a queue of segments, orders and reports.
 pub trait StepGenerator {
-    /// Reads the reports and returns what the drive must do.
-    fn sync(&mut self, now_ns: u64) -> SyncStatus;
+    /// Reads the reports and returns what the drive must do before the next segment, as [`Feeder::sync`](super::queue::Feeder::sync).
+    ///
+    /// # Errors
+    /// The state of a drive that must feed nothing.
+    fn sync(&mut self, now_ns: u64) -> Result<Option<[f64; 3]>, DriveState>;
 
     /// Queues the next segment. Returns false if nothing was queued: the queue is full, or no epoch has begun.
     fn feed(&mut self, segment: &Segment, now_ns: u64) -> bool;
@@ -137,13 +139,11 @@ impl<G: StepGenerator> Drive<G> {
         let target_mm = wanted.0.map(|n| f64::from(n) * self.step_mm);
         let before = self.state;
         self.state = match self.generator.sync(now_ns) {
-            SyncStatus::Dead => DriveState::Dead,
-            SyncStatus::Silent => DriveState::Silent,
-            SyncStatus::Faulted(fault) => DriveState::Faulted(fault),
-            SyncStatus::Busy => DriveState::Busy,
-            SyncStatus::Ready => self.feed(now_ns, target_mm),
-            SyncStatus::Restart(rest_mm) => {
-                self.motion.reset(rest_mm);
+            Err(state) => state,
+            Ok(restart) => {
+                restart
+                    .into_iter()
+                    .for_each(|rest_mm| self.motion.reset(rest_mm));
                 self.feed(now_ns, target_mm)
             }
         };

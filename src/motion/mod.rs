@@ -29,7 +29,6 @@ pub mod config;
 pub mod drive;
 pub mod follow;
 pub mod histogram;
-pub mod limits;
 pub mod lines;
 pub mod plan;
 pub mod pulse;
@@ -47,9 +46,8 @@ pub use pulse::{PulseAction, StepCore};
 pub use report::{StepperFault, StepperMode, StepperOrder, StepperReport};
 pub use stop::Stop;
 
-pub use config::StepperConfig;
+pub use config::{MotionLimits, StepperConfig};
 pub use drive::{Drive, DriveLimits, DriveState, StepGenerator};
 pub use follow::{Motion, MoveStatus};
-pub use limits::MotionLimits;
 pub use segment::{ChannelSegment, Segment};
 pub use state::MotionState;
