@@ -110,7 +110,7 @@ fn plant(args: &Args, board: &Board) -> Result<(Open, bool)> {
     }
     let section = built_in(args, board)?;
     let open: Open = Box::new(move |purpose| {
-        let (plant, noise) = (section.make(), noise_of(purpose));
+        let (plant, noise) = (section.clone(), noise_of(purpose));
         Ok(Box::new(Sim::new(&plant, seed, noise, section.period_s)?))
     });
     Ok((open, false))
