@@ -273,15 +273,6 @@ impl<I: I2c> Icm20948<I> {
         }
         Ok(decode(&b, &mut self.last_mag))
     }
-
-    fn read_checked(&mut self) -> Result<RawImu, ImuError> {
-        let mut raw = self.burst()?;
-        self.canary(&mut raw)?;
-        let inertial = |raw: &RawImu| (raw.gyro, raw.acc);
-        raw.fresh = self.last.as_ref().map(inertial) != Some(inertial(&raw));
-        self.last = Some(raw);
-        Ok(raw)
-    }
 }
 
 /// A magnetometer in another mode than it was given has restarted.
@@ -334,9 +325,15 @@ impl<I: I2c> Imu for Icm20948<I> {
         if !self.ready {
             return Err(ImuError::NotReady(self.chip.part));
         }
-        let result = self.read_checked();
-        self.ready &= !matches!(result, Err(ImuError::ResetToDefaults { .. }));
-        result
+        let mut raw = self.burst()?;
+        if let Err(error) = self.canary(&mut raw) {
+            self.ready &= !matches!(error, ImuError::ResetToDefaults { .. });
+            return Err(error);
+        }
+        let inertial = |raw: &RawImu| (raw.gyro, raw.acc);
+        raw.fresh = self.last.as_ref().map(inertial) != Some(inertial(&raw));
+        self.last = Some(raw);
+        Ok(raw)
     }
 
     fn restart_mag(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
