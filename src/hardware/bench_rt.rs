@@ -146,7 +146,7 @@ fn drive(
         }
         let segment = motion.tick([side * limits.travel_max_mm; 3], TICK_S);
         // A refused segment appears as an underrun in the result.
-        let _ = stepper.feed(&segment, now_ns);
+        let _ = stepper.feeder().push(&segment, now_ns);
         times.record(monotonic_ns() - now_ns);
         rt::sleep_until_ns(next_ns);
     }

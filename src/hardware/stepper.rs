@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  loop thread                                     step thread (SCHED_FIFO, locked memory)
-//!  Motion::tick ─▶ Segment ─▶ Stepper::feed ═ring═▶ StepCore::poll ─▶ Pins::write / wait
+//!  Motion::tick ─▶ Segment ─▶ Feeder::push  ═ring═▶ StepCore::poll ─▶ Pins::write / wait
 //!  Stepper::order ════════════════════════════ring═▶ StepCore::order
 //!  Stepper::sync ◀═ring════════════════════════════ StepperReport
 //! ```
@@ -15,7 +15,7 @@ use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt::{self, RtRequest, RtStatus, monotonic_ns};
 use crate::motion::queue::{self, Feeder, TimedSegment};
 use crate::motion::{
-    DriveState, EmergencyStop, Histogram, Levels, MotionLimits, PulseAction, Segment, StepCore,
+    DriveState, EmergencyStop, Histogram, Levels, MotionLimits, PulseAction, StepCore,
     StepGenerator, StepperConfig, StepperOrder, StepperReport,
 };
 use crate::primitives::Invalid;
@@ -271,12 +271,8 @@ impl StepGenerator for Stepper {
         self.feeder.sync(report, now_ns)
     }
 
-    fn feed(&mut self, segment: &Segment, now_ns: u64) -> bool {
-        self.feeder.push(segment, now_ns)
-    }
-
-    fn lead_ns(&self, now_ns: u64) -> i64 {
-        self.feeder.lead_ns(now_ns)
+    fn feeder(&mut self) -> &mut Feeder {
+        &mut self.feeder
     }
 
     fn order(&mut self, order: StepperOrder) -> bool {
