@@ -43,11 +43,11 @@ pub mod stop;
 pub use histogram::Histogram;
 pub use lines::{EmergencyStop, Inputs, Levels, PulseTiming};
 pub use pulse::{PulseAction, StepCore};
-pub use report::{StepperFault, StepperMode, StepperOrder, StepperReport};
+pub use report::{DriveState, StepperFault, StepperMode, StepperOrder, StepperReport};
 pub use stop::Stop;
 
 pub use config::{MotionLimits, StepperConfig};
-pub use drive::{Drive, DriveLimits, DriveState, StepGenerator};
+pub use drive::{Drive, DriveLimits, StepGenerator};
 pub use follow::{Motion, MoveStatus};
 pub use segment::{ChannelSegment, Segment};
 pub use state::MotionState;

@@ -7,8 +7,8 @@
 
 use crate::motion::queue::{self, Feeder, TimedSegment};
 use crate::motion::{
-    Drive, DriveLimits, DriveState, Inputs, PulseAction, PulseTiming, Segment, StepCore,
-    StepGenerator, StepperOrder, StepperReport,
+    Drive, DriveLimits, DriveState, Inputs, PulseAction, PulseTiming, StepCore, StepGenerator,
+    StepperOrder, StepperReport,
 };
 use crate::primitives::{ImuReading, Seconds, Steps};
 use crate::simulation::world::World;
@@ -172,12 +172,8 @@ impl StepGenerator for SimulatedStepper {
         self.feeder.sync(&self.report, now_ns)
     }
 
-    fn feed(&mut self, segment: &Segment, now_ns: u64) -> bool {
-        self.feeder.push(segment, now_ns)
-    }
-
-    fn lead_ns(&self, now_ns: u64) -> i64 {
-        self.feeder.lead_ns(now_ns)
+    fn feeder(&mut self) -> &mut Feeder {
+        &mut self.feeder
     }
 
     fn order(&mut self, order: StepperOrder) -> bool {

@@ -740,12 +740,12 @@ fn drive(stepper: &mut Stepper, motion: &mut Motion, target: [f64; 3]) -> Result
             }
             Err(end) => return Err(end),
         }
-        if stepper.lead_ns(now) > 100_000_000 {
+        if stepper.feeder().lead_ns(now) > 100_000_000 {
             std::thread::sleep(std::time::Duration::from_millis(2));
             continue;
         }
         let segment = motion.tick(target, 2e-3);
-        assert!(stepper.feed(&segment, now));
+        assert!(stepper.feeder().push(&segment, now));
         let there = stepper
             .latest()
             .is_some_and(|r| r.counted.0 == target.map(|p| (p / STEP_MM).round() as i32));

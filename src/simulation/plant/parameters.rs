@@ -165,11 +165,9 @@ macro_rules! effect {
         effect!(@law $effect $($law)*);
     };
     (@start $effect:ident, $unit:ident,) => { Box::new($effect.clone()) };
-    (@start $effect:ident, $unit:ident, $(#[doc = $about:literal])+ $law:ident runs $config:ident { $($memory:tt)* }) => {
-        Box::new($law::new($effect.clone()))
-    };
-    (@start $effect:ident, $unit:ident, $(#[doc = $about:literal])+ $law:ident runs $config:ident, $of:ident { $($memory:tt)* }) => {
-        Box::new($law::new($effect.clone(), $unit))
+    // a law that names the unit is given it
+    (@start $effect:ident, $unit:ident, $(#[doc = $about:literal])+ $law:ident runs $config:ident $(, $of:ident)? { $($memory:tt)* }) => {
+        Box::new($law::new($effect.clone() $(, { let $of = $unit; $of })?))
     };
     (@law $effect:ident) => {};
     (
