@@ -43,7 +43,7 @@ fn plant() -> PlantSection {
 
 fn sim() -> Sim {
     let plant = plant();
-    Sim::new(&plant.clone(), 1, 1, plant.period_s).unwrap()
+    Sim::new(&plant, 1, 1, plant.period_s).unwrap()
 }
 
 fn config() -> LoopConfig {

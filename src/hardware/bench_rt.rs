@@ -12,9 +12,7 @@ use crate::motion::{
     DriveState, EmergencyStop, Histogram, Inputs, Levels, Motion, MotionLimits, StepGenerator,
     StepperConfig, StepperMode,
 };
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use std::thread::JoinHandle;
 
 /// What to measure.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,6 +76,19 @@ const STEP_MM: f64 = 0.01;
 /// # Errors
 /// [`StartError`]: a rate that the configuration forbids, or no thread.
 pub fn run(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench, StartError> {
+    let ended = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        for _ in 0..config.load_threads {
+            scope.spawn(|| load(&ended));
+        }
+        let bench = measure(config, pins);
+        ended.store(true, Relaxed);
+        bench
+    })
+}
+
+/// The bench, under whatever load there is.
+fn measure(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench, StartError> {
     let speed = config.rate_hz * STEP_MM;
     let limits = MotionLimits {
         speed_max_mm_s: speed,
@@ -86,7 +97,6 @@ pub fn run(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench,
         travel_max_mm: (speed * (config.duration_s + 2.0)).min(1000.0),
         retarget_min_mm: 0.0,
     };
-    let load = Load::start(config.load_threads);
     let stop = EmergencyStop::Release;
     let mut stepper = Stepper::start(pins, &config.stepper, &limits, STEP_MM, stop)?;
     let status = stepper.status.clone();
@@ -105,7 +115,6 @@ pub fn run(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench,
     })?;
     let elapsed_s = (monotonic_ns() - start_ns) as f64 * 1e-9;
     let steps = stepper.finish().ok_or(StartError::Died)?;
-    drop(load);
     Ok(RtBench {
         config: *config,
         status,
@@ -153,39 +162,14 @@ fn drive(
     times
 }
 
-/// Threads that load the processors until they are dropped.
-struct Load {
-    ended: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<()>>,
-}
-
-impl Load {
-    fn start(threads: usize) -> Self {
-        let ended = Arc::new(AtomicBool::new(false));
-        let work = |_| {
-            let ended = Arc::clone(&ended);
-            std::thread::spawn(move || {
-                let mut block = vec![1.0_f64; 1 << 16];
-                while !ended.load(Relaxed) {
-                    for x in &mut block {
-                        *x = (*x * 1.000_001).sin() + 1.0;
-                    }
-                    std::hint::black_box(&block);
-                }
-            })
-        };
-        let threads = (0..threads).map(work).collect();
-        Self { ended, threads }
-    }
-}
-
-impl Drop for Load {
-    fn drop(&mut self) {
-        self.ended.store(true, Relaxed);
-        for thread in self.threads.drain(..) {
-            // a thread that panicked loads nothing
-            let _ = thread.join();
+/// Loads a processor until `ended`.
+fn load(ended: &AtomicBool) {
+    let mut block = vec![1.0_f64; 1 << 16];
+    while !ended.load(Relaxed) {
+        for x in &mut block {
+            *x = (*x * 1.000_001).sin() + 1.0;
         }
+        std::hint::black_box(&block);
     }
 }
 

@@ -5,27 +5,20 @@
 
 use serde::{Deserialize, Serialize};
 
-macro_rules! quantity {
-    ($(#[$doc:meta])* $name:ident) => {
-        $(#[$doc])*
-        #[derive(Debug, Clone, Copy, Default, PartialEq, PartialOrd, Serialize, Deserialize)]
-        #[serde(transparent)]
-        pub struct $name(pub f64);
-    };
-}
+/// An angle in radians.
+#[derive(Debug, Clone, Copy, Default, PartialEq, PartialOrd, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Rad(pub f64);
 
-quantity!(
-    /// An angle in radians.
-    Rad
-);
-quantity!(
-    /// A length in millimetres: piston displacement, bellow length, backlash.
-    Mm
-);
-quantity!(
-    /// A time or a duration in seconds. Time is always handed in, never fetched, below the edges.
-    Seconds
-);
+/// A length in millimetres: piston displacement, bellow length, backlash.
+#[derive(Debug, Clone, Copy, Default, PartialEq, PartialOrd, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Mm(pub f64);
+
+/// A time or a duration in seconds. Time is always handed in, never fetched, below the edges.
+#[derive(Debug, Clone, Copy, Default, PartialEq, PartialOrd, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Seconds(pub f64);
 
 impl Rad {
     /// The angle given in degrees, as files and the command line do.

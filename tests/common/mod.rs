@@ -62,7 +62,7 @@ pub fn uncalibrated() -> LoopConfig {
 /// Unit `seed` of the twin, with noise of its own for every `noise`.
 pub fn unit(seed: u64, noise: u64) -> Sim {
     let plant = plant();
-    Sim::new(&plant.clone(), seed, noise, plant.period_s).unwrap()
+    Sim::new(&plant, seed, noise, plant.period_s).unwrap()
 }
 
 /// Unit `seed` of a tip that follows Eq. 16 and has none of the twin's effects.
