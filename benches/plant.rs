@@ -43,7 +43,7 @@ fn nominal(bencher: divan::Bencher<'_, '_>) {
 fn paper_twin(bencher: divan::Bencher<'_, '_>) {
     let board: Board = source::parse("boards/sim.toml", include_str!("../boards/sim.toml"))
         .expect("the twin's file is valid");
-    one_second(bencher, &board.plant.expect("the twin has a plant").make());
+    one_second(bencher, &board.plant.expect("the twin has a plant"));
 }
 
 #[divan::bench]

@@ -29,7 +29,7 @@ fn main() {
         .expect("a shipped calibration is valid");
     let plant = board.plant.clone().expect("the board has a plant");
     let config = assemble(&board, &calib, &Gains::default());
-    let mut world = Sim::new(&plant.make(), 1, 3, plant.period_s).expect("the unit is valid");
+    let mut world = Sim::new(&plant, 1, 3, plant.period_s).expect("the unit is valid");
     let mut rig = Rig::new(Arm::Closed.config(&for_world(&config, &world)), &mut world);
     rig.align().expect("the tip is still");
     let (mut truth, mut estimate, mut believed, mut band) = (vec![], vec![], vec![], vec![]);

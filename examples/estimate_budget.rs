@@ -163,7 +163,7 @@ fn main() {
     let plant = board.plant.clone().expect("boards/sim.toml has a plant");
     let study = Study {
         config: assemble(&board, &calib, &Gains::default()),
-        make: plant.make(),
+        make: plant.clone(),
         seed,
         units,
     };

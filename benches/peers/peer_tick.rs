@@ -116,7 +116,7 @@ fn board() -> Result<Board, Box<dyn Error>> {
 
 fn sim() -> Result<Sim, Box<dyn Error>> {
     let plant: PlantSection = board()?.plant.ok_or("the board of the twin has no plant")?;
-    Ok(Sim::new(&plant.make(), 1, 1, PERIOD_S)?)
+    Ok(Sim::new(&plant, 1, 1, PERIOD_S)?)
 }
 
 fn config() -> Result<LoopConfig, Box<dyn Error>> {

@@ -54,7 +54,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// The plant that the arguments describe.
 fn unit(args: &Args, twin: &PlantConfig) -> Result<PlantConfig, Box<dyn Error>> {
-    let make = twin.make();
+    let make = twin.clone();
     let mut unit = if args.unit == 0 {
         make
     } else {

@@ -49,7 +49,7 @@ pub fn run(args: &Rt) -> Result<bool> {
         rate_hz: args.rate,
         duration_s: args.seconds,
         load_threads: args.load,
-        ..RtBenchConfig::default()
+        stepper: bench_rt::stepper(),
     };
     let (bench, through) = match &args.board {
         Some(path) => on_board(path, base)?,
@@ -157,13 +157,13 @@ mod tests {
             priority: 0,
             late_max_us: 100_000.0,
             lead_ms: 60.0,
-            ..RtBenchConfig::default().stepper
+            ..bench_rt::stepper()
         };
         let config = RtBenchConfig {
             rate_hz: 2000.0,
             duration_s: 0.4,
+            load_threads: 0,
             stepper,
-            ..RtBenchConfig::default()
         };
         let pins = Counting::default();
         let bench = bench_rt::run(&config, pins.clone()).unwrap();

@@ -99,6 +99,6 @@ fn draw(args: &DrawArgs) -> Result<()> {
 fn check(args: &CheckArgs) -> Result<bool> {
     let board = inputs::board(Some(&args.board))?;
     let bound = PressureBound::of(&board);
-    output::print(format!("file      consistent\npressure  {bound}\n"));
+    output::print(format!("file      consistent\npressure  {}\n", bound.says));
     Ok(bound.is_bounded)
 }

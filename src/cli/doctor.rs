@@ -121,7 +121,7 @@ fn kernel() -> Finding {
 
 fn pressure(board: &Board) -> Finding {
     let bound = PressureBound::of(board);
-    let (verdict, found) = (pass_or_warn(bound.is_bounded), bound.to_string());
+    let (verdict, found) = (pass_or_warn(bound.is_bounded), bound.says);
     Finding::new("pressure", verdict, found, PressureBound::REMEDY)
 }
 

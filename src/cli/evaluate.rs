@@ -110,8 +110,8 @@ fn plant(args: &Args, board: &Board) -> Result<(Open, bool)> {
     }
     let section = built_in(args, board)?;
     let open: Open = Box::new(move |purpose| {
-        let (plant, noise) = (section.make(), noise_of(purpose));
-        Ok(Box::new(Sim::new(&plant, seed, noise, section.period_s)?))
+        let sim = Sim::new(&section, seed, noise_of(purpose), section.period_s)?;
+        Ok(Box::new(sim))
     });
     Ok((open, false))
 }

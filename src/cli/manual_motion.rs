@@ -60,7 +60,7 @@ pub fn simulated(board: &Board, seed: u64, noise: u64) -> Result<Option<Box<dyn 
     let Some(plant) = &board.plant else {
         return Ok(None);
     };
-    let sim = Sim::new(&plant.make(), seed, noise, plant.period_s).into_diagnostic()?;
+    let sim = Sim::new(plant, seed, noise, plant.period_s).into_diagnostic()?;
     Ok(Some(Box::new(Lockstep::new(sim, &board.drive_limits()))))
 }
 

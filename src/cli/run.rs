@@ -95,7 +95,7 @@ pub fn run(args: &Args) -> Result<()> {
     place(args, &mut board.service)?;
     let bound = PressureBound::of(&board);
     if !foreign && !bound.is_bounded {
-        tracing::warn!("pressure: {bound}; {}", PressureBound::REMEDY);
+        tracing::warn!("pressure: {}; {}", bound.says, PressureBound::REMEDY);
     }
     let claim = Claim::new(&board.service).map_err(report)?;
     let machine = open(args, path.as_deref(), &board)?;

@@ -2,14 +2,13 @@
 
 use crate::config::ServiceSection;
 use crate::config::power::PowerSection;
-use crate::config::sections::{DriveSection, GeometrySection, LimitsSection, MachineSection};
+use crate::config::sections::{DriveSection, GeometrySection, MachineSection};
 use crate::config::service::SafetySection;
 use crate::control::ActuatorLimits;
 use crate::hardware::machine::{GaugeConfig, ImuSection, MachineConfig};
 use crate::hardware::pins::PinsConfig;
 use crate::hardware::pressure::PressureSection;
-use crate::motion::EmergencyStop;
-use crate::motion::{DriveLimits, MotionLimits, StepperConfig};
+use crate::motion::{DriveLimits, EmergencyStop, MotionLimits, StepperConfig};
 use crate::parameters;
 use crate::simulation::plant::PlantConfig;
 use crate::supervisor::commission::homing::HomingConfig;
@@ -31,7 +30,7 @@ parameters! {
         /// Speed of the pistons.
         motion: MotionLimits;
         /// Travel and pressure of the pistons.
-        limits: LimitsSection;
+        limits: ActuatorLimits;
         /// Power loss: the effect of trapped pressure on a motor without current.
         power: PowerSection;
         /// How zero is found.
@@ -79,11 +78,9 @@ impl Board {
     /// The static limits of this board.
     pub fn limits(&self) -> ActuatorLimits {
         ActuatorLimits {
-            travel_mm: self.limits.travel_mm,
-            pressure_kpa_per_mm: self.limits.pressure_kpa_per_mm,
-            pressure_max_kpa: self.limits.pressure_max_kpa,
             bellow_min_mm: self.geometry.bellow_min_mm,
             bellow_max_mm: self.geometry.bellow_max_mm,
+            ..self.limits
         }
     }
 

@@ -5,12 +5,13 @@
 
 use crate::config::Board;
 
-/// What bounds the gauge pressure of a line independently of the counted position, as a sentence says.
+/// What bounds the gauge pressure of a line independently of the counted position.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PressureBound {
     /// False if nothing does.
     pub is_bounded: bool,
-    says: String,
+    /// What bounds it, or that nothing does.
+    pub says: String,
 }
 
 impl PressureBound {
@@ -40,11 +41,5 @@ impl PressureBound {
             }
         };
         Self { is_bounded, says }
-    }
-}
-
-impl std::fmt::Display for PressureBound {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.says)
     }
 }

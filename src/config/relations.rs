@@ -7,7 +7,6 @@ use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{Backend, PinsConfig};
 use crate::motion::stop::longest_stop_mm;
 use crate::primitives::{Check, Checker, Invalid, Parameters, Table, join, shown};
-use crate::simulation::plant::PlantError;
 use crate::supervisor::commission::homing::HomingMethod;
 
 impl Check for Board {
@@ -113,9 +112,6 @@ fn motion(board: &Board, to: &mut Checker) {
         to.at("stepper.lead_ms")
             .holds(lead_ms * 1e-3 >= period_s, &problem)
             .hint("two turns of machine.period_s are a good lead");
-    }
-    if motion.validate().is_err() {
-        return;
     }
     let (stop_mm, travel_mm) = (longest_stop_mm(&motion), board.limits.travel_mm);
     let problem = format!(
@@ -254,19 +250,14 @@ fn header_line(board: &Board, backend: Backend, key: &str, pin: u32, to: &mut Ch
     }
 }
 
-/// Reports what the built-in plant refuses; it counts channels from 1, keys count from 0.
+/// Reports what the built-in plant refuses.
 fn plant(section: &PlantSection, to: &mut Checker) {
     to.at("plant.period_s")
         .range(section.period_s, 1e-4..=0.01, "s")
         .hint("0.001 is a loop at 1 kHz");
-    match section.validate() {
-        Ok(()) => {}
-        Err(PlantError::Range(Invalid { key, problem, hint })) => {
-            to.refuse(&format!("plant.{key}"), problem, &hint)
-        }
-        Err(other) => {
-            let hint = "see the tables of boards/sim.toml";
-            to.refuse("plant", other.to_string(), hint);
-        }
-    }
+    let in_table = |e: Invalid| Invalid {
+        key: join("plant", &e.key),
+        ..e
+    };
+    pass_on(section.validate().map_err(in_table), to);
 }

@@ -74,18 +74,3 @@ impl DriveSection {
         Drive::rack_and_pinion(diameter_mm, self.full_steps, self.microsteps)
     }
 }
-
-parameters! {
-    /// How far a piston may go.
-    pub struct LimitsSection: Copy {
-        /// Piston travel either side of rest; the default is half of the 60 mm rack. A value larger than the rack runs the
-        /// pinion off it.
-        travel_mm: f64 = 30.0, "mm", 1.0..=100.0, "half the rack's length";
-        /// Gauge pressure per mm of piston that compresses air; the default is 17.5 kPa at the paper's largest bend. A larger
-        /// value stops the piston sooner.
-        pressure_kpa_per_mm: f64 = 1.4, "kPa/mm", 0.01..=100.0, "read a gauge while the piston moves by 1 mm against a blocked bellow";
-        /// Largest gauge pressure of either sign; the default is the paper's 6 PSI. A larger value risks the bellow and pushes
-        /// harder against the motor.
-        pressure_max_kpa: f64 = 41.3, "kPa", 1.0..=200.0, "the paper stays under 6 PSI = 41.4 kPa";
-    }
-}

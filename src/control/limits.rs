@@ -4,21 +4,28 @@
 //! lossy line. Travel and pressure limit the piston itself.
 
 use crate::model::{Geometry, Line, Shape};
+use crate::parameters;
 use nalgebra::Vector3;
 
-/// Static limits of a board and its tip.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ActuatorLimits {
-    /// Piston travel either way from rest, mm (rack of 60 mm: 30).
-    pub travel_mm: f64,
-    /// Gauge pressure per mm of compressed air, kPa/mm.
-    pub pressure_kpa_per_mm: f64,
-    /// Largest gauge pressure of either sign, kPa (the paper stays below 6 PSI = 41.4 kPa).
-    pub pressure_max_kpa: f64,
-    /// Shortest bellow, mm.
-    pub bellow_min_mm: f64,
-    /// Longest bellow, mm.
-    pub bellow_max_mm: f64,
+parameters! {
+    /// How far a piston may go.
+    pub struct ActuatorLimits: Copy {
+        /// Piston travel either side of rest; the default is half of the 60 mm rack. A value larger than the rack runs the
+        /// pinion off it.
+        travel_mm: f64 = 30.0, "mm", 1.0..=100.0, "half the rack's length";
+        /// Gauge pressure per mm of piston that compresses air; the default is 17.5 kPa at the paper's largest bend. A larger
+        /// value stops the piston sooner.
+        pressure_kpa_per_mm: f64 = 1.4, "kPa/mm", 0.01..=100.0, "read a gauge while the piston moves by 1 mm against a blocked bellow";
+        /// Largest gauge pressure of either sign; the default is the paper's 6 PSI. A larger value risks the bellow and pushes
+        /// harder against the motor.
+        pressure_max_kpa: f64 = 41.3, "kPa", 1.0..=200.0, "the paper stays under 6 PSI = 41.4 kPa";
+    }
+    set in code {
+        /// Shortest bellow, mm: `geometry.bellow_min_mm`.
+        bellow_min_mm: f64 = 14.0;
+        /// Longest bellow, mm: `geometry.bellow_max_mm`.
+        bellow_max_mm: f64 = 29.0;
+    }
 }
 
 /// The limit that cut a request; if several do, the last one of the command path.

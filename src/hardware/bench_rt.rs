@@ -8,15 +8,11 @@
 use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt::{self, RtRequest, RtStatus, monotonic_ns};
 use crate::hardware::stepper::{StartError, Stepper, Summary};
-use crate::motion::Motion;
-use crate::motion::queue::SyncStatus;
 use crate::motion::{
-    EmergencyStop, Histogram, Inputs, Levels, MotionLimits, StepGenerator, StepperConfig,
-    StepperMode,
+    DriveState, EmergencyStop, Histogram, Inputs, Levels, Motion, MotionLimits, StepGenerator,
+    StepperConfig, StepperMode,
 };
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use std::thread::JoinHandle;
 
 /// What to measure.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,17 +27,11 @@ pub struct RtBenchConfig {
     pub stepper: StepperConfig,
 }
 
-impl Default for RtBenchConfig {
-    fn default() -> Self {
-        Self {
-            rate_hz: 4000.0,
-            duration_s: 10.0,
-            load_threads: 0,
-            stepper: StepperConfig {
-                step_interval_min_us: 50.0,
-                ..StepperConfig::default()
-            },
-        }
+/// The step thread of a bench that is given no board.
+pub fn stepper() -> StepperConfig {
+    StepperConfig {
+        step_interval_min_us: 50.0,
+        ..StepperConfig::default()
     }
 }
 
@@ -86,6 +76,19 @@ const STEP_MM: f64 = 0.01;
 /// # Errors
 /// [`StartError`]: a rate that the configuration forbids, or no thread.
 pub fn run(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench, StartError> {
+    let ended = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        for _ in 0..config.load_threads {
+            scope.spawn(|| load(&ended));
+        }
+        let bench = measure(config, pins);
+        ended.store(true, Relaxed);
+        bench
+    })
+}
+
+/// The bench, under whatever load there is.
+fn measure(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench, StartError> {
     let speed = config.rate_hz * STEP_MM;
     let limits = MotionLimits {
         speed_max_mm_s: speed,
@@ -94,7 +97,6 @@ pub fn run(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench,
         travel_max_mm: (speed * (config.duration_s + 2.0)).min(1000.0),
         retarget_min_mm: 0.0,
     };
-    let load = Load::start(config.load_threads);
     let stop = EmergencyStop::Release;
     let mut stepper = Stepper::start(pins, &config.stepper, &limits, STEP_MM, stop)?;
     let status = stepper.status.clone();
@@ -113,7 +115,6 @@ pub fn run(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench,
     })?;
     let elapsed_s = (monotonic_ns() - start_ns) as f64 * 1e-9;
     let steps = stepper.finish().ok_or(StartError::Died)?;
-    drop(load);
     Ok(RtBench {
         config: *config,
         status,
@@ -139,13 +140,14 @@ fn drive(
         let now_ns = monotonic_ns();
         next_ns += tick_ns;
         match stepper.sync(now_ns) {
-            SyncStatus::Ready => {}
-            SyncStatus::Restart(rest_mm) => motion.reset(rest_mm),
-            SyncStatus::Faulted(_) | SyncStatus::Dead | SyncStatus::Silent => break,
-            SyncStatus::Busy => {
+            Ok(restart) => restart
+                .into_iter()
+                .for_each(|rest_mm| motion.reset(rest_mm)),
+            Err(DriveState::Busy) => {
                 rt::sleep_until_ns(next_ns);
                 continue;
             }
+            Err(_) => break,
         }
         let first = motion.state()[0];
         if first.is_rest() && first.position_mm.abs() > 0.5 * limits.travel_max_mm {
@@ -153,46 +155,21 @@ fn drive(
         }
         let segment = motion.tick([side * limits.travel_max_mm; 3], TICK_S);
         // A refused segment appears as an underrun in the result.
-        let _ = stepper.feed(&segment, now_ns);
+        let _ = stepper.feeder().push(&segment, now_ns);
         times.record(monotonic_ns() - now_ns);
         rt::sleep_until_ns(next_ns);
     }
     times
 }
 
-/// Threads that load the processors until they are dropped.
-struct Load {
-    ended: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<()>>,
-}
-
-impl Load {
-    fn start(threads: usize) -> Self {
-        let ended = Arc::new(AtomicBool::new(false));
-        let work = |_| {
-            let ended = Arc::clone(&ended);
-            std::thread::spawn(move || {
-                let mut block = vec![1.0_f64; 1 << 16];
-                while !ended.load(Relaxed) {
-                    for x in &mut block {
-                        *x = (*x * 1.000_001).sin() + 1.0;
-                    }
-                    std::hint::black_box(&block);
-                }
-            })
-        };
-        let threads = (0..threads).map(work).collect();
-        Self { ended, threads }
-    }
-}
-
-impl Drop for Load {
-    fn drop(&mut self) {
-        self.ended.store(true, Relaxed);
-        for thread in self.threads.drain(..) {
-            // a thread that panicked loads nothing
-            let _ = thread.join();
+/// Loads a processor until `ended`.
+fn load(ended: &AtomicBool) {
+    let mut block = vec![1.0_f64; 1 << 16];
+    while !ended.load(Relaxed) {
+        for x in &mut block {
+            *x = (*x * 1.000_001).sin() + 1.0;
         }
+        std::hint::black_box(&block);
     }
 }
 

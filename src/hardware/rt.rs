@@ -134,12 +134,6 @@ pub struct RtRequest {
     pub cpu: Option<usize>,
 }
 
-/// Keeps the processors out of deep idle states until it is dropped.
-#[derive(Debug)]
-pub struct IdleGuard {
-    _open: Option<File>,
-}
-
 /// Starts a thread with these real-time settings. Returns it with what the kernel has granted.
 ///
 /// # Errors
@@ -162,17 +156,12 @@ pub fn start<T: Send + 'static>(
     Ok((thread, status))
 }
 
-/// Applies the real-time settings to the calling thread as far as the kernel grants them.
-pub fn enter(request: &RtRequest) -> (RtStatus, IdleGuard) {
+/// Applies the real-time settings to the calling thread as far as the kernel grants them. The processors stay out of deep idle states
+/// until the file is dropped.
+pub fn enter(request: &RtRequest) -> (RtStatus, Option<File>) {
     let real_time = request.priority > 0;
-    let (idle, open) = match real_time.then(shallow_idle) {
-        Some(Ok(open)) => (Some(Ok(())), Some(open)),
-        Some(Err(e)) => (
-            Some(Err(Errno::from_raw(e.raw_os_error().unwrap_or(0)))),
-            None,
-        ),
-        None => (None, None),
-    };
+    let open = real_time.then(shallow_idle);
+    let idle = open.as_ref().map(|open| open.as_ref().map(|_| ()));
     let status = [
         grant(
             real_time.then(|| schedule_fifo(request.priority)),
@@ -196,13 +185,13 @@ pub fn enter(request: &RtRequest) -> (RtStatus, IdleGuard) {
             "needs Linux 2.6.28 or newer",
         ),
         grant(
-            idle,
+            idle.map(|opened| opened.map_err(|e| Errno::from_raw(e.raw_os_error().unwrap_or(0)))),
             "shallow idle",
             "needs write permission for /dev/cpu_dma_latency (a udev rule, or DeviceAllow= in the unit)",
         ),
     ];
     touch_stack();
-    (status, IdleGuard { _open: open })
+    (status, open.and_then(Result::ok))
 }
 
 fn schedule_fifo(priority: i32) -> nix::Result<()> {

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  loop thread                                     step thread (SCHED_FIFO, locked memory)
-//!  Motion::tick ─▶ Segment ─▶ Stepper::feed ═ring═▶ StepCore::poll ─▶ Pins::write / wait
+//!  Motion::tick ─▶ Segment ─▶ Feeder::push  ═ring═▶ StepCore::poll ─▶ Pins::write / wait
 //!  Stepper::order ════════════════════════════ring═▶ StepCore::order
 //!  Stepper::sync ◀═ring════════════════════════════ StepperReport
 //! ```
@@ -13,10 +13,10 @@
 
 use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt::{self, RtRequest, RtStatus, monotonic_ns};
-use crate::motion::queue::{self, Feeder, SyncStatus, TimedSegment};
+use crate::motion::queue::{self, Feeder, TimedSegment};
 use crate::motion::{
-    EmergencyStop, Histogram, Levels, MotionLimits, PulseAction, Segment, StepCore, StepGenerator,
-    StepperConfig, StepperOrder, StepperReport,
+    DriveState, EmergencyStop, Histogram, Levels, MotionLimits, PulseAction, StepCore,
+    StepGenerator, StepperConfig, StepperOrder, StepperReport,
 };
 use crate::primitives::Invalid;
 use std::sync::{Arc, OnceLock};
@@ -255,27 +255,24 @@ impl Stepper {
 }
 
 impl StepGenerator for Stepper {
-    fn sync(&mut self, now_ns: u64) -> SyncStatus {
+    fn sync(&mut self, now_ns: u64) -> Result<Option<[f64; 3]>, DriveState> {
         while let Ok(report) = self.reports.pop() {
             self.latest = Some(report);
         }
         if self.reports.is_abandoned() {
-            return SyncStatus::Dead;
+            return Err(DriveState::Dead);
         }
         let latest = self.latest.as_ref();
         let heard_ns = latest.map_or(self.started_ns, |report| report.t_ns);
         if now_ns.saturating_sub(heard_ns) > SILENT_NS {
-            return SyncStatus::Silent;
+            return Err(DriveState::Silent);
         }
-        latest.map_or(SyncStatus::Busy, |report| self.feeder.sync(report, now_ns))
+        let report = latest.ok_or(DriveState::Busy)?;
+        self.feeder.sync(report, now_ns)
     }
 
-    fn feed(&mut self, segment: &Segment, now_ns: u64) -> bool {
-        self.feeder.push(segment, now_ns)
-    }
-
-    fn lead_ns(&self, now_ns: u64) -> i64 {
-        self.feeder.lead_ns(now_ns)
+    fn feeder(&mut self) -> &mut Feeder {
+        &mut self.feeder
     }
 
     fn order(&mut self, order: StepperOrder) -> bool {

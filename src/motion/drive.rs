@@ -4,10 +4,10 @@
 //! stopped leaves the step generator to brake. Hardware and simulation run the same drive: there the step generator is a
 //! thread with pins, here the step core alone in simulated time.
 
-use crate::motion::queue::SyncStatus;
+use crate::motion::queue::Feeder;
 use crate::motion::stop::longest_stop_mm;
 use crate::motion::{
-    Motion, MotionLimits, MotionState, Segment, StepperFault, StepperMode, StepperOrder,
+    DriveState, Motion, MotionLimits, MotionState, StepperFault, StepperMode, StepperOrder,
     StepperReport,
 };
 use crate::primitives::Steps;
@@ -53,14 +53,14 @@ impl DriveLimits {
 
 /// What a drive needs of a step generator: a queue of segments, orders and reports.
 pub trait StepGenerator {
-    /// Reads the reports and returns what the drive must do.
-    fn sync(&mut self, now_ns: u64) -> SyncStatus;
+    /// Reads the reports and returns what the drive must do before the next segment, as [`Feeder::sync`].
+    ///
+    /// # Errors
+    /// The state of a drive that must feed nothing.
+    fn sync(&mut self, now_ns: u64) -> Result<Option<[f64; 3]>, DriveState>;
 
-    /// Queues the next segment. Returns false if nothing was queued: the queue is full, or no epoch has begun.
-    fn feed(&mut self, segment: &Segment, now_ns: u64) -> bool;
-
-    /// Time by which the queued motion extends past `now_ns`, ns.
-    fn lead_ns(&self, now_ns: u64) -> i64;
+    /// The queue of segments.
+    fn feeder(&mut self) -> &mut Feeder;
 
     /// Sends an order that bypasses the queue of segments. Returns false if too many orders are waiting.
     fn order(&mut self, order: StepperOrder) -> bool;
@@ -70,23 +70,6 @@ pub trait StepGenerator {
 
     /// Whether the drivers are energised, by the last report; before the first one, as they were found.
     fn is_energised(&self) -> bool;
-}
-
-/// State of the drive.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum DriveState {
-    /// The drivers are off or about to be; targets are ignored.
-    Off,
-    /// Targets are followed.
-    Ready,
-    /// Braking or waiting; the target is followed later without a further call.
-    Busy,
-    /// Faulted until [`Drive::clear`].
-    Faulted(StepperFault),
-    /// The step generator has ended.
-    Dead,
-    /// The step generator does not report.
-    Silent,
 }
 
 /// Motion and a step generator.
@@ -137,13 +120,11 @@ impl<G: StepGenerator> Drive<G> {
         let target_mm = wanted.0.map(|n| f64::from(n) * self.step_mm);
         let before = self.state;
         self.state = match self.generator.sync(now_ns) {
-            SyncStatus::Dead => DriveState::Dead,
-            SyncStatus::Silent => DriveState::Silent,
-            SyncStatus::Faulted(fault) => DriveState::Faulted(fault),
-            SyncStatus::Busy => DriveState::Busy,
-            SyncStatus::Ready => self.feed(now_ns, target_mm),
-            SyncStatus::Restart(rest_mm) => {
-                self.motion.reset(rest_mm);
+            Err(state) => state,
+            Ok(restart) => {
+                restart
+                    .into_iter()
+                    .for_each(|rest_mm| self.motion.reset(rest_mm));
                 self.feed(now_ns, target_mm)
             }
         };
@@ -159,7 +140,7 @@ impl<G: StepGenerator> Drive<G> {
             return self.pause();
         }
         for _ in 0..TOP_UP_MAX {
-            if self.generator.lead_ns(now_ns) >= self.lead_ns {
+            if self.generator.feeder().lead_ns(now_ns) >= self.lead_ns {
                 break;
             }
             let segment = if pausing {
@@ -167,7 +148,7 @@ impl<G: StepGenerator> Drive<G> {
             } else {
                 self.motion.tick(target_mm, self.period_s)
             };
-            if !self.generator.feed(&segment, now_ns) {
+            if !self.generator.feeder().push(&segment, now_ns) {
                 // A full ring means that the thread is stuck; its lateness will be a fault.
                 return DriveState::Busy;
             }

@@ -3,7 +3,7 @@
 //! No plan is followed unverified, whichever solver made it: [`Plan::verify`] checks limits, travel,
 //! continuity and arrival on the closed form of every phase.
 
-use crate::motion::limits::{POSITION_TOLERANCE_MM, TOLERANCE};
+use crate::motion::config::{POSITION_TOLERANCE_MM, TOLERANCE};
 use crate::motion::{ChannelSegment, MotionLimits, MotionState, Segment, Stop};
 
 /// Most phases of one channel's plan: two of braking and seven of the profile.

@@ -6,7 +6,7 @@
 //! motion planned before the break is never resumed halfway. The loop reads the new epoch in a report,
 //! restarts its motion from the reported rest position, and continues to feed.
 
-use crate::motion::{Segment, StepperFault, StepperMode, StepperReport};
+use crate::motion::{DriveState, Segment, StepperMode, StepperReport};
 
 /// A segment with its place in time.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,23 +26,6 @@ impl TimedSegment {
     pub fn end_ns(&self) -> u64 {
         self.start_ns + self.duration_ns
     }
-}
-
-/// What the loop must do before it plans the next tick.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum SyncStatus {
-    /// Feed the next segment.
-    Ready,
-    /// Motion was interrupted and the pistons rest here, mm: reset the motion, then feed.
-    Restart([f64; 3]),
-    /// Feed nothing; the step generator is braking.
-    Busy,
-    /// Feed nothing until the fault is cleared.
-    Faulted(StepperFault),
-    /// The step generator has ended.
-    Dead,
-    /// The step generator does not report.
-    Silent,
 }
 
 /// The loop's end of the ring.
@@ -73,16 +56,24 @@ impl Feeder {
         self.next_start_ns = now_ns + self.lead_ns;
     }
 
-    /// What a report requires. A step core at rest in another epoch begins it here.
-    pub fn sync(&mut self, report: &StepperReport, now_ns: u64) -> SyncStatus {
+    /// What a report requires before the next segment: nothing, or a reset of the motion, which was interrupted, to these rest positions,
+    /// mm. A step core at rest in another epoch begins it here.
+    ///
+    /// # Errors
+    /// The state of a drive that must feed nothing.
+    pub fn sync(
+        &mut self,
+        report: &StepperReport,
+        now_ns: u64,
+    ) -> Result<Option<[f64; 3]>, DriveState> {
         match report.mode {
-            StepperMode::Faulted(fault) => SyncStatus::Faulted(fault),
-            _ if self.epoch == Some(report.epoch) => SyncStatus::Ready,
+            StepperMode::Faulted(fault) => Err(DriveState::Faulted(fault)),
+            _ if self.epoch == Some(report.epoch) => Ok(None),
             StepperMode::Resting => {
                 self.begin(report.epoch, now_ns);
-                SyncStatus::Restart(report.rest_mm)
+                Ok(Some(report.rest_mm))
             }
-            StepperMode::Following | StepperMode::Stopping => SyncStatus::Busy,
+            StepperMode::Following | StepperMode::Stopping => Err(DriveState::Busy),
         }
     }
 

@@ -1,4 +1,4 @@
-//! What the step thread and the loop exchange besides segments: modes, faults, orders and reports.
+//! What the step thread and the loop exchange besides segments: modes, faults, orders and reports, and what the loop knows of it.
 
 use crate::motion::{Histogram, Inputs};
 use crate::primitives::Steps;
@@ -42,6 +42,23 @@ pub enum StepperMode {
     Stopping,
     /// Stopped until [`StepperOrder::Clear`].
     Faulted(StepperFault),
+}
+
+/// State of a drive.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum DriveState {
+    /// The drivers are off or about to be; targets are ignored.
+    Off,
+    /// Targets are followed.
+    Ready,
+    /// Braking or waiting; the target is followed later without a further call.
+    Busy,
+    /// Faulted until [`Drive::clear`](crate::motion::Drive::clear).
+    Faulted(StepperFault),
+    /// The step generator has ended.
+    Dead,
+    /// The step generator does not report.
+    Silent,
 }
 
 /// An order that bypasses the queue of segments.

@@ -1,38 +1,24 @@
 //! Quantities that cross a room's border, as types.
 //!
 //! Inside a formula plain `f64` with the unit as the last word of the name (`travel_max_mm`) reads
-//! better; between rooms a newtype stops a degree from being handed over as a radian. Only
-//! arithmetic that means something is defined: sums and differences of like quantities, scaling by
-//! a number.
+//! better; between rooms a newtype stops a degree from being handed over as a radian.
 
 use serde::{Deserialize, Serialize};
-use std::ops::{Add, Mul, Sub};
 
-macro_rules! quantity {
-    ($(#[$doc:meta])* $name:ident) => {
-        $(#[$doc])*
-        #[derive(Debug, Clone, Copy, Default, PartialEq, PartialOrd, Serialize, Deserialize)]
-        #[serde(transparent)]
-        pub struct $name(pub f64);
+/// An angle in radians.
+#[derive(Debug, Clone, Copy, Default, PartialEq, PartialOrd, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Rad(pub f64);
 
-        impl Add for $name { type Output = Self; fn add(self, o: Self) -> Self { Self(self.0 + o.0) } }
-        impl Sub for $name { type Output = Self; fn sub(self, o: Self) -> Self { Self(self.0 - o.0) } }
-        impl Mul<f64> for $name { type Output = Self; fn mul(self, k: f64) -> Self { Self(self.0 * k) } }
-    };
-}
+/// A length in millimetres: piston displacement, bellow length, backlash.
+#[derive(Debug, Clone, Copy, Default, PartialEq, PartialOrd, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Mm(pub f64);
 
-quantity!(
-    /// An angle in radians.
-    Rad
-);
-quantity!(
-    /// A length in millimetres: piston displacement, bellow length, backlash.
-    Mm
-);
-quantity!(
-    /// A time or a duration in seconds. Time is always handed in, never fetched, below the edges.
-    Seconds
-);
+/// A time or a duration in seconds. Time is always handed in, never fetched, below the edges.
+#[derive(Debug, Clone, Copy, Default, PartialEq, PartialOrd, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Seconds(pub f64);
 
 impl Rad {
     /// The angle given in degrees, as files and the command line do.

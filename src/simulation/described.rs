@@ -154,7 +154,6 @@ impl World for Described {
         };
         let t = Seconds(at.t_s);
         Ok(Reply {
-            t,
             imu: imu.map(|s| ImuSample { t, ..s }),
             base_imu: None,
             truth: Some(Rotation::assert_frames(tip)),

@@ -170,7 +170,7 @@ impl World for Link {
         let line = self.line(SILENCE_S)?;
         let reply = reply(&line, t).map_err(|problem| malformed(&line, problem))?;
         if let (Some(imu), Some(truth)) = (&reply.imu, &reply.truth) {
-            let wrong = self.rates.update(reply.t.0, &truth.quat(), &imu.gyro_rad_s);
+            let wrong = self.rates.update(t, &truth.quat(), &imu.gyro_rad_s);
             wrong.into_iter().for_each(|why| tracing::warn!("{why}"));
         }
         Ok(reply)
@@ -282,7 +282,6 @@ fn reply(line: &str, t: f64) -> Result<Reply, String> {
         mag_ut: i.mag.map(Vector3::from),
     };
     Ok(Reply {
-        t: Seconds(t),
         imu: a.imu.map(sample),
         base_imu: a.base.map(sample),
         truth,

@@ -5,10 +5,12 @@
 //! sample and its request, and the queue does not run empty when the loop is late. A world takes the counts that are made
 //! by the end of each period.
 
-use crate::motion::Inputs;
-use crate::motion::{Drive, DriveLimits};
+use crate::motion::queue::{self, Feeder, TimedSegment};
+use crate::motion::{
+    Drive, DriveLimits, DriveState, Inputs, PulseAction, PulseTiming, StepCore, StepGenerator,
+    StepperOrder, StepperReport,
+};
 use crate::primitives::{ImuReading, Seconds, Steps};
-use crate::simulation::stepper::SimulatedStepper;
 use crate::simulation::world::World;
 use crate::supervisor::{Machine, MachineError, MachineInfo, Sensed};
 
@@ -107,5 +109,84 @@ impl<W: World> Machine for Lockstep<W> {
 
     fn remarks(&self) -> Vec<String> {
         vec![format!("plant {}", self.world.info().name)]
+    }
+}
+
+/// Capacity of the queue of segments; far more than any lead.
+const SEGMENTS: usize = 64;
+/// Shortest time by which a wait advances the clock, ns.
+const WAIT_MIN_NS: u64 = 1000;
+
+/// The step core in simulated time: a step generator without pins and threads.
+#[derive(Debug)]
+struct SimulatedStepper {
+    core: StepCore,
+    feeder: Feeder,
+    segments: rtrb::Consumer<TimedSegment>,
+    report: StepperReport,
+}
+
+impl SimulatedStepper {
+    /// At rest at zero with the drivers off.
+    fn new(motion: &DriveLimits, step_mm: f64) -> Self {
+        let (feeder, segments) = queue::ring(SEGMENTS, (motion.lead_s * 1e9).round() as u64);
+        let timing = PulseTiming {
+            late_ns: u64::MAX / 4,
+            poll_ns: u64::from(u32::MAX),
+            ..PulseTiming::default()
+        };
+        let core = StepCore::new(timing, &motion.limits, step_mm);
+        Self {
+            feeder,
+            segments,
+            report: core.report(0),
+            core,
+        }
+    }
+
+    /// Makes the steps that are due before `until_ns`, which is later than all times before; returns their sum per channel.
+    fn run(&mut self, now_ns: u64, until_ns: u64, inputs: Inputs) -> [i32; 3] {
+        // one reading alone may be a disturbance
+        self.core.observe(inputs);
+        self.core.observe(inputs);
+        let before = self.report.counted.0;
+        let mut at_ns = now_ns;
+        while at_ns < until_ns {
+            match self.core.poll(at_ns, &mut || self.segments.pop().ok()) {
+                PulseAction::Write(_) => self.core.wrote(at_ns),
+                PulseAction::WaitUntil(next_ns) => at_ns = next_ns.max(at_ns + WAIT_MIN_NS),
+            }
+        }
+        self.report = self.core.report(until_ns);
+        std::array::from_fn(|i| self.report.counted.0[i].wrapping_sub(before[i]))
+    }
+
+    /// Stops at once, as after a failure of the pins.
+    fn fail(&mut self) {
+        self.core.pins_failed();
+    }
+}
+
+impl StepGenerator for SimulatedStepper {
+    fn sync(&mut self, now_ns: u64) -> Result<Option<[f64; 3]>, DriveState> {
+        self.feeder.sync(&self.report, now_ns)
+    }
+
+    fn feeder(&mut self) -> &mut Feeder {
+        &mut self.feeder
+    }
+
+    fn order(&mut self, order: StepperOrder) -> bool {
+        self.core.order(order);
+        self.report = self.core.report(self.report.t_ns);
+        true
+    }
+
+    fn latest(&self) -> Option<&StepperReport> {
+        Some(&self.report)
+    }
+
+    fn is_energised(&self) -> bool {
+        self.report.energised
     }
 }

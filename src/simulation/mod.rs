@@ -6,5 +6,4 @@ pub mod lockstep;
 pub mod plant;
 mod rate_check;
 pub mod sim;
-pub mod stepper;
 pub mod world;

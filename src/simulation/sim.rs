@@ -56,7 +56,6 @@ impl World for Sim {
         let out = self.plant.step(steps, self.info.period_s);
         self.last = Some(out);
         Ok(Reply {
-            t: out.t,
             imu: out.imu,
             base_imu: out.base_imu,
             truth: Some(out.truth.r_base_tip),

@@ -3,15 +3,13 @@
 //! A world takes microstep counts, advances by one period, and returns the sensor reading. The *true* orientation
 //! is returned beside the reading, for scoring only; it never becomes part of the input of the loop.
 
-use crate::primitives::{Base, ImuSample, Rotation, Seconds, Steps, Tip};
+use crate::primitives::{Base, ImuSample, Rotation, Steps, Tip};
 use crate::simulation::plant::PlantError;
 use crate::supervisor::{MachineError, MachineInfo};
 
 /// Answer to one step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reply {
-    /// Time reached.
-    pub t: Seconds,
     /// A sample, if the sensor had one.
     pub imu: Option<ImuSample>,
     /// A sample of the IMU on the base, if there is one and it had one.

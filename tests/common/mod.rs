@@ -62,7 +62,7 @@ pub fn uncalibrated() -> LoopConfig {
 /// Unit `seed` of the twin, with noise of its own for every `noise`.
 pub fn unit(seed: u64, noise: u64) -> Sim {
     let plant = plant();
-    Sim::new(&plant.make(), seed, noise, plant.period_s).unwrap()
+    Sim::new(&plant, seed, noise, plant.period_s).unwrap()
 }
 
 /// Unit `seed` of a tip that follows Eq. 16 and has none of the twin's effects.
@@ -70,7 +70,7 @@ pub fn plain(seed: u64, noise: u64) -> Sim {
     let plant = plant();
     let make = retroflex::simulation::plant::config::PlantConfig {
         effects: retroflex::simulation::plant::effects::Effects::default(),
-        ..plant.make()
+        ..plant.clone()
     };
     Sim::new(&make, seed, noise, plant.period_s).unwrap()
 }

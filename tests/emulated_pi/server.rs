@@ -44,7 +44,7 @@ impl World {
         // the plant's own chip has the noise; twice would be too much
         imu.set_noise(Noise::NONE);
         bus.chips.attach(imu);
-        let mut make = plant.make();
+        let mut make = plant.clone();
         make.drive.step_mm = board.drive.law().step_mm;
         Self {
             chip: Chip::new(wiring, "pinctrl-bcm2835"),

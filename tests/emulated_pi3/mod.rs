@@ -35,7 +35,7 @@ fn a_whole_pi_3_runs_the_service() {
     };
     let words = chips::on_the_controller(&folder).unwrap();
     let guest = guest::Guest::start(&folder, &words);
-    let tip = tip::TheTip::start(&guest, &board(), &crate::common::plant().make());
+    let tip = tip::TheTip::start(&guest, &board(), &crate::common::plant());
     let verdicts = verdicts::Verdicts::new(&folder.join("verdicts.txt"));
     let mut scene = Scene {
         guest,

@@ -25,7 +25,7 @@ struct Miswired {
 
 fn machine(change: impl FnOnce(&mut PlantConfig)) -> Miswired {
     let section = plant();
-    let mut make = section.make();
+    let mut make = section.clone();
     change(&mut make);
     let inner = Lockstep::new(
         Sim::new(&make, 0, 7, section.period_s).unwrap(),

@@ -90,8 +90,8 @@ impl<W: World> World for WrongTruth<W> {
     }
     fn step(&mut self, steps: &Steps) -> Result<Reply, MachineError> {
         let reply = self.0.step(steps)?;
-        let wrong =
-            UnitQuaternion::from_scaled_axis(Vector3::new(reply.t.0.sin(), 0.7, -0.2 * reply.t.0));
+        let t = reply.imu.map_or(0.0, |imu| imu.t.0);
+        let wrong = UnitQuaternion::from_scaled_axis(Vector3::new(t.sin(), 0.7, -0.2 * t));
         Ok(Reply {
             truth: Some(Rotation::assert_frames(wrong)),
             ..reply

@@ -133,7 +133,7 @@ fn under(condition: &str, change: impl Fn(u64, &mut PlantConfig) + Sync) -> Vec<
     let calibration = source::read(&repo("calib/paper.toml")).unwrap();
     let study = Study {
         config: assemble(&twin(), &calibration, &Gains::default()),
-        make: plant().make(),
+        make: plant(),
         seed: 300,
         units: 10,
     };

@@ -10,10 +10,11 @@ use retroflex::hardware::pins::{InputPin, PinError, Pins, PinsConfig, Pull};
 use retroflex::hardware::stepper::Stepper;
 use retroflex::motion::lines::{EmergencyStop, Inputs, Levels, PulseTiming};
 use retroflex::motion::pulse::{PulseAction, StepCore};
-use retroflex::motion::queue::{SyncStatus, TimedSegment};
+use retroflex::motion::queue::TimedSegment;
 use retroflex::motion::report::{StepperFault, StepperMode, StepperOrder};
 use retroflex::motion::{
-    ChannelSegment, Motion, MotionLimits, MotionState, Segment, StepGenerator, StepperConfig,
+    ChannelSegment, DriveState, Motion, MotionLimits, MotionState, Segment, StepGenerator,
+    StepperConfig,
 };
 use retroflex::primitives::units::Steps;
 use std::collections::VecDeque;
@@ -727,24 +728,24 @@ fn mock(emergency_stop: Option<InputPin>) -> RecordingPins {
 }
 
 /// Feeds a stepper until the motion rests at its target or the thread reports something else.
-fn drive(stepper: &mut Stepper, motion: &mut Motion, target: [f64; 3]) -> SyncStatus {
+fn drive(stepper: &mut Stepper, motion: &mut Motion, target: [f64; 3]) -> Result<(), DriveState> {
     for _ in 0..4000 {
         let now = retroflex::hardware::rt::monotonic_ns();
         match stepper.sync(now) {
-            SyncStatus::Ready => {}
-            SyncStatus::Restart(rest_mm) => motion.reset(rest_mm),
-            SyncStatus::Busy => {
+            Ok(None) => {}
+            Ok(Some(rest_mm)) => motion.reset(rest_mm),
+            Err(DriveState::Busy) => {
                 std::thread::sleep(std::time::Duration::from_millis(1));
                 continue;
             }
-            end => return end,
+            Err(end) => return Err(end),
         }
-        if stepper.lead_ns(now) > 100_000_000 {
+        if stepper.feeder().lead_ns(now) > 100_000_000 {
             std::thread::sleep(std::time::Duration::from_millis(2));
             continue;
         }
         let segment = motion.tick(target, 2e-3);
-        assert!(stepper.feed(&segment, now));
+        assert!(stepper.feeder().push(&segment, now));
         let there = stepper
             .latest()
             .is_some_and(|r| r.counted.0 == target.map(|p| (p / STEP_MM).round() as i32));
@@ -752,7 +753,7 @@ fn drive(stepper: &mut Stepper, motion: &mut Motion, target: [f64; 3]) -> SyncSt
             break;
         }
     }
-    SyncStatus::Ready
+    Ok(())
 }
 
 #[test]
@@ -769,7 +770,7 @@ fn the_thread_pulses_what_the_loop_feeds() {
     .unwrap();
     let mut motion = Motion::new(&limits());
     for target in [[3.0, -2.0, 1.0], [-1.0, 0.5, 2.0]] {
-        assert_eq!(drive(&mut stepper, &mut motion, target), SyncStatus::Ready);
+        assert_eq!(drive(&mut stepper, &mut motion, target), Ok(()));
     }
     let summary = stepper.finish().unwrap();
     let record = pins.record();
@@ -811,10 +812,7 @@ fn drivers_found_energised_stay_so_until_they_are_told() {
     assert!(stepper.is_energised(), "before the first report");
     let mut motion = Motion::new(&limits());
     std::thread::sleep(std::time::Duration::from_millis(30));
-    assert_eq!(
-        drive(&mut stepper, &mut motion, [0.3, 0.0, 0.0]),
-        SyncStatus::Ready
-    );
+    assert_eq!(drive(&mut stepper, &mut motion, [0.3, 0.0, 0.0]), Ok(()));
     assert!(stepper.is_energised());
     stepper.finish().unwrap();
     let record = pins.record();
@@ -855,7 +853,7 @@ fn the_thread_stops_for_the_emergency_stop_and_reports_it() {
     });
     assert_eq!(
         drive(&mut stepper, &mut motion, [20.0; 3]),
-        SyncStatus::Faulted(StepperFault::EmergencyStop)
+        Err(DriveState::Faulted(StepperFault::EmergencyStop))
     );
     let summary = stepper.finish().unwrap();
     assert!(!pins.record().levels.enable && summary.report.inputs.emergency_stop);
@@ -897,7 +895,7 @@ fn a_thread_that_hangs_in_a_pin_is_silent_until_it_goes_on() {
     .unwrap();
     let mut becomes = |silent: bool| {
         let begun = std::time::Instant::now();
-        while (stepper.sync(retroflex::hardware::rt::monotonic_ns()) == SyncStatus::Silent)
+        while (stepper.sync(retroflex::hardware::rt::monotonic_ns()) == Err(DriveState::Silent))
             != silent
         {
             assert!(begun.elapsed().as_secs() < 30, "silent: {}", !silent);
@@ -926,7 +924,7 @@ fn the_thread_survives_failing_pins_and_reports_the_reason() {
     let mut motion = Motion::new(&limits());
     assert_eq!(
         drive(&mut stepper, &mut motion, [20.0; 3]),
-        SyncStatus::Faulted(StepperFault::Pins)
+        Err(DriveState::Faulted(StepperFault::Pins))
     );
     assert!(stepper.pin_error().unwrap().contains("set to fail"));
 }

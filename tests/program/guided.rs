@@ -39,7 +39,7 @@ impl Flight {
     /// An armed tip on a unit of the twin, which `change` has changed.
     fn new(unit: u64, change: impl Fn(&mut PlantConfig)) -> Self {
         let (board, section) = (twin(), plant());
-        let mut make = section.make();
+        let mut make = section.clone();
         change(&mut make);
         let machine = Lockstep::new(
             Sim::new(&make, unit, 7, section.period_s).unwrap(),

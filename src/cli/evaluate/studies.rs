@@ -27,7 +27,7 @@ pub(super) fn run(
 ) -> Result<bool> {
     let study = Study {
         config: assemble(board, &inputs::calibration(args.calib.as_deref())?, gains),
-        make: section.make(),
+        make: section.clone(),
         seed: args.seed,
         units: if args.sweep {
             SWEEP_UNITS

@@ -25,6 +25,7 @@ pub mod reg;
 
 pub use config::{BASE_RATE_HZ, IcmConfig, Settings, scale};
 
+use super::chip::Device;
 use super::{Chip, Identity, Imu, ImuError, Part, RawImu, Scale};
 use crate::primitives::Invalid;
 use embedded_hal::delay::DelayNs;
@@ -48,8 +49,7 @@ const MAG_TRIES: u32 = 5;
 /// The driver. `I` is its own bus handle.
 #[derive(Debug)]
 pub struct Icm20948<I> {
-    bus: I,
-    chip: Chip,
+    device: Device<I>,
     settings: Settings,
     ready: bool,
     bank: Option<u8>,
@@ -73,8 +73,7 @@ impl<I: I2c> Icm20948<I> {
             address: config.address,
         };
         Ok(Self {
-            bus,
-            chip,
+            device: Device { bus, chip },
             settings: config.settings()?,
             ready: false,
             bank: None,
@@ -86,53 +85,45 @@ impl<I: I2c> Icm20948<I> {
         })
     }
 
-    fn get(&mut self, register: u8) -> Result<u8, ImuError> {
-        self.chip.get(&mut self.bus, register)
-    }
-
-    fn set(&mut self, register: u8, value: u8) -> Result<(), ImuError> {
-        self.chip.set(&mut self.bus, register, value)
-    }
-
     /// Selects a bank. After a failure the selected bank is unknown.
     fn bank(&mut self, bank: u8) -> Result<(), ImuError> {
         self.bank = None;
-        self.set(reg::BANK_SEL, bank << 4)?;
+        self.device.set(reg::BANK_SEL, bank << 4)?;
         self.bank = Some(bank);
         Ok(())
     }
 
     fn reset(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
-        self.set(reg::PWR_MGMT_1, 0x80)?;
+        self.device.set(reg::PWR_MGMT_1, 0x80)?;
         delay.delay_ms(10);
-        let (chip, bus) = (self.chip, &mut self.bus);
-        chip.wait_for_reset(bus, delay, reg::PWR_MGMT_1, 0x80, RESET_LIMIT_MS)?;
-        self.set(reg::PWR_MGMT_1, 0x01)?; // awake, best clock
+        self.device
+            .wait_for_reset(delay, reg::PWR_MGMT_1, 0x80, RESET_LIMIT_MS)?;
+        self.device.set(reg::PWR_MGMT_1, 0x01)?; // awake, best clock
         delay.delay_ms(35); // gyroscope start-up (DS-000189, table 1)
-        self.set(reg::PWR_MGMT_2, 0x00)?;
-        self.set(reg::LP_CONFIG, 0x00)?;
-        self.set(reg::INT_PIN_CFG, 0x00)
+        self.device.set(reg::PWR_MGMT_2, 0x00)?;
+        self.device.set(reg::LP_CONFIG, 0x00)?;
+        self.device.set(reg::INT_PIN_CFG, 0x00)
     }
 
     fn ranges(&mut self) -> Result<(), ImuError> {
         let s = self.settings;
         self.bank(2)?;
-        self.set(reg::ODR_ALIGN_EN, 0x01)?;
-        self.set(reg::GYRO_SMPLRT_DIV, s.divider)?;
-        self.set(reg::GYRO_CONFIG_1, s.gyro_config)?;
-        self.set(reg::ACCEL_SMPLRT_DIV_1, 0x00)?;
-        self.set(reg::ACCEL_SMPLRT_DIV_2, s.divider)?;
-        self.set(reg::ACCEL_CONFIG, s.acc_config)?;
+        self.device.set(reg::ODR_ALIGN_EN, 0x01)?;
+        self.device.set(reg::GYRO_SMPLRT_DIV, s.divider)?;
+        self.device.set(reg::GYRO_CONFIG_1, s.gyro_config)?;
+        self.device.set(reg::ACCEL_SMPLRT_DIV_1, 0x00)?;
+        self.device.set(reg::ACCEL_SMPLRT_DIV_2, s.divider)?;
+        self.device.set(reg::ACCEL_CONFIG, s.acc_config)?;
         self.bank(0)
     }
 
     fn start_master(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
-        self.set(reg::USER_CTRL, 0x02)?; // internal master reset, clears itself
+        self.device.set(reg::USER_CTRL, 0x02)?; // internal master reset, clears itself
         delay.delay_ms(2);
-        self.set(reg::USER_CTRL, 0x20)?; // internal master on
+        self.device.set(reg::USER_CTRL, 0x20)?; // internal master on
         self.bank(3)?;
-        self.set(reg::I2C_MST_CTRL, 0x17)?; // stop between reads, 345.6 kHz
-        self.set(reg::I2C_MST_DELAY_CTRL, 0x80)?; // DELAY_ES_SHADOW
+        self.device.set(reg::I2C_MST_CTRL, 0x17)?; // stop between reads, 345.6 kHz
+        self.device.set(reg::I2C_MST_DELAY_CTRL, 0x80)?; // DELAY_ES_SHADOW
         self.bank(0)
     }
 
@@ -140,10 +131,11 @@ impl<I: I2c> Icm20948<I> {
     fn ask(&mut self, register: u8, write: Option<u8>) -> Result<(), ImuError> {
         self.bank(3)?;
         let direction = if write.is_some() { 0 } else { 0x80 };
-        self.set(reg::I2C_SLV4_ADDR, AK_ADDRESS | direction)?;
-        self.set(reg::I2C_SLV4_REG, register)?;
-        self.set(reg::I2C_SLV4_DO, write.unwrap_or(0))?;
-        self.set(reg::I2C_SLV4_CTRL, 0x80)?;
+        self.device
+            .set(reg::I2C_SLV4_ADDR, AK_ADDRESS | direction)?;
+        self.device.set(reg::I2C_SLV4_REG, register)?;
+        self.device.set(reg::I2C_SLV4_DO, write.unwrap_or(0))?;
+        self.device.set(reg::I2C_SLV4_CTRL, 0x80)?;
         self.bank(0)
     }
 
@@ -154,17 +146,17 @@ impl<I: I2c> Icm20948<I> {
         register: u8,
         write: Option<u8>,
     ) -> Result<u8, ImuError> {
-        self.get(reg::I2C_MST_STATUS)?; // reading clears it
+        self.device.get(reg::I2C_MST_STATUS)?; // reading clears it
         self.ask(register, write)?;
         for _ in 0..SLV4_LIMIT_MS {
             delay.delay_ms(1);
-            let status = self.get(reg::I2C_MST_STATUS)?;
+            let status = self.device.get(reg::I2C_MST_STATUS)?;
             if status & 0x10 != 0 {
                 return Err(ImuError::Nack(AK));
             }
             if status & 0x40 != 0 {
                 self.bank(3)?;
-                let value = self.get(reg::I2C_SLV4_DI)?;
+                let value = self.device.get(reg::I2C_SLV4_DI)?;
                 self.bank(0)?;
                 return Ok(value);
             }
@@ -206,19 +198,19 @@ impl<I: I2c> Icm20948<I> {
             return Err(lost);
         }
         self.bank(3)?;
-        self.set(reg::I2C_SLV0_ADDR, 0x80 | AK_ADDRESS)?;
-        self.set(reg::I2C_SLV0_REG, reg::AK_ST1)?;
-        self.set(reg::I2C_SLV0_CTRL, 0x80 | 9)?;
+        self.device.set(reg::I2C_SLV0_ADDR, 0x80 | AK_ADDRESS)?;
+        self.device.set(reg::I2C_SLV0_REG, reg::AK_ST1)?;
+        self.device.set(reg::I2C_SLV0_CTRL, 0x80 | 9)?;
         self.bank(0)
     }
 
     /// Whether the magnetometer has lost its mode, by the answer to the check before: the answer to this one is not waited for.
     fn check_mode(&mut self) -> Result<Option<ImuError>, ImuError> {
-        let status = self.get(reg::I2C_MST_STATUS)?;
+        let status = self.device.get(reg::I2C_MST_STATUS)?;
         let mut lost = None;
         if self.mode_asked && status & 0x50 == 0x40 {
             self.bank(3)?;
-            let have = self.get(reg::I2C_SLV4_DI)?;
+            let have = self.device.get(reg::I2C_SLV4_DI)?;
             lost = mode_lost(have, self.settings.mag_mode);
         }
         self.mode_asked = true;
@@ -244,7 +236,7 @@ impl<I: I2c> Icm20948<I> {
                 (0x01, 0xEF),
                 (0x00, 0x3F),
             ];
-            self.chip.check(&mut self.bus, reg::USER_CTRL, &want)
+            self.device.check(reg::USER_CTRL, &want)
         } else if due && self.check == 0 {
             raw.mag_fault = self.check_mode()?;
             Ok(())
@@ -252,9 +244,9 @@ impl<I: I2c> Icm20948<I> {
             let s = self.settings;
             self.bank(2)?;
             let gyro = [(s.divider, 0xFF), (s.gyro_config, 0x3F)];
-            let (chip, bus) = (self.chip, &mut self.bus);
-            chip.check(bus, reg::GYRO_SMPLRT_DIV, &gyro)?;
-            chip.check(bus, reg::ACCEL_CONFIG, &[(s.acc_config, 0x3F)])?;
+            self.device.check(reg::GYRO_SMPLRT_DIV, &gyro)?;
+            self.device
+                .check(reg::ACCEL_CONFIG, &[(s.acc_config, 0x3F)])?;
             self.bank(0)
         } else {
             Ok(())
@@ -266,21 +258,12 @@ impl<I: I2c> Icm20948<I> {
             self.bank(0)?; // a transfer failed while another bank was selected
         }
         let mut b = [0_u8; BURST];
-        self.chip.read(&mut self.bus, reg::ACCEL_XOUT_H, &mut b)?;
+        self.device.read(reg::ACCEL_XOUT_H, &mut b)?;
         // TMPS and ST2 have bits that are always 0; all ones means that the chip does not drive the line.
         if b[BURST - 2..] == [0xFF, 0xFF] {
-            return Err(self.chip.short(&b));
+            return Err(self.device.chip.short(&b));
         }
         Ok(decode(&b, &mut self.last_mag))
-    }
-
-    fn read_checked(&mut self) -> Result<RawImu, ImuError> {
-        let mut raw = self.burst()?;
-        self.canary(&mut raw)?;
-        let inertial = |raw: &RawImu| (raw.gyro, raw.acc);
-        raw.fresh = self.last.as_ref().map(inertial) != Some(inertial(&raw));
-        self.last = Some(raw);
-        Ok(raw)
     }
 }
 
@@ -317,7 +300,8 @@ impl<I: I2c> Imu for Icm20948<I> {
         self.ready = false;
         (self.last, self.last_mag, self.reads) = (None, None, 0);
         self.bank(0)?;
-        self.chip.identify(self.get(reg::WHO_AM_I)?, WHO_AM_I)?;
+        let have = self.device.get(reg::WHO_AM_I)?;
+        self.device.chip.identify(have, WHO_AM_I)?;
         self.reset(delay)?;
         self.ranges()?;
         self.find_mag(delay, MAG_TRIES)?;
@@ -325,18 +309,24 @@ impl<I: I2c> Imu for Icm20948<I> {
         delay.delay_ms(10); // first magnetometer measurement
         self.ready = true;
         Ok(Identity {
-            inertial: self.chip,
+            inertial: self.device.chip,
             rate_hz: BASE_RATE_HZ / (1.0 + f64::from(self.settings.divider)),
         })
     }
 
     fn read(&mut self) -> Result<RawImu, ImuError> {
         if !self.ready {
-            return Err(ImuError::NotReady(self.chip.part));
+            return Err(ImuError::NotReady(self.device.chip.part));
         }
-        let result = self.read_checked();
-        self.ready &= !matches!(result, Err(ImuError::ResetToDefaults { .. }));
-        result
+        let mut raw = self.burst()?;
+        if let Err(error) = self.canary(&mut raw) {
+            self.ready &= !matches!(error, ImuError::ResetToDefaults { .. });
+            return Err(error);
+        }
+        let inertial = |raw: &RawImu| (raw.gyro, raw.acc);
+        raw.fresh = self.last.as_ref().map(inertial) != Some(inertial(&raw));
+        self.last = Some(raw);
+        Ok(raw)
     }
 
     fn restart_mag(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {

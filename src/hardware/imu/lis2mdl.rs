@@ -4,6 +4,7 @@
 //! data update. The address counter wraps from OUTZ_H (0x6D) to OUTX_L (0x68), so a burst cannot reach
 //! the temperature at 0x6E. Status and data (0x67 … 0x6D) are one burst of seven bytes.
 
+use super::chip::Device;
 use super::{Chip, ImuError, Part};
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
@@ -61,12 +62,13 @@ impl Lis2mdl {
     /// [`ImuError`] when it is absent, is another part, or does not start.
     pub fn init<I: I2c>(&mut self, bus: &mut I, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
         self.last = None;
-        CHIP.identify(CHIP.get(bus, reg::WHO_AM_I)?, WHO_AM_I)?;
-        CHIP.set(bus, reg::CFG_REG_A, SOFT_RST)?;
-        CHIP.wait_for_reset(bus, delay, reg::CFG_REG_A, SOFT_RST, RESET_LIMIT_MS)?;
-        CHIP.set(bus, reg::CFG_REG_C, CFG_C)?;
-        CHIP.set(bus, reg::CFG_REG_B, CFG_B)?;
-        CHIP.set(bus, reg::CFG_REG_A, self.cfg_a)?;
+        let mut device = Device { bus, chip: CHIP };
+        CHIP.identify(device.get(reg::WHO_AM_I)?, WHO_AM_I)?;
+        device.set(reg::CFG_REG_A, SOFT_RST)?;
+        device.wait_for_reset(delay, reg::CFG_REG_A, SOFT_RST, RESET_LIMIT_MS)?;
+        device.set(reg::CFG_REG_C, CFG_C)?;
+        device.set(reg::CFG_REG_B, CFG_B)?;
+        device.set(reg::CFG_REG_A, self.cfg_a)?;
         delay.delay_ms(10); // turn-on time
         Ok(())
     }
@@ -77,7 +79,7 @@ impl Lis2mdl {
     /// [`ImuError`] when the transfer fails.
     pub fn read<I: I2c>(&mut self, bus: &mut I) -> Result<Option<[i16; 3]>, ImuError> {
         let mut b = [0_u8; 7];
-        CHIP.read(bus, reg::STATUS, &mut b)?;
+        Device { bus, chip: CHIP }.read(reg::STATUS, &mut b)?;
         let le = |i: usize| i16::from_le_bytes([b[i], b[i + 1]]);
         let value = [le(1), le(3), le(5)];
         if value == [-1; 3] {
@@ -96,6 +98,6 @@ impl Lis2mdl {
     /// [`ImuError::ResetToDefaults`] after a restart.
     pub fn check<I: I2c>(&self, bus: &mut I) -> Result<(), ImuError> {
         let want = [(self.cfg_a, 0xFF), (CFG_B, 0x1F), (CFG_C, 0x38)];
-        CHIP.check(bus, reg::CFG_REG_A, &want)
+        Device { bus, chip: CHIP }.check(reg::CFG_REG_A, &want)
     }
 }

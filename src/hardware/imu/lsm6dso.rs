@@ -12,6 +12,7 @@ pub mod reg;
 
 pub use config::{LsmConfig, RATES_HZ, Settings, Variant, scale};
 
+use super::chip::Device;
 use super::lis2mdl::Lis2mdl;
 use super::{Chip, Identity, Imu, ImuError, RawImu, Scale};
 use crate::primitives::Invalid;
@@ -26,8 +27,7 @@ const MAG_OVERFLOW: u16 = 32_700;
 /// Driver for both chips on one bus.
 #[derive(Debug)]
 pub struct Lsm6dsoLis2mdl<I> {
-    bus: I,
-    chip: Chip,
+    device: Device<I>,
     who_am_i: u8,
     mag: Lis2mdl,
     settings: Settings,
@@ -44,9 +44,9 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
     pub fn new(bus: I, config: &LsmConfig, variant: Variant) -> Result<Self, Invalid> {
         let (part, who_am_i, _) = variant.part();
         let address = config.address;
+        let chip = Chip { part, address };
         Ok(Self {
-            bus,
-            chip: Chip { part, address },
+            device: Device { bus, chip },
             who_am_i,
             mag: Lis2mdl::new(config.mag_rate_hz),
             settings: config.settings(variant)?,
@@ -57,12 +57,11 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
     }
 
     fn configure(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
-        let bus = &mut self.bus;
-        self.chip.set(bus, reg::CTRL3, 0x05)?; // IF_INC, SW_RESET
-        self.chip
-            .wait_for_reset(bus, delay, reg::CTRL3, 0x01, RESET_LIMIT_MS)?;
+        let device = &mut self.device;
+        device.set(reg::CTRL3, 0x05)?; // IF_INC, SW_RESET
+        device.wait_for_reset(delay, reg::CTRL3, 0x01, RESET_LIMIT_MS)?;
         for (register, value) in self.settings.writes {
-            self.chip.set(bus, register, value)?;
+            device.set(register, value)?;
         }
         delay.delay_ms(80); // gyroscope turn-on
         Ok(())
@@ -74,20 +73,20 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
             return Ok(());
         }
         self.reads = 0;
-        let bus = &mut self.bus;
-        self.chip.check(bus, reg::CTRL1, &self.settings.canary)?;
-        raw.mag_fault = raw.mag_fault.or(self.mag.check(bus).err());
+        self.device.check(reg::CTRL1, &self.settings.canary)?;
+        let mag = self.mag.check(&mut self.device.bus);
+        raw.mag_fault = raw.mag_fault.or(mag.err());
         Ok(())
     }
 
     fn burst(&mut self) -> Result<RawImu, ImuError> {
         let mut b = [0_u8; BURST];
-        self.chip.read(&mut self.bus, reg::STATUS_REG, &mut b)?;
+        self.device.read(reg::STATUS_REG, &mut b)?;
         let le = |i: usize| i16::from_le_bytes([b[i], b[i + 1]]);
         let acc = [le(10), le(12), le(14)];
         // Status bits 7:3 are never all 1, and −1 on all axes would be free fall: the line is not driven.
         if b[0] & 0xF8 == 0xF8 || acc == [-1; 3] {
-            return Err(self.chip.short(&b));
+            return Err(self.device.chip.short(&b));
         }
         Ok(RawImu {
             gyro: [le(4), le(6), le(8)],
@@ -105,7 +104,7 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
         self.since_mag += 1;
         if self.since_mag >= self.settings.mag_every {
             self.since_mag = 0;
-            match self.mag.read(&mut self.bus) {
+            match self.mag.read(&mut self.device.bus) {
                 Ok(value) => raw.mag = value,
                 Err(error) => raw.mag_fault = Some(error),
             }
@@ -119,20 +118,20 @@ impl<I: I2c> Imu for Lsm6dsoLis2mdl<I> {
     fn init(&mut self, delay: &mut dyn DelayNs) -> Result<Identity, ImuError> {
         self.ready = false;
         (self.reads, self.since_mag) = (0, 0);
-        let have = self.chip.get(&mut self.bus, reg::WHO_AM_I)?;
-        self.chip.identify(have, self.who_am_i)?;
+        let have = self.device.get(reg::WHO_AM_I)?;
+        self.device.chip.identify(have, self.who_am_i)?;
         self.configure(delay)?;
-        self.mag.init(&mut self.bus, delay)?;
+        self.mag.init(&mut self.device.bus, delay)?;
         self.ready = true;
         Ok(Identity {
-            inertial: self.chip,
+            inertial: self.device.chip,
             rate_hz: self.settings.rate_hz,
         })
     }
 
     fn read(&mut self) -> Result<RawImu, ImuError> {
         if !self.ready {
-            return Err(ImuError::NotReady(self.chip.part));
+            return Err(ImuError::NotReady(self.device.chip.part));
         }
         let mut raw = self.burst()?;
         self.read_mag(&mut raw);
@@ -144,7 +143,7 @@ impl<I: I2c> Imu for Lsm6dsoLis2mdl<I> {
     }
 
     fn restart_mag(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
-        self.mag.init(&mut self.bus, delay)
+        self.mag.init(&mut self.device.bus, delay)
     }
 
     fn scale(&self) -> Scale {

@@ -2,6 +2,7 @@
 
 use crate::hardware::machine::error::HardwareError;
 use crate::hardware::machine::reading;
+use crate::hardware::machine::sensor::open_bus;
 use crate::hardware::pressure::{CONVERSION_MS, PressureError, PressureSection, PressureSensor};
 use crate::hardware::rt::monotonic_ns;
 use crate::supervisor::{Alarm, Gauges};
@@ -112,12 +113,10 @@ fn read_all<I: I2c>(sensors: &mut [PressureSensor<I>; 3]) -> Result<[f64; 3], Pr
 }
 
 fn start_pressures(config: &PressureSection) -> Result<Watched, HardwareError> {
-    use crate::hardware::{imu::linux::bound_transfers, machine::sensor::open_bus};
-    // if the bus refuses a limit, the age of the readings is one
-    let _ = bound_transfers(&open_bus(&config.bus)?);
-    let open = |channel| match linux_embedded_hal::I2cdev::new(&config.bus) {
-        Ok(bus) => Ok(PressureSensor::new(bus, config, channel)),
-        Err(e) => Err(HardwareError::Bus(config.bus.clone(), e.to_string())),
+    let open = |channel| {
+        // if the bus refuses a limit, the age of the readings is one
+        let (bus, _) = open_bus(&config.bus)?;
+        Ok::<_, HardwareError>(PressureSensor::new(bus, config, channel))
     };
     watch([open(0)?, open(1)?, open(2)?], &config.bus)
 }

@@ -10,7 +10,7 @@ use crate::hardware::machine::reading;
 use crate::hardware::rt::{self, RtRequest, monotonic_ns};
 use crate::parameters;
 use crate::primitives::{ImuReading, Seconds};
-use linux_embedded_hal::Delay;
+use linux_embedded_hal::{Delay, I2cdev};
 use nalgebra::{UnitQuaternion, Vector3};
 use std::sync::mpsc::Sender;
 use std::time::Duration;
@@ -205,24 +205,25 @@ fn recovery(config: &ImuSection, driver: Box<dyn Imu + Send>) -> ImuRecovery<dyn
     imu
 }
 
-/// The file of a bus. The libraries merge the causes of a failure; opening the file here distinguishes them.
-pub(super) fn open_bus(path: &str) -> Result<std::fs::File, HardwareError> {
+/// A handle on a bus, and whether its transfers have a time limit. The libraries merge the causes of a failure; opening the file here
+/// distinguishes them.
+pub(super) fn open_bus(path: &str) -> Result<(I2cdev, bool), HardwareError> {
+    let other = |e: &dyn std::error::Error| HardwareError::Bus(path.to_owned(), e.to_string());
     let opened = std::fs::File::options().read(true).write(true).open(path);
-    let path = path.to_owned();
-    opened.map_err(|e| match e.kind() {
-        std::io::ErrorKind::NotFound => HardwareError::NoBus(path),
-        std::io::ErrorKind::PermissionDenied => HardwareError::BusPermission(path),
-        _ => HardwareError::Bus(path, e.to_string()),
-    })
+    let file = opened.map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound => HardwareError::NoBus(path.to_owned()),
+        std::io::ErrorKind::PermissionDenied => HardwareError::BusPermission(path.to_owned()),
+        _ => other(&e),
+    })?;
+    let bounded = imu::linux::bound_transfers(&file).is_ok();
+    Ok((I2cdev::new(path).map_err(|e| other(&e))?, bounded))
 }
 
 /// The driver on its bus, and whether transfers have a time limit.
 fn open(config: &ImuSection) -> Result<(Box<dyn Imu + Send>, bool), HardwareError> {
-    use crate::hardware::imu::linux::{Classified, bound_transfers};
-    let bounded = bound_transfers(&open_bus(&config.bus)?).is_ok();
-    let bus = linux_embedded_hal::I2cdev::new(&config.bus)
-        .map_err(|e| HardwareError::Bus(config.bus.clone(), e.to_string()))?;
-    Ok((imu::open(&config.chip, Classified(bus))?, bounded))
+    let (bus, bounded) = open_bus(&config.bus)?;
+    let bus = imu::linux::Classified(bus);
+    Ok((imu::open(&config.chip, bus)?, bounded))
 }
 
 #[cfg(test)]

@@ -18,20 +18,16 @@ use crate::model::effects::prelude::*;
 /// Offset of the specific force.
 pub struct AccelBias;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "accel_bias",
-    stage: Stage::Sensor,
-    signature: "an offset of the accelerometer alone; its norm depends on the pose",
-    confused_with: &["gravity", "mount_misalignment", "base_motion"],
-    separated_by: "many attitudes",
-    events: 0,
-    params: &Param::new("", "m/s²", 0.0, 0.3, (-3.0, 3.0)).named(["x", "y", "z"]),
-    starts: &[&[0.02; 3]],
-};
-
 impl Effect for AccelBias {
-    info!();
+    info! {
+        name: "accel_bias",
+        stage: Stage::Sensor,
+        signature: "an offset of the accelerometer alone; its norm depends on the pose",
+        confused_with: &["gravity", "mount_misalignment", "base_motion"],
+        separated_by: "many attitudes",
+        params: &Param::new("", "m/s²", 0.0, 0.3, (-3.0, 3.0)).named(["x", "y", "z"]),
+        starts: &[&[0.02; 3]],
+    }
     fn sensor(&self, p: &[f64], _m: &mut Memory, _at: &Moment, reading: &mut ImuPrediction) {
         reading.acc_m_s2 += Vector3::new(p[0], p[1], p[2]);
     }

@@ -23,20 +23,16 @@ const EDGE_MM: f64 = 0.3;
 /// A corner at rest in each bellow's curve.
 pub struct Asymmetry;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "asymmetry",
-    stage: Stage::Bellows,
-    signature: "slope of a channel changes at zero",
-    confused_with: &["gas_compression", "crosstalk"],
-    separated_by: "amplitudes of both signs, with the length offset",
-    events: 0,
-    params: &Param::new("difference", "", 0.0, 0.1, (-0.6, 0.6)).each(),
-    starts: &[&[0.02; 3]],
-};
-
 impl Effect for Asymmetry {
-    info!();
+    info! {
+        name: "asymmetry",
+        stage: Stage::Bellows,
+        signature: "slope of a channel changes at zero",
+        confused_with: &["gas_compression", "crosstalk"],
+        separated_by: "amplitudes of both signs, with the length offset",
+        params: &Param::new("difference", "", 0.0, 0.1, (-0.6, 0.6)).each(),
+        starts: &[&[0.02; 3]],
+    }
     fn bellows(&self, p: &[f64], _m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {
         for i in 0..3 {
             q_mm[i] += p[i] * magnitude(q_mm[i], EDGE_MM);

@@ -48,50 +48,31 @@ const fn turn(start_s: f64, [begin, lasting, x, y, z]: [&'static str; TURN]) -> 
     ]
 }
 
-/// Parameters of a mode: its frequency, and the rotation vectors of its sine and of its cosine.
-const MODE: [Param; MODE_PARAMS] = {
-    let mut mode = [ANGLE; MODE_PARAMS];
-    mode[0] = Param::new("", "Hz", 0.0, 0.3, (0.0, 2.0));
-    mode
-};
-
-/// The parameters of the mode of this number, with their names.
-macro_rules! mode {
-    ($number:literal) => {{
-        let mut mode = MODE;
-        mode[0].name = concat!("frequency", $number);
-        mode[1].name = concat!("sine_x", $number);
-        mode[2].name = concat!("sine_y", $number);
-        mode[3].name = concat!("sine_z", $number);
-        mode[4].name = concat!("cosine_x", $number);
-        mode[5].name = concat!("cosine_y", $number);
-        mode[6].name = concat!("cosine_z", $number);
-        mode
-    }};
-}
-
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "base_motion",
-    stage: Stage::Base,
-    signature: "all sensors turn together and no piston explains it",
-    confused_with: &["missed_steps", "thermal_drift", "gyro_bias"],
-    separated_by: "an IMU on the base; returning to a known pose",
-    events: 3,
-    params: &join::<{ 3 * TURN + MODES * MODE_PARAMS }>(&[
-        &turn(60.0, ["t1_s", "lasting1", "x1", "y1", "z1"]),
-        &turn(150.0, ["t2_s", "lasting2", "x2", "y2", "z2"]),
-        &turn(220.0, ["t3_s", "lasting3", "x3", "y3", "z3"]),
-        &mode!("1"),
-        &mode!("2"),
-        &mode!("3"),
-        &mode!("4"),
-    ]),
-    starts: &[],
-};
+/// Frequency of a mode.
+const FREQUENCY: Param = Param::new("", "Hz", 0.0, 0.3, (0.0, 2.0));
 
 impl Effect for BaseMotion {
-    info!();
+    info! {
+        name: "base_motion",
+        stage: Stage::Base,
+        signature: "all sensors turn together and no piston explains it",
+        confused_with: &["missed_steps", "thermal_drift", "gyro_bias"],
+        separated_by: "an IMU on the base; returning to a known pose",
+        events: 3,
+        params: &join::<{ 3 * TURN + MODES * MODE_PARAMS }>(&[
+            &turn(60.0, ["t1_s", "lasting1", "x1", "y1", "z1"]),
+            &turn(150.0, ["t2_s", "lasting2", "x2", "y2", "z2"]),
+            &turn(220.0, ["t3_s", "lasting3", "x3", "y3", "z3"]),
+            &FREQUENCY.named(["frequency1"]),
+            &ANGLE.named(["sine_x1", "sine_y1", "sine_z1", "cosine_x1", "cosine_y1", "cosine_z1"]),
+            &FREQUENCY.named(["frequency2"]),
+            &ANGLE.named(["sine_x2", "sine_y2", "sine_z2", "cosine_x2", "cosine_y2", "cosine_z2"]),
+            &FREQUENCY.named(["frequency3"]),
+            &ANGLE.named(["sine_x3", "sine_y3", "sine_z3", "cosine_x3", "cosine_y3", "cosine_z3"]),
+            &FREQUENCY.named(["frequency4"]),
+            &ANGLE.named(["sine_x4", "sine_y4", "sine_z4", "cosine_x4", "cosine_y4", "cosine_z4"]),
+        ]),
+    }
     /// One slow turn from the beginning, then knocks at several times.
     fn starts(&self) -> Starts {
         let none = |t_s: f64| [t_s, 2.0, 0.0, 0.0, 0.0];

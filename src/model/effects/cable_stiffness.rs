@@ -25,21 +25,17 @@ const KNEE_RAD: f64 = 0.1;
 /// Two-fold anisotropy of the bend.
 pub struct CableStiffness;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "cable_stiffness",
-    stage: Stage::Shape,
-    signature: "gain of the bend is two-fold in the direction",
-    confused_with: &["crosstalk", "clocking", "stiffening"],
-    separated_by: "length changes at several directions",
-    events: 0,
-    params: &Param::new("", "", 0.0, 0.1, (-0.5, 0.5))
-        .named(["along", "aslant", "taut_x", "taut_y"]),
-    starts: &[&[0.02; 4]],
-};
-
 impl Effect for CableStiffness {
-    info!();
+    info! {
+        name: "cable_stiffness",
+        stage: Stage::Shape,
+        signature: "gain of the bend is two-fold in the direction",
+        confused_with: &["crosstalk", "clocking", "stiffening"],
+        separated_by: "length changes at several directions",
+        params: &Param::new("", "", 0.0, 0.1, (-0.5, 0.5))
+            .named(["along", "aslant", "taut_x", "taut_y"]),
+        starts: &[&[0.02; 4]],
+    }
     fn shape(&self, p: &[f64], _m: &mut Memory, _at: &Moment, pose: &mut Pose) {
         let taut = Vector2::new(p[2], p[3]);
         let towards = pose.bend.dot(&taut) / taut.norm().max(1e-12);

@@ -20,20 +20,16 @@ use std::f64::consts::TAU;
 /// Angular places of the bellows.
 pub struct Clocking;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "clocking",
-    stage: Stage::Shape,
-    signature: "an error periodic in the bend direction that rotates the bend plane",
-    confused_with: &["mount_misalignment", "crosstalk", "cable_stiffness"],
-    separated_by: "a full circle of directions; a reference for a turn of all three",
-    events: 0,
-    params: &Param::new("angle", "rad", 0.0, 0.1, (-0.5, 0.5)).each(),
-    starts: &[&[0.01; 3]],
-};
-
 impl Effect for Clocking {
-    info!();
+    info! {
+        name: "clocking",
+        stage: Stage::Shape,
+        signature: "an error periodic in the bend direction that rotates the bend plane",
+        confused_with: &["mount_misalignment", "crosstalk", "cable_stiffness"],
+        separated_by: "a full circle of directions; a reference for a turn of all three",
+        params: &Param::new("angle", "rad", 0.0, 0.1, (-0.5, 0.5)).each(),
+        starts: &[&[0.01; 3]],
+    }
     /// One bellow is off its place, or all are alike: the part of the angles that the nearest of these four forms leaves.
     fn unusual(&self, p: &[f64]) -> f64 {
         let size = p.iter().map(|a| a * a).sum::<f64>();

@@ -30,26 +30,21 @@ const EDGE_RAD: f64 = 0.01;
 /// A straight wall in the bend plane.
 pub struct Contact;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "contact",
-    stage: Stage::Shape,
-    signature: "an error only beyond a line in the bend plane",
-    confused_with: &["missed_steps", "cable_stiffness", "stiffening"],
-    separated_by: "approaching the same bend from another side",
-    events: 0,
-    params: &[
-        Param::new("direction", "rad", 0.0, 2.0, (-TAU, TAU)),
-        Param::new("distance", "rad", 0.7, 0.3, (0.1, 1.8)),
-        Param::new("stiffness", "", 0.0, 0.4, (0.0, 1.0)),
-        Param::new("give", "rad", 0.02, 0.06, (0.002, 0.6)),
-        Param::new("friction", "", 0.0, 0.2, (0.0, 1.5)),
-    ],
-    starts: &[],
-};
-
 impl Effect for Contact {
-    info!();
+    info! {
+        name: "contact",
+        stage: Stage::Shape,
+        signature: "an error only beyond a line in the bend plane",
+        confused_with: &["missed_steps", "cable_stiffness", "stiffening"],
+        separated_by: "approaching the same bend from another side",
+        params: &[
+            Param::new("direction", "rad", 0.0, 2.0, (-TAU, TAU)),
+            Param::new("distance", "rad", 0.7, 0.3, (0.1, 1.8)),
+            Param::new("stiffness", "", 0.0, 0.4, (0.0, 1.0)),
+            Param::new("give", "rad", 0.02, 0.06, (0.002, 0.6)),
+            Param::new("friction", "", 0.0, 0.2, (0.0, 1.5)),
+        ],
+    }
     /// Eight directions: a wall that the tip does not touch has no gradient towards its true direction.
     fn starts(&self) -> Starts {
         (-3..=4)

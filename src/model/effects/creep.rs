@@ -24,24 +24,20 @@ const DECADE: f64 = 12.0;
 /// Two Kelvin-Voigt elements, the same for each bellow.
 pub struct Creep;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "creep",
-    stage: Stage::Bellows,
-    signature: "drift in holds that grows the motion and recovers after the return",
-    confused_with: &["leak", "line_lag", "thermal_drift", "hysteresis"],
-    separated_by: "hold, return, hold",
-    events: 0,
-    params: &[
-        Param::new("fast", "", 0.0, 0.08, (0.0, 0.8)),
-        Param::new("slow", "", 0.0, 0.08, (0.0, 0.8)),
-        Param::new("tau", "s", 2.0, 2.0, (0.3, 20.0)),
-    ],
-    starts: &[&[0.04, 0.04, 1.0], &[0.04, 0.04, 6.0]],
-};
-
 impl Effect for Creep {
-    info!();
+    info! {
+        name: "creep",
+        stage: Stage::Bellows,
+        signature: "drift in holds that grows the motion and recovers after the return",
+        confused_with: &["leak", "line_lag", "thermal_drift", "hysteresis"],
+        separated_by: "hold, return, hold",
+        params: &[
+            Param::new("fast", "", 0.0, 0.08, (0.0, 0.8)),
+            Param::new("slow", "", 0.0, 0.08, (0.0, 0.8)),
+            Param::new("tau", "s", 2.0, 2.0, (0.3, 20.0)),
+        ],
+        starts: &[&[0.04, 0.04, 1.0], &[0.04, 0.04, 6.0]],
+    }
     /// Memory holds the two elements of each bellow.
     fn bellows(&self, p: &[f64], m: &mut Memory, at: &Moment, q_mm: &mut Vector3<f64>) {
         let (fast, slow) = (share(at.dt_s / p[2]), share(at.dt_s / (DECADE * p[2])));

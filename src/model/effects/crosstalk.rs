@@ -26,26 +26,22 @@ const PAIRS: [(usize, usize); 6] = [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 
 /// Coupling of pressurised lines into their neighbours.
 pub struct Crosstalk;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "crosstalk",
-    stage: Stage::Transmission,
-    signature: "other channels move when one is pressurised, not when it is evacuated",
-    confused_with: &[
-        "asymmetry",
-        "clocking",
-        "cable_stiffness",
-        "gas_compression",
-    ],
-    separated_by: "single-channel moves of both signs; common-mode length",
-    events: 0,
-    params: &Param::new("", "", 0.0, 0.1, (-0.2, 0.6))
-        .named(["c12", "c13", "c21", "c23", "c31", "c32"]),
-    starts: &[&[0.05; PAIRS.len()]],
-};
-
 impl Effect for Crosstalk {
-    info!();
+    info! {
+        name: "crosstalk",
+        stage: Stage::Transmission,
+        signature: "other channels move when one is pressurised, not when it is evacuated",
+        confused_with: &[
+            "asymmetry",
+            "clocking",
+            "cable_stiffness",
+            "gas_compression",
+        ],
+        separated_by: "single-channel moves of both signs; common-mode length",
+        params: &Param::new("", "", 0.0, 0.1, (-0.2, 0.6))
+            .named(["c12", "c13", "c21", "c23", "c31", "c32"]),
+        starts: &[&[0.05; PAIRS.len()]],
+    }
     fn play_output(&self, p: &[f64], _m: &mut Memory, _at: &Moment, w_mm: &mut Vector3<f64>) {
         let pressed = w_mm.map(|w| positive(w, EDGE_MM));
         for ((from, to), c) in PAIRS.iter().zip(p) {

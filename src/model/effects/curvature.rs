@@ -24,23 +24,19 @@ const REACH_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;
 /// Isotropic curve of bend over bend.
 pub struct Curvature;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "curvature",
-    stage: Stage::Shape,
-    signature: "bend is off by a function of the bend angle, alike in all directions",
-    confused_with: &["stiffening", "gravity"],
-    separated_by: "the same bends at another length; a shape sensor",
-    events: 0,
-    params: &[
-        Param::new("bow", "", 0.0, 0.1, (-0.8, 0.8)),
-        Param::new("curl", "", 0.0, 0.2, (-1.0, 1.0)),
-    ],
-    starts: &[&[0.03, 0.0]],
-};
-
 impl Effect for Curvature {
-    info!();
+    info! {
+        name: "curvature",
+        stage: Stage::Shape,
+        signature: "bend is off by a function of the bend angle, alike in all directions",
+        confused_with: &["stiffening", "gravity"],
+        separated_by: "the same bends at another length; a shape sensor",
+        params: &[
+            Param::new("bow", "", 0.0, 0.1, (-0.8, 0.8)),
+            Param::new("curl", "", 0.0, 0.2, (-1.0, 1.0)),
+        ],
+        starts: &[&[0.03, 0.0]],
+    }
     fn shape(&self, p: &[f64], _m: &mut Memory, _at: &Moment, pose: &mut Pose) {
         let x = pose.bend.norm() / REACH_RAD;
         pose.bend *= 1.0 + p[0] * (x - 0.75) + p[1] * (x * x - 4.0 / 3.0 * x + 0.4);

@@ -22,20 +22,15 @@ use crate::model::effects::prelude::*;
 /// Boyle's law in place of a linear air spring.
 pub struct GasCompression;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "gas_compression",
-    stage: Stage::Transmission,
-    signature: "gain grows with pressure and falls under vacuum: an even-order curve without a corner",
-    confused_with: &["asymmetry", "stiffening", "crosstalk"],
-    separated_by: "a pressure signal; common-mode length changes",
-    events: 0,
-    params: &[Param::new("boyle", "1/mm", 0.0, 0.04, (-0.05, 0.25))],
-    starts: &[],
-};
-
 impl Effect for GasCompression {
-    info!();
+    info! {
+        name: "gas_compression",
+        stage: Stage::Transmission,
+        signature: "gain grows with pressure and falls under vacuum: an even-order curve without a corner",
+        confused_with: &["asymmetry", "stiffening", "crosstalk"],
+        separated_by: "a pressure signal; common-mode length changes",
+        params: &[Param::new("boyle", "1/mm", 0.0, 0.04, (-0.05, 0.25))],
+    }
     fn play_output(&self, p: &[f64], _m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
         for i in 0..3 {
             let full = 1.0 + at.k_epsilon[i];

@@ -22,28 +22,24 @@ use std::f64::consts::{PI, TAU};
 /// Periodic transmission error of the three racks.
 pub struct GearPeriodic;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "gear_periodic",
-    stage: Stage::Drive,
-    signature: "an error periodic in piston position, not in time",
-    confused_with: &["hysteresis", "motor_field"],
-    separated_by: "the same travel at two speeds",
-    events: 0,
-    params: &join::<7>(&[
-        &Param::new("sin", "mm", 0.0, 0.15, (-0.7, 0.7)).each(),
-        &Param::new("cos", "mm", 0.0, 0.15, (-0.7, 0.7)).each(),
-        &[Param::new("pitch", "mm", PI, 0.1, (1.4, 6.5))],
-    ]),
-    // Modules 1 and 0.5: a fit does not move from one pitch to the other.
-    starts: &[
-        &[0.03, 0.03, 0.03, 0.03, 0.03, 0.03, PI],
-        &[0.03, 0.03, 0.03, 0.03, 0.03, 0.03, PI / 2.0],
-    ],
-};
-
 impl Effect for GearPeriodic {
-    info!();
+    info! {
+        name: "gear_periodic",
+        stage: Stage::Drive,
+        signature: "an error periodic in piston position, not in time",
+        confused_with: &["hysteresis", "motor_field"],
+        separated_by: "the same travel at two speeds",
+        params: &join::<7>(&[
+            &Param::new("sin", "mm", 0.0, 0.15, (-0.7, 0.7)).each(),
+            &Param::new("cos", "mm", 0.0, 0.15, (-0.7, 0.7)).each(),
+            &[Param::new("pitch", "mm", PI, 0.1, (1.4, 6.5))],
+        ]),
+        // Modules 1 and 0.5: a fit does not move from one pitch to the other.
+        starts: &[
+            &[0.03, 0.03, 0.03, 0.03, 0.03, 0.03, PI],
+            &[0.03, 0.03, 0.03, 0.03, 0.03, 0.03, PI / 2.0],
+        ],
+    }
     fn pistons(&self, p: &[f64], _m: &mut Memory, _at: &Moment, u_mm: &mut Vector3<f64>) {
         for i in 0..3 {
             let (sin, cos) = (TAU * u_mm[i] / p[6]).sin_cos();

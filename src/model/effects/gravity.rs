@@ -25,23 +25,18 @@ use crate::model::{Geometry, Shape};
 /// Sag under the tip's weight.
 pub struct Gravity;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "gravity",
-    stage: Stage::Shape,
-    signature: "an error of the bend that follows the world's vertical",
-    confused_with: &["accel_bias", "curvature", "base_motion"],
-    separated_by: "another attitude of the base",
-    events: 0,
-    params: &[
-        Param::new("sag", "rad", 0.0, 0.06, (0.0, 0.5)),
-        Param::new("lever", "", 0.5, 0.3, (0.0, 1.0)),
-    ],
-    starts: &[],
-};
-
 impl Effect for Gravity {
-    info!();
+    info! {
+        name: "gravity",
+        stage: Stage::Shape,
+        signature: "an error of the bend that follows the world's vertical",
+        confused_with: &["accel_bias", "curvature", "base_motion"],
+        separated_by: "another attitude of the base",
+        params: &[
+            Param::new("sag", "rad", 0.0, 0.06, (0.0, 0.5)),
+            Param::new("lever", "", 0.5, 0.3, (0.0, 1.0)),
+        ],
+    }
     fn shape(&self, p: &[f64], _m: &mut Memory, at: &Moment, pose: &mut Pose) {
         pose.bend -= lift(&pose.bend, &at.up_base, p[1]) * p[0];
     }

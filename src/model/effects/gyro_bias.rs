@@ -30,20 +30,16 @@ const NAMES: [&str; 39] = [
 /// A wander of the three rates.
 pub struct GyroBias;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "gyro_bias",
-    stage: Stage::Sensor,
-    signature: "a slow drift of the gyroscope alone; the other sensors measure no motion",
-    confused_with: &["thermal_drift", "base_motion"],
-    separated_by: "still holds, early and late",
-    events: 0,
-    params: &Param::new("", "rad/s", 0.0, 0.02, (-0.3, 0.3)).named(NAMES),
-    starts: &[&[1e-4; NAMES.len()]],
-};
-
 impl Effect for GyroBias {
-    info!();
+    info! {
+        name: "gyro_bias",
+        stage: Stage::Sensor,
+        signature: "a slow drift of the gyroscope alone; the other sensors measure no motion",
+        confused_with: &["thermal_drift", "base_motion"],
+        separated_by: "still holds, early and late",
+        params: &Param::new("", "rad/s", 0.0, 0.02, (-0.3, 0.3)).named(NAMES),
+        starts: &[&[1e-4; NAMES.len()]],
+    }
     fn sensor(&self, p: &[f64], _m: &mut Memory, at: &Moment, reading: &mut ImuPrediction) {
         let next = KNOTS_S.iter().position(|&k| at.t_s < k);
         let (from, to, share) = match next {

@@ -17,20 +17,16 @@ use crate::model::effects::prelude::*;
 /// Field of magnetised parts on the tip.
 pub struct HardIron;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "hard_iron",
-    stage: Stage::Sensor,
-    signature: "an offset of the magnetometer alone, fixed to the body",
-    confused_with: &["motor_field", "torsion", "mount_misalignment"],
-    separated_by: "many attitudes with the motors off",
-    events: 0,
-    params: &Param::new("", "µT", 0.0, 10.0, (-120.0, 120.0)).named(["x", "y", "z"]),
-    starts: &[&[1.0; 3]],
-};
-
 impl Effect for HardIron {
-    info!();
+    info! {
+        name: "hard_iron",
+        stage: Stage::Sensor,
+        signature: "an offset of the magnetometer alone, fixed to the body",
+        confused_with: &["motor_field", "torsion", "mount_misalignment"],
+        separated_by: "many attitudes with the motors off",
+        params: &Param::new("", "µT", 0.0, 10.0, (-120.0, 120.0)).named(["x", "y", "z"]),
+        starts: &[&[1.0; 3]],
+    }
     fn sensor(&self, p: &[f64], _m: &mut Memory, _at: &Moment, reading: &mut ImuPrediction) {
         reading.mag_ut += Vector3::new(p[0], p[1], p[2]);
     }

@@ -36,27 +36,23 @@ const EXCESS: Param = Param::new("excess", "", 0.0, 0.2, (-0.9, 1.5));
 /// Loops of the wall, similar for each bellow.
 pub struct Hysteresis;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "hysteresis",
-    stage: Stage::Bellows,
-    signature: "loops that do not depend on speed, with minor loops and return points that are wiped out",
-    confused_with: &["creep", "line_lag", "gear_periodic"],
-    separated_by: "nested loops, slow and fast",
-    events: 0,
-    params: &join::<7>(&[
-        &Param::new("", "", 0.0, 0.15, (0.0, 1.5)).named(["small", "middle", "large"]),
-        &[
-            Param::new("skew", "", 0.0, 0.2, (-0.7, 0.7)),
-            Param::new("waist", "", 0.0, 0.2, (-0.9, 0.9)),
-        ],
-        &[EXCESS.on(2), EXCESS.on(3)],
-    ]),
-    starts: &[&[0.05, 0.05, 0.05, 0.0, 0.0, 0.0, 0.0]],
-};
-
 impl Effect for Hysteresis {
-    info!();
+    info! {
+        name: "hysteresis",
+        stage: Stage::Bellows,
+        signature: "loops that do not depend on speed, with minor loops and return points that are wiped out",
+        confused_with: &["creep", "line_lag", "gear_periodic"],
+        separated_by: "nested loops, slow and fast",
+        params: &join::<7>(&[
+            &Param::new("", "", 0.0, 0.15, (0.0, 1.5)).named(["small", "middle", "large"]),
+            &[
+                Param::new("skew", "", 0.0, 0.2, (-0.7, 0.7)),
+                Param::new("waist", "", 0.0, 0.2, (-0.9, 0.9)),
+            ],
+            &[EXCESS.on(2), EXCESS.on(3)],
+        ]),
+        starts: &[&[0.05, 0.05, 0.05, 0.0, 0.0, 0.0, 0.0]],
+    }
     /// Memory holds the six plays of each bellow.
     fn bellows(&self, p: &[f64], m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {
         let whole = 1.0 + 2.0 * (p[0] + p[1] + p[2]);

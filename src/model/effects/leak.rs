@@ -25,23 +25,19 @@ const EDGE_MM: f64 = 0.5;
 /// Loss of air in proportion to pressure.
 pub struct Leak;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "leak",
-    stage: Stage::Transmission,
-    signature: "decay towards rest in holds, in proportion to pressure, then an offset the other way",
-    confused_with: &["creep", "thermal_drift", "missed_steps"],
-    separated_by: "long holds at two pressures, then a return to zero",
-    events: 0,
-    params: &join::<4>(&[
-        &Param::new("rate", "1/s", 0.0, 0.01, (0.0, 0.3)).each(),
-        &[Param::new("vacuum_ratio", "", 1.0, 0.5, (0.0, 4.0))],
-    ]),
-    starts: &[&[0.003, 0.003, 0.003, 1.0], &[0.03, 0.03, 0.03, 1.0]],
-};
-
 impl Effect for Leak {
-    info!();
+    info! {
+        name: "leak",
+        stage: Stage::Transmission,
+        signature: "decay towards rest in holds, in proportion to pressure, then an offset the other way",
+        confused_with: &["creep", "thermal_drift", "missed_steps"],
+        separated_by: "long holds at two pressures, then a return to zero",
+        params: &join::<4>(&[
+            &Param::new("rate", "1/s", 0.0, 0.01, (0.0, 0.3)).each(),
+            &[Param::new("vacuum_ratio", "", 1.0, 0.5, (0.0, 4.0))],
+        ]),
+        starts: &[&[0.003, 0.003, 0.003, 1.0], &[0.03, 0.03, 0.03, 1.0]],
+    }
     fn play_output(&self, p: &[f64], m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
         for i in 0..3 {
             let left_mm = w_mm[i] + m.0[i];

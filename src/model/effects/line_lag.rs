@@ -27,26 +27,22 @@ const EDGE_MM: f64 = 0.05;
 /// Lag of each line: first order, rounded off by the air in the line itself.
 pub struct LineLag;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "line_lag",
-    stage: Stage::Transmission,
-    signature: "error in proportion to speed that rounds off steps and is gone within seconds of a hold",
-    confused_with: &["transport_delay", "sensor_latency", "creep", "hysteresis"],
-    separated_by: "steps and a chirp",
-    events: 0,
-    params: &join::<5>(&[
-        &Param::new("tau", "s", 0.0, 0.2, (0.0, 3.0)).each(),
-        &[
-            Param::new("fill_drain", "", 0.0, 0.3, (-0.9, 0.9)),
-            Param::new("line_share", "", 0.08, 0.08, (0.0, 0.5)),
-        ],
-    ]),
-    starts: &[&[0.08, 0.08, 0.08, 0.0, 0.08], &[0.4, 0.4, 0.4, 0.0, 0.08]],
-};
-
 impl Effect for LineLag {
-    info!();
+    info! {
+        name: "line_lag",
+        stage: Stage::Transmission,
+        signature: "error in proportion to speed that rounds off steps and is gone within seconds of a hold",
+        confused_with: &["transport_delay", "sensor_latency", "creep", "hysteresis"],
+        separated_by: "steps and a chirp",
+        params: &join::<5>(&[
+            &Param::new("tau", "s", 0.0, 0.2, (0.0, 3.0)).each(),
+            &[
+                Param::new("fill_drain", "", 0.0, 0.3, (-0.9, 0.9)),
+                Param::new("line_share", "", 0.08, 0.08, (0.0, 0.5)),
+            ],
+        ]),
+        starts: &[&[0.08, 0.08, 0.08, 0.0, 0.08], &[0.4, 0.4, 0.4, 0.0, 0.08]],
+    }
     /// Memory holds where the far end of each line stands, then its air.
     fn play_output(&self, p: &[f64], m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
         let (fill_drain, line_share) = (p[3], p[4]);

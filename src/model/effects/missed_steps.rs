@@ -40,25 +40,21 @@ const fn event(time_s: f64, [time, first, second, third]: [&'static str; 4]) -> 
     ]
 }
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "missed_steps",
-    stage: Stage::Drive,
-    signature: "a persistent jump of one channel, at high acceleration",
-    confused_with: &["base_motion", "thermal_drift", "contact"],
-    separated_by: "returning to a known pose; a sweep of acceleration",
-    events: 4,
-    params: &join::<16>(&[
-        &event(60.0, ["t1_s", "d1_1", "d1_2", "d1_3"]),
-        &event(150.0, ["t2_s", "d2_1", "d2_2", "d2_3"]),
-        &event(200.0, ["t3_s", "d3_1", "d3_2", "d3_3"]),
-        &event(240.0, ["t4_s", "d4_1", "d4_2", "d4_3"]),
-    ]),
-    starts: &[],
-};
-
 impl Effect for MissedSteps {
-    info!();
+    info! {
+        name: "missed_steps",
+        stage: Stage::Drive,
+        signature: "a persistent jump of one channel, at high acceleration",
+        confused_with: &["base_motion", "thermal_drift", "contact"],
+        separated_by: "returning to a known pose; a sweep of acceleration",
+        events: 4,
+        params: &join::<16>(&[
+            &event(60.0, ["t1_s", "d1_1", "d1_2", "d1_3"]),
+            &event(150.0, ["t2_s", "d2_1", "d2_2", "d2_3"]),
+            &event(200.0, ["t3_s", "d3_1", "d3_2", "d3_3"]),
+            &event(240.0, ["t4_s", "d4_1", "d4_2", "d4_3"]),
+        ]),
+    }
     fn starts(&self) -> Starts {
         let at = |t_s: [f64; 4]| {
             let offsets = [[0.2, 0.0, -0.2], [0.0; 3], [0.0; 3], [0.0; 3]];

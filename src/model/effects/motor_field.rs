@@ -34,28 +34,23 @@ pub struct MotorField;
 /// One component of a coil's field.
 const COIL: Param = Param::new("", "µT", 0.0, 3.0, (-40.0, 40.0));
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "motor_field",
-    stage: Stage::Sensor,
-    signature: "a disturbance of the magnetometer alone that follows the motors' microstep phase",
-    confused_with: &["hard_iron", "gear_periodic"],
-    separated_by: "motors on and off while the tip is still",
-    events: 0,
-    params: &join::<20>(&[
-        &COIL.on(1).named(NAMES),
-        &COIL.on(2).named(NAMES),
-        &COIL.on(3).named(NAMES),
-        &[
-            Param::new("idle", "", 0.5, 0.3, (0.0, 1.0)),
-            Param::new("idle_after", "s", 0.5, 0.5, (0.1, 10.0)),
-        ],
-    ]),
-    starts: &[],
-};
-
 impl Effect for MotorField {
-    info!();
+    info! {
+        name: "motor_field",
+        stage: Stage::Sensor,
+        signature: "a disturbance of the magnetometer alone that follows the motors' microstep phase",
+        confused_with: &["hard_iron", "gear_periodic"],
+        separated_by: "motors on and off while the tip is still",
+        params: &join::<20>(&[
+            &COIL.on(1).named(NAMES),
+            &COIL.on(2).named(NAMES),
+            &COIL.on(3).named(NAMES),
+            &[
+                Param::new("idle", "", 0.5, 0.3, (0.0, 1.0)),
+                Param::new("idle_after", "s", 0.5, 0.5, (0.1, 10.0)),
+            ],
+        ]),
+    }
     /// A current that falls early, later and practically never: a fit does not recover from too early a fall.
     fn starts(&self) -> Starts {
         let after = |s: f64| [vec![0.1; 18], vec![0.5, s]].concat();

@@ -18,20 +18,16 @@ use crate::model::effects::prelude::*;
 /// Constant turn from sensor to tip.
 pub struct MountMisalignment;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "mount_misalignment",
-    stage: Stage::Sensor,
-    signature: "a constant rotation of all sensors in their own frame",
-    confused_with: &["clocking", "accel_bias", "hard_iron"],
-    separated_by: "a known rotation of the base; a reference",
-    events: 0,
-    params: &Param::new("", "rad", 0.0, 0.1, (-0.6, 0.6)).named(["x", "y", "z"]),
-    starts: &[&[0.01; 3]],
-};
-
 impl Effect for MountMisalignment {
-    info!();
+    info! {
+        name: "mount_misalignment",
+        stage: Stage::Sensor,
+        signature: "a constant rotation of all sensors in their own frame",
+        confused_with: &["clocking", "accel_bias", "hard_iron"],
+        separated_by: "a known rotation of the base; a reference",
+        params: &Param::new("", "rad", 0.0, 0.1, (-0.6, 0.6)).named(["x", "y", "z"]),
+        starts: &[&[0.01; 3]],
+    }
     fn mount(&self, p: &[f64]) -> Option<UnitQuaternion<f64>> {
         let turn = Vector3::new(p[0], p[1], p[2]);
         (turn != Vector3::zeros()).then(|| UnitQuaternion::from_scaled_axis(turn))

@@ -16,20 +16,16 @@ use crate::model::effects::prelude::*;
 /// Dead time after the tip.
 pub struct SensorLatency;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "sensor_latency",
-    stage: Stage::Timing,
-    signature: "all sensors are late by a constant time while the tip itself is on time",
-    confused_with: &["transport_delay", "line_lag"],
-    separated_by: "an outside reference; a chirp",
-    events: 0,
-    params: &[Param::new("latency", "s", 0.0, 0.08, (0.0, 0.5))],
-    starts: &[&[0.03], &[0.15]],
-};
-
 impl Effect for SensorLatency {
-    info!();
+    info! {
+        name: "sensor_latency",
+        stage: Stage::Timing,
+        signature: "all sensors are late by a constant time while the tip itself is on time",
+        confused_with: &["transport_delay", "line_lag"],
+        separated_by: "an outside reference; a chirp",
+        params: &[Param::new("latency", "s", 0.0, 0.08, (0.0, 0.5))],
+        starts: &[&[0.03], &[0.15]],
+    }
     fn latency_s(&self, p: &[f64]) -> f64 {
         p[0]
     }

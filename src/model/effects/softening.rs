@@ -29,29 +29,24 @@ use crate::model::effects::prelude::*;
 /// Damage by the largest stretch so far, the same law for each bellow.
 pub struct Softening;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "softening",
-    stage: Stage::Bellows,
-    signature: "gain changes only beyond the largest past stretch, and for good",
-    confused_with: &["stiffening", "creep", "thermal_drift"],
-    separated_by: "a rising amplitude, then the same again",
-    events: 0,
-    params: &join::<8>(&[
-        &Param::new("fresh", "", 0.0, 0.15, (0.0, 0.8)).each(),
-        &[
-            Param::new("reach", "mm", 2.0, 1.5, (0.3, 12.0)),
-            Param::new("rejoin", "", 0.0, 0.4, (0.0, 1.0)),
-            Param::new("tiring", "mm/mm", 0.0, 0.02, (0.0, 0.3)),
-            Param::new("contracted", "", 1.0, 0.4, (0.0, 1.5)),
-            Param::new("toe", "mm", 0.0, 0.4, (0.0, 4.0)),
-        ],
-    ]),
-    starts: &[],
-};
-
 impl Effect for Softening {
-    info!();
+    info! {
+        name: "softening",
+        stage: Stage::Bellows,
+        signature: "gain changes only beyond the largest past stretch, and for good",
+        confused_with: &["stiffening", "creep", "thermal_drift"],
+        separated_by: "a rising amplitude, then the same again",
+        params: &join::<8>(&[
+            &Param::new("fresh", "", 0.0, 0.15, (0.0, 0.8)).each(),
+            &[
+                Param::new("reach", "mm", 2.0, 1.5, (0.3, 12.0)),
+                Param::new("rejoin", "", 0.0, 0.4, (0.0, 1.0)),
+                Param::new("tiring", "mm/mm", 0.0, 0.02, (0.0, 0.3)),
+                Param::new("contracted", "", 1.0, 0.4, (0.0, 1.5)),
+                Param::new("toe", "mm", 0.0, 0.4, (0.0, 4.0)),
+            ],
+        ]),
+    }
     fn starts(&self) -> Starts {
         [(1.0, 0.1), (4.0, 0.1), (3.0, 0.6)]
             .map(|(reach, rejoin)| vec![0.15, 0.15, 0.15, reach, rejoin, 0.005, 0.8, 0.1])

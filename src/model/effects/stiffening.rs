@@ -26,20 +26,15 @@ const STEPS: usize = 5;
 /// Odd stiffening of each bellow.
 pub struct Stiffening;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "stiffening",
-    stage: Stage::Bellows,
-    signature: "an odd static curve of each channel: large moves fall short, both ways alike",
-    confused_with: &["curvature", "gas_compression", "softening"],
-    separated_by: "an amplitude ladder at two lengths",
-    events: 0,
-    params: &Param::new("extra", "", 0.0, 0.15, (0.0, 1.5)).each(),
-    starts: &[],
-};
-
 impl Effect for Stiffening {
-    info!();
+    info! {
+        name: "stiffening",
+        stage: Stage::Bellows,
+        signature: "an odd static curve of each channel: large moves fall short, both ways alike",
+        confused_with: &["curvature", "gas_compression", "softening"],
+        separated_by: "an amplitude ladder at two lengths",
+        params: &Param::new("extra", "", 0.0, 0.15, (0.0, 1.5)).each(),
+    }
     fn bellows(&self, p: &[f64], _m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {
         for i in 0..3 {
             q_mm[i] = root(q_mm[i], p[i] / (REACH_MM * REACH_MM));

@@ -21,23 +21,19 @@ use crate::model::effects::prelude::*;
 /// Warming of the three lines towards a steady state.
 pub struct ThermalDrift;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "thermal_drift",
-    stage: Stage::Transmission,
-    signature: "a slow offset that depends on the time since the start, not on the command",
-    confused_with: &["creep", "leak", "gyro_bias", "base_motion"],
-    separated_by: "an idle hold; a pose repeated late",
-    events: 0,
-    params: &join::<4>(&[
-        &Param::new("size", "mm", 0.0, 0.8, (-6.0, 6.0)).each(),
-        &[Param::new("tau", "s", 60.0, 60.0, (5.0, 900.0))],
-    ]),
-    starts: &[&[0.1, 0.0, -0.1, 30.0], &[0.1, 0.0, -0.1, 120.0]],
-};
-
 impl Effect for ThermalDrift {
-    info!();
+    info! {
+        name: "thermal_drift",
+        stage: Stage::Transmission,
+        signature: "a slow offset that depends on the time since the start, not on the command",
+        confused_with: &["creep", "leak", "gyro_bias", "base_motion"],
+        separated_by: "an idle hold; a pose repeated late",
+        params: &join::<4>(&[
+            &Param::new("size", "mm", 0.0, 0.8, (-6.0, 6.0)).each(),
+            &[Param::new("tau", "s", 60.0, 60.0, (5.0, 900.0))],
+        ]),
+        starts: &[&[0.1, 0.0, -0.1, 30.0], &[0.1, 0.0, -0.1, 120.0]],
+    }
     fn play_output(&self, p: &[f64], _m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
         let warm = -(-at.t_s / p[3]).exp_m1();
         *w_mm += Vector3::new(p[0], p[1], p[2]) * warm;

@@ -20,23 +20,19 @@ use crate::model::effects::prelude::*;
 /// Turn about the tip's axis that grows with bend.
 pub struct Torsion;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "torsion",
-    stage: Stage::Shape,
-    signature: "yaw of the tip grows with bend while the direction of its axis is correct",
-    confused_with: &["hard_iron", "mount_misalignment", "clocking"],
-    separated_by: "a reference or a clean magnetic field",
-    events: 0,
-    params: &[
-        Param::new("twist", "", 0.0, 0.08, (-0.6, 0.6)),
-        Param::new("twist_grow", "1/rad", 0.0, 0.06, (-0.4, 0.4)),
-    ],
-    starts: &[&[0.02, 0.0]],
-};
-
 impl Effect for Torsion {
-    info!();
+    info! {
+        name: "torsion",
+        stage: Stage::Shape,
+        signature: "yaw of the tip grows with bend while the direction of its axis is correct",
+        confused_with: &["hard_iron", "mount_misalignment", "clocking"],
+        separated_by: "a reference or a clean magnetic field",
+        params: &[
+            Param::new("twist", "", 0.0, 0.08, (-0.6, 0.6)),
+            Param::new("twist_grow", "1/rad", 0.0, 0.06, (-0.4, 0.4)),
+        ],
+        starts: &[&[0.02, 0.0]],
+    }
     fn shape(&self, p: &[f64], _m: &mut Memory, _at: &Moment, pose: &mut Pose) {
         let beta = pose.bend.norm();
         pose.twist += beta * (p[0] + p[1] * beta);

@@ -16,20 +16,16 @@ use crate::model::effects::prelude::*;
 /// Dead time before the pistons.
 pub struct TransportDelay;
 
-/// The catalogue entry.
-const INFO: EffectInfo = EffectInfo {
-    name: "transport_delay",
-    stage: Stage::Timing,
-    signature: "motion is late by a constant time: phase grows with frequency, without rounding",
-    confused_with: &["sensor_latency", "line_lag"],
-    separated_by: "a chirp; an outside reference",
-    events: 0,
-    params: &[Param::new("delay", "s", 0.0, 0.08, (0.0, 0.5))],
-    starts: &[&[0.03], &[0.15]],
-};
-
 impl Effect for TransportDelay {
-    info!();
+    info! {
+        name: "transport_delay",
+        stage: Stage::Timing,
+        signature: "motion is late by a constant time: phase grows with frequency, without rounding",
+        confused_with: &["sensor_latency", "line_lag"],
+        separated_by: "a chirp; an outside reference",
+        params: &[Param::new("delay", "s", 0.0, 0.08, (0.0, 0.5))],
+        starts: &[&[0.03], &[0.15]],
+    }
     fn transport_s(&self, p: &[f64]) -> f64 {
         p[0]
     }

@@ -4,7 +4,7 @@
 //! model and nothing else. Angles are degrees, lengths mm, as in every file.
 
 use crate::model::Drive;
-use crate::primitives::{Rotation, Setting, Shape, World};
+use crate::primitives::{Invalid, Rotation, Setting, Shape, World};
 use crate::simulation::plant::effects::{Effects, effect_names};
 use crate::simulation::plant::imu::chip::ImuConfig;
 use crate::simulation::plant::law::UnitData;
@@ -199,16 +199,11 @@ impl FieldConfig {
 }
 
 impl PlantConfig {
-    /// The make of the units that this configuration describes.
-    pub fn make(&self) -> Self {
-        self.clone()
-    }
-
     /// Checks every parameter against the range that the physics supports.
     ///
     /// # Errors
-    /// [`PlantError::Range`] for the first parameter outside its range.
-    pub fn validate(&self) -> Result<(), PlantError> {
+    /// [`Invalid`] for the first parameter outside its range; its key counts from `[plant]`.
+    pub fn validate(&self) -> Result<(), Invalid> {
         self.drive.check()?;
         self.line.check()?;
         self.shape.check()?;

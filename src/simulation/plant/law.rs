@@ -3,10 +3,10 @@
 //! A running effect is a [`Law`]: a place in the chain is one method, which an effect overrides where it acts.
 //! The stages call every law at every place, in the order that the table of all effects states.
 
-use crate::primitives::{Rotation, World};
+use crate::primitives::{Invalid, Rotation, World};
 use crate::simulation::plant::fault::Faults;
 use crate::simulation::plant::imu::stimulus::Stimulus;
-use crate::simulation::plant::parameters::{PlantError, Table};
+use crate::simulation::plant::parameters::Table;
 use crate::simulation::plant::rng::PlantRng;
 use crate::simulation::plant::shape::arc::Plate;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
@@ -31,8 +31,8 @@ pub(crate) trait PlantEffect: Table + Default + Sized {
     /// Refuses combinations of parameters that are in their ranges one by one.
     ///
     /// # Errors
-    /// [`PlantError::Range`].
-    fn consistent(&self) -> Result<(), PlantError> {
+    /// [`Invalid`] for the first.
+    fn consistent(&self) -> Result<(), Invalid> {
         Ok(())
     }
 }

@@ -83,9 +83,9 @@ impl Mix for Vector3<f64> {
 }
 
 impl<T: Mix> Delay<T> {
-    /// A line that reaches `reach_s` back at steps of `step_min_s` or more, filled with `rest`.
-    pub(crate) fn new(reach_s: f64, step_min_s: f64, rest: T) -> Self {
-        let mut past = VecDeque::with_capacity((reach_s / step_min_s).ceil() as usize + 4);
+    /// A line that reaches `reach_s` back at steps of [`STEP_MIN_S`] or more, filled with `rest`.
+    pub(crate) fn new(reach_s: f64, rest: T) -> Self {
+        let mut past = VecDeque::with_capacity((reach_s / STEP_MIN_S).ceil() as usize + 4);
         past.push_back((f64::NEG_INFINITY, rest));
         past.push_back((0.0, rest));
         Self { reach_s, past }
@@ -140,17 +140,14 @@ impl<T: Mix> DeadTime<T> {
         Self {
             delay_s,
             jitter,
-            line: Self::line(delay_s, jitter, rest),
+            line: Delay::new(delay_s * (1.0 + jitter * WANDER_MAX), rest),
             wander,
             rng,
         }
     }
-    fn line(delay_s: f64, jitter: f64, rest: T) -> Delay<T> {
-        Delay::new(delay_s * (1.0 + jitter * WANDER_MAX), STEP_MIN_S, rest)
-    }
     /// Fills the line with `rest`.
     pub(crate) fn fill(&mut self, rest: T) {
-        self.line = Self::line(self.delay_s, self.jitter, rest);
+        self.line = Delay::new(self.line.reach_s, rest);
     }
     /// Takes the value at `t` and returns the value that arrives then.
     pub(crate) fn pass(&mut self, t: f64, dt_s: f64, value: T) -> T {
@@ -226,7 +223,7 @@ mod tests {
 
     #[test]
     fn a_delay_returns_past_values_without_growing() {
-        let mut d = Delay::new(0.05, 0.001, Vector3::zeros());
+        let mut d = Delay::new(0.05, Vector3::zeros());
         let room = d.past.capacity();
         for k in 1..2000 {
             let t = f64::from(k) * 0.001;

@@ -22,12 +22,12 @@ pub enum PlantError {
 }
 
 /// Refuses a direction without a length.
-pub(crate) fn directed(key: &str, direction: [f64; 3]) -> Result<(), PlantError> {
+pub(crate) fn directed(key: &str, direction: [f64; 3]) -> Result<(), Invalid> {
     let mut checker = Checker::default();
     let length = Vector3::from(direction).norm();
     let checked = checker.at(key).range(length, 1e-3..=1e4, "");
     checked.hint("a direction has a length");
-    Ok(checker.done()?)
+    checker.done()
 }
 
 /// Type of a parameter that states the size of an effect.
@@ -65,9 +65,9 @@ pub(crate) trait Table: Parameters + Clone {
     /// Refuses the first parameter that is outside its range.
     ///
     /// # Errors
-    /// [`PlantError::Range`].
-    fn check(&self) -> Result<(), PlantError> {
-        Ok(self.checked(Self::PATH)?)
+    /// [`Invalid`], whose key counts from `[plant]`.
+    fn check(&self) -> Result<(), Invalid> {
+        self.checked(Self::PATH)
     }
     /// Multiplies the parameters that state the size of an effect, within their ranges.
     fn scale(&mut self, factor: f64) {
@@ -150,7 +150,7 @@ macro_rules! effect {
             $(fn background($up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
                 Some(Self { $($imperfect: $imperfection,)+ ..Self::default() })
             })?
-            $(fn consistent(&self) -> Result<(), PlantError> {
+            $(fn consistent(&self) -> Result<(), Invalid> {
                 directed(concat!($path, ".", stringify!($direction), " length"), self.$direction)
             })?
             #[allow(clippy::needless_update)] // some effects draw every parameter
@@ -165,11 +165,9 @@ macro_rules! effect {
         effect!(@law $effect $($law)*);
     };
     (@start $effect:ident, $unit:ident,) => { Box::new($effect.clone()) };
-    (@start $effect:ident, $unit:ident, $(#[doc = $about:literal])+ $law:ident runs $config:ident { $($memory:tt)* }) => {
-        Box::new($law::new($effect.clone()))
-    };
-    (@start $effect:ident, $unit:ident, $(#[doc = $about:literal])+ $law:ident runs $config:ident, $of:ident { $($memory:tt)* }) => {
-        Box::new($law::new($effect.clone(), $unit))
+    // a law that names the unit is given it
+    (@start $effect:ident, $unit:ident, $(#[doc = $about:literal])+ $law:ident runs $config:ident $(, $of:ident)? { $($memory:tt)* }) => {
+        Box::new($law::new($effect.clone() $(, { let $of = $unit; $of })?))
     };
     (@law $effect:ident) => {};
     (

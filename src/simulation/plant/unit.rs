@@ -15,7 +15,7 @@ impl PlantConfig {
             spread: Spread::default(),
             ..self.clone()
         };
-        unit.effects = self.effects.varied(spread.effects, &mut rng);
+        unit.effects.vary(spread.effects, &mut rng);
         let mut about = |sigma: f64| sigma * rng.normal().clamp(-LIMIT, LIMIT);
         for i in 0..3 {
             unit.line.k_epsilon[i] *= 1.0 + about(spread.k_epsilon);

@@ -12,7 +12,7 @@ const PAPER_DEG: [f64; 3] = [36.96, 8.04, 7.76];
 pub fn paper_twin() -> PlantConfig {
     let board: Board =
         source::parse("boards/sim.toml", include_str!("../../../boards/sim.toml")).unwrap();
-    board.plant.unwrap().make()
+    board.plant.unwrap()
 }
 
 fn arms(config: &PlantConfig, seed: u64) -> ([f64; 3], [f64; 6], usize) {

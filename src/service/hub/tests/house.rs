@@ -148,7 +148,7 @@ impl House {
         let folder = tempfile::tempdir().unwrap();
         let config = config(folder.path());
         let section = config.board.plant.clone().unwrap();
-        let sim = Sim::new(&section.make(), seed, 1, section.period_s).unwrap();
+        let sim = Sim::new(&section, seed, 1, section.period_s).unwrap();
         let seen = Arc::<Mutex<Seen>>::default();
         let machine = Probe {
             machine: Lockstep::new(sim, &config.board.drive_limits()),

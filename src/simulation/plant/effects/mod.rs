@@ -48,8 +48,9 @@ pub mod torsion;
 pub mod transport_delay;
 pub mod twist_creep;
 
+use crate::primitives::Invalid;
 use crate::simulation::plant::law::{Law, Laws, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::{PlantError, Table};
+use crate::simulation::plant::parameters::Table;
 use crate::simulation::plant::rng::PlantRng;
 use serde::{Deserialize, Serialize};
 
@@ -88,7 +89,7 @@ macro_rules! table {
 
         impl $table {
             /// Refuses parameters outside their ranges.
-            pub(crate) fn check(&self) -> Result<(), PlantError> {
+            pub(crate) fn check(&self) -> Result<(), Invalid> {
                 $( if let Some(effect) = &self.$name { effect.check().and_then(|()| effect.consistent())?; } )*
                 $( self.$nested.check()?; )?
                 Ok(())
@@ -102,7 +103,7 @@ macro_rules! table {
                 true
             }
             /// Scales every effect that is present by a random factor of its own.
-            fn vary(&mut self, sigma: f64, rng: &mut PlantRng) {
+            pub(crate) fn vary(&mut self, sigma: f64, rng: &mut PlantRng) {
                 $( if let Some(effect) = &mut self.$name { effect.scale(rng.factor(sigma)); } )*
                 $( self.$nested.vary(sigma, rng); )?
             }
@@ -189,12 +190,6 @@ impl Effects {
         self.fill(imperfections, rng);
         let outside = Outside::imperfections(&mut |size| size * rng.between(0.3, 1.0));
         self.outside.fill(outside, rng);
-    }
-    /// The effects of another unit of the same make.
-    pub(crate) fn varied(&self, sigma: f64, rng: &mut PlantRng) -> Self {
-        let mut unit = self.clone();
-        unit.vary(sigma, rng);
-        unit
     }
     /// The laws of all effects of a size other than 0, in the order in which they act.
     pub(crate) fn laws(&self, unit: &UnitData) -> Laws {

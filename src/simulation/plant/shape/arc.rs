@@ -33,32 +33,26 @@ impl Section {
     /// With each bellow at its distance from the axis and `offset` (rad) from its 120° place.
     pub(crate) fn new(r_mm: [f64; 3], offset: &[f64; 3], rest_length_mm: f64) -> Self {
         let angle = std::array::from_fn(|i| TAU / 3.0 * i as f64 + offset[i]);
+        Self::at(r_mm, angle, rest_length_mm)
+    }
+    /// The same with bellows turned by `offset` (rad) about the axis.
+    pub(crate) fn turned(&self, offset: &[f64; 3]) -> Self {
+        let angle = std::array::from_fn(|i| self.angle[i] + offset[i]);
+        Self::at(self.r_mm, angle, self.rest_length_mm)
+    }
+    fn at(r_mm: [f64; 3], angle: [f64; 3], rest_length_mm: f64) -> Self {
+        let row = |i: usize| {
+            let (sin, cos) = angle[i].sin_cos();
+            RowVector3::new(-r_mm[i] * cos, r_mm[i] * sin, 1.0)
+        };
+        // singular only with all bellows on one line, which the allowed angles rule out
+        let solve = Matrix3::from_rows(&[row(0), row(1), row(2)]).try_inverse();
         Self {
             r_mm,
             angle,
             rest_length_mm,
-            solve: Matrix3::identity(),
+            solve: solve.unwrap_or_else(Matrix3::zeros),
         }
-        .solved()
-    }
-    /// The same with bellows turned by `offset` (rad) about the axis.
-    pub(crate) fn turned(&self, offset: &[f64; 3]) -> Self {
-        Self {
-            angle: std::array::from_fn(|i| self.angle[i] + offset[i]),
-            ..self.clone()
-        }
-        .solved()
-    }
-    fn solved(mut self) -> Self {
-        let row = |i: usize| {
-            let (sin, cos) = self.angle[i].sin_cos();
-            RowVector3::new(-self.r_mm[i] * cos, self.r_mm[i] * sin, 1.0)
-        };
-        // singular only with all bellows on one line, which the allowed angles rule out
-        self.solve = Matrix3::from_rows(&[row(0), row(1), row(2)])
-            .try_inverse()
-            .unwrap_or_else(Matrix3::zeros);
-        self
     }
     /// Bend vector, rad, and centre length, mm, for length changes of the bellows.
     pub(crate) fn shape(&self, bellow_mm: &Vector3<f64>) -> (Vector2<f64>, f64) {
