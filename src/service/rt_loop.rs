@@ -230,14 +230,16 @@ impl Loop {
 
     pub(super) fn cycle(&mut self, now: Seconds) -> Result<(), MachineError> {
         let sensed = self.runner.sense(now)?;
+        let supervisor = &self.runner.supervisor;
+        let could_move = supervisor.mode().moves() && !supervisor.is_stopped();
+        if could_move && self.watch.age_s(Watched::Control) > UNCOMMANDED_MAX_S {
+            // nobody could stop the tip
+            self.shared.stop.request();
+        }
         // a stop comes before every queued message, also one that came while a slow plant was waited for
         let stop = self.stops.take_request(&self.shared.stop);
-        let unattended = self.watch.age_s(Watched::Control) > UNCOMMANDED_MAX_S
-            && self.runner.supervisor.mode().moves();
         let (id, order) = match stop {
             Some(_) => (None, Some(Order::Stop)),
-            // nobody could stop the tip
-            None if unattended && !self.runner.supervisor.is_stopped() => (None, Some(Order::Stop)),
             None => self.next_order(),
         };
         let output = self.runner.act(&sensed, order);

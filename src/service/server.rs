@@ -10,7 +10,7 @@ use crate::service::Listener;
 use crate::service::connection::{Client, Line};
 use crate::service::listener;
 use nix::poll::{PollFd, PollFlags};
-use nix::sys::socket::{UnixCredentials, getsockopt, sockopt::PeerCredentials};
+use nix::sys::socket::{getsockopt, sockopt::PeerCredentials};
 use std::cmp::Reverse;
 use std::io::Read;
 use std::os::fd::AsFd;
@@ -145,16 +145,12 @@ impl Server {
     /// Disconnects the client whose last line is oldest, of the process with the most clients, of the user with the most. Clients
     /// that wait for an answer go last, and protected ones stay. False if nobody could be disconnected.
     fn make_room(&mut self) -> bool {
-        type Same<'a> = &'a dyn Fn(&UnixCredentials) -> bool;
-        let share = |same: Same<'_>| self.clients.iter().filter(|c| same(&c.peer)).count();
+        let peers = || self.clients.iter().map(|c| c.peer);
         let key = |c: &Client| {
-            let of_user = share(&|p| p.uid() == c.peer.uid());
-            let of_process = share(&|p| *p == c.peer);
-            (
-                Reverse((of_user, of_process)),
-                c.unanswered > 0,
-                c.last_line,
-            )
+            let of_user = peers().filter(|p| p.uid() == c.peer.uid()).count();
+            let of_process = peers().filter(|p| *p == c.peer).count();
+            let shares = Reverse((of_user, of_process));
+            (shares, c.unanswered > 0, c.last_line)
         };
         let all = self.clients.iter().enumerate();
         let candidates = all.filter(|(_, c)| !c.protected);

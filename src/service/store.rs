@@ -214,9 +214,7 @@ impl Store {
             }
         }
         if lock.try_lock().is_err() {
-            return Err(MemoryError::InUse {
-                path: folder.display().to_string(),
-            });
+            return Err(MemoryError::InUse(folder.display().to_string()));
         }
         let mut recall = Recall::default();
         let slots = NAMES.map(|name| {

@@ -84,7 +84,7 @@ impl Hub {
     }
 
     fn give_up_late_answers(&mut self) {
-        let late = |p: &Pending| p.caller.since.elapsed().as_secs_f64() > ANSWER_MAX_S;
+        let late = |p: &Pending| p.caller.then.since.elapsed().as_secs_f64() > ANSWER_MAX_S;
         let late: Vec<_> = self.pending.extract_if(.., |_, p| late(p)).collect();
         for (_, pending) in late {
             let failure = match pending.held {
@@ -186,42 +186,35 @@ impl Hub {
         let Some(session) = &mut self.calibration else {
             return;
         };
-        let result = match session.step(output) {
+        match session.step(output) {
             Ok(Next::Wait) => return,
             Ok(Next::Drive(pose)) => return self.own_order(Order::Bend(pose, None), calibrating),
             Ok(Next::Lines(lines)) => return self.own_order(Order::Lines(lines), calibrating),
-            Ok(Next::Done(found)) => Ok(found),
-            Err(why) => Err(why),
-        };
-        self.calibration = None;
-        self.own_order(Order::Calibrate(false), calibrating);
-        self.conclude_calibration(result);
-    }
-
-    fn conclude_calibration(&mut self, result: Result<Identified, String>) {
-        let config = &self.config.config_hash;
-        match result {
+            Ok(Next::Done(found)) => self.propose(&found),
             Err(why) => {
-                tracing::error!(event = "calibration", config = %config, "{why}");
+                tracing::error!(event = "calibration", config = %self.config.config_hash, "{why}");
                 self.calibration_failed = Some(why);
             }
-            Ok(found) => {
-                let lines = found.lines();
-                let gains = LearnedGains {
-                    k_epsilon: lines.map(|l| l.k_epsilon),
-                    k_lambda_mm: lines.map(|l| l.k_lambda_mm),
-                    lag_s: found.dynamics.expected.lag_s,
-                    delay_s: found.dynamics.expected.delay_s,
-                    tip: self.config.tip.clone(),
-                    unix_s: unix_s(),
-                    source: "calibrate transmission".to_owned(),
-                };
-                tracing::info!(event = "calibration", k_epsilon = ?gains.k_epsilon, k_lambda_mm = ?gains.k_lambda_mm, config = %config,
-                    "gains identified; `retroflex calibrate transmission --accept` applies them");
-                self.memory.proposed = Some(gains);
-                self.persistence.write_soon();
-            }
         }
+        self.calibration = None;
+        self.own_order(Order::Calibrate(false), calibrating);
+    }
+
+    fn propose(&mut self, found: &Identified) {
+        let lines = found.lines();
+        let gains = LearnedGains {
+            k_epsilon: lines.map(|l| l.k_epsilon),
+            k_lambda_mm: lines.map(|l| l.k_lambda_mm),
+            lag_s: found.dynamics.expected.lag_s,
+            delay_s: found.dynamics.expected.delay_s,
+            tip: self.config.tip.clone(),
+            unix_s: unix_s(),
+            source: "calibrate transmission".to_owned(),
+        };
+        tracing::info!(event = "calibration", k_epsilon = ?gains.k_epsilon, k_lambda_mm = ?gains.k_lambda_mm, config = %self.config.config_hash,
+            "gains identified; `retroflex calibrate transmission --accept` applies them");
+        self.memory.proposed = Some(gains);
+        self.persistence.write_soon();
     }
 
     /// Sends a changed STATUS line to the service manager, at most once a second.

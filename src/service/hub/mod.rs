@@ -223,15 +223,14 @@ impl Hub {
 
     /// Sends an order of a client.
     pub(super) fn order(&mut self, order: Order, caller: Caller) {
-        let id = self.next_id();
-        let (stops, since, mode) = (caller.stops, caller.since, None);
+        let (id, then, held) = (self.next_id(), caller.then, None);
         let pending = Pending {
             caller,
             order,
-            held: None,
+            held,
         };
         self.pending.insert(id, pending);
-        self.push_order(id, order, Precondition { stops, since, mode });
+        self.push_order(id, order, then);
     }
 
     /// Sends an order of the hub itself, which is carried out only in `mode` if there is one.

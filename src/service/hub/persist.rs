@@ -2,7 +2,7 @@
 
 use super::{Hub, Pending};
 use crate::control::RestartState;
-use crate::service::{Caller, Failure, LearnedGains};
+use crate::service::{Caller, Failure};
 use crate::supervisor::{Mode, Order};
 use std::time::{Duration, Instant};
 
@@ -19,7 +19,12 @@ impl Hub {
 
     /// Writes the memory unless a write that holds the same is under way; the order goes out once it is on the disk. Returns
     /// the id of the write.
-    fn write_ahead(&mut self, order: Order, caller: Caller, under_way: Option<u64>) -> Option<u64> {
+    pub(super) fn write_ahead(
+        &mut self,
+        order: Order,
+        caller: Caller,
+        under_way: Option<u64>,
+    ) -> Option<u64> {
         let id = self.next_id();
         let writer = &mut self.io.state_writer;
         let write = under_way.or_else(|| writer.write(&self.memory, Some(id)).then_some(id));
@@ -35,14 +40,6 @@ impl Hub {
             self.fail(&pending, Failure::refused(why));
         }
         write
-    }
-
-    /// Accepts proposed gains: they are applied once they are on the disk.
-    pub(super) fn write_accepted(&mut self, gains: LearnedGains, caller: Caller) {
-        let order = Order::Lines(gains.lines());
-        self.persistence.accepted_before = self.memory.accepted.replace(gains);
-        self.memory.proposed = None;
-        self.write_ahead(order, caller, None);
     }
 
     /// Passes the latest position to the state writer when a checkpoint is due, and reads its results.

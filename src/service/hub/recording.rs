@@ -119,30 +119,28 @@ impl Hub {
         if self.changes.iter().any(undecided) {
             return;
         }
-        while let Some(mut recording) = self.recording.take() {
+        let hangs_deg = self.hangs_deg();
+        while let Some(recording) = &mut self.recording {
             match recording.progress() {
-                Some(Progress::Ended(result)) => self.recording_over(&recording, result),
+                None => return,
+                Some(Progress::Ended(result)) => self.recording_over(result),
                 Some(Progress::Started) => {
+                    let straight_deg = self.config.supervisor.restart_check.straight_deg;
+                    let remark = |deg| format!("the tip hangs {deg:.1}° away from straight");
+                    let remark = hangs_deg.filter(|deg| *deg > straight_deg).map(remark);
+                    let started = json!({"path": recording.path, "replayable": recording.is_replayable(), "remark": remark});
                     if let Some(caller) = recording.starting.take() {
-                        let straight_deg = self.config.supervisor.restart_check.straight_deg;
-                        let remark = |deg| format!("the tip hangs {deg:.1}° away from straight");
-                        let hangs_deg = self.hangs_deg().filter(|deg| *deg > straight_deg);
-                        let remark = hangs_deg.map(remark);
-                        let r = &recording;
-                        let started = json!({"path": r.path, "replayable": r.is_replayable(), "remark": remark});
                         self.reply(&caller, &Ok(started));
                     }
-                    self.recording = Some(recording);
-                }
-                None => {
-                    self.recording = Some(recording);
-                    return;
                 }
             }
         }
     }
 
-    fn recording_over(&mut self, recording: &Recording, result: io::Result<Option<&'static str>>) {
+    fn recording_over(&mut self, result: io::Result<Option<&'static str>>) {
+        let Some(recording) = self.recording.take() else {
+            return;
+        };
         let (shown, rows) = (recording.path.display(), recording.rows.count);
         let exists = "a recording of this name exists; give another name, or remove its files (.csv.gz and .mcap)";
         let result = result.map_err(|e| match e.kind() {
@@ -150,7 +148,7 @@ impl Hub {
             _ => e.to_string(),
         });
         let (reply, why) = match result {
-            Ok(reason) => (Ok(recording_json(recording)), reason.map(str::to_owned)),
+            Ok(reason) => (Ok(recording_json(&recording)), reason.map(str::to_owned)),
             Err(e) => (Err(Failure::refused(format!("{shown}: {e}"))), Some(e)),
         };
         match &why {
@@ -244,6 +242,7 @@ impl Hub {
             "power": self.supply.0,
             "settled": settled,
             "stopped": last.is_some_and(|t| t.stopped),
+            "stops": shared.stop.completed(),
             "fault": last.and_then(|t| t.latched).map(TripCause::advice),
             "ending": self.ending.is_some(),
             "calibration": calibration,

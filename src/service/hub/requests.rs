@@ -14,7 +14,6 @@ use crate::service::flight::start::Event;
 use crate::service::protocol::{
     CalibrateAction, DIR_DEG, Frame, PATH_MAX_S, PATH_ROWS, PATH_STEP_S, POSES, PathRow,
 };
-use crate::service::rt_loop::Precondition;
 use crate::service::start::with_gains;
 use crate::service::{Caller, Change, Failure, Request};
 use crate::supervisor::{BEND_MAX_RAD, Mode, Order, SupervisorConfig};
@@ -27,7 +26,7 @@ impl Hub {
     /// Handles one line of a client.
     pub(super) fn handle(&mut self, mut caller: Caller, request: Result<Request, Failure>) {
         let client = caller.client;
-        caller.since = Instant::now();
+        caller.then.since = Instant::now();
         caller.command = request.as_ref().map(Request::name).unwrap_or_default();
         let reply = match request {
             Err(failure) => {
@@ -115,9 +114,7 @@ impl Hub {
                     // a set-point without a time ends the clock of another client
                     self.streamer = caller.client;
                     let id = self.next_id();
-                    let (stops, since, mode) = (caller.stops, caller.since, None);
-                    let then = Precondition { stops, since, mode };
-                    self.push_order(id, Order::Stream(target), then);
+                    self.push_order(id, Order::Stream(target), caller.then);
                 }
                 t_s.map_or(Order::Stream(target), |t_s| Order::Timed(target, t_s))
             }
@@ -343,7 +340,11 @@ impl Hub {
         if !matches!(self.mode(), Mode::Disarmed | Mode::Holding) {
             return refuse(format!("not while {}", self.mode()));
         }
-        self.write_accepted(gains, caller.clone());
+        // they are applied once they are on the disk
+        let order = Order::Lines(gains.lines());
+        self.persistence.accepted_before = self.memory.accepted.replace(gains);
+        self.memory.proposed = None;
+        self.write_ahead(order, caller.clone(), None);
         Ok(None)
     }
 }

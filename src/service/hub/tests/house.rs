@@ -7,7 +7,7 @@ use crate::hardware::rt;
 use crate::primitives::{Seconds, Steps};
 use crate::service::hub::{Facts, Hub, HubIo};
 use crate::service::notify::Heartbeat;
-use crate::service::rt_loop::{Loop, rings};
+use crate::service::rt_loop::{Loop, Precondition, rings};
 use crate::service::store;
 use crate::service::{
     Belief, Caller, Memory, Notifier, Port, Request, RunConfig, Shared, Start, StateWriter,
@@ -134,12 +134,12 @@ fn config(folder: &Path) -> RunConfig {
 }
 
 fn caller(client: u64, id: Value, stops: u64) -> Caller {
+    let (since, mode) = (Instant::now(), None);
     Caller {
         client,
         id,
         command: String::new(),
-        since: Instant::now(),
-        stops,
+        then: Precondition { stops, since, mode },
     }
 }
 
