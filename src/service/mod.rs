@@ -43,9 +43,8 @@ pub use notify::Notifier;
 pub use port::{Caller, Port};
 pub use protocol::{Failure, RecordAction, Request};
 pub use rt_loop::Change;
-pub use shared::{Shared, ThreadWatch, Watched};
+pub use shared::{Shared, Watched};
 pub use start::{RunConfig, Start};
-pub use stop::StopCounter;
 pub use store::{Belief, StateWriter, Store};
 
 use crate::config::ServiceSection;
@@ -145,8 +144,6 @@ pub fn serve(
         shared: Arc::clone(&shared),
         pace,
         heartbeat: notifier.heartbeat(),
-        stops: StopCounter::default(),
-        watch: ThreadWatch::default(),
     };
     let thread = rt::start("loop", wish(&config.service, pace), move || rt_loop.run());
     let (thread, grants) = thread.map_err(ServiceError::system("the loop thread"))?;

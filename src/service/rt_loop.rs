@@ -7,7 +7,7 @@ use crate::primitives::Seconds;
 use crate::service::connection::UNANSWERED_MAX;
 use crate::service::notify::Heartbeat;
 use crate::service::server::CLIENTS_MAX;
-use crate::service::{Shared, StopCounter, ThreadWatch, Watched};
+use crate::service::{Shared, Watched};
 use crate::supervisor::{
     CycleOutput, Machine, MachineError, Mode, Order, Refusal, Runner, Supervisor, SupervisorConfig,
 };
@@ -48,7 +48,7 @@ pub enum Change {
 /// What an order was decided on. The picture of the hub may be old, so the loop compares it with the present.
 #[derive(Debug, Clone, Copy)]
 pub struct Precondition {
-    /// Number of stops requested when the order was received, see [`StopCounter`].
+    /// Number of stops requested when the order was received, see [`crate::service::stop`].
     pub stops: u64,
     /// When it was received: an order that nobody waits for any longer is not carried out.
     pub since: Instant,
@@ -178,10 +178,6 @@ pub struct Loop {
     pub pace: Option<f64>,
     /// The watchdog heartbeat.
     pub heartbeat: Heartbeat,
-    /// Recognises what was queued before a stop.
-    pub stops: StopCounter,
-    /// Ages of the other threads.
-    pub watch: ThreadWatch,
 }
 
 impl Loop {
@@ -221,9 +217,9 @@ impl Loop {
             let real_ns = monotonic_ns();
             let passed_s = real_ns.saturating_sub(cycle_ns) as f64 * 1e-9;
             cycle_ns = real_ns;
-            self.watch.step(&shared, passed_s);
+            shared.watch(passed_s);
             self.cycle(Seconds(now_s))?;
-            self.heartbeat.update(self.watch.is_stalled(), now_s);
+            self.heartbeat.update(shared.is_stalled(), now_s);
         }
         Ok(())
     }
@@ -232,12 +228,12 @@ impl Loop {
         let sensed = self.runner.sense(now)?;
         let supervisor = &self.runner.supervisor;
         let could_move = supervisor.mode().moves() && !supervisor.is_stopped();
-        if could_move && self.watch.age_s(Watched::Control) > UNCOMMANDED_MAX_S {
+        if could_move && self.shared.age_s(Watched::Control) > UNCOMMANDED_MAX_S {
             // nobody could stop the tip
             self.shared.stop.request();
         }
         // a stop comes before every queued message, also one that came while a slow plant was waited for
-        let stop = self.stops.take_request(&self.shared.stop);
+        let stop = self.shared.stop.pending();
         let (id, order) = match stop {
             Some(_) => (None, Some(Order::Stop)),
             None => self.next_order(),
@@ -312,7 +308,7 @@ impl Loop {
     /// Whether what an order was decided on still holds.
     fn admit(&self, order: &Order, then: &Precondition) -> Result<(), Refusal> {
         let mode = self.runner.supervisor.mode();
-        self.stops.admit(order, then.stops)?;
+        self.shared.stop.admit(order, then.stops)?;
         if then.since.elapsed().as_secs_f64() > ORDER_MAX_S {
             return Err(Refusal::Late);
         }

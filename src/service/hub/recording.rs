@@ -232,6 +232,7 @@ impl Hub {
         let accepted = Start::accepted(&self.config, memory).map(|g| &g.source);
         let calibration = model.as_ref().or(accepted).unwrap_or(given);
         let granted = |(name, grant): &(_, crate::hardware::rt::Grant)| json!({"what": name, "grant": grant.to_string()});
+        let age_s = |w: &Watched| (w.name(), (shared.age_s(*w) * 1e3).floor() * 1e-3);
         let more = json!({
             "program": env!("CARGO_PKG_VERSION"),
             "config_hash": self.config.config_hash,
@@ -256,7 +257,7 @@ impl Hub {
             "lost": (self.mode() == Mode::Lost).then(|| self.lost()),
             "unverified": memory.unverified,
             "hangs_deg": self.hangs_deg(),
-            "thread_age_s": Watched::ALL.iter().map(|w| (w.name(), shared.age_s(*w))).collect::<HashMap<_, _>>(),
+            "thread_age_s": Watched::ALL.iter().map(age_s).collect::<HashMap<_, _>>(),
             "clients": shared.clients.iter().map(|n| n.load(Relaxed)).sum::<usize>(),
             "cycles": shared.cycles.load(Relaxed),
             "late_cycles": shared.late.load(Relaxed),

@@ -10,8 +10,7 @@ use crate::service::notify::Heartbeat;
 use crate::service::rt_loop::{Loop, Precondition, rings};
 use crate::service::store;
 use crate::service::{
-    Belief, Caller, Memory, Notifier, Port, Request, RunConfig, Shared, Start, StateWriter,
-    StopCounter, Store, ThreadWatch,
+    Belief, Caller, Memory, Notifier, Port, Request, RunConfig, Shared, Start, StateWriter, Store,
 };
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::sim::Sim;
@@ -168,8 +167,6 @@ impl House {
             shared: Arc::clone(&shared),
             pace: Some(f64::INFINITY),
             heartbeat: Heartbeat::default(),
-            stops: StopCounter::default(),
-            watch: ThreadWatch::default(),
         };
         let ((control, commands), (status, reads)) = (Port::detached(), Port::detached());
         let io = HubIo {
