@@ -199,7 +199,7 @@ impl PortThread {
             STOP_ROUND
         });
         let began = Instant::now();
-        self.shared.clients[self.which as usize].store(self.server.clients(), Relaxed);
+        self.shared.clients[self.which as usize].store(self.server.clients.len(), Relaxed);
         for line in lines {
             self.take(line);
         }

@@ -30,7 +30,7 @@ const ACCEPTED_PER_ROUND: usize = CLIENTS_MAX;
 pub struct Server {
     listener: Listener,
     wake: UnixStream,
-    clients: Vec<Client>,
+    pub(super) clients: Vec<Client>,
     next: u64,
     /// Longest silence of a client without an open request or subscription.
     idle_max: Duration,
@@ -61,11 +61,6 @@ impl Server {
             gone: Vec::new(),
         };
         Ok((server, waker))
-    }
-
-    /// Number of connected clients.
-    pub fn clients(&self) -> usize {
-        self.clients.len()
     }
 
     /// Waits at most `wait` for input, then returns the complete lines of all clients.
@@ -204,7 +199,7 @@ mod tests {
                 c
             })
             .collect();
-        assert_eq!(server.clients(), CLIENTS_MAX);
+        assert_eq!(server.clients.len(), CLIENTS_MAX);
         let mut late = connect();
         late.write_all(b"stop\n").unwrap();
         let lines = rounds(&mut server);
@@ -232,7 +227,7 @@ mod tests {
         assert_eq!(texts, [Ok("one"), refused, Ok("two")]);
         (0..2).for_each(|_| server.reply(1, "y\n"));
         rounds(&mut server);
-        assert_eq!(server.clients(), 1, "it waits for an answer");
+        assert_eq!(server.clients.len(), 1, "it waits for an answer");
         server.reply(1, "y\n");
         server.flush();
         rounds(&mut server);
@@ -271,13 +266,13 @@ mod tests {
         );
         std::thread::sleep(Duration::from_millis(60));
         rounds(&mut server);
-        assert_eq!(server.clients(), 1, "it waits for answers");
+        assert_eq!(server.clients.len(), 1, "it waits for answers");
         (0..lines.len()).for_each(|_| server.reply(1, "y\n"));
         server.flush();
         std::thread::sleep(Duration::from_millis(60));
         rounds(&mut server);
         assert_eq!(
-            (server.clients(), server.gone.as_slice()),
+            (server.clients.len(), server.gone.as_slice()),
             (0, [(1, "it was idle")].as_slice())
         );
     }

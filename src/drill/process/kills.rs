@@ -4,7 +4,7 @@ use super::plan::Plan;
 use crate::drill::bench::{BenchConfig, distance};
 use crate::drill::row::{FaultResult, require};
 use crate::primitives::Steps;
-use crate::service::store::{Found, Recall};
+use crate::service::store::{Found, Recall, SLOTS};
 use crate::service::{Belief, Start, Store};
 use crate::supervisor::{Machine, MachineError, Mode, Runner};
 use rand::rngs::StdRng;
@@ -16,9 +16,6 @@ use std::time::{Duration, Instant};
 
 /// Largest error of a believed position, mm of bellow.
 const BELIEVED_MAX_MM: f64 = 1.0;
-/// Names of the slots.
-const SLOTS: [&str; 2] = ["memory.a", "memory.b"];
-
 const RECALLED: &str = "the last acknowledged write is recalled, or the memory counts as lost; no microstep; at most 1 mm of what is believed is false";
 const LOST: &str = "the position is lost; no microstep";
 

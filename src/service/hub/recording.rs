@@ -58,13 +58,10 @@ impl Hub {
                     )));
                 }
                 let path = folder.join(name + ".csv.gz");
-                if let Err(e) = self.start_recording(&path, false) {
-                    return refuse(format!("{}: {e}", path.display()));
-                }
-                if let Some(recording) = &mut self.recording {
-                    recording.owner = owned.then_some(caller.client);
-                    recording.starting = Some(caller.clone());
-                }
+                let failed = |e| Failure::refused(format!("{}: {e}", path.display()));
+                let recording = self.start_recording(&path, false).map_err(failed)?;
+                recording.owner = owned.then_some(caller.client);
+                recording.starting = Some(caller.clone());
                 Ok(None)
             }
         }
@@ -90,7 +87,11 @@ impl Hub {
 
     /// Starts a recording. It can be replayed if the supervisor is in its first cycle (`at_boot`), or if it is idle now and when
     /// the loop replaces it by a freshly reset one.
-    pub(super) fn start_recording(&mut self, path: &Path, at_boot: bool) -> io::Result<()> {
+    pub(super) fn start_recording(
+        &mut self,
+        path: &Path,
+        at_boot: bool,
+    ) -> io::Result<&mut Recording> {
         let idle = self.note.is_some_and(|note| note.idle);
         let t_s = self.last.as_ref().map_or(0.0, |last| last.sensed.t.0);
         let zero = (at_boot || idle).then(|| zero_unix_ns(t_s));
@@ -107,8 +108,7 @@ impl Hub {
             }
         }
         self.recording_ended = None;
-        self.recording = Some(recording);
-        Ok(())
+        Ok(self.recording.insert(recording))
     }
 
     /// Reads what the recording's thread reports, and answers who waits for it.

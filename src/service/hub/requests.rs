@@ -171,19 +171,14 @@ impl Hub {
     /// Refuses a row of a path that is not in range by itself, or in time after the first one and the one before.
     fn check_row(&self, rows: &[PathRow], k: usize) -> Result<(), Failure> {
         let (t_s, _, dir_deg, length_mm) = rows[k];
-        let from_s = match k {
-            0 => t_s,
-            _ => rows[k - 1].0 + PATH_STEP_S,
-        };
+        let before = rows[..k].last();
+        let from_s = before.map_or(t_s, |before| before.0 + PATH_STEP_S);
+        let lengths_mm = self.lengths_mm();
+        let length_mm = length_mm.unwrap_or(*lengths_mm.start());
         let checks = [
             ("t_s", t_s, from_s..=rows[0].0 + PATH_MAX_S, "s"),
             ("dir_deg", dir_deg, DIR_DEG, "degrees"),
-            (
-                "length_mm",
-                length_mm.unwrap_or(*self.lengths_mm().start()),
-                self.lengths_mm(),
-                "mm",
-            ),
+            ("length_mm", length_mm, lengths_mm, "mm"),
         ];
         for (column, value, allowed, unit) in checks {
             if !allowed.contains(&value) {

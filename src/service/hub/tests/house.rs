@@ -297,8 +297,7 @@ impl House {
             std::thread::sleep(Duration::from_micros(200));
         }
         let state = self.folder.path().join("state");
-        let slots =
-            ["memory.a", "memory.b"].map(|name| store::read_slot(&state.join(name)).unwrap());
+        let slots = store::SLOTS.map(|name| store::read_slot(&state.join(name)).unwrap());
         let (_, memory) = slots
             .into_iter()
             .flatten()
