@@ -255,10 +255,7 @@ impl Loop {
         if let (Some(id), Some(answer)) = (id, output.answer) {
             self.answer(id, answer);
         }
-        if let Some(number) = stop {
-            self.shared.stop.complete(number);
-        }
-        self.shared.stop.latch(stopped);
+        self.shared.stop.report(stop, stopped);
         Ok(())
     }
 

@@ -49,14 +49,12 @@ impl StopSignal {
         }
     }
 
-    /// Reports whether a stop is latched after a cycle.
-    pub fn latch(&self, latched: bool) {
+    /// Reports which stop the loop has carried out in a cycle, if any, and whether one is latched after it.
+    pub fn report(&self, completed: Option<u64>, latched: bool) {
+        if let Some(number) = completed {
+            self.completed.store(number, Ordering::Release);
+        }
         self.latched.store(latched, Ordering::Release);
-    }
-
-    /// Reports that the loop has carried out a stop.
-    pub fn complete(&self, number: u64) {
-        self.completed.store(number, Ordering::Release);
     }
 
     /// The number of the last stop, unless the loop has carried it out.
@@ -91,7 +89,7 @@ mod tests {
             (None, Ok(()))
         );
         assert_eq!((signal.request(), signal.pending()), (1, Some(1)));
-        signal.complete(1);
+        signal.report(Some(1), true);
         assert_eq!(signal.pending(), None);
         for order in [Order::Relax, Order::Calibrate(true), Order::Arm] {
             assert_eq!(
