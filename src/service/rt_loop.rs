@@ -57,41 +57,19 @@ pub struct Precondition {
     pub mode: Option<Mode>,
 }
 
-/// What a restart needs.
+/// The output of a cycle on its way to the hub, with what a restart after it needs.
 #[derive(Debug, Clone, Copy)]
-pub struct RestartNote {
+pub struct LoopFrame {
+    /// Number of the cycle.
+    pub number: u64,
     /// Position and learned parameters.
-    pub state: RestartState,
+    pub restart: RestartState,
     /// The pistons are at zero, so a restart has nothing to verify.
     pub at_rest: bool,
     /// The position of the pistons is unknown.
     pub lost: bool,
-    /// No measurement has confirmed the last zero.
-    pub unverified: bool,
     /// A freshly reset supervisor may take the place of this one.
     pub idle: bool,
-}
-
-impl RestartNote {
-    /// The note after a cycle.
-    pub fn of(supervisor: &Supervisor) -> Self {
-        Self {
-            state: supervisor.keep(),
-            at_rest: supervisor.is_at_rest(),
-            lost: supervisor.is_lost(),
-            unverified: supervisor.is_unverified(),
-            idle: supervisor.is_idle(),
-        }
-    }
-}
-
-/// The output of a cycle on its way to the hub.
-#[derive(Debug)]
-pub struct LoopFrame {
-    /// Number of the cycle.
-    pub number: u64,
-    /// What a restart after it needs.
-    pub note: RestartNote,
     /// Changes that the loop had carried out before it.
     pub changes: u64,
     /// The output.
@@ -244,7 +222,10 @@ impl Loop {
         let stopped = supervisor.is_stopped();
         let frame = LoopFrame {
             number,
-            note: RestartNote::of(supervisor),
+            restart: supervisor.keep(),
+            at_rest: supervisor.is_at_rest(),
+            lost: supervisor.is_lost(),
+            idle: supervisor.is_idle(),
             changes: self.rings.changes,
             output,
         };

@@ -43,7 +43,7 @@ impl Hub {
                 output,
             };
             self.process(&logged, waiting <= FRAMES_SENT_MAX);
-            (self.last, self.note, self.cycle) = (Some(output), Some(frame.note), number);
+            self.last = Some(frame);
         }
         for (id, cycle, result) in answers {
             let Some(pending) = self.pending.remove(&id) else {
@@ -72,7 +72,6 @@ impl Hub {
         let order = pending.order;
         match order {
             Order::Arm => self.persistence.armed_cycle = cycle,
-            Order::Lines(_) => self.persistence.lines_before = None,
             Order::Play => result = self.path.clone(),
             Order::Hold | Order::Disarm | Order::Relax => self.motion_owner = None,
             _ => {}
@@ -147,9 +146,9 @@ impl Hub {
     /// Logs every change of mode, fault and suspicion as one event.
     fn log(&mut self, output: &CycleOutput) {
         let config = &self.config.config_hash;
-        let before = self.last.as_ref();
-        if before.is_none_or(|b| b.mode != output.mode) {
-            let from = before.map_or("boot", |b| b.mode.name());
+        let before = self.last.map(|last| last.output.mode);
+        if before != Some(output.mode) {
+            let from = before.map_or("boot", Mode::name);
             tracing::info!(event = "mode", from, to = output.mode.name(), config = %config, "{from} → {}", output.mode);
         }
         if let Some(cause) = output.tripped {
@@ -219,7 +218,7 @@ impl Hub {
 
     /// Sends a changed STATUS line to the service manager, at most once a second.
     pub(super) fn notify_manager(&mut self) {
-        let Some(last) = &self.last else { return };
+        let Some(last) = self.output() else { return };
         let estimate = last.frame.estimate.map_or_else(String::new, |x| {
             let (bend, dir) = (x.bend.beta().to_degrees(), x.bend.delta().to_degrees());
             format!(", {bend:.1}° at {dir:.0}°")

@@ -92,14 +92,14 @@ impl Hub {
         path: &Path,
         at_boot: bool,
     ) -> io::Result<&mut Recording> {
-        let idle = self.note.is_some_and(|note| note.idle);
-        let t_s = self.last.as_ref().map_or(0.0, |last| last.sensed.t.0);
+        let idle = self.last.is_some_and(|last| last.idle);
+        let t_s = self.output().map_or(0.0, |last| last.sensed.t.0);
         let zero = (at_boot || idle).then(|| zero_unix_ns(t_s));
         let step_mm = self.config.supervisor.gate.step_mm;
         let mut recording = Recording::start(path, step_mm, zero, &self.config.service)?;
         tracing::info!(event = "record", path = %path.display(), replayable = recording.is_replayable(), "recording started");
         if !at_boot && idle {
-            self.memory.restart = self.note.map(|note| note.state);
+            self.memory.restart = self.last.map(|last| last.restart);
             let start = Start::new(&self.config, &self.memory, Belief::Certain);
             let header = start.header(&self.config, self.machine());
             let change = Change::Supervisor(Box::new(start.supervisor()));
@@ -184,7 +184,7 @@ impl Hub {
 
     /// Estimated bend of a tip whose pistons are at zero, degrees.
     fn hangs_deg(&self) -> Option<f64> {
-        let last = self.last.as_ref().filter(|_| self.is_at_zero())?;
+        let last = self.output().filter(|_| self.is_at_zero())?;
         Some(last.frame.estimate?.bend.beta().to_degrees())
     }
 
@@ -208,7 +208,7 @@ impl Hub {
     /// Why the position of the pistons is unknown, and what ends that.
     fn lost(&self) -> String {
         let why = self.why_lost();
-        let attitude = self.note.and_then(|note| note.state.rest);
+        let attitude = self.last.and_then(|last| last.restart.rest);
         let zero = attitude.map_or("zero --straight", |_| "zero");
         let relax = "; `retroflex relax` drives back by the remembered steps";
         let relax = if self.is_at_zero() { "" } else { relax };
@@ -219,7 +219,7 @@ impl Hub {
 
     /// The status as a JSON object.
     fn status(&self) -> Value {
-        let last = self.last.as_ref();
+        let last = self.output();
         let mut value = last.map_or_else(
             || json!({"mode": Mode::Boot.name()}),
             |t| status::cycle(t, self.config.supervisor.gate.step_mm),

@@ -309,7 +309,7 @@ impl Hub {
     /// The transmission gains in use.
     fn in_use(&self) -> [Line; 3] {
         let mut lines = self.config.supervisor.tick.lines;
-        if let Some(last) = &self.last {
+        if let Some(last) = self.output() {
             for (line, k_epsilon) in lines.iter_mut().zip(last.frame.k_epsilon) {
                 line.k_epsilon = k_epsilon;
             }
@@ -337,7 +337,8 @@ impl Hub {
         }
         // they are applied once they are on the disk
         let order = Order::Lines(gains.lines());
-        self.persistence.accepted_before = self.memory.accepted.replace(gains);
+        let before = self.memory.accepted.replace(gains);
+        self.persistence.before = (before, self.config.supervisor.tick.lines);
         self.memory.proposed = None;
         self.write_ahead(order, caller.clone(), None);
         Ok(None)
