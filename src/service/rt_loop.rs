@@ -165,23 +165,21 @@ impl Loop {
     /// [`MachineError`].
     pub fn run(mut self) -> Result<(), MachineError> {
         let period_ns = (self.period_s * 1e9) as u64;
+        let paced_ns = |pace| (period_ns as f64 / pace) as u64;
+        let wait_ns = self.pace.map_or(period_ns, paced_ns);
         let start_ns = monotonic_ns();
-        let mut due_ns = start_ns;
-        let mut periods = 0u64;
-        let mut cycle_ns = start_ns;
+        let (mut due_ns, mut cycle_ns, mut periods) = (start_ns, start_ns, 0u64);
         let shared = Arc::clone(&self.shared);
         while !shared.is_quitting() {
-            let now_s = if let Some(pace) = self.pace {
-                due_ns += (period_ns as f64 / pace) as u64;
-                sleep_until_ns(due_ns);
+            due_ns += wait_ns;
+            sleep_until_ns(due_ns);
+            let now_ns = monotonic_ns();
+            let now_s = if self.pace.is_some() {
                 // simulated time stands while the computer does not get to it
-                due_ns = due_ns.max(monotonic_ns().saturating_sub(CATCH_UP_NS));
+                due_ns = due_ns.max(now_ns.saturating_sub(CATCH_UP_NS));
                 periods += 1;
                 periods as f64 * self.period_s
             } else {
-                due_ns += period_ns;
-                sleep_until_ns(due_ns);
-                let now_ns = monotonic_ns();
                 let late_ns = now_ns.saturating_sub(due_ns);
                 let is_late = late_ns > period_ns / 2;
                 shared.late.fetch_add(is_late.into(), Relaxed);
@@ -192,9 +190,8 @@ impl Loop {
                 }
                 (now_ns - start_ns) as f64 * 1e-9
             };
-            let real_ns = monotonic_ns();
-            let passed_s = real_ns.saturating_sub(cycle_ns) as f64 * 1e-9;
-            cycle_ns = real_ns;
+            let passed_s = now_ns.saturating_sub(cycle_ns) as f64 * 1e-9;
+            cycle_ns = now_ns;
             shared.watch(passed_s);
             self.cycle(Seconds(now_s))?;
             self.heartbeat.update(shared.is_stalled(), now_s);

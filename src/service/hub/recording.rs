@@ -194,20 +194,16 @@ impl Hub {
         self.status_cache.insert(status).clone()
     }
 
-    fn why_lost(&self) -> &str {
-        match (self.facts.damaged.first(), self.facts.belief) {
+    /// Why the position of the pistons is unknown, and what ends that.
+    fn lost(&self) -> String {
+        let why = match (self.facts.damaged.first(), self.facts.belief) {
             (Some(damage), _) => damage,
             (None, Belief::Lost) => "no memory of the position was found at the start",
             (None, Belief::Checked) => {
                 "the service ended while the drivers were energised, and the tip is not in the pose of its memory"
             }
             (None, Belief::Certain) => "the drivers have been released since the last zero",
-        }
-    }
-
-    /// Why the position of the pistons is unknown, and what ends that.
-    fn lost(&self) -> String {
-        let why = self.why_lost();
+        };
         let attitude = self.last.and_then(|last| last.restart.rest);
         let zero = attitude.map_or("zero --straight", |_| "zero");
         let relax = "; `retroflex relax` drives back by the remembered steps";

@@ -47,8 +47,7 @@ impl Hub {
         }
         self.mount_tip();
         self.ready_after_boot_s = rt::monotonic_ns() as f64 * 1e-9;
-        let after_boot_s = self.ready_after_boot_s;
-        tracing::info!(event = "start", after_boot_s, config = %self.config.config_hash, tip = %self.config.tip, "ready, disarmed");
+        tracing::info!(event = "start", after_boot_s = self.ready_after_boot_s, config = %self.config.config_hash, tip = %self.config.tip, "ready, disarmed");
         let ready = "READY=1\nSTATUS=aligning: the tip must be still for 2 s";
         self.io.notifier.notify(ready);
         let mut again = true;
