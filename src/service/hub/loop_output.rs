@@ -185,7 +185,7 @@ impl Hub {
         let Some(session) = &mut self.calibration else {
             return;
         };
-        match session.step(output) {
+        match session.step(output, self.config.supervisor.gate.step_mm) {
             Ok(Next::Wait) => return,
             Ok(Next::Drive(pose)) => return self.own_order(Order::Bend(pose, None), calibrating),
             Ok(Next::Lines(lines)) => return self.own_order(Order::Lines(lines), calibrating),
