@@ -23,7 +23,7 @@ use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::{HOLD_S, paper};
 use retroflex::model::Shape;
 use retroflex::primitives::units::{Mm, Seconds, Steps};
-use retroflex::service::rt_loop::{LoopFrame, RestartNote};
+use retroflex::service::rt_loop::LoopFrame;
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::sim::Sim;
 use retroflex::simulation::world::World;
@@ -137,7 +137,15 @@ fn handing_over_a_cycle(bencher: Bencher<'_, '_>) {
     };
     let mut bench = config.bench(1, 1).unwrap();
     let output = bench.turn(None).unwrap();
-    let note = RestartNote::of(&bench.runner.supervisor);
+    let frame = LoopFrame {
+        number: 0,
+        restart: bench.runner.supervisor.keep(),
+        at_rest: true,
+        lost: false,
+        idle: false,
+        changes: 0,
+        output,
+    };
     let (mut ring, mut hub) = RingBuffer::<LoopFrame>::new(CYCLES);
     // the hub has emptied the ring, as it does every few milliseconds
     let emptied = || while hub.pop().is_ok() {};
@@ -146,13 +154,7 @@ fn handing_over_a_cycle(bencher: Bencher<'_, '_>) {
         .with_inputs(emptied)
         .bench_local_values(|()| {
             for number in 0..CYCLES as u64 {
-                ring.push(black_box(LoopFrame {
-                    number,
-                    changes: 0,
-                    note,
-                    output,
-                }))
-                .unwrap();
+                ring.push(black_box(LoopFrame { number, ..frame })).unwrap();
             }
         });
 }

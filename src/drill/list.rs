@@ -23,16 +23,16 @@ const ANY: &[&str] = &["holding", "tracking", "faulted"];
 
 /// Every fault in flight.
 pub fn specs() -> Vec<Spec> {
-    let own = [
+    [
         sensor_faults(),
         plant_faults(),
         timing_faults(),
         base_imu_faults(),
-    ];
-    own.into_iter()
-        .chain([order_faults(), stops(), environment_faults()])
-        .flatten()
-        .collect()
+        order_faults(),
+        stops(),
+        environment_faults(),
+    ]
+    .concat()
 }
 
 fn sensor(

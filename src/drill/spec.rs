@@ -1,7 +1,7 @@
 //! One fault in flight: how it is injected, what must detect it, and what is allowed afterwards.
 
 use crate::drill::bench::Bench;
-use crate::estimation::fusion::health::HealthCause;
+use crate::estimation::fusion::health::{CauseSet, HealthCause};
 use crate::named;
 use crate::primitives::ReadFault;
 use crate::simulation::plant::Plant;
@@ -143,9 +143,9 @@ impl Spec {
     }
 
     /// With another bend and direction of the move, degrees.
-    pub fn toward(mut self, bend_deg: f64, dir_deg: f64) -> Self {
-        self.target = (bend_deg, dir_deg);
-        self
+    pub fn toward(self, bend_deg: f64, dir_deg: f64) -> Self {
+        let target = (bend_deg, dir_deg);
+        Self { target, ..self }
     }
 
     /// With another mode.
@@ -154,9 +154,9 @@ impl Spec {
     }
 
     /// With a rack put back by hand.
-    pub fn by_hand(mut self) -> Self {
-        self.by_hand = true;
-        self
+    pub fn by_hand(self) -> Self {
+        let by_hand = true;
+        Self { by_hand, ..self }
     }
 
     /// With an IMU on a base that sways by so much, degrees.
@@ -201,20 +201,18 @@ impl Detector {
             let among = |cause: &TripCause| causes.is_empty() || causes.contains(cause);
             Some(output.tripped.filter(among)?.advice().to_owned())
         };
+        let raised = |raised: CauseSet, causes: &[HealthCause], of: &str| {
+            let found = causes.iter().find(|c| raised.contains(**c))?;
+            Some(format!("{of}{found}: {}", found.advice()))
+        };
         let bias = "the gyroscope bias has changed since the alignment: `zero` when convenient";
         match self {
-            Self::Sensor(causes) => {
-                let found = causes.iter().find(|c| output.raised.contains(**c))?;
-                Some(format!("{found}: {}", found.advice()))
-            }
+            Self::Sensor(causes) => raised(output.raised, causes, ""),
             Self::Residual(_) => suspicion().or_else(|| trip(&[])).or_else(|| {
                 let shaken = HealthCause::AccelDisturbed;
                 said(output.raised.contains(shaken), shaken.advice())
             }),
-            Self::BaseImu(causes) => {
-                let found = causes.iter().find(|c| output.base_raised.contains(**c))?;
-                Some(format!("IMU on the base, {found}: {}", found.advice()))
-            }
+            Self::BaseImu(causes) => raised(output.base_raised, causes, "IMU on the base, "),
             Self::Trip(causes) => trip(causes),
             Self::Stopped => said(output.stopped, "stopped: `retroflex arm` first"),
             Self::LateCycle => {

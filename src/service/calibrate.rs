@@ -8,7 +8,6 @@ use nalgebra::Vector3;
 /// A calibration in progress.
 #[derive(Debug, Clone)]
 pub struct Session {
-    step_mm: f64,
     algorithm: Algorithm1,
     state: State,
 }
@@ -26,12 +25,9 @@ enum State {
 
 impl Session {
     /// A session that waits for the mode `calibrating`.
-    pub fn new(algorithm: Algorithm1, step_mm: f64) -> Self {
-        Self {
-            step_mm,
-            algorithm,
-            state: State::Mode,
-        }
+    pub fn new(algorithm: Algorithm1) -> Self {
+        let state = State::Mode;
+        Self { algorithm, state }
     }
 
     /// Progress, for the status.
@@ -41,18 +37,18 @@ impl Session {
         format!("pass {pass}, pose {} of {of}", at + 1)
     }
 
-    /// Processes the output of one cycle.
+    /// Processes the output of one cycle of a machine with this travel per microstep, mm.
     ///
     /// # Errors
     /// Why the calibration has failed.
-    pub fn step(&mut self, output: &CycleOutput) -> Result<Next, String> {
+    pub fn step(&mut self, output: &CycleOutput, step_mm: f64) -> Result<Next, String> {
         if output.mode != Mode::Calibrating {
             return match self.state {
                 State::Mode => Ok(Next::Wait),
                 _ => Err(format!("mode {} ended the calibration", output.mode)),
             };
         }
-        let piston_mm = Vector3::from(output.counted.0.map(|n| f64::from(n) * self.step_mm));
+        let piston_mm = Vector3::from(output.counted.0.map(|n| f64::from(n) * step_mm));
         match self.state {
             State::Mode => {
                 self.state = State::Pose;

@@ -24,7 +24,7 @@ const LINE_MAX: usize = 1 << 20;
 /// Bytes read at a time.
 const CHUNK: usize = 16 * 1024;
 
-/// Connects to a socket within a time, also to one whose service no longer accepts.
+/// Connects to a socket within a time, also to one whose service no longer accepts. A write waits for as long.
 ///
 /// # Errors
 /// The operating system's; [`ErrorKind::WouldBlock`] if the service does not accept.
@@ -59,17 +59,7 @@ impl Client {
     /// # Errors
     /// As for [`connect`](Self::connect).
     pub fn connect_for(path: &Path, timeout: Duration) -> Result<Self, Failure> {
-        let connect = || -> IoResult<Self> {
-            let stream = connect_within(path, timeout)?;
-            stream.set_write_timeout(Some(timeout))?;
-            Ok(Self {
-                stream,
-                input: Vec::new(),
-                timeout,
-                next_id: 1,
-            })
-        };
-        connect().map_err(|e| {
+        let stream = connect_within(path, timeout).map_err(|e| {
             let why = match e.kind() {
                 ErrorKind::WouldBlock => no_reply(&e).message,
                 _ => format!(
@@ -77,6 +67,12 @@ impl Client {
                 ),
             };
             Failure::unreachable(format!("{}: {why}", path.display()))
+        })?;
+        Ok(Self {
+            stream,
+            input: Vec::new(),
+            timeout,
+            next_id: 1,
         })
     }
 

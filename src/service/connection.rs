@@ -2,6 +2,7 @@
 
 use crate::service::protocol::{LINE_MAX, says_stop};
 use nix::sys::socket::UnixCredentials;
+use std::borrow::Cow;
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
@@ -99,16 +100,13 @@ impl Client {
             let Some(end) = self.input[taken..].iter().position(|b| *b == b'\n') else {
                 break;
             };
-            let text = match std::str::from_utf8(&self.input[taken..taken + end]) {
-                Ok(text) => Ok(text.trim().to_owned()),
-                // what is no text may say `stop` all the same
-                Err(_) => match String::from_utf8_lossy(&self.input[taken..taken + end]) {
-                    lossy if says_stop(&lossy) => Ok(lossy.trim().to_owned()),
-                    _ => {
-                        self.closing = true;
-                        Err("a line must be UTF-8 text")
-                    }
-                },
+            let text = String::from_utf8_lossy(&self.input[taken..taken + end]);
+            // what is no text may say `stop` all the same
+            let text = if matches!(text, Cow::Borrowed(_)) || says_stop(&text) {
+                Ok(text.trim().to_owned())
+            } else {
+                self.closing = true;
+                Err("a line must be UTF-8 text")
             };
             taken += end + 1;
             if text.as_ref().is_ok_and(String::is_empty) {

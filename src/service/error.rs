@@ -14,24 +14,14 @@ pub enum ServiceError {
     /// The machine failed.
     #[error(transparent)]
     Machine(#[from] MachineError),
-    /// A socket cannot be created.
+    /// The socket of this path cannot be created.
     #[error(
-        "{path}: {source}; RuntimeDirectory= in the unit creates the folder, `--socket` names another path"
+        "{0}: {1}; RuntimeDirectory= in the unit creates the folder, `--socket` names another path"
     )]
-    Socket {
-        /// Its path.
-        path: String,
-        /// The operating system's reason.
-        source: std::io::Error,
-    },
-    /// A thread, signal handler or recording could not be started.
-    #[error("{what}: {source}")]
-    System {
-        /// What could not be started.
-        what: String,
-        /// The operating system's reason.
-        source: std::io::Error,
-    },
+    Socket(String, #[source] std::io::Error),
+    /// This thread, signal handler or recording could not be started.
+    #[error("{0}: {1}")]
+    System(String, #[source] std::io::Error),
     /// The loop ended by a panic.
     #[error(
         "the control loop ended unexpectedly; this is a defect of the program, please report it with the log"
@@ -43,12 +33,12 @@ impl ServiceError {
     /// Adds the path of a socket to an I/O error.
     pub fn socket(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.display().to_string();
-        move |source| Self::Socket { path, source }
+        move |reason| Self::Socket(path, reason)
     }
 
     /// Adds what could not be started to an I/O error.
     pub fn system(what: impl std::fmt::Display) -> impl FnOnce(std::io::Error) -> Self {
         let what = what.to_string();
-        move |source| Self::System { what, source }
+        move |reason| Self::System(what, reason)
     }
 }

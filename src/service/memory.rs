@@ -99,24 +99,16 @@ impl Memory {
 /// Why the memory cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum MemoryError {
-    /// The folder or a slot.
+    /// The folder or slot of this path.
     #[error(
-        "{path}: {source}; the service must be able to write to its state folder (StateDirectory= in the unit, or `--state`)"
+        "{0}: {1}; the service must be able to write to its state folder (StateDirectory= in the unit, or `--state`)"
     )]
-    Io {
-        /// File or folder.
-        path: String,
-        /// The operating system's reason.
-        source: io::Error,
-    },
-    /// Another service holds the lock.
+    Io(String, #[source] io::Error),
+    /// Another service holds the lock of this folder.
     #[error(
-        "{path}: another retroflex uses this state folder; stop it first, or give `--state` another folder"
+        "{0}: another retroflex uses this state folder; stop it first, or give `--state` another folder"
     )]
-    InUse {
-        /// Folder.
-        path: String,
-    },
+    InUse(String),
     /// Reading it back would give something else.
     #[error("the state contains a value that is not a finite number and was not written")]
     NotFinite,
@@ -129,6 +121,6 @@ impl MemoryError {
     /// Adds the path to an I/O error.
     pub fn io(path: &Path) -> impl FnOnce(io::Error) -> Self {
         let path = path.display().to_string();
-        move |source| Self::Io { path, source }
+        move |reason| Self::Io(path, reason)
     }
 }

@@ -43,9 +43,8 @@ pub use notify::Notifier;
 pub use port::{Caller, Port};
 pub use protocol::{Failure, RecordAction, Request};
 pub use rt_loop::Change;
-pub use shared::{Shared, ThreadWatch, Watched};
+pub use shared::{Shared, Watched};
 pub use start::{RunConfig, Start};
-pub use stop::StopCounter;
 pub use store::{Belief, StateWriter, Store};
 
 use crate::config::ServiceSection;
@@ -145,15 +144,13 @@ pub fn serve(
         shared: Arc::clone(&shared),
         pace,
         heartbeat: notifier.heartbeat(),
-        stops: StopCounter::default(),
-        watch: ThreadWatch::default(),
     };
     let thread = rt::start("loop", wish(&config.service, pace), move || rt_loop.run());
     let (thread, grants) = thread.map_err(ServiceError::system("the loop thread"))?;
-    let [calm, urgent] = [0, control_priority(&config.service)].map(|priority| RtRequest {
-        priority,
+    let urgent = RtRequest {
+        priority: control_priority(config.service.priority),
         cpu: None,
-    });
+    };
     let stop = port::start_stop(claim.stop, Arc::clone(&shared), urgent);
     let stop = stop.map_err(ServiceError::system("the thread of stop"))?;
     let start_port = |socket, which, wish| {
@@ -163,7 +160,7 @@ pub fn serve(
     let state_writer = StateWriter::start(store);
     let io = HubIo {
         control: start_port(claim.control, Watched::Control, urgent)?,
-        status: start_port(claim.status, Watched::Status, calm)?,
+        status: start_port(claim.status, Watched::Status, RtRequest::default())?,
         notifier,
         state_writer: state_writer.map_err(ServiceError::system("the state writer"))?,
         rings,
@@ -186,18 +183,18 @@ pub fn serve(
 
 /// What the loop's thread requests: nothing for simulated time.
 fn wish(service: &ServiceSection, pace: Option<f64>) -> RtRequest {
-    let (priority, cpu) = match pace {
-        Some(_) => (0, None),
-        None => (service.priority, service.cpu),
-    };
+    if pace.is_some() {
+        return RtRequest::default();
+    }
+    let (priority, cpu) = (service.priority, service.cpu);
     RtRequest { priority, cpu }
 }
 
 /// Real-time priority of the threads that receive a stop: a busy computer delays no stop.
-fn control_priority(service: &ServiceSection) -> i32 {
-    match service.priority {
+fn control_priority(of_loop: i32) -> i32 {
+    match of_loop {
         ..=0 => 0,
-        priority => (priority - CONTROL_BELOW).max(1),
+        _ => (of_loop - CONTROL_BELOW).max(1),
     }
 }
 

@@ -3,13 +3,11 @@
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
-use std::time::Duration;
 
 /// Connection to the service manager, if there is one.
 #[derive(Debug, Default)]
 pub struct Notifier {
     socket: Option<UnixDatagram>,
-    watchdog: Option<Duration>,
 }
 
 /// Sends the watchdog heartbeat. The loop thread sends it itself, so a stalled loop is detected whatever the other
@@ -22,7 +20,7 @@ pub struct Heartbeat {
 }
 
 impl Notifier {
-    /// Reads NOTIFY_SOCKET and WATCHDOG_USEC.
+    /// Reads NOTIFY_SOCKET.
     pub fn from_env() -> Self {
         let connect = |path: std::ffi::OsString| -> std::io::Result<UnixDatagram> {
             let address = match path.as_bytes().strip_prefix(b"@") {
@@ -35,10 +33,7 @@ impl Notifier {
             Ok(socket)
         };
         let socket = std::env::var_os("NOTIFY_SOCKET").and_then(|path| connect(path).ok());
-        Self {
-            socket,
-            watchdog: sd_notify::watchdog_enabled(),
-        }
+        Self { socket }
     }
 
     /// True if there is a service manager.
@@ -53,14 +48,12 @@ impl Notifier {
         }
     }
 
-    /// The heartbeat, where the manager has a watchdog for this service.
+    /// The heartbeat, where the manager has a watchdog for this service, by WATCHDOG_USEC.
     pub fn heartbeat(&self) -> Heartbeat {
         let socket = self.socket.as_ref().and_then(|s| s.try_clone().ok());
-        let period_s = self.watchdog.map(|timeout| timeout.as_secs_f64() / 2.0);
-        Heartbeat {
-            to: socket.zip(period_s),
-            sent_s: 0.0,
-        }
+        let period_s = sd_notify::watchdog_enabled().map(|timeout| timeout.as_secs_f64() / 2.0);
+        let (to, sent_s) = (socket.zip(period_s), 0.0);
+        Heartbeat { to, sent_s }
     }
 }
 

@@ -9,6 +9,7 @@ use crate::hardware::rt::{self, RtRequest};
 use crate::service::connection::Line;
 use crate::service::listener;
 use crate::service::protocol::{parse, reply_line};
+use crate::service::rt_loop::Precondition;
 use crate::service::server::Server;
 use crate::service::{Failure, Listener, Request, Shared, Watched};
 use serde_json::Value;
@@ -29,10 +30,9 @@ pub struct Caller {
     pub id: Value,
     /// Name of the command, for the log of the hub.
     pub command: String,
-    /// When the request came to the thread that answers it: that of its socket for a stop, else the hub.
-    pub since: Instant,
-    /// Number of stops requested when the line was received, a stop itself included.
-    pub stops: u64,
+    /// When the request came to the thread that answers it: that of its socket for a stop, else the hub; and the number of stops
+    /// requested when the line was received, a stop itself included.
+    pub then: Precondition,
 }
 
 /// A message to the hub.
@@ -199,7 +199,7 @@ impl PortThread {
             STOP_ROUND
         });
         let began = Instant::now();
-        self.shared.clients[self.which as usize].store(self.server.clients(), Relaxed);
+        self.shared.clients[self.which as usize].store(self.server.clients.len(), Relaxed);
         for line in lines {
             self.take(line);
         }
@@ -224,7 +224,8 @@ impl PortThread {
 
     /// Parses one line. A stop is never refused for the number of unanswered requests.
     fn take(&mut self, line: Line) {
-        let (client, stops) = (line.client, self.shared.stop.requested());
+        let (stops, since, mode) = (self.shared.stop.requested(), Instant::now(), None);
+        let client = line.client;
         let (id, request) = match line.text {
             Err(reason) => (Value::Null, Err(Failure::bad(reason))),
             Ok(text) => parse(&text),
@@ -233,11 +234,10 @@ impl PortThread {
             client,
             id,
             command: String::new(),
-            since: Instant::now(),
-            stops,
+            then: Precondition { stops, since, mode },
         };
         if self.which == Watched::Control && request == Ok(Request::Stop {}) {
-            caller.stops = self.shared.stop.request();
+            caller.then.stops = self.shared.stop.request();
             if let Some(client) = self.server.client(client) {
                 client.protected = true;
             }
@@ -255,7 +255,7 @@ impl PortThread {
     fn answer_stops(&mut self) {
         let (server, signal) = (&mut self.server, &self.shared.stop);
         self.stops.retain(|stop| {
-            let answer = signal.answer(stop.stops, stop.since);
+            let answer = signal.answer(stop.then.stops, stop.then.since);
             if let Some(answer) = &answer {
                 server.reply(stop.client, &reply_line(&stop.id, answer));
             }

@@ -245,11 +245,9 @@ pub fn parse(line: &str) -> (Value, Result<Request, Failure>) {
         }
         Err(e) => return (Value::Null, Err(Failure::bad(format!("not JSON: {e}")))),
     };
-    let mut id = object.remove("id").unwrap_or_default();
-    let is_echoed = id.is_string() || id.is_u64() || id.is_i64() || id.is_null();
-    if !is_echoed {
-        id = Value::Null;
-    }
+    let given = object.remove("id").unwrap_or_default();
+    let is_echoed = given.is_string() || given.is_u64() || given.is_i64() || given.is_null();
+    let id = if is_echoed { given } else { Value::Null };
     if object.get("cmd").is_some_and(|cmd| cmd == "stop") {
         return (id, Ok(Request::Stop {}));
     }

@@ -7,7 +7,7 @@ use crate::primitives::Seconds;
 use crate::service::connection::UNANSWERED_MAX;
 use crate::service::notify::Heartbeat;
 use crate::service::server::CLIENTS_MAX;
-use crate::service::{Shared, StopCounter, ThreadWatch, Watched};
+use crate::service::{Shared, Watched};
 use crate::supervisor::{
     CycleOutput, Machine, MachineError, Mode, Order, Refusal, Runner, Supervisor, SupervisorConfig,
 };
@@ -48,7 +48,7 @@ pub enum Change {
 /// What an order was decided on. The picture of the hub may be old, so the loop compares it with the present.
 #[derive(Debug, Clone, Copy)]
 pub struct Precondition {
-    /// Number of stops requested when the order was received, see [`StopCounter`].
+    /// Number of stops requested when the order was received, see [`crate::service::stop`].
     pub stops: u64,
     /// When it was received: an order that nobody waits for any longer is not carried out.
     pub since: Instant,
@@ -57,41 +57,19 @@ pub struct Precondition {
     pub mode: Option<Mode>,
 }
 
-/// What a restart needs.
+/// The output of a cycle on its way to the hub, with what a restart after it needs.
 #[derive(Debug, Clone, Copy)]
-pub struct RestartNote {
+pub struct LoopFrame {
+    /// Number of the cycle.
+    pub number: u64,
     /// Position and learned parameters.
-    pub state: RestartState,
+    pub restart: RestartState,
     /// The pistons are at zero, so a restart has nothing to verify.
     pub at_rest: bool,
     /// The position of the pistons is unknown.
     pub lost: bool,
-    /// No measurement has confirmed the last zero.
-    pub unverified: bool,
     /// A freshly reset supervisor may take the place of this one.
     pub idle: bool,
-}
-
-impl RestartNote {
-    /// The note after a cycle.
-    pub fn of(supervisor: &Supervisor) -> Self {
-        Self {
-            state: supervisor.keep(),
-            at_rest: supervisor.is_at_rest(),
-            lost: supervisor.is_lost(),
-            unverified: supervisor.is_unverified(),
-            idle: supervisor.is_idle(),
-        }
-    }
-}
-
-/// The output of a cycle on its way to the hub.
-#[derive(Debug)]
-pub struct LoopFrame {
-    /// Number of the cycle.
-    pub number: u64,
-    /// What a restart after it needs.
-    pub note: RestartNote,
     /// Changes that the loop had carried out before it.
     pub changes: u64,
     /// The output.
@@ -178,10 +156,6 @@ pub struct Loop {
     pub pace: Option<f64>,
     /// The watchdog heartbeat.
     pub heartbeat: Heartbeat,
-    /// Recognises what was queued before a stop.
-    pub stops: StopCounter,
-    /// Ages of the other threads.
-    pub watch: ThreadWatch,
 }
 
 impl Loop {
@@ -191,23 +165,21 @@ impl Loop {
     /// [`MachineError`].
     pub fn run(mut self) -> Result<(), MachineError> {
         let period_ns = (self.period_s * 1e9) as u64;
+        let paced_ns = |pace| (period_ns as f64 / pace) as u64;
+        let wait_ns = self.pace.map_or(period_ns, paced_ns);
         let start_ns = monotonic_ns();
-        let mut due_ns = start_ns;
-        let mut periods = 0u64;
-        let mut cycle_ns = start_ns;
+        let (mut due_ns, mut cycle_ns, mut periods) = (start_ns, start_ns, 0u64);
         let shared = Arc::clone(&self.shared);
         while !shared.is_quitting() {
-            let now_s = if let Some(pace) = self.pace {
-                due_ns += (period_ns as f64 / pace) as u64;
-                sleep_until_ns(due_ns);
+            due_ns += wait_ns;
+            sleep_until_ns(due_ns);
+            let now_ns = monotonic_ns();
+            let now_s = if self.pace.is_some() {
                 // simulated time stands while the computer does not get to it
-                due_ns = due_ns.max(monotonic_ns().saturating_sub(CATCH_UP_NS));
+                due_ns = due_ns.max(now_ns.saturating_sub(CATCH_UP_NS));
                 periods += 1;
                 periods as f64 * self.period_s
             } else {
-                due_ns += period_ns;
-                sleep_until_ns(due_ns);
-                let now_ns = monotonic_ns();
                 let late_ns = now_ns.saturating_sub(due_ns);
                 let is_late = late_ns > period_ns / 2;
                 shared.late.fetch_add(is_late.into(), Relaxed);
@@ -218,26 +190,27 @@ impl Loop {
                 }
                 (now_ns - start_ns) as f64 * 1e-9
             };
-            let real_ns = monotonic_ns();
-            let passed_s = real_ns.saturating_sub(cycle_ns) as f64 * 1e-9;
-            cycle_ns = real_ns;
-            self.watch.step(&shared, passed_s);
+            let passed_s = now_ns.saturating_sub(cycle_ns) as f64 * 1e-9;
+            cycle_ns = now_ns;
+            shared.watch(passed_s);
             self.cycle(Seconds(now_s))?;
-            self.heartbeat.update(self.watch.is_stalled(), now_s);
+            self.heartbeat.update(shared.is_stalled(), now_s);
         }
         Ok(())
     }
 
     pub(super) fn cycle(&mut self, now: Seconds) -> Result<(), MachineError> {
         let sensed = self.runner.sense(now)?;
+        let supervisor = &self.runner.supervisor;
+        let could_move = supervisor.mode().moves() && !supervisor.is_stopped();
+        if could_move && self.shared.age_s(Watched::Control) > UNCOMMANDED_MAX_S {
+            // nobody could stop the tip
+            self.shared.stop.request();
+        }
         // a stop comes before every queued message, also one that came while a slow plant was waited for
-        let stop = self.stops.take_request(&self.shared.stop);
-        let unattended = self.watch.age_s(Watched::Control) > UNCOMMANDED_MAX_S
-            && self.runner.supervisor.mode().moves();
+        let stop = self.shared.stop.pending();
         let (id, order) = match stop {
             Some(_) => (None, Some(Order::Stop)),
-            // nobody could stop the tip
-            None if unattended && !self.runner.supervisor.is_stopped() => (None, Some(Order::Stop)),
             None => self.next_order(),
         };
         let output = self.runner.act(&sensed, order);
@@ -246,7 +219,10 @@ impl Loop {
         let stopped = supervisor.is_stopped();
         let frame = LoopFrame {
             number,
-            note: RestartNote::of(supervisor),
+            restart: supervisor.keep(),
+            at_rest: supervisor.is_at_rest(),
+            lost: supervisor.is_lost(),
+            idle: supervisor.is_idle(),
             changes: self.rings.changes,
             output,
         };
@@ -257,10 +233,7 @@ impl Loop {
         if let (Some(id), Some(answer)) = (id, output.answer) {
             self.answer(id, answer);
         }
-        if let Some(number) = stop {
-            self.shared.stop.complete(number);
-        }
-        self.shared.stop.latch(stopped);
+        self.shared.stop.report(stop, stopped);
         Ok(())
     }
 
@@ -310,7 +283,7 @@ impl Loop {
     /// Whether what an order was decided on still holds.
     fn admit(&self, order: &Order, then: &Precondition) -> Result<(), Refusal> {
         let mode = self.runner.supervisor.mode();
-        self.stops.admit(order, then.stops)?;
+        self.shared.stop.admit(order, then.stops)?;
         if then.since.elapsed().as_secs_f64() > ORDER_MAX_S {
             return Err(Refusal::Late);
         }

@@ -10,7 +10,7 @@ use crate::service::Listener;
 use crate::service::connection::{Client, Line};
 use crate::service::listener;
 use nix::poll::{PollFd, PollFlags};
-use nix::sys::socket::{UnixCredentials, getsockopt, sockopt::PeerCredentials};
+use nix::sys::socket::{getsockopt, sockopt::PeerCredentials};
 use std::cmp::Reverse;
 use std::io::Read;
 use std::os::fd::AsFd;
@@ -30,7 +30,7 @@ const ACCEPTED_PER_ROUND: usize = CLIENTS_MAX;
 pub struct Server {
     listener: Listener,
     wake: UnixStream,
-    clients: Vec<Client>,
+    pub(super) clients: Vec<Client>,
     next: u64,
     /// Longest silence of a client without an open request or subscription.
     idle_max: Duration,
@@ -61,11 +61,6 @@ impl Server {
             gone: Vec::new(),
         };
         Ok((server, waker))
-    }
-
-    /// Number of connected clients.
-    pub fn clients(&self) -> usize {
-        self.clients.len()
     }
 
     /// Waits at most `wait` for input, then returns the complete lines of all clients.
@@ -145,16 +140,12 @@ impl Server {
     /// Disconnects the client whose last line is oldest, of the process with the most clients, of the user with the most. Clients
     /// that wait for an answer go last, and protected ones stay. False if nobody could be disconnected.
     fn make_room(&mut self) -> bool {
-        type Same<'a> = &'a dyn Fn(&UnixCredentials) -> bool;
-        let share = |same: Same<'_>| self.clients.iter().filter(|c| same(&c.peer)).count();
+        let peers = || self.clients.iter().map(|c| c.peer);
         let key = |c: &Client| {
-            let of_user = share(&|p| p.uid() == c.peer.uid());
-            let of_process = share(&|p| *p == c.peer);
-            (
-                Reverse((of_user, of_process)),
-                c.unanswered > 0,
-                c.last_line,
-            )
+            let of_user = peers().filter(|p| p.uid() == c.peer.uid()).count();
+            let of_process = peers().filter(|p| *p == c.peer).count();
+            let shares = Reverse((of_user, of_process));
+            (shares, c.unanswered > 0, c.last_line)
         };
         let all = self.clients.iter().enumerate();
         let candidates = all.filter(|(_, c)| !c.protected);
@@ -208,7 +199,7 @@ mod tests {
                 c
             })
             .collect();
-        assert_eq!(server.clients(), CLIENTS_MAX);
+        assert_eq!(server.clients.len(), CLIENTS_MAX);
         let mut late = connect();
         late.write_all(b"stop\n").unwrap();
         let lines = rounds(&mut server);
@@ -236,7 +227,7 @@ mod tests {
         assert_eq!(texts, [Ok("one"), refused, Ok("two")]);
         (0..2).for_each(|_| server.reply(1, "y\n"));
         rounds(&mut server);
-        assert_eq!(server.clients(), 1, "it waits for an answer");
+        assert_eq!(server.clients.len(), 1, "it waits for an answer");
         server.reply(1, "y\n");
         server.flush();
         rounds(&mut server);
@@ -275,13 +266,13 @@ mod tests {
         );
         std::thread::sleep(Duration::from_millis(60));
         rounds(&mut server);
-        assert_eq!(server.clients(), 1, "it waits for answers");
+        assert_eq!(server.clients.len(), 1, "it waits for answers");
         (0..lines.len()).for_each(|_| server.reply(1, "y\n"));
         server.flush();
         std::thread::sleep(Duration::from_millis(60));
         rounds(&mut server);
         assert_eq!(
-            (server.clients(), server.gone.as_slice()),
+            (server.clients.len(), server.gone.as_slice()),
             (0, [(1, "it was idle")].as_slice())
         );
     }

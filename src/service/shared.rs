@@ -24,12 +24,27 @@ named! {
     }
 }
 
+/// How far a thread has come.
+#[derive(Debug, Default)]
+struct Progress {
+    rounds: AtomicU64,
+    /// Its rounds when the loop last looked.
+    seen: AtomicU64,
+    /// Bits of the time since its last progress as the loop sees it, s.
+    age_s: AtomicU64,
+}
+
+impl Progress {
+    fn age_s(&self) -> f64 {
+        f64::from_bits(self.age_s.load(Relaxed))
+    }
+}
+
 /// State shared by the threads without locks.
 #[derive(Debug, Default)]
 pub struct Shared {
     quit: AtomicBool,
-    rounds: [AtomicU64; 4],
-    ages_ms: [AtomicU64; 4],
+    progress: [Progress; 4],
     /// Clients of each thread's socket.
     pub clients: [AtomicUsize; 4],
     /// Requests and completed stops.
@@ -47,12 +62,30 @@ pub struct Shared {
 impl Shared {
     /// Reports that a thread has begun a round.
     pub fn progress(&self, thread: Watched) {
-        self.rounds[thread as usize].fetch_add(1, Relaxed);
+        self.progress[thread as usize].rounds.fetch_add(1, Relaxed);
     }
 
     /// Time since the last progress of a thread as the loop sees it, s.
     pub fn age_s(&self, thread: Watched) -> f64 {
-        self.ages_ms[thread as usize].load(Relaxed) as f64 * 1e-3
+        self.progress[thread as usize].age_s()
+    }
+
+    /// The loop looks at the progress of all threads, `dt_s` after it did so last.
+    pub fn watch(&self, dt_s: f64) {
+        for thread in &self.progress {
+            let rounds = thread.rounds.load(Relaxed);
+            let waits = thread.seen.swap(rounds, Relaxed) == rounds;
+            let age_s = thread.age_s() + dt_s.min(AGE_STEP_MAX_S);
+            let age_s = if waits { age_s } else { 0.0 };
+            thread.age_s.store(age_s.to_bits(), Relaxed);
+        }
+    }
+
+    /// True if a thread has made no progress for too long.
+    pub fn is_stalled(&self) -> bool {
+        self.progress
+            .iter()
+            .any(|thread| thread.age_s() >= STALL_MAX_S)
     }
 
     /// Ends the loop and the socket threads after their present round.
@@ -66,57 +99,22 @@ impl Shared {
     }
 }
 
-/// How long ago each thread last made progress.
-#[derive(Debug, Default)]
-pub struct ThreadWatch {
-    rounds: [u64; 4],
-    ages_s: [f64; 4],
-}
-
-impl ThreadWatch {
-    /// One cycle that took `dt_s`.
-    pub fn step(&mut self, shared: &Shared, dt_s: f64) {
-        for k in 0..self.rounds.len() {
-            let rounds = shared.rounds[k].load(Relaxed);
-            let waits = std::mem::replace(&mut self.rounds[k], rounds) == rounds;
-            self.ages_s[k] = if waits {
-                self.ages_s[k] + dt_s.min(AGE_STEP_MAX_S)
-            } else {
-                0.0
-            };
-            shared.ages_ms[k].store((self.ages_s[k] * 1e3) as u64, Relaxed);
-        }
-    }
-
-    /// Time since the last progress of a thread, s.
-    pub fn age_s(&self, thread: Watched) -> f64 {
-        self.ages_s[thread as usize]
-    }
-
-    /// True if a thread has made no progress for too long.
-    pub fn is_stalled(&self) -> bool {
-        self.ages_s.iter().any(|age_s| *age_s >= STALL_MAX_S)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn a_thread_without_progress_ages_and_a_suspended_loop_blames_nobody() {
-        let (shared, mut watch) = (Shared::default(), ThreadWatch::default());
+        let shared = Shared::default();
         for _ in 0..2000 {
             shared.progress(Watched::Hub);
-            watch.step(&shared, 1e-3);
+            shared.watch(1e-3);
         }
-        assert!(
-            watch.age_s(Watched::Hub) == 0.0 && (watch.age_s(Watched::Control) - 2.0).abs() < 1e-6
-        );
-        assert!((shared.age_s(Watched::Control) - 2.0).abs() < 2e-3);
+        assert_eq!(shared.age_s(Watched::Hub), 0.0);
+        assert!((shared.age_s(Watched::Control) - 2.0).abs() < 1e-6);
         shared.progress(Watched::Control);
-        watch.step(&shared, 1e-3);
-        watch.step(&shared, 3600.0);
-        assert!(watch.age_s(Watched::Control) < 0.1);
+        shared.watch(1e-3);
+        shared.watch(3600.0);
+        assert!(shared.age_s(Watched::Control) < 0.1);
     }
 }

@@ -8,7 +8,7 @@ use crate::service::LearnedGains;
 use crate::service::protocol::VERSION;
 use crate::supervisor::{CycleOutput, Mode, Source, SupervisorConfig, TripCause};
 use serde::{Deserialize, Serialize};
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 /// True if the tip cannot get nearer to its target.
 pub fn blocked(f: &Frame) -> bool {
@@ -70,6 +70,7 @@ pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
         "t": output.sensed.t.0,
         "mode": output.mode.name(),
         "target": commanded.then(|| pose(&f.target.bend)),
+        "target_length_mm": commanded.then(|| round(f.target.length.0)),
         "setpoint": pose(&f.setpoint.bend),
         "estimate": f.estimate.map(|x| pose(&x.bend)),
         "sigma_deg": f.estimate.and_then(|x| x.sigma_rad).map(|s| round(s.to_degrees())),
@@ -130,6 +131,8 @@ pub struct Status {
     pub mode: Option<Mode>,
     /// Bend that was asked for, while the tip is commanded.
     pub target: Option<Pose>,
+    /// Length that was asked for, while the tip is commanded, mm.
+    pub target_length_mm: Option<f64>,
     /// Bend that the loop tracks.
     pub setpoint: Option<Pose>,
     /// Estimated bend.
@@ -148,6 +151,8 @@ pub struct Status {
     pub blocked: bool,
     /// A stop is latched.
     pub stopped: bool,
+    /// Stops since the service started.
+    pub stops: u64,
     /// The service is ending, and accepts no more commands.
     pub ending: bool,
     /// The operator has stated the zero, and no measurement has confirmed it.
@@ -290,12 +295,9 @@ impl Status {
     /// # Errors
     /// A field of another type, as another version of the service might send.
     pub fn of(value: &Value) -> Result<Self, serde_json::Error> {
-        let fields = value.as_object().into_iter().flatten();
-        let said = fields.filter(|(_, value)| !value.is_null());
-        let said: Map<String, Value> = said
-            .map(|(key, value)| (key.clone(), value.clone()))
-            .collect();
-        Self::deserialize(Value::Object(said))
+        let mut fields = value.as_object().cloned().unwrap_or_default();
+        fields.retain(|_, value| !value.is_null());
+        Self::deserialize(Value::Object(fields))
     }
 
     /// Name of the mode.
@@ -323,11 +325,7 @@ pub fn limits(config: &SupervisorConfig) -> Value {
     let tick = &config.tick;
     let bounds = tick.lines.map(|line| tick.refine.bounds(&line));
     let [k_epsilon, k_lambda_mm] = [0, 1].map(|n| bounds.map(|of| of[n].map(round)));
-    json!(Limits {
-        travel_mm: tick.limits.travel_mm,
-        k_epsilon,
-        k_lambda_mm
-    })
+    json!({"travel_mm": tick.limits.travel_mm, "k_epsilon": k_epsilon, "k_lambda_mm": k_lambda_mm})
 }
 
 fn round(x: f64) -> f64 {

@@ -2,7 +2,7 @@
 //!
 //! A stop shares no queue with other orders. The thread that receives it increments an atomic counter; the loop compares it in
 //! every cycle before it takes a message, hands [`Order::Stop`] to the supervisor, and stores the number of the stop that
-//! it has carried out. The latch itself is part of the supervisor; [`StopCounter`] adds that an order which was received
+//! it has carried out. The latch itself is part of the supervisor; [`StopSignal::admit`] adds that an order which was received
 //! before the stop cannot release it.
 
 use crate::service::Failure;
@@ -49,28 +49,18 @@ impl StopSignal {
         }
     }
 
-    /// Reports whether a stop is latched after a cycle.
-    pub fn latch(&self, latched: bool) {
+    /// Reports which stop the loop has carried out in a cycle, if any, and whether one is latched after it.
+    pub fn report(&self, completed: Option<u64>, latched: bool) {
+        if let Some(number) = completed {
+            self.completed.store(number, Ordering::Release);
+        }
         self.latched.store(latched, Ordering::Release);
     }
 
-    /// Reports that the loop has carried out a stop.
-    pub fn complete(&self, number: u64) {
-        self.completed.store(number, Ordering::Release);
-    }
-}
-
-/// The loop's side.
-#[derive(Debug, Default)]
-pub struct StopCounter {
-    seen: u64,
-}
-
-impl StopCounter {
-    /// The number of a stop that was requested since the last call, if any.
-    pub fn take_request(&mut self, signal: &StopSignal) -> Option<u64> {
-        let requested = signal.requested();
-        (requested != std::mem::replace(&mut self.seen, requested)).then_some(requested)
+    /// The number of the last stop, unless the loop has carried it out.
+    pub fn pending(&self) -> Option<u64> {
+        let requested = self.requested();
+        (requested != self.completed()).then_some(requested)
     }
 
     /// Decides whether an order may reach the supervisor. `stops` is the number of stops that were requested when the
@@ -79,7 +69,7 @@ impl StopCounter {
     /// # Errors
     /// [`Refusal::Stopped`].
     pub fn admit(&self, order: &Order, stops: u64) -> Result<(), Refusal> {
-        if stops != self.seen && order.starts_motion() {
+        if stops != self.completed() && order.starts_motion() {
             Err(Refusal::Stopped)
         } else {
             Ok(())
@@ -93,27 +83,22 @@ mod tests {
 
     #[test]
     fn what_was_queued_before_a_stop_starts_no_motion_after_it() {
-        let (signal, mut counter) = (StopSignal::default(), StopCounter::default());
+        let signal = StopSignal::default();
         assert_eq!(
-            (
-                counter.take_request(&signal),
-                counter.admit(&Order::Relax, 0)
-            ),
+            (signal.pending(), signal.admit(&Order::Relax, 0)),
             (None, Ok(()))
         );
-        assert_eq!(signal.request(), 1);
-        assert_eq!(
-            (counter.take_request(&signal), counter.take_request(&signal)),
-            (Some(1), None)
-        );
+        assert_eq!((signal.request(), signal.pending()), (1, Some(1)));
+        signal.report(Some(1), true);
+        assert_eq!(signal.pending(), None);
         for order in [Order::Relax, Order::Calibrate(true), Order::Arm] {
             assert_eq!(
-                counter.admit(&order, 0),
+                signal.admit(&order, 0),
                 Err(Refusal::Stopped),
                 "{order:?} was queued before the stop"
             );
             assert_eq!(
-                counter.admit(&order, 1),
+                signal.admit(&order, 1),
                 Ok(()),
                 "the supervisor decides about {order:?}"
             );
@@ -126,7 +111,7 @@ mod tests {
             Order::Calibrate(false),
         ] {
             assert_eq!(
-                counter.admit(&order, 0),
+                signal.admit(&order, 0),
                 Ok(()),
                 "{order:?} starts no motion"
             );

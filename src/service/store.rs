@@ -123,7 +123,7 @@ pub fn parse(text: &[u8]) -> Result<Option<(u64, Memory)>, String> {
 }
 
 /// File names of the slots.
-const NAMES: [&str; 2] = ["memory.a", "memory.b"];
+pub const SLOTS: [&str; 2] = ["memory.a", "memory.b"];
 
 /// State of the two slots.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -205,7 +205,7 @@ impl Store {
                 _ => Err(e),
             })
             .map_err(MemoryError::io(&lock_path))?;
-        for file in NAMES.into_iter().chain(["lock"]) {
+        for file in SLOTS.into_iter().chain(["lock"]) {
             // files of an older version let others read them, and hold the lock; those of another user are left alone
             let path = folder.join(file);
             if std::fs::symlink_metadata(&path).is_ok_and(|m| m.is_file() && m.mode() & 0o077 != 0)
@@ -214,12 +214,10 @@ impl Store {
             }
         }
         if lock.try_lock().is_err() {
-            return Err(MemoryError::InUse {
-                path: folder.display().to_string(),
-            });
+            return Err(MemoryError::InUse(folder.display().to_string()));
         }
         let mut recall = Recall::default();
-        let slots = NAMES.map(|name| {
+        let slots = SLOTS.map(|name| {
             let path = folder.join(name);
             read_slot(&path).unwrap_or_else(|reason| {
                 recall.damaged.push(rename_damaged(&path, &reason));
@@ -248,7 +246,7 @@ impl Store {
         };
         if recall.found == Found::Damaged {
             // until the next write an empty slot stands for a damaged one, which counts as damaged too
-            for path in NAMES.map(|name| folder.join(name)) {
+            for path in SLOTS.map(|name| folder.join(name)) {
                 if std::fs::symlink_metadata(&path).is_err() {
                     create_slot(&path, &[PADDING; SIZE]).map_err(MemoryError::io(&path))?;
                 }
@@ -273,7 +271,7 @@ impl Store {
 
     fn write_slot(&mut self, memory: &Memory) -> Result<u64, MemoryError> {
         let sequence = self.sequence + 1;
-        let path = self.folder.join(NAMES[place(sequence)]);
+        let path = self.folder.join(SLOTS[place(sequence)]);
         let slot = compose(sequence, memory)?;
         let put = || -> io::Result<()> {
             if std::fs::symlink_metadata(&path).is_err() {

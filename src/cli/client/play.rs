@@ -12,6 +12,7 @@ use crate::experiment::path::PathFile;
 use crate::log::table::{Schema, Table};
 use crate::model::{Bend, Geometry};
 use crate::service::protocol::{Failure, PathRow, RecordAction, Request};
+use crate::service::status::Status;
 use crate::supervisor::Mode;
 use miette::{IntoDiagnostic, Report, Result, miette};
 use std::path::{Path, PathBuf};
@@ -24,6 +25,8 @@ const AT_REST_S: f64 = 2.0;
 const AT_FIRST_S: f64 = 1.0;
 /// Rows of a path in one request: at most 16 KiB.
 const CHUNK_ROWS: usize = 150;
+/// Largest difference between two lengths that are the same, mm: rounding.
+const SAME_MM: f64 = 0.05;
 /// k_ε of a service that does not report one: the mean of the paper's.
 const K_EPSILON: f64 = 2.2;
 
@@ -54,7 +57,7 @@ pub fn play(args: &PlayArgs) -> Result<()> {
     }
     schedule.check(&args.schedule, &mut connection)?;
     if args.record.is_none() {
-        return schedule.run(&mut connection);
+        return schedule.run(&mut connection, now.stops);
     }
     if now.counted != Some([0; 3]) {
         let why = "the log must begin at rest: `retroflex relax`, then `retroflex arm`";
@@ -71,8 +74,8 @@ pub fn play(args: &PlayArgs) -> Result<()> {
     }
     // after an earlier motion the straight tip is not quite where the first row is
     let rest = ScheduleRow::rest(AT_REST_S, &Geometry::default());
-    let rested = arrive_and_hold(&mut connection, now.t, 0.0, &rest, false);
-    let outcome = rested.and_then(|()| schedule.run(&mut connection));
+    let rested = arrive_and_hold(&mut connection, &now, 0.0, &rest, None);
+    let outcome = rested.and_then(|()| schedule.run(&mut connection, now.stops));
     let recorded = ask(&mut connection, &request(RecordAction::Stop));
     if let Ok(recorded) = &recorded {
         output::print(words(recorded));
@@ -158,17 +161,18 @@ impl Schedule {
         }
     }
 
-    fn run(&self, connection: &mut Connection) -> Result<()> {
+    /// Plays it, after so many stops. One more ends it, also if the tip is armed again at once.
+    fn run(&self, connection: &mut Connection, stops: u64) -> Result<()> {
         match self {
-            Self::Poses(rows) => run_rows(connection, rows),
-            Self::Path(_) => run_path(connection, &self.path()),
+            Self::Poses(rows) => run_rows(connection, rows, stops),
+            Self::Path(_) => run_path(connection, &self.path(), stops),
         }
     }
 }
 
 /// Moves to the first row of a path that the service has checked, then follows it.
-fn run_path(connection: &mut Connection, rows: &[PathRow]) -> Result<()> {
-    let now = status(connection)?;
+fn run_path(connection: &mut Connection, rows: &[PathRow], stops: u64) -> Result<()> {
+    let now = status_after(connection, stops)?;
     let (_, bend_deg, dir_deg, _) = rows[0];
     let first = ScheduleRow {
         bend_deg,
@@ -177,10 +181,9 @@ fn run_path(connection: &mut Connection, rows: &[PathRow]) -> Result<()> {
         ..ScheduleRow::rest(0.0, &Geometry::default())
     };
     ask(connection, &to_first(rows[0]))?;
-    arrive_and_hold(connection, now.t, 0.0, &first, true)?;
-    let began_s = status(connection)?.t;
-    let (_, bend_deg, dir_deg, _) = rows[rows.len() - 1];
-    let end = Bend::from_deg(bend_deg, dir_deg);
+    arrive_and_hold(connection, &now, 0.0, &first, Some(rows[0]))?;
+    let began = status_after(connection, stops)?;
+    let end = rows[rows.len() - 1];
     let (rows, more) = (vec![], false);
     let answer = ask(connection, &Request::Path { rows, more })?;
     let duration_s = answer["duration_s"].as_f64().unwrap_or_default();
@@ -191,12 +194,31 @@ fn run_path(connection: &mut Connection, rows: &[PathRow]) -> Result<()> {
     }
     poll(connection, 20, |s| {
         let is_over = s.path.is_none();
-        let early = is_over && (s.t - began_s < duration_s || is_led_elsewhere(s, end));
-        match halted(s).or_else(|| early.then(replaced)) {
+        let early = is_over && (s.t - began.t < duration_s || is_elsewhere(s, end));
+        match ended(s, &began).or_else(|| early.then(replaced)) {
             Some(why) => Some(Err(Refused(format!("the path ended early: {why}")).into())),
             None => (is_over && s.mode == Some(Mode::Holding)).then_some(Ok(())),
         }
     })?
+}
+
+/// The present status, but for the number of stops, which is that before the schedule.
+fn status_after(connection: &mut Connection, stops: u64) -> Result<Status> {
+    let now = status(connection)?;
+    Ok(Status { stops, ..now })
+}
+
+/// Why the tip does not move as it is told, or that it was stopped since it `began`.
+fn ended(s: &Status, began: &Status) -> Option<String> {
+    let stopped = s.stops != began.stops;
+    halted(s).or_else(|| stopped.then(|| "stopped".to_owned()))
+}
+
+/// True if another command has given the tip another bend than that of this row, or another length if the row has one.
+fn is_elsewhere(s: &Status, (_, bend_deg, dir_deg, length_mm): PathRow) -> bool {
+    let lengths = s.target_length_mm.zip(length_mm);
+    is_led_elsewhere(s, Bend::from_deg(bend_deg, dir_deg))
+        || lengths.is_some_and(|(now, asked)| (now - asked).abs() > SAME_MM)
 }
 
 /// What is said where the tip follows another command than this one.
@@ -209,18 +231,19 @@ fn to_first((_, bend_deg, dir_deg, length_mm): PathRow) -> Request {
     Request::bend(bend_deg, dir_deg, length_mm, None)
 }
 
-fn run_rows(connection: &mut Connection, rows: &[ScheduleRow]) -> Result<()> {
+fn run_rows(connection: &mut Connection, rows: &[ScheduleRow], stops: u64) -> Result<()> {
     let bar = output::bar(rows.len() as u64, "row {pos} of {len}");
     let mut before = ScheduleRow::rest(0.0, &Geometry::default());
     for row in rows {
-        let now = status(connection)?;
+        let now = status_after(connection, stops)?;
         let k_epsilon = now.k_epsilon.unwrap_or([K_EPSILON; 3]);
         let (seconds, speed_deg_s) = row.segment(&before, &Geometry::default(), k_epsilon);
         // the service accepts 0.1 to 720 °/s
         let speed_deg_s = speed_deg_s.map(|s| s.clamp(0.1, 720.0));
         let request = Request::bend(row.bend_deg, row.dir_deg, Some(row.len_mm), speed_deg_s);
         ask(connection, &request)?;
-        arrive_and_hold(connection, now.t, seconds, row, true)?;
+        let asked = (0.0, row.bend_deg, row.dir_deg, Some(row.len_mm));
+        arrive_and_hold(connection, &now, seconds, row, Some(asked))?;
         before = *row;
         bar.inc(1);
     }
@@ -228,31 +251,25 @@ fn run_rows(connection: &mut Connection, rows: &[ScheduleRow]) -> Result<()> {
 }
 
 /// Waits for the end of the segment and of the hold, on the clock of the machine, which a simulation may run faster. It is an error if
-/// the service stops moving, or if another command leads the tip away from a row that was asked for, or moves a tip that was not asked
-/// to move.
+/// the tip was stopped, or if another command leads it away from the pose that was asked for, or moves a tip that was not asked to move.
 fn arrive_and_hold(
     connection: &mut Connection,
-    started_s: f64,
+    began: &Status,
     seconds: f64,
     row: &ScheduleRow,
-    asked: bool,
+    asked: Option<PathRow>,
 ) -> Result<()> {
-    let target = Bend::from_deg(row.bend_deg, row.dir_deg);
     let mut arrived_s: Option<f64> = None;
     poll(connection, 5, |s| {
         let is_on_its_way = s.mode == Some(Mode::Tracking);
-        let elsewhere = if asked {
-            is_led_elsewhere(s, target)
-        } else {
-            is_on_its_way
-        };
-        if let Some(why) = halted(s).or_else(|| elsewhere.then(replaced)) {
+        let elsewhere = asked.map_or(is_on_its_way, |pose| is_elsewhere(s, pose));
+        if let Some(why) = ended(s, began).or_else(|| elsewhere.then(replaced)) {
             let (bend_deg, dir_deg) = (row.bend_deg, row.dir_deg);
             let text = format!("the schedule ended at bend {bend_deg}° toward {dir_deg}°: {why}");
             return Some(Err(Refused(text).into()));
         }
         let late_max_s = if is_on_its_way { LATE_MAX_S } else { 0.0 };
-        if s.t - started_s >= seconds + late_max_s {
+        if s.t - began.t >= seconds + late_max_s {
             arrived_s.get_or_insert(s.t);
         }
         let is_over = arrived_s.is_some_and(|at_s| s.t - at_s >= row.hold_s);

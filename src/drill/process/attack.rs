@@ -1,7 +1,10 @@
-//! Attackers of a service: threads of the same user that connect to its sockets.
+//! Attackers of a service: threads of the same user that connect to its sockets, or that suspend one of its threads, as a disk or a
+//! lock that does not return would.
 
 use super::daemon::Daemon;
-use super::hang::HungThread;
+use nix::sys::ptrace;
+use nix::sys::wait::{WaitPidFlag, waitpid};
+use nix::unistd::Pid;
 use std::collections::VecDeque;
 use std::io::{self, Read, Write};
 use std::os::unix::net::UnixStream;
@@ -118,5 +121,42 @@ fn flooding(path: PathBuf, text: &'static str) -> impl FnMut() {
         if over(open.read(&mut answers)) | over(open.write(texts.as_bytes())) {
             stream = None;
         }
+    }
+}
+
+/// A suspended thread; dropping it lets the thread continue.
+#[derive(Debug)]
+struct HungThread(Pid);
+
+impl HungThread {
+    /// Suspends the thread of `pid` with this name; the hub is the first thread. It must be dropped by the thread that suspended it.
+    ///
+    /// # Errors
+    /// No such thread, or no permission to trace it.
+    fn suspend(pid: Pid, name: &str) -> io::Result<Self> {
+        let mut tasks = std::fs::read_dir(format!("/proc/{pid}/task"))?.flatten();
+        let found = tasks.find_map(|task| {
+            let tid = Pid::from_raw(task.file_name().to_str()?.parse().ok()?);
+            let called = std::fs::read_to_string(task.path().join("comm")).ok()?;
+            let is_it = match name {
+                "hub" => tid == pid,
+                _ => called.trim() == name,
+            };
+            is_it.then_some(tid)
+        });
+        let tid = found.ok_or_else(|| io::Error::other(format!("there is no thread `{name}`")))?;
+        ptrace::seize(tid, ptrace::Options::empty())?;
+        let hung = Self(tid);
+        ptrace::interrupt(tid)?;
+        // how it stands is not wanted
+        let _ = waitpid(tid, Some(WaitPidFlag::__WALL));
+        Ok(hung)
+    }
+}
+
+impl Drop for HungThread {
+    fn drop(&mut self) {
+        // the process may have been killed meanwhile
+        let _ = ptrace::detach(self.0, None);
     }
 }

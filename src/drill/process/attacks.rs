@@ -7,7 +7,6 @@ use super::plan::Plan;
 use crate::drill::row::{FaultResult, require};
 use crate::drill::run::Allowance;
 use crate::service::Request;
-use serde_json::Value;
 use std::io;
 use std::time::{Duration, Instant};
 
@@ -104,7 +103,7 @@ fn one(
         let way = n as usize % 2;
         let started = Instant::now();
         let reply = match way {
-            0 => order(daemon, &Request::Stop {}).map(drop),
+            0 => daemon.ask(&Request::Stop {}).map(drop),
             _ => daemon.command("stop"),
         };
         slowest_s[way] = slowest_s[way].max(started.elapsed().as_secs_f64());
@@ -137,19 +136,16 @@ fn one(
     Ok(())
 }
 
-/// A request on a connection of its own.
-fn order(daemon: &Daemon, request: &Request) -> io::Result<Value> {
-    ask(&mut daemon.client()?, request)
-}
-
 /// Arms and bends, however often the attackers get in the way.
 fn move_again(daemon: &Daemon, n: u32) -> io::Result<()> {
     let dir_deg = if n.is_multiple_of(2) { 30.0 } else { 210.0 };
     let target = Request::bend(60.0, dir_deg, None, None);
     insist(ARM_MAX_S, || {
         // a loop that was late for the attackers' sake has tripped; without a fault this is refused
-        let _ = order(daemon, &Request::ResetFault {});
-        order(daemon, &Request::Arm {}).and_then(|_| order(daemon, &target))
+        let _ = daemon.ask(&Request::ResetFault {});
+        daemon
+            .ask(&Request::Arm {})
+            .and_then(|_| daemon.ask(&target))
     })?;
     std::thread::sleep(Duration::from_millis(80));
     Ok(())
@@ -158,7 +154,7 @@ fn move_again(daemon: &Daemon, n: u32) -> io::Result<()> {
 /// Microsteps of all channels after a stop, until twice the time that braking takes.
 fn travelled(daemon: &Daemon) -> io::Result<i64> {
     let counted = || -> io::Result<[i64; 3]> {
-        let mut status = insist(ARM_MAX_S, || order(daemon, &Request::Status {}))?;
+        let mut status = insist(ARM_MAX_S, || daemon.ask(&Request::Status {}))?;
         Ok(serde_json::from_value(status["counted"].take())?)
     };
     let before = counted()?;

@@ -38,7 +38,7 @@ pub fn rows(program: &Path, folder: &Path) -> io::Result<Vec<FaultResult>> {
 /// A row that is detected now, with the mode of the service.
 fn row(daemon: &Daemon, name: &str, requires: &str, started: Instant) -> io::Result<FaultResult> {
     let detected_s = Some(started.elapsed().as_secs_f64());
-    let status = ask(&mut daemon.client()?, &Request::Status {})?;
+    let status = daemon.ask(&Request::Status {})?;
     let row = FaultResult::new(name, requires).ending(&mode_of(&status));
     Ok(FaultResult { detected_s, ..row })
 }

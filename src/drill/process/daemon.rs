@@ -106,6 +106,14 @@ impl Daemon {
         connect(&self.sockets[0])
     }
 
+    /// Sends a request on a connection of its own.
+    ///
+    /// # Errors
+    /// As for [`ask`].
+    pub fn ask(&self, request: &Request) -> io::Result<Value> {
+        ask(&mut self.client()?, request)
+    }
+
     /// Number of its process.
     pub fn pid(&self) -> Pid {
         Pid::from_raw(self.child.id().cast_signed())

@@ -4,7 +4,7 @@ use super::plan::Plan;
 use crate::drill::bench::{BenchConfig, distance};
 use crate::drill::row::{FaultResult, require};
 use crate::primitives::Steps;
-use crate::service::store::{Found, Recall};
+use crate::service::store::{Found, Recall, SLOTS};
 use crate::service::{Belief, Start, Store};
 use crate::supervisor::{Machine, MachineError, Mode, Runner};
 use rand::rngs::StdRng;
@@ -16,9 +16,6 @@ use std::time::{Duration, Instant};
 
 /// Largest error of a believed position, mm of bellow.
 const BELIEVED_MAX_MM: f64 = 1.0;
-/// Names of the slots.
-const SLOTS: [&str; 2] = ["memory.a", "memory.b"];
-
 const RECALLED: &str = "the last acknowledged write is recalled, or the memory counts as lost; no microstep; at most 1 mm of what is believed is false";
 const LOST: &str = "the position is lost; no microstep";
 
@@ -56,11 +53,9 @@ impl Damage {
 /// One row for each damage, which is done to a copy of the memory after each of the kills.
 pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<FaultResult>> {
     let folder = &plan.scratch.join("kill");
-    let mut rows: Vec<(Damage, FaultResult, [u32; 3])> = Vec::new();
-    for (damage, name, requires) in Damage::ALL.into_iter().filter(|d| (plan.selected)(d.1)) {
-        let row = FaultResult::new(name, requires).ending("lost");
-        rows.push((damage, row, [0; 3]));
-    }
+    let all = Damage::ALL.into_iter().filter(|d| (plan.selected)(d.1));
+    let row = |(damage, name, requires)| (damage, FaultResult::new(name, requires), [0; 3]);
+    let mut rows: Vec<(Damage, FaultResult, [u32; 3])> = all.map(row).collect();
     if rows.is_empty() {
         return Ok(Vec::new());
     }
@@ -98,7 +93,7 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<FaultResult>> {
     for (_, mut row, [believed, lost, undecided]) in rows {
         require!(row: undecided == 0; "{undecided} starts came to no decision");
         row.message = format!("believed after {believed} kills, lost after {lost}");
-        concluded.push(row);
+        concluded.push(row.ending("lost"));
     }
     Ok(concluded)
 }

@@ -6,7 +6,6 @@ mod attacks;
 mod clients;
 pub mod daemon;
 mod disk;
-mod hang;
 mod kills;
 mod plan;
 mod restart;

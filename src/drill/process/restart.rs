@@ -46,10 +46,8 @@ pub fn stopped(plan: &Plan<'_>, folder: &Path) -> io::Result<FaultResult> {
     require!(row: row.state == "disarmed"; "mode {} although the plant started at rest", row.state);
     let counted = &status["counted"];
     require!(row: *counted == json!([0, 0, 0]); "the pistons are counted at {counted}");
-    let refusal = again
-        .client()?
-        .request(&Request::bend(20.0, 0.0, None, None))
-        .err();
+    let away = Request::bend(20.0, 0.0, None, None);
+    let refusal = again.client()?.request(&away).err();
     row.message = refusal.map(|r| r.message).unwrap_or_default();
     require!(row: row.message.contains("arm"); "`bend` was answered with `{}`", row.message);
     require!(row: again.end()?.0; "the service did not end with success");

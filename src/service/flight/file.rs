@@ -133,13 +133,12 @@ impl FlightFile {
         if let Event::Start(header) = event {
             self.step_mm = header.machine.step_mm;
             let mut metadata = header.hashes();
-            for (name, fact) in [
+            let facts = [
                 ("version", &header.program),
                 ("machine", &header.machine.name),
                 ("configuration hash", &header.config_hash),
-            ] {
-                metadata.insert(name.to_owned(), fact.clone());
-            }
+            ];
+            metadata.extend(facts.map(|(name, fact)| (name.to_owned(), fact.clone())));
             let name = "retroflex".to_owned();
             self.writer.write_metadata(&Metadata { name, metadata })?;
             let version = ("version.txt", header.program.as_str());

@@ -112,6 +112,8 @@ impl Entry {
     }
 }
 
+/// The messages of a record.
+pub type Messages = Vec<Message<'static>>;
 type Visit<'a> = dyn FnMut(Message<'static>) -> Result<(), String> + 'a;
 
 /// Reads the messages of a log. Returns how it ends and where it is damaged.
@@ -129,20 +131,13 @@ pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<E
     if !has_magic(SeekFrom::Start(0)) {
         return Err("this is no MCAP file, and so no flight log".to_owned());
     }
-    let (mut at, mut hole, mut known) = (MAGIC.len() as u64, None, false);
-    let mut log = Reading {
-        ending: Ending {
-            closed,
-            damage: Vec::new(),
-        },
-        ..Reading::default()
-    };
+    let (mut hole, mut known, mut log) = (None, false, Reading::default());
+    log.ending.closed = closed;
     loop {
-        let last_ns = log.last_ns;
+        let (at, last_ns) = (log.at(), log.last_ns);
         match log.record(&mut source) {
             Ok(None) => break,
-            Ok(Some((length, messages))) => {
-                at += length;
+            Ok(Some(messages)) => {
                 if let (Some(first), Some(hole)) =
                     (messages.first(), hole.take_if(|_| !messages.is_empty()))
                 {
@@ -159,13 +154,14 @@ pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<E
                 }
             }
             Err(e) => {
-                let next = next_chunk(&mut source, at + 1).map_err(failed)?;
-                if next.is_some() || closed {
+                let goes_on = log.skip(&mut source).map_err(failed)?;
+                if goes_on || closed {
                     let why = io_error(e).to_string().to_lowercase();
                     hole.get_or_insert(format!("damaged at byte {at} ({why})"));
                 }
-                let Some(next) = next else { break };
-                at = source.seek(SeekFrom::Start(next)).map_err(failed)?;
+                if !goes_on {
+                    break;
+                }
             }
         }
     }
@@ -189,8 +185,6 @@ pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<E
 /// Follows a log that is being written.
 pub struct Tail {
     source: BufReader<File>,
-    /// Position of the next record.
-    at: u64,
     log: Reading,
 }
 
@@ -200,44 +194,18 @@ impl Tail {
     /// # Errors
     /// The operating system's.
     pub fn open(path: &Path) -> io::Result<Self> {
-        let (source, at) = (BufReader::new(File::open(path)?), MAGIC.len() as u64);
-        let log = Reading::default();
-        Ok(Self { source, at, log })
+        let (source, log) = (BufReader::new(File::open(path)?), Reading::default());
+        Ok(Self { source, log })
     }
 
     /// The messages of the next record; `None` as long as it is not whole, or at the end of the log. What is damaged is left out.
     ///
     /// # Errors
     /// The operating system's.
-    pub fn next_record(&mut self) -> io::Result<Option<Vec<Message<'static>>>> {
-        self.source.seek(SeekFrom::Start(self.at))?;
-        match self.log.record(&mut self.source) {
-            Ok(Some((length, messages))) => {
-                self.at += length;
-                Ok(Some(messages))
-            }
-            Ok(None) => Ok(None),
-            Err(_) => {
-                let next = next_chunk(&mut self.source, self.at + 1)?;
-                self.at = next.unwrap_or(self.at);
-                Ok(next.map(|_| Vec::new()))
-            }
-        }
+    pub fn next_record(&mut self) -> io::Result<Option<Messages>> {
+        let read = self.log.record(&mut self.source);
+        read.or_else(|_| Ok(self.log.skip(&mut self.source)?.then(Vec::new)))
     }
-}
-
-/// Position of the next chunk from a byte on, found by the name of its compression.
-fn next_chunk(source: &mut (impl BufRead + Seek), from: u64) -> io::Result<Option<u64>> {
-    source.seek(SeekFrom::Start(from))?;
-    let mut last = [0; COMPRESSION.len()];
-    for (k, byte) in source.bytes().enumerate() {
-        last.rotate_left(1);
-        last[COMPRESSION.len() - 1] = byte?;
-        if last == *COMPRESSION && k >= COMPRESSION_END {
-            return Ok(Some(from + (k - COMPRESSION_END) as u64));
-        }
-    }
-    Ok(None)
 }
 
 /// The records of a chunk. Its checksum is compared first.
@@ -264,6 +232,8 @@ fn records(mut chunk: &[u8], most: usize) -> McapResult<Vec<Record<'static>>> {
 
 #[derive(Default)]
 struct Reading {
+    /// Length of everything before the next record but [`MAGIC`], bytes.
+    passed: u64,
     channels: ChannelAccumulator<'static>,
     ending: Ending,
     /// Time of the last message, ns.
@@ -271,11 +241,14 @@ struct Reading {
 }
 
 impl Reading {
-    /// The length and the messages of the next record; `None` at the end of the data.
-    fn record(
-        &mut self,
-        source: &mut impl Read,
-    ) -> McapResult<Option<(u64, Vec<Message<'static>>)>> {
+    /// Position of the next record.
+    fn at(&self) -> u64 {
+        MAGIC.len() as u64 + self.passed
+    }
+
+    /// The messages of the next record; `None` at the end of the data.
+    fn record(&mut self, source: &mut (impl Read + Seek)) -> McapResult<Option<Messages>> {
+        source.seek(SeekFrom::Start(self.at()))?;
         let mut head = [0; 9];
         source.read_exact(&mut head)?;
         let [opcode, length @ ..] = head;
@@ -312,13 +285,29 @@ impl Reading {
             },
             _ => return wrong("an unknown record"),
         };
-        Ok(Some((9 + length, messages)))
+        self.passed += whole.len() as u64;
+        Ok(Some(messages))
+    }
+
+    /// Goes to the next chunk, found by the name of its compression; false if there is none.
+    fn skip(&mut self, source: &mut (impl BufRead + Seek)) -> io::Result<bool> {
+        source.seek(SeekFrom::Start(self.at() + 1))?;
+        let mut last = [0; COMPRESSION.len()];
+        for (k, byte) in source.bytes().enumerate() {
+            last.rotate_left(1);
+            last[COMPRESSION.len() - 1] = byte?;
+            if last == *COMPRESSION && k >= COMPRESSION_END {
+                self.passed += 1 + (k - COMPRESSION_END) as u64;
+                return Ok(true);
+            }
+        }
+        Ok(false)
     }
 
     /// The messages of a chunk, all of which is read before any of it is believed. No record of it may be longer than `most` bytes,
     /// which is more than the chunk holds.
-    fn chunk(&mut self, whole: &[u8], most: u64) -> McapResult<Vec<Message<'static>>> {
-        let mut messages: Vec<Message<'static>> = Vec::new();
+    fn chunk(&mut self, whole: &[u8], most: u64) -> McapResult<Messages> {
+        let mut messages = Messages::new();
         for record in records(whole, most as usize)? {
             match record {
                 Record::Schema { header, data } => {

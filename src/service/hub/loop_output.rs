@@ -43,7 +43,7 @@ impl Hub {
                 output,
             };
             self.process(&logged, waiting <= FRAMES_SENT_MAX);
-            (self.last, self.note, self.cycle) = (Some(output), Some(frame.note), number);
+            self.last = Some(frame);
         }
         for (id, cycle, result) in answers {
             let Some(pending) = self.pending.remove(&id) else {
@@ -72,7 +72,6 @@ impl Hub {
         let order = pending.order;
         match order {
             Order::Arm => self.persistence.armed_cycle = cycle,
-            Order::Lines(_) => self.persistence.lines_before = None,
             Order::Play => result = self.path.clone(),
             Order::Hold | Order::Disarm | Order::Relax => self.motion_owner = None,
             _ => {}
@@ -84,7 +83,7 @@ impl Hub {
     }
 
     fn give_up_late_answers(&mut self) {
-        let late = |p: &Pending| p.caller.since.elapsed().as_secs_f64() > ANSWER_MAX_S;
+        let late = |p: &Pending| p.caller.then.since.elapsed().as_secs_f64() > ANSWER_MAX_S;
         let late: Vec<_> = self.pending.extract_if(.., |_, p| late(p)).collect();
         for (_, pending) in late {
             let failure = match pending.held {
@@ -147,9 +146,9 @@ impl Hub {
     /// Logs every change of mode, fault and suspicion as one event.
     fn log(&mut self, output: &CycleOutput) {
         let config = &self.config.config_hash;
-        let before = self.last.as_ref();
-        if before.is_none_or(|b| b.mode != output.mode) {
-            let from = before.map_or("boot", |b| b.mode.name());
+        let before = self.last.map(|last| last.output.mode);
+        if before != Some(output.mode) {
+            let from = before.map_or("boot", Mode::name);
             tracing::info!(event = "mode", from, to = output.mode.name(), config = %config, "{from} → {}", output.mode);
         }
         if let Some(cause) = output.tripped {
@@ -186,47 +185,40 @@ impl Hub {
         let Some(session) = &mut self.calibration else {
             return;
         };
-        let result = match session.step(output) {
+        match session.step(output, self.config.supervisor.gate.step_mm) {
             Ok(Next::Wait) => return,
             Ok(Next::Drive(pose)) => return self.own_order(Order::Bend(pose, None), calibrating),
             Ok(Next::Lines(lines)) => return self.own_order(Order::Lines(lines), calibrating),
-            Ok(Next::Done(found)) => Ok(found),
-            Err(why) => Err(why),
-        };
-        self.calibration = None;
-        self.own_order(Order::Calibrate(false), calibrating);
-        self.conclude_calibration(result);
-    }
-
-    fn conclude_calibration(&mut self, result: Result<Identified, String>) {
-        let config = &self.config.config_hash;
-        match result {
+            Ok(Next::Done(found)) => self.propose(&found),
             Err(why) => {
-                tracing::error!(event = "calibration", config = %config, "{why}");
+                tracing::error!(event = "calibration", config = %self.config.config_hash, "{why}");
                 self.calibration_failed = Some(why);
             }
-            Ok(found) => {
-                let lines = found.lines();
-                let gains = LearnedGains {
-                    k_epsilon: lines.map(|l| l.k_epsilon),
-                    k_lambda_mm: lines.map(|l| l.k_lambda_mm),
-                    lag_s: found.dynamics.expected.lag_s,
-                    delay_s: found.dynamics.expected.delay_s,
-                    tip: self.config.tip.clone(),
-                    unix_s: unix_s(),
-                    source: "calibrate transmission".to_owned(),
-                };
-                tracing::info!(event = "calibration", k_epsilon = ?gains.k_epsilon, k_lambda_mm = ?gains.k_lambda_mm, config = %config,
-                    "gains identified; `retroflex calibrate transmission --accept` applies them");
-                self.memory.proposed = Some(gains);
-                self.persistence.write_soon();
-            }
         }
+        self.calibration = None;
+        self.own_order(Order::Calibrate(false), calibrating);
+    }
+
+    fn propose(&mut self, found: &Identified) {
+        let lines = found.lines();
+        let gains = LearnedGains {
+            k_epsilon: lines.map(|l| l.k_epsilon),
+            k_lambda_mm: lines.map(|l| l.k_lambda_mm),
+            lag_s: found.dynamics.expected.lag_s,
+            delay_s: found.dynamics.expected.delay_s,
+            tip: self.config.tip.clone(),
+            unix_s: unix_s(),
+            source: "calibrate transmission".to_owned(),
+        };
+        tracing::info!(event = "calibration", k_epsilon = ?gains.k_epsilon, k_lambda_mm = ?gains.k_lambda_mm, config = %self.config.config_hash,
+            "gains identified; `retroflex calibrate transmission --accept` applies them");
+        self.memory.proposed = Some(gains);
+        self.persistence.write_soon();
     }
 
     /// Sends a changed STATUS line to the service manager, at most once a second.
     pub(super) fn notify_manager(&mut self) {
-        let Some(last) = &self.last else { return };
+        let Some(last) = self.output() else { return };
         let estimate = last.frame.estimate.map_or_else(String::new, |x| {
             let (bend, dir) = (x.bend.beta().to_degrees(), x.bend.delta().to_degrees());
             format!(", {bend:.1}° at {dir:.0}°")

@@ -16,7 +16,7 @@ use crate::service::flight::log::FlightLog;
 use crate::service::flight::start::Event;
 use crate::service::protocol::{PathRow, reply_line};
 use crate::service::record::Recording;
-use crate::service::rt_loop::{HubRings, Message, Precondition, RestartNote};
+use crate::service::rt_loop::{HubRings, LoopFrame, Message, Precondition};
 use crate::service::{
     Belief, Caller, Change, Failure, LearnedGains, Memory, Notifier, Port, RunConfig, Shared,
     StateWriter,
@@ -113,11 +113,8 @@ pub struct Hub {
     pub(super) streamer: u64,
     /// Duration of the last path and by how much it was slowed, for the status.
     pub(super) path: Value,
-    pub(super) last: Option<CycleOutput>,
-    /// What a restart after that cycle needs.
-    pub(super) note: Option<RestartNote>,
-    /// Number of that cycle.
-    pub(super) cycle: u64,
+    /// The last cycle that is known.
+    pub(super) last: Option<LoopFrame>,
     /// The log of this run, if there is one.
     pub(super) flight: Option<FlightLog>,
     /// Changes that were sent to the loop.
@@ -157,10 +154,8 @@ pub(super) struct Persistence {
     pub(super) arming: Option<u64>,
     /// Why the last write failed.
     pub(super) error: Option<String>,
-    /// The accepted gains before those that are being written.
-    pub(super) accepted_before: Option<LearnedGains>,
-    /// The gains in use before those that are on their way to the loop.
-    pub(super) lines_before: Option<[Line; 3]>,
+    /// The accepted gains, and those in use, before those that were accepted last.
+    pub(super) before: (Option<LearnedGains>, [Line; 3]),
     /// The cycle that carried out the last `arm`: a note from before it says nothing about the drivers.
     pub(super) armed_cycle: u64,
     pub(super) last_checkpoint: Option<Instant>,
@@ -200,8 +195,6 @@ impl Hub {
             streamer: 0,
             path: Value::Null,
             last: None,
-            note: None,
-            cycle: 0,
             flight: None,
             changes_sent: 0,
             changes: VecDeque::new(),
@@ -223,15 +216,14 @@ impl Hub {
 
     /// Sends an order of a client.
     pub(super) fn order(&mut self, order: Order, caller: Caller) {
-        let id = self.next_id();
-        let (stops, since, mode) = (caller.stops, caller.since, None);
+        let (id, then, held) = (self.next_id(), caller.then, None);
         let pending = Pending {
             caller,
             order,
-            held: None,
+            held,
         };
         self.pending.insert(id, pending);
-        self.push_order(id, order, Precondition { stops, since, mode });
+        self.push_order(id, order, then);
     }
 
     /// Sends an order of the hub itself, which is carried out only in `mode` if there is one.
@@ -274,13 +266,9 @@ impl Hub {
         match pending.order {
             Order::Calibrate(true) => self.calibration = None,
             Order::Lines(_) => {
-                self.memory.proposed = std::mem::replace(
-                    &mut self.memory.accepted,
-                    self.persistence.accepted_before.take(),
-                );
-                if let Some(lines) = self.persistence.lines_before.take() {
-                    self.config.supervisor.tick.lines = lines;
-                }
+                let (accepted, lines) = std::mem::take(&mut self.persistence.before);
+                self.memory.proposed = std::mem::replace(&mut self.memory.accepted, accepted);
+                self.config.supervisor.tick.lines = lines;
                 self.persistence.write_soon();
             }
             _ => {}
@@ -302,12 +290,17 @@ impl Hub {
         self.io.port(to.client).reply(to.client, line);
     }
 
+    /// Output of the last cycle.
+    pub(super) fn output(&self) -> Option<&CycleOutput> {
+        self.last.as_ref().map(|last| &last.output)
+    }
+
     pub(super) fn mode(&self) -> Mode {
-        self.last.as_ref().map_or(Mode::Boot, |t| t.mode)
+        self.output().map_or(Mode::Boot, |t| t.mode)
     }
 
     pub(super) fn is_at_zero(&self) -> bool {
-        self.last.as_ref().is_some_and(|t| t.counted.0 == [0; 3])
+        self.output().is_some_and(|t| t.counted.0 == [0; 3])
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::{Hub, Pending};
 use crate::control::RestartState;
-use crate::service::{Caller, Failure, LearnedGains};
+use crate::service::{Caller, Failure};
 use crate::supervisor::{Mode, Order};
 use std::time::{Duration, Instant};
 
@@ -19,7 +19,12 @@ impl Hub {
 
     /// Writes the memory unless a write that holds the same is under way; the order goes out once it is on the disk. Returns
     /// the id of the write.
-    fn write_ahead(&mut self, order: Order, caller: Caller, under_way: Option<u64>) -> Option<u64> {
+    pub(super) fn write_ahead(
+        &mut self,
+        order: Order,
+        caller: Caller,
+        under_way: Option<u64>,
+    ) -> Option<u64> {
         let id = self.next_id();
         let writer = &mut self.io.state_writer;
         let write = under_way.or_else(|| writer.write(&self.memory, Some(id)).then_some(id));
@@ -37,30 +42,22 @@ impl Hub {
         write
     }
 
-    /// Accepts proposed gains: they are applied once they are on the disk.
-    pub(super) fn write_accepted(&mut self, gains: LearnedGains, caller: Caller) {
-        let order = Order::Lines(gains.lines());
-        self.persistence.accepted_before = self.memory.accepted.replace(gains);
-        self.memory.proposed = None;
-        self.write_ahead(order, caller, None);
-    }
-
     /// Passes the latest position to the state writer when a checkpoint is due, and reads its results.
     pub(super) fn persist(&mut self) {
-        if let Some(note) = self.note {
-            let (memory, state) = (&self.memory, note.state);
+        if let Some(last) = self.last {
+            let (memory, state) = (&self.memory, last.restart);
             let moved = |r: RestartState| r.steps != state.steps || r.rest != state.rest;
-            let beliefs = memory.lost != note.lost || memory.unverified != note.unverified;
+            let beliefs = memory.lost != last.lost || memory.unverified != last.output.unverified;
             let changed = beliefs || memory.restart.is_none_or(moved);
             let still = !self.mode().moves() && self.mode() != Mode::Relaxing;
             // an `arm` that is under way, or was carried out in a cycle that is not known yet, energises the drivers
-            let arms = self.cycle < self.persistence.armed_cycle
+            let arms = last.number < self.persistence.armed_cycle
                 || (self.pending.values()).any(|p| p.order == Order::Arm || p.held.is_some());
-            let at_rest = note.at_rest && still && !arms;
+            let at_rest = last.at_rest && still && !arms;
             let disarms = self.persistence.armed_on_disk && at_rest;
             self.memory.restart = Some(state);
             (self.memory.armed, self.memory.lost, self.memory.unverified) =
-                (!at_rest, note.lost, note.unverified);
+                (!at_rest, last.lost, last.output.unverified);
             let checkpoint = Duration::from_secs_f64(self.config.service.checkpoint_s);
             let due = (changed || disarms) && self.persistence.is_older_than(checkpoint);
             // a checkpoint that waits for a slow disk does not take the place of what an `arm` waits for
@@ -95,8 +92,7 @@ impl Hub {
                 None => {
                     self.persistence.armed_on_disk |= pending.order == Order::Arm;
                     if let Order::Lines(lines) = pending.order {
-                        let now = &mut self.config.supervisor.tick.lines;
-                        self.persistence.lines_before = Some(std::mem::replace(now, lines));
+                        self.config.supervisor.tick.lines = lines;
                     }
                     self.order(pending.order, pending.caller);
                 }

@@ -58,13 +58,10 @@ impl Hub {
                     )));
                 }
                 let path = folder.join(name + ".csv.gz");
-                if let Err(e) = self.start_recording(&path, false) {
-                    return refuse(format!("{}: {e}", path.display()));
-                }
-                if let Some(recording) = &mut self.recording {
-                    recording.owner = owned.then_some(caller.client);
-                    recording.starting = Some(caller.clone());
-                }
+                let failed = |e| Failure::refused(format!("{}: {e}", path.display()));
+                let recording = self.start_recording(&path, false).map_err(failed)?;
+                recording.owner = owned.then_some(caller.client);
+                recording.starting = Some(caller.clone());
                 Ok(None)
             }
         }
@@ -90,15 +87,19 @@ impl Hub {
 
     /// Starts a recording. It can be replayed if the supervisor is in its first cycle (`at_boot`), or if it is idle now and when
     /// the loop replaces it by a freshly reset one.
-    pub(super) fn start_recording(&mut self, path: &Path, at_boot: bool) -> io::Result<()> {
-        let idle = self.note.is_some_and(|note| note.idle);
-        let t_s = self.last.as_ref().map_or(0.0, |last| last.sensed.t.0);
+    pub(super) fn start_recording(
+        &mut self,
+        path: &Path,
+        at_boot: bool,
+    ) -> io::Result<&mut Recording> {
+        let idle = self.last.is_some_and(|last| last.idle);
+        let t_s = self.output().map_or(0.0, |last| last.sensed.t.0);
         let zero = (at_boot || idle).then(|| zero_unix_ns(t_s));
         let step_mm = self.config.supervisor.gate.step_mm;
         let mut recording = Recording::start(path, step_mm, zero, &self.config.service)?;
         tracing::info!(event = "record", path = %path.display(), replayable = recording.is_replayable(), "recording started");
         if !at_boot && idle {
-            self.memory.restart = self.note.map(|note| note.state);
+            self.memory.restart = self.last.map(|last| last.restart);
             let start = Start::new(&self.config, &self.memory, Belief::Certain);
             let header = start.header(&self.config, self.machine());
             let change = Change::Supervisor(Box::new(start.supervisor()));
@@ -107,8 +108,7 @@ impl Hub {
             }
         }
         self.recording_ended = None;
-        self.recording = Some(recording);
-        Ok(())
+        Ok(self.recording.insert(recording))
     }
 
     /// Reads what the recording's thread reports, and answers who waits for it.
@@ -119,30 +119,28 @@ impl Hub {
         if self.changes.iter().any(undecided) {
             return;
         }
-        while let Some(mut recording) = self.recording.take() {
+        let hangs_deg = self.hangs_deg();
+        while let Some(recording) = &mut self.recording {
             match recording.progress() {
-                Some(Progress::Ended(result)) => self.recording_over(&recording, result),
+                None => return,
+                Some(Progress::Ended(result)) => self.recording_over(result),
                 Some(Progress::Started) => {
+                    let straight_deg = self.config.supervisor.restart_check.straight_deg;
+                    let remark = |deg| format!("the tip hangs {deg:.1}° away from straight");
+                    let remark = hangs_deg.filter(|deg| *deg > straight_deg).map(remark);
+                    let started = json!({"path": recording.path, "replayable": recording.is_replayable(), "remark": remark});
                     if let Some(caller) = recording.starting.take() {
-                        let straight_deg = self.config.supervisor.restart_check.straight_deg;
-                        let remark = |deg| format!("the tip hangs {deg:.1}° away from straight");
-                        let hangs_deg = self.hangs_deg().filter(|deg| *deg > straight_deg);
-                        let remark = hangs_deg.map(remark);
-                        let r = &recording;
-                        let started = json!({"path": r.path, "replayable": r.is_replayable(), "remark": remark});
                         self.reply(&caller, &Ok(started));
                     }
-                    self.recording = Some(recording);
-                }
-                None => {
-                    self.recording = Some(recording);
-                    return;
                 }
             }
         }
     }
 
-    fn recording_over(&mut self, recording: &Recording, result: io::Result<Option<&'static str>>) {
+    fn recording_over(&mut self, result: io::Result<Option<&'static str>>) {
+        let Some(recording) = self.recording.take() else {
+            return;
+        };
         let (shown, rows) = (recording.path.display(), recording.rows.count);
         let exists = "a recording of this name exists; give another name, or remove its files (.csv.gz and .mcap)";
         let result = result.map_err(|e| match e.kind() {
@@ -150,7 +148,7 @@ impl Hub {
             _ => e.to_string(),
         });
         let (reply, why) = match result {
-            Ok(reason) => (Ok(recording_json(recording)), reason.map(str::to_owned)),
+            Ok(reason) => (Ok(recording_json(&recording)), reason.map(str::to_owned)),
             Err(e) => (Err(Failure::refused(format!("{shown}: {e}"))), Some(e)),
         };
         match &why {
@@ -186,7 +184,7 @@ impl Hub {
 
     /// Estimated bend of a tip whose pistons are at zero, degrees.
     fn hangs_deg(&self) -> Option<f64> {
-        let last = self.last.as_ref().filter(|_| self.is_at_zero())?;
+        let last = self.output().filter(|_| self.is_at_zero())?;
         Some(last.frame.estimate?.bend.beta().to_degrees())
     }
 
@@ -196,21 +194,17 @@ impl Hub {
         self.status_cache.insert(status).clone()
     }
 
-    fn why_lost(&self) -> &str {
-        match (self.facts.damaged.first(), self.facts.belief) {
+    /// Why the position of the pistons is unknown, and what ends that.
+    fn lost(&self) -> String {
+        let why = match (self.facts.damaged.first(), self.facts.belief) {
             (Some(damage), _) => damage,
             (None, Belief::Lost) => "no memory of the position was found at the start",
             (None, Belief::Checked) => {
                 "the service ended while the drivers were energised, and the tip is not in the pose of its memory"
             }
             (None, Belief::Certain) => "the drivers have been released since the last zero",
-        }
-    }
-
-    /// Why the position of the pistons is unknown, and what ends that.
-    fn lost(&self) -> String {
-        let why = self.why_lost();
-        let attitude = self.note.and_then(|note| note.state.rest);
+        };
+        let attitude = self.last.and_then(|last| last.restart.rest);
         let zero = attitude.map_or("zero --straight", |_| "zero");
         let relax = "; `retroflex relax` drives back by the remembered steps";
         let relax = if self.is_at_zero() { "" } else { relax };
@@ -221,7 +215,7 @@ impl Hub {
 
     /// The status as a JSON object.
     fn status(&self) -> Value {
-        let last = self.last.as_ref();
+        let last = self.output();
         let mut value = last.map_or_else(
             || json!({"mode": Mode::Boot.name()}),
             |t| status::cycle(t, self.config.supervisor.gate.step_mm),
@@ -234,6 +228,7 @@ impl Hub {
         let accepted = Start::accepted(&self.config, memory).map(|g| &g.source);
         let calibration = model.as_ref().or(accepted).unwrap_or(given);
         let granted = |(name, grant): &(_, crate::hardware::rt::Grant)| json!({"what": name, "grant": grant.to_string()});
+        let age_s = |w: &Watched| (w.name(), (shared.age_s(*w) * 1e3).floor() * 1e-3);
         let more = json!({
             "program": env!("CARGO_PKG_VERSION"),
             "config_hash": self.config.config_hash,
@@ -244,6 +239,7 @@ impl Hub {
             "power": self.supply.0,
             "settled": settled,
             "stopped": last.is_some_and(|t| t.stopped),
+            "stops": shared.stop.completed(),
             "fault": last.and_then(|t| t.latched).map(TripCause::advice),
             "ending": self.ending.is_some(),
             "calibration": calibration,
@@ -257,7 +253,7 @@ impl Hub {
             "lost": (self.mode() == Mode::Lost).then(|| self.lost()),
             "unverified": memory.unverified,
             "hangs_deg": self.hangs_deg(),
-            "thread_age_s": Watched::ALL.iter().map(|w| (w.name(), shared.age_s(*w))).collect::<HashMap<_, _>>(),
+            "thread_age_s": Watched::ALL.iter().map(age_s).collect::<HashMap<_, _>>(),
             "clients": shared.clients.iter().map(|n| n.load(Relaxed)).sum::<usize>(),
             "cycles": shared.cycles.load(Relaxed),
             "late_cycles": shared.late.load(Relaxed),

@@ -14,10 +14,9 @@ use crate::service::flight::start::Event;
 use crate::service::protocol::{
     CalibrateAction, DIR_DEG, Frame, PATH_MAX_S, PATH_ROWS, PATH_STEP_S, POSES, PathRow,
 };
-use crate::service::rt_loop::Precondition;
 use crate::service::start::with_gains;
 use crate::service::{Caller, Change, Failure, Request};
-use crate::supervisor::{BEND_MAX_RAD, Mode, Order, SupervisorConfig};
+use crate::supervisor::{BEND_MAX_RAD, Mode, Order};
 use serde_json::{Value, json};
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -27,7 +26,7 @@ impl Hub {
     /// Handles one line of a client.
     pub(super) fn handle(&mut self, mut caller: Caller, request: Result<Request, Failure>) {
         let client = caller.client;
-        caller.since = Instant::now();
+        caller.then.since = Instant::now();
         caller.command = request.as_ref().map(Request::name).unwrap_or_default();
         let reply = match request {
             Err(failure) => {
@@ -115,9 +114,7 @@ impl Hub {
                     // a set-point without a time ends the clock of another client
                     self.streamer = caller.client;
                     let id = self.next_id();
-                    let (stops, since, mode) = (caller.stops, caller.since, None);
-                    let then = Precondition { stops, since, mode };
-                    self.push_order(id, Order::Stream(target), then);
+                    self.push_order(id, Order::Stream(target), caller.then);
                 }
                 t_s.map_or(Order::Stream(target), |t_s| Order::Timed(target, t_s))
             }
@@ -174,19 +171,14 @@ impl Hub {
     /// Refuses a row of a path that is not in range by itself, or in time after the first one and the one before.
     fn check_row(&self, rows: &[PathRow], k: usize) -> Result<(), Failure> {
         let (t_s, _, dir_deg, length_mm) = rows[k];
-        let from_s = match k {
-            0 => t_s,
-            _ => rows[k - 1].0 + PATH_STEP_S,
-        };
+        let before = rows[..k].last();
+        let from_s = before.map_or(t_s, |before| before.0 + PATH_STEP_S);
+        let lengths_mm = self.lengths_mm();
+        let length_mm = length_mm.unwrap_or(*lengths_mm.start());
         let checks = [
             ("t_s", t_s, from_s..=rows[0].0 + PATH_MAX_S, "s"),
             ("dir_deg", dir_deg, DIR_DEG, "degrees"),
-            (
-                "length_mm",
-                length_mm.unwrap_or(*self.lengths_mm().start()),
-                self.lengths_mm(),
-                "mm",
-            ),
+            ("length_mm", length_mm, lengths_mm, "mm"),
         ];
         for (column, value, allowed, unit) in checks {
             if !allowed.contains(&value) {
@@ -304,11 +296,11 @@ impl Hub {
                 "not while {mode}: `retroflex arm` first and wait until the tip holds"
             ));
         }
-        let SupervisorConfig { tick, gate, .. } = &self.config.supervisor;
+        let tick = &self.config.supervisor.tick;
         let round = Round::new(tick.geometry, poses);
         let from_zero = [Line::default(); 3];
         let algorithm = Algorithm1::new(round, from_zero, prior, tick.dynamics);
-        self.calibration = Some(Session::new(algorithm, gate.step_mm));
+        self.calibration = Some(Session::new(algorithm));
         self.calibration_failed = None;
         self.order(Order::Calibrate(true), caller.clone());
         Ok(None)
@@ -317,7 +309,7 @@ impl Hub {
     /// The transmission gains in use.
     fn in_use(&self) -> [Line; 3] {
         let mut lines = self.config.supervisor.tick.lines;
-        if let Some(last) = &self.last {
+        if let Some(last) = self.output() {
             for (line, k_epsilon) in lines.iter_mut().zip(last.frame.k_epsilon) {
                 line.k_epsilon = k_epsilon;
             }
@@ -343,7 +335,12 @@ impl Hub {
         if !matches!(self.mode(), Mode::Disarmed | Mode::Holding) {
             return refuse(format!("not while {}", self.mode()));
         }
-        self.write_accepted(gains, caller.clone());
+        // they are applied once they are on the disk
+        let order = Order::Lines(gains.lines());
+        let before = self.memory.accepted.replace(gains);
+        self.persistence.before = (before, self.config.supervisor.tick.lines);
+        self.memory.proposed = None;
+        self.write_ahead(order, caller.clone(), None);
         Ok(None)
     }
 }

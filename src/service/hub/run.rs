@@ -47,8 +47,7 @@ impl Hub {
         }
         self.mount_tip();
         self.ready_after_boot_s = rt::monotonic_ns() as f64 * 1e-9;
-        let after_boot_s = self.ready_after_boot_s;
-        tracing::info!(event = "start", after_boot_s, config = %self.config.config_hash, tip = %self.config.tip, "ready, disarmed");
+        tracing::info!(event = "start", after_boot_s = self.ready_after_boot_s, config = %self.config.config_hash, tip = %self.config.tip, "ready, disarmed");
         let ready = "READY=1\nSTATUS=aligning: the tip must be still for 2 s";
         self.io.notifier.notify(ready);
         let mut again = true;
@@ -58,7 +57,7 @@ impl Hub {
                 self.start_ending();
             }
             self.take_requests();
-            if again && self.ending.is_some() && self.last.as_ref().is_some_and(is_late) {
+            if again && self.ending.is_some() && self.output().is_some_and(is_late) {
                 again = false;
                 self.ending = self.ending.map(|(_, from_s)| (Instant::now(), from_s));
                 self.own_order(Order::Relax, None);
@@ -155,19 +154,19 @@ impl Hub {
 
     /// A signal that ends a process: returns to rest; after a stop the tip stays where it is.
     fn start_ending(&mut self) {
-        let t_s = self.last.as_ref().map_or(0.0, |last| last.sensed.t.0);
+        let t_s = self.output().map_or(0.0, |last| last.sensed.t.0);
         self.ending = Some((Instant::now(), t_s));
         self.io.notifier.notify("STOPPING=1\nSTATUS=relaxing");
         tracing::info!(event = "end", config = %self.config.config_hash, mode = %self.mode(), "ending on a signal");
         let away = self.last.is_some() && (!self.is_at_zero() || self.mode().moves());
-        let stopped = self.last.as_ref().is_some_and(|last| last.stopped);
+        let stopped = self.output().is_some_and(|last| last.stopped);
         if away && !stopped && self.mode() != Mode::Lost {
             self.own_order(Order::Relax, None);
         }
     }
 
     fn is_over(&self) -> bool {
-        let (Some((since, from_s)), Some(last)) = (self.ending, &self.last) else {
+        let (Some((since, from_s)), Some(last)) = (self.ending, self.output()) else {
             return self.ending.is_some();
         };
         let rested = self.is_at_zero() || matches!(last.mode, Mode::Lost | Mode::Boot);
@@ -186,7 +185,7 @@ impl Hub {
         self.memory.armed = !at_rest;
         if let (Some(restart), Some(last)) = (&mut self.memory.restart, &self.last) {
             // the last restart note may be older than the last step
-            restart.steps = last.counted;
+            restart.steps = last.output.counted;
         }
         if let Some((_, Err(e))) = self.io.state_writer.finish(&self.memory) {
             tracing::error!(event = "memory", "the last state could not be written: {e}");

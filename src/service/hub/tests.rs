@@ -217,11 +217,11 @@ fn no_client_leads_the_setpoint_faster_than_the_board_permits() {
         let mut house = House::new(seed);
         let most_rad = house.hub.config.supervisor.tick.bend_pace.speed * house.rt.period_s;
         let mut turn = |house: &mut House, kind: &'static str| {
-            let before = house.hub.last;
+            let before = house.hub.output().copied();
             house.cycle();
             house.hub.take_loop_output();
             house.hub.persist();
-            let (Some(before), Some(now)) = (before, house.hub.last) else {
+            let (Some(before), Some(now)) = (before, house.hub.output().copied()) else {
                 return;
             };
             if before.mode == Mode::Tracking && now.mode == Mode::Tracking {
@@ -299,7 +299,7 @@ fn what_was_decided_on_an_old_picture_is_not_carried_out() {
         let before = house.rt.runner.supervisor.mode();
         house.cycle();
         house.hub.take_loop_output();
-        let taken = house.hub.last.unwrap().order.is_some();
+        let taken = house.hub.output().unwrap().order.is_some();
         let theirs = before == Mode::Calibrating && order.calibrates();
         let holds = !old && precondition.mode.map_or(!theirs, |mode| mode == before);
         assert_eq!(

@@ -329,7 +329,7 @@ fn damage_stays_until_the_next_write() {
         .0
         .write(&memory(1))
         .unwrap();
-    for name in NAMES {
+    for name in SLOTS {
         std::fs::write(folder.path().join(name), [0; SIZE]).unwrap();
     }
     for _ in 0..3 {

@@ -7,11 +7,10 @@ use crate::hardware::rt;
 use crate::primitives::{Seconds, Steps};
 use crate::service::hub::{Facts, Hub, HubIo};
 use crate::service::notify::Heartbeat;
-use crate::service::rt_loop::{Loop, rings};
+use crate::service::rt_loop::{Loop, Precondition, rings};
 use crate::service::store;
 use crate::service::{
-    Belief, Caller, Memory, Notifier, Port, Request, RunConfig, Shared, Start, StateWriter,
-    StopCounter, Store, ThreadWatch,
+    Belief, Caller, Memory, Notifier, Port, Request, RunConfig, Shared, Start, StateWriter, Store,
 };
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::sim::Sim;
@@ -134,12 +133,12 @@ fn config(folder: &Path) -> RunConfig {
 }
 
 fn caller(client: u64, id: Value, stops: u64) -> Caller {
+    let (since, mode) = (Instant::now(), None);
     Caller {
         client,
         id,
         command: String::new(),
-        since: Instant::now(),
-        stops,
+        then: Precondition { stops, since, mode },
     }
 }
 
@@ -168,8 +167,6 @@ impl House {
             shared: Arc::clone(&shared),
             pace: Some(f64::INFINITY),
             heartbeat: Heartbeat::default(),
-            stops: StopCounter::default(),
-            watch: ThreadWatch::default(),
         };
         let ((control, commands), (status, reads)) = (Port::detached(), Port::detached());
         let io = HubIo {
@@ -300,8 +297,7 @@ impl House {
             std::thread::sleep(Duration::from_micros(200));
         }
         let state = self.folder.path().join("state");
-        let slots =
-            ["memory.a", "memory.b"].map(|name| store::read_slot(&state.join(name)).unwrap());
+        let slots = store::SLOTS.map(|name| store::read_slot(&state.join(name)).unwrap());
         let (_, memory) = slots
             .into_iter()
             .flatten()
