@@ -33,14 +33,6 @@ pub struct Args {
     out: Option<ResultFile>,
 }
 
-/// What the supervisor of a log started from.
-///
-/// # Errors
-/// What is wrong with the configuration in the log.
-pub fn start_of(header: &Header) -> Result<Start, String> {
-    Ok(Start::of(header, Settings::of(header)?.config(header)))
-}
-
 /// Runs the command.
 ///
 /// # Errors

@@ -96,10 +96,7 @@ pub(super) fn stop(at: &At) -> Result<bool> {
         let all = sockets.iter();
         let all = all.map(|socket| scope.spawn(|| Connection::stop(socket)));
         let all: Vec<_> = all.collect();
-        let failed = |_| {
-            let message = "the command failed".to_owned();
-            Err(Failure { code: 3, message })
-        };
+        let failed = |_| Err(Failure::unreachable("the command failed"));
         let joined = all.into_iter().map(|one| one.join().unwrap_or_else(failed));
         joined.collect()
     });

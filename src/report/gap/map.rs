@@ -5,7 +5,7 @@ use crate::diagnosis::rig::operators::kind;
 use crate::diagnosis::rig::{Document, Entry, RigProblem, Set};
 use crate::diagnosis::verdict::VerdictKind;
 use crate::report::Page;
-use crate::report::gap::charts::{self, Ranked, Trace};
+use crate::report::gap::charts::{self, Ranked};
 use crate::report::gap::words::{self, verdict};
 use crate::report::table::table;
 
@@ -73,11 +73,8 @@ impl Rows {
         }
         let rows = self.points.len() as f64;
         let window = (last[0] - first[0]) * (TRACE_ROWS / rows).clamp(0.1, 1.0);
-        let trace = Trace {
-            label: "Measured and predicted".to_owned(),
-            points: self.points.clone(),
-        };
-        let drawn = charts::trace(&trace, window, time, &format!("output / {unit}"));
+        let (label, output) = ("Measured and predicted", format!("output / {unit}"));
+        let drawn = charts::trace(label, &self.points, window, time, &output);
         let caption = "Where the error of the recalibrated model is largest.".to_owned();
         out.extend(drawn.map(|chart| (chart.svg(), caption)));
         out

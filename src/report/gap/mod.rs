@@ -99,7 +99,7 @@ fn merged(d: &Diagnosis) -> String {
 /// The signals with the largest closed gap, each in the window in which the gap is largest.
 fn traces(e: &Evidence) -> Vec<(String, String)> {
     let caption = format!("The {TRACE_S:.0} s with the largest error of the recalibrated model.");
-    let draw = |t: &Trace| charts::trace(t, TRACE_S, "time / s", "angle / °");
+    let draw = |t: &Trace| charts::trace(&t.label, &t.points, TRACE_S, "time / s", "angle / °");
     let charts = e.traces.iter().take(4).filter_map(draw);
     charts.map(|c| (c.svg(), caption.clone())).collect()
 }
