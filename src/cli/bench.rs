@@ -5,7 +5,6 @@ use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
 use crate::hardware::pins::{self, Backend, PinsConfig};
 use crate::motion::StepperMode;
 use crate::report::table;
-use clap::Args;
 use clap::builder::TypedValueParser;
 use miette::{IntoDiagnostic, Result, bail};
 use std::fmt::Write;
@@ -24,7 +23,7 @@ commands! {
 }
 
 /// Arguments of `bench rt`.
-#[derive(Debug, Args)]
+#[derive(Debug, clap::Args)]
 pub struct Rt {
     /// Pulse the pins of this board, with the drivers disabled; the default is a mock.
     #[arg(long)]

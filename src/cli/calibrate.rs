@@ -5,8 +5,7 @@
 
 use crate::cli::client::follow::{TransmissionArgs, transmission};
 use crate::cli::{Refused, ResultFile, output, within};
-use crate::config::MOTORS_IDLE_AFTER_S;
-use crate::config::calib::is_day;
+use crate::config::{MOTORS_IDLE_AFTER_S, calib};
 use crate::estimation::imu_calibration::{
     ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, from_log, gyro, mag, motor,
     mount, still,
@@ -95,7 +94,9 @@ pub fn run(args: &Args) -> Result<()> {
 /// A day as `--date` gives it.
 fn day(text: &str) -> std::result::Result<String, String> {
     let wrong = || "a day is written YYYY-MM-DD, such as 2026-03-31".to_owned();
-    is_day(text).then(|| text.to_owned()).ok_or_else(wrong)
+    calib::is_day(text)
+        .then(|| text.to_owned())
+        .ok_or_else(wrong)
 }
 
 /// The tables of a calibration file that a command updates; none if there is no such file yet.

@@ -5,8 +5,7 @@
 
 mod viewers;
 
-use crate::cli::inputs;
-use crate::cli::output::print;
+use crate::cli::{inputs, output};
 use crate::service::flight::log::flights;
 use crate::service::flight::read::Tail;
 use crate::service::paths::flight_folders;
@@ -49,7 +48,7 @@ pub fn run(args: &Args) -> Result<()> {
         None => flight_folders(),
     };
     let (listener, address) = inputs::listen(args.listen)?;
-    print(format!("ws://{address}\n"));
+    output::print(format!("ws://{address}\n"));
     let viewers = Viewers::start(listener).into_diagnostic()?;
     let (mut followed, mut said) = (Followed::default(), String::new());
     loop {

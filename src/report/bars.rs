@@ -1,8 +1,7 @@
 //! Horizontal bars with whiskers, one row for each name.
 
 use crate::report::chart::WIDTH;
-use crate::report::svg::Anchor::{End, Middle};
-use crate::report::svg::{Ink, Svg};
+use crate::report::svg::{End, Ink, Middle, Svg};
 
 /// One bar.
 #[derive(Debug, Clone, PartialEq)]

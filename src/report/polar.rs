@@ -3,8 +3,7 @@
 //! Colours run from pale to dark in one hue, so that greyscale print keeps their order.
 
 use crate::report::chart::{HEIGHT, WIDTH};
-use crate::report::svg::Anchor::{End, Middle, Start};
-use crate::report::svg::{Ink, Svg};
+use crate::report::svg::{End, Ink, Middle, Start, Svg};
 use std::f64::consts::TAU;
 
 /// Width of a ring, degrees of bend.

@@ -8,8 +8,7 @@ mod server;
 mod site;
 
 use super::connection::{At, socket};
-use crate::cli::inputs;
-use crate::cli::output::print;
+use crate::cli::{inputs, output};
 use crate::log::error::why_unreadable;
 use crate::log::table::text;
 use hyper::body::Bytes;
@@ -56,7 +55,7 @@ pub fn page(args: &PageArgs) -> Result<()> {
     let (listener, address) = inputs::listen(listen)?;
     let file = args.token_file.as_ref();
     let file = file.map(|file| format!("?token=TOKEN, with the token in {}", file.display()));
-    print(format!("http://{address}/{}\n", file.unwrap_or_default()));
+    output::print(format!("http://{address}/{}\n", file.unwrap_or_default()));
     let (sender, latest) = watch::channel(Bytes::new());
     let control = socket.clone();
     std::thread::spawn(move || site::follow(&control, &sender));

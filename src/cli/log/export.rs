@@ -1,7 +1,6 @@
 //! `log export`: the samples of a flight log with what the loop made of them, as a bend log or a Parquet table.
 
-use crate::cli::flight::{self, flight_of};
-use crate::cli::{ResultFile, output};
+use crate::cli::{ResultFile, flight, output};
 use crate::log::columns::{self, Column};
 use crate::service::flight::cycle::Cycle;
 use crate::service::flight::read::Entry;
@@ -164,7 +163,7 @@ fn names() -> Vec<&'static str> {
 /// # Errors
 /// A report that names the file.
 pub fn export(args: &ExportArgs) -> Result<bool> {
-    let (path, mut rows) = (flight_of(&args.file)?, Rows::default());
+    let (path, mut rows) = (flight::flight_of(&args.file)?, Rows::default());
     let ending = flight::read(&path, &mut |_, message| rows.take(message))?;
     output::write_some(&args.csv, || Ok(rows.csv()))?;
     output::write_some(&args.parquet, || rows.parquet())?;

@@ -1,9 +1,7 @@
 //! The settings that a flight log holds, and others to replay it with.
 
 use crate::cli::inputs;
-use crate::config::source;
-use crate::config::supervisor::assemble;
-use crate::config::{Board, Calibration, Gains};
+use crate::config::{Board, Calibration, Gains, source, supervisor};
 use crate::diagnosis::tip::SavedModel;
 use crate::estimation::fusion::estimator::EstimatorName;
 use crate::model::DescribedMachine;
@@ -87,7 +85,8 @@ impl Settings {
 
     /// What a supervisor with these settings is made of.
     pub fn config(&self, header: &Header) -> SupervisorConfig {
-        let mut config = assemble(&self.board, &self.calibration, &self.gains, &header.machine);
+        let (board, machine) = (&self.board, &header.machine);
+        let mut config = supervisor::assemble(board, &self.calibration, &self.gains, machine);
         if let Some(machine) = &self.feedforward {
             config.tick = config.tick.fed_forward(Arc::clone(machine));
         }

@@ -4,10 +4,9 @@ use crate::diagnosis::rig::document::{LogEntry, Parameter};
 use crate::diagnosis::rig::operators::kind;
 use crate::diagnosis::rig::{Document, Entry, RigProblem, Set};
 use crate::diagnosis::verdict::VerdictKind;
-use crate::report::Page;
 use crate::report::gap::charts::{self, Ranked};
 use crate::report::gap::words::{self, verdict};
-use crate::report::table::table;
+use crate::report::{Page, table};
 
 /// Effects in the table of the answer, and on the page.
 const SHOWN: [usize; 2] = [6, 10];
