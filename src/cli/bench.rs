@@ -84,10 +84,9 @@ fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
     // no motor turns, so only the pulse widths limit the rate; a fifth of the period leaves room to catch up
     let least_us = board.stepper.pulse_high_us + board.stepper.pulse_low_us;
     let most_us = board.stepper.step_interval_min_us.max(least_us);
-    let step_interval_min_us = (0.2e6 / base.rate_hz).clamp(least_us, most_us);
     let mut config = base;
     config.stepper = board.stepper;
-    config.stepper.step_interval_min_us = step_interval_min_us;
+    config.stepper.step_interval_min_us = (0.2e6 / base.rate_hz).clamp(least_us, most_us);
     let through = format!("{:?} on {}", wiring.backend, board.machine.name).to_lowercase();
     let bench = bench_rt::run(&config, NoCurrent(pins)).into_diagnostic()?;
     Ok((bench, through))

@@ -109,7 +109,11 @@ pub fn run(args: &Args) -> Result<bool> {
         return study(args, &board, &gains);
     }
     let calibration: Option<Calibration> = args.calib.as_deref().map(source::read).transpose()?;
-    let (open, is_foreign) = plant(args, &board)?;
+    let open = plant(args, &board)?;
+    let is_foreign = args
+        .plant
+        .as_deref()
+        .is_some_and(|plant| plant.starts_with("exec:"));
     let _logging = is_foreign.then(logging::start);
     let identify = calibration.is_none();
     let calibration = calibration.unwrap_or_default();
@@ -157,30 +161,29 @@ fn track(args: &Args, config: &LoopConfig) -> Result<Option<Track>> {
 /// Opens the plant that a run drives.
 type Open = Box<dyn Fn(Purpose) -> Result<Box<dyn World>, MachineError>>;
 
-/// The plant that the arms run on, and whether it is a foreign program.
-fn plant(args: &Args, board: &Board) -> Result<(Open, bool)> {
+/// The plant that the arms run on.
+fn plant(args: &Args, board: &Board) -> Result<Open> {
     let (seed, foreign) = (args.seed, args.plant.as_deref());
     if let Some(path) = foreign.and_then(|plant| plant.strip_prefix("model:")) {
         let machine = inputs::described(Path::new(path), board)?;
         let step_mm = board.drive.law().step_mm;
-        let open: Open = Box::new(move |purpose| {
+        return Ok(Box::new(move |purpose| {
             let noise = seed.wrapping_add(noise_of(purpose));
             let machine = machine.as_ref().clone();
             Ok(Box::new(Described::new(machine, step_mm, noise)))
-        });
-        return Ok((open, false));
+        }));
     }
     if let Some(plant) = foreign {
         let (program, args) = inputs::program(plant)?;
-        let open: Open = Box::new(move |_| Ok(Box::new(Link::start(&program, &args)?)));
-        return Ok((open, true));
+        return Ok(Box::new(move |_| {
+            Ok(Box::new(Link::start(&program, &args)?))
+        }));
     }
     let section = built_in(args, board)?;
-    let open: Open = Box::new(move |purpose| {
+    Ok(Box::new(move |purpose| {
         let (plant, noise) = (section.make(), noise_of(purpose));
         Ok(Box::new(Sim::new(&plant, seed, noise, section.period_s)?))
-    });
-    Ok((open, false))
+    }))
 }
 
 /// The built-in plant of a board.
@@ -257,15 +260,14 @@ fn run_sweep(args: &Args, study: &Study, conditions: &[Condition]) -> Result<boo
 }
 
 fn sweep_row(r: &SweepRow) -> Vec<String> {
-    let deg = |x: f64| format!("{x:.2}°");
     vec![
         r.condition.to_owned(),
         r.value.to_string(),
-        deg(r.open_deg),
-        deg(r.closed_deg),
-        deg(r.p95_deg),
-        deg(r.hunting_deg),
-        deg(r.cold_deg),
+        pictures::deg(r.open_deg),
+        pictures::deg(r.closed_deg),
+        pictures::deg(r.p95_deg),
+        pictures::deg(r.hunting_deg),
+        pictures::deg(r.cold_deg),
         if r.ok { "" } else { "FAILS" }.to_owned(),
     ]
 }

@@ -47,7 +47,7 @@ pub fn run(args: &Args) -> Result<()> {
         Some(folder) => vec![folder.clone()],
         None => flight_folders(),
     };
-    let (listener, address) = inputs::listen(args.listen)?;
+    let (address, listener) = inputs::listen(args.listen)?;
     output::print(format!("ws://{address}\n"));
     let viewers = Viewers::start(listener).into_diagnostic()?;
     let (mut followed, mut said) = (Followed::default(), String::new());

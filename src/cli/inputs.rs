@@ -180,15 +180,14 @@ pub fn program(plant: &str) -> Result<(String, Vec<String>)> {
     }
 }
 
-/// Listens at the address of `--listen`. Returns also the address with its port, if that was chosen freely.
+/// Listens at the address of `--listen`; the result names the port, too, if that may be any.
 ///
 /// # Errors
 /// A report about an address at which nothing can be served.
-pub fn listen(at: SocketAddr) -> Result<(TcpListener, SocketAddr)> {
+pub fn listen(at: SocketAddr) -> Result<(SocketAddr, TcpListener)> {
     let opened = TcpListener::bind(at).and_then(|listener| Ok((listener.local_addr()?, listener)));
-    let (address, listener) = opened.map_err(|e| {
+    opened.map_err(|e| {
         let why = e.kind();
         miette!("--listen {at}: {why}; name an address of this computer and a free port")
-    })?;
-    Ok((listener, address))
+    })
 }

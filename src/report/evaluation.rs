@@ -40,7 +40,8 @@ const ARM_FIGURES: [(&str, ArmFigure); 11] = [
     ("obstructed", |_, a| a.blocked.to_string()),
 ];
 
-fn deg(x: f64) -> String {
+/// Degrees with two decimals.
+pub fn deg(x: f64) -> String {
     format!("{x:.2}°")
 }
 

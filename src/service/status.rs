@@ -330,7 +330,8 @@ pub fn limits(config: &SupervisorConfig) -> Value {
     })
 }
 
-fn round(x: f64) -> f64 {
+/// A figure of the status, which has four digits.
+pub fn round(x: f64) -> f64 {
     (x * 1e4).round() / 1e4
 }
 

@@ -52,7 +52,7 @@ pub fn page(args: &PageArgs) -> Result<()> {
         );
     }
     args.diagnosis.as_deref().map_or(Ok(()), check_diagnosis)?;
-    let (listener, address) = inputs::listen(listen)?;
+    let (address, listener) = inputs::listen(listen)?;
     let file = args.token_file.as_ref();
     let file = file.map(|file| format!("?token=TOKEN, with the token in {}", file.display()));
     output::print(format!("http://{address}/{}\n", file.unwrap_or_default()));

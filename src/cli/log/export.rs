@@ -6,7 +6,7 @@ use crate::service::flight::cycle::Cycle;
 use crate::service::flight::read::Entry;
 use crate::service::flight::scene::timestamp;
 use crate::service::flight::start::Event;
-use crate::service::record;
+use crate::service::{record, status};
 use mcap::Message;
 use miette::{IntoDiagnostic, Result};
 use serde_json::{Map, Value, json};
@@ -108,8 +108,9 @@ impl Rows {
         if self.numbers.is_empty() {
             self.start_ns = unix_ns.saturating_sub((row[0] * 1e9) as u64);
         }
+        // single precision keeps the four digits
         let value = |place| self.status.pointer(place).and_then(Value::as_f64);
-        row.extend(OF_LOOP.map(|(_, place)| value(place).map_or(f64::NAN, round)));
+        row.extend(OF_LOOP.map(|(_, place)| value(place).map_or(f64::NAN, status::round)));
         self.numbers.push(row);
         let mode = self.status["mode"].as_str().unwrap_or_default();
         self.modes.push(mode.to_owned());
@@ -145,11 +146,6 @@ impl Rows {
         table.push(("mode", Column::Texts(self.modes.clone())));
         columns::write(&table, &metadata).into_diagnostic()
     }
-}
-
-/// The status has four digits, which single precision keeps.
-fn round(x: f64) -> f64 {
-    (x * 1e4).round() / 1e4
 }
 
 /// Names of the columns of numbers.
