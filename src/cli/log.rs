@@ -146,7 +146,7 @@ impl Info {
         ];
         let x = Axis::new("time / s", 0.0, self.duration_s, 8);
         let chart = Chart::new("Bend", x, Axis::new("bend / °", 0.0, 90.0, 6), series);
-        page.charts(&[(chart.svg(), "Target and estimate of the bend.".to_owned())]);
+        page.charts([(chart.svg(), "Target and estimate of the bend.")]);
         page.table("|", facts);
         page.heading("Events");
         self.events.iter().for_each(|event| page.text(event));

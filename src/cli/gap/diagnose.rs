@@ -73,11 +73,10 @@ pub fn run(args: &Args) -> Result<()> {
         return run_mapped(map, args);
     }
     let (lines, rig) = (args.driven.lines()?, args.driven.rig()?);
-    let mut logs = input::each(&args.logs, |path| input::observe(path, &rig))?.into_iter();
-    let Some(mut observed) = logs.next() else {
-        bail!("no log is given");
-    };
-    logs.for_each(|log| observed.append(log));
+    let mut logs = input::each(&args.logs, |path| input::observe(path, &rig))?;
+    // at least one is required
+    let mut observed = logs.remove(0);
+    logs.into_iter().for_each(|log| observed.append(log));
     let bar = output::bar(0, FITTED);
     let done = diagnose(&TipProblem::new(&observed, catalogue(), &lines, args.seed));
     bar.finish_and_clear();

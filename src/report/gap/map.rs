@@ -149,10 +149,10 @@ pub fn page(source: &str, d: &Document, rows: &Rows, made: &[[String; 2]]) -> St
     said(d).iter().for_each(|line| page.text(line));
     page.quiet("Recalibration identifies the nominal model on these logs; what it closes is not credited to an effect.");
     if let [_, _, ..] = d.logs.as_slice() {
-        page.table(LOGS, &d.logs.iter().map(log_row).collect::<Vec<_>>());
+        page.table(LOGS, d.logs.iter().map(log_row));
     }
     page.heading("Where");
-    page.charts(&rows.charts(&d.unit));
+    page.charts(rows.charts(&d.unit));
     page.heading("Which");
     let shown = || d.effects.iter().take(SHOWN[1]);
     let ranked = |e: &Entry| Ranked {
@@ -161,9 +161,9 @@ pub fn page(source: &str, d: &Document, rows: &Rows, made: &[[String; 2]]) -> St
         closed: (e.closed, e.closed_ci95),
         strong: d.verdict.speaks_of(&e.name),
     };
-    page.charts(&charts::ranking(&shown().map(ranked).collect::<Vec<_>>()));
+    page.charts(charts::ranking(&shown().map(ranked).collect::<Vec<_>>()));
     let sets = d.set.iter().filter(|_| d.verdict.names.len() > 1);
-    page.table(EFFECTS, &sets.chain(shown()).map(row).collect::<Vec<_>>());
+    page.table(EFFECTS, sets.chain(shown()).map(row));
     page.made_from(made, "docs/other-rigs.md");
     page.html()
 }

@@ -92,26 +92,25 @@ pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence, made: &[[String; 2
         row("with the verdict's effects", d.gap.explained_deg),
         row("noise", d.gap.noise_floor_deg),
     ];
-    page.table("gap, RMS over all sensors|degrees", &figures);
+    page.table("gap, RMS over all sensors|degrees", figures);
     page.quiet("All numbers except the first are scored on parts of the log that the fit has not seen. Recalibration identifies the gains of the nominal model again on this log; what it closes is not credited to an effect.");
     page.heading("Next");
     for step in words::next(d) {
         page.text(&step);
     }
     page.heading("Where");
-    page.charts(&places(evidence));
+    page.charts(places(evidence));
     page.heading("Measured and predicted signals");
-    page.charts(&traces(evidence));
+    page.charts(traces(evidence));
     page.heading("Which");
-    page.charts(&ranking(d));
+    page.charts(ranking(d));
     let row = |e: &EffectEntry| effect_row(words::plain(e.name), e);
-    let rows: Vec<_> = d.effects.iter().take(RANKED).map(row).collect();
     let header = "effect|stage|probability|gap before|after|closed|95 %";
-    page.table(header, &rows);
+    page.table(header, d.effects.iter().take(RANKED).map(row));
     let values: Vec<_> = words::named(d).flat_map(parameters).collect();
     if !values.is_empty() {
         page.heading("How much");
-        page.table("parameter|of|channel|value|95 %|unit", &values);
+        page.table("parameter|of|channel|value|95 %|unit", values);
     }
     page.heading("By sensor");
     let sensor = |k: &QuantityShare| {
@@ -119,8 +118,8 @@ pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence, made: &[[String; 2
         let unit = words::unit_of(k.name).to_owned();
         [k.name.to_owned(), before, after, unit]
     };
-    let sensors: Vec<_> = d.location.kinds.iter().map(sensor).collect();
-    page.table("sensor|recalibrated|with effects|unit", &sensors);
+    let sensors = d.location.kinds.iter().map(sensor);
+    page.table("sensor|recalibrated|with effects|unit", sensors);
     page.made_from(made, "docs/gap.md");
     page.html()
 }
