@@ -7,7 +7,6 @@ use crate::motion::StepperMode;
 use crate::report::table;
 use clap::builder::TypedValueParser;
 use miette::{IntoDiagnostic, Result, bail};
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 /// Header of the table, and the quantiles in it.
@@ -116,10 +115,10 @@ fn shown(bench: &RtBench) -> String {
         bench.elapsed_s, bench.config.load_threads, report.underruns
     );
     for (name, grant) in &bench.status {
-        let _ = write!(text, "\n{name}: {grant}");
+        text += &format!("\n{name}: {grant}");
     }
     if let StepperMode::Faulted(fault) = report.mode {
-        let _ = write!(text, "\nFAULT: {fault}");
+        text += &format!("\nFAULT: {fault}");
     }
     text
 }

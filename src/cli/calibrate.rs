@@ -5,13 +5,12 @@
 
 use crate::cli::client::follow::{TransmissionArgs, transmission};
 use crate::cli::{Refused, ResultFile, output, within};
-use crate::config::{MOTORS_IDLE_AFTER_S, calib};
+use crate::config::{MOTORS_IDLE_AFTER_S, calib, source};
 use crate::estimation::imu_calibration::{
     ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, from_log, gyro, mag, motor,
     mount, still,
 };
 use crate::hardware::imu::{self, ChipConfig, Imu};
-use crate::log::table::text;
 use crate::log::{bend_log, recording};
 use crate::primitives::{ImuSample, Seconds};
 use embedded_hal::delay::DelayNs;
@@ -108,7 +107,7 @@ pub fn existing(path: &Path) -> Result<toml::Table> {
     if !path.is_file() {
         return Ok(toml::Table::new());
     }
-    let text = text(path).map_err(|e| miette!("{}: {e}", path.display()))?;
+    let text = source::text_of(path)?;
     text.parse().map_err(|e| miette!("{}: {e}", path.display()))
 }
 
