@@ -128,11 +128,10 @@ impl Procedure<'_> {
     /// Runs a step; true if every command succeeds.
     fn step(&mut self, step: &Step) -> bool {
         output::print(format!("\n{}\n", step.name));
-        let done = self.run(step);
-        if let Err(problem) = &done {
+        let done = self.run(step).unwrap_or_else(|problem| {
             self.say(&problem.to_string());
-        }
-        let done = done.is_ok_and(|done| done);
+            false
+        });
         if !done {
             self.say(&format!("→ {}", step.remedy));
         }

@@ -5,10 +5,8 @@ use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
 use crate::hardware::pins::{self, Backend, PinsConfig};
 use crate::motion::StepperMode;
 use crate::report::table;
-use clap::Args;
 use clap::builder::TypedValueParser;
 use miette::{IntoDiagnostic, Result, bail};
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 /// Header of the table, and the quantiles in it.
@@ -24,7 +22,7 @@ commands! {
 }
 
 /// Arguments of `bench rt`.
-#[derive(Debug, Args)]
+#[derive(Debug, clap::Args)]
 pub struct Rt {
     /// Pulse the pins of this board, with the drivers disabled; the default is a mock.
     #[arg(long)]
@@ -85,10 +83,9 @@ fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
     // no motor turns, so only the pulse widths limit the rate; a fifth of the period leaves room to catch up
     let least_us = board.stepper.pulse_high_us + board.stepper.pulse_low_us;
     let most_us = board.stepper.step_interval_min_us.max(least_us);
-    let step_interval_min_us = (0.2e6 / base.rate_hz).clamp(least_us, most_us);
     let mut config = base;
     config.stepper = board.stepper;
-    config.stepper.step_interval_min_us = step_interval_min_us;
+    config.stepper.step_interval_min_us = (0.2e6 / base.rate_hz).clamp(least_us, most_us);
     let through = format!("{:?} on {}", wiring.backend, board.machine.name).to_lowercase();
     let bench = bench_rt::run(&config, NoCurrent(pins)).into_diagnostic()?;
     Ok((bench, through))
@@ -118,10 +115,10 @@ fn shown(bench: &RtBench) -> String {
         bench.elapsed_s, bench.config.load_threads, report.underruns
     );
     for (name, grant) in &bench.status {
-        let _ = write!(text, "\n{name}: {grant}");
+        text += &format!("\n{name}: {grant}");
     }
     if let StepperMode::Faulted(fault) = report.mode {
-        let _ = write!(text, "\nFAULT: {fault}");
+        text += &format!("\nFAULT: {fault}");
     }
     text
 }

@@ -1,8 +1,7 @@
 //! `retroflex board`: a file with everything that it leaves out, and whether a board is safe to run.
 
 use crate::cli::{ResultFile, inputs, output};
-use crate::config::show::whole;
-use crate::config::{Header, PressureBound};
+use crate::config::{Header, PressureBound, show};
 use crate::report::wiring::{self, Device, Wire};
 use miette::{Result, bail};
 use std::path::PathBuf;
@@ -52,9 +51,9 @@ pub struct ShowArgs {
 fn show(args: &ShowArgs) -> Result<()> {
     let file = args.file.as_deref();
     output::print(match (args.gains, args.calib) {
-        (true, _) => whole(&inputs::gains(file)?),
-        (_, true) => whole(&inputs::calibration(file)?),
-        _ => whole(&inputs::board(file)?),
+        (true, _) => show::whole(&inputs::gains(file)?),
+        (_, true) => show::whole(&inputs::calibration(file)?),
+        _ => show::whole(&inputs::board(file)?),
     });
     Ok(())
 }

@@ -5,20 +5,19 @@
 
 use crate::cli::client::follow::{TransmissionArgs, transmission};
 use crate::cli::{Refused, ResultFile, output, within};
-use crate::config::MOTORS_IDLE_AFTER_S;
-use crate::config::calib::is_day;
+use crate::config::{MOTORS_IDLE_AFTER_S, calib, source};
 use crate::estimation::imu_calibration::{
     ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, from_log, gyro, mag, motor,
     mount, still,
 };
-use crate::log::bend_log;
-use crate::log::table::text;
-use crate::primitives::ImuSample;
+use crate::hardware::imu::{self, ChipConfig, Imu};
+use crate::log::{bend_log, recording};
+use crate::primitives::{ImuSample, Seconds};
+use embedded_hal::delay::DelayNs;
+use linux_embedded_hal::{Delay, I2cdev};
 use miette::{IntoDiagnostic, Result, miette};
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
-
-pub mod samples;
 
 commands! {
     /// Subcommands of `calibrate`.
@@ -94,7 +93,9 @@ pub fn run(args: &Args) -> Result<()> {
 /// A day as `--date` gives it.
 fn day(text: &str) -> std::result::Result<String, String> {
     let wrong = || "a day is written YYYY-MM-DD, such as 2026-03-31".to_owned();
-    is_day(text).then(|| text.to_owned()).ok_or_else(wrong)
+    calib::is_day(text)
+        .then(|| text.to_owned())
+        .ok_or_else(wrong)
 }
 
 /// The tables of a calibration file that a command updates; none if there is no such file yet.
@@ -106,7 +107,7 @@ pub fn existing(path: &Path) -> Result<toml::Table> {
     if !path.is_file() {
         return Ok(toml::Table::new());
     }
-    let text = text(path).map_err(|e| miette!("{}: {e}", path.display()))?;
+    let text = source::text_of(path)?;
     text.parse().map_err(|e| miette!("{}: {e}", path.display()))
 }
 
@@ -121,8 +122,8 @@ fn identify(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Resul
         bend_log::read(file).into_diagnostic()
     };
     let read = || match (&args.file, &args.live) {
-        (Some(file), _) => samples::from_file(file),
-        (None, Some(bus)) => samples::from_bus(bus, args.seconds),
+        (Some(file), _) => from_file(file),
+        (None, Some(bus)) => from_bus(bus, args.seconds),
         (None, None) => Ok(Vec::new()),
     };
     Ok(match args.step {
@@ -196,4 +197,99 @@ fn list(v: Vector3<f64>, digits: usize) -> String {
 /// Today in UTC, for example `2026-01-31`.
 pub(crate) fn today() -> String {
     time::OffsetDateTime::now_utc().date().to_string()
+}
+
+/// The samples of a bend log or an IMU recording; lost samples are omitted.
+///
+/// # Errors
+/// A report that names file, line and column.
+fn from_file(file: &Path) -> Result<Vec<ImuSample>> {
+    let all = match bend_log::read(file) {
+        Ok(log) => from_log::samples(&log),
+        // without bend-log columns the file may be an IMU recording
+        Err(e) if e.lacking.is_some() => {
+            let recording = recording::read(file).into_diagnostic()?;
+            recording.rows.iter().map(|r| r.sample).collect()
+        }
+        Err(e) => return Err(e).into_diagnostic(),
+    };
+    Ok(finite(all))
+}
+
+fn finite(samples: Vec<ImuSample>) -> Vec<ImuSample> {
+    samples.into_iter().filter(ImuSample::is_finite).collect()
+}
+
+/// Reads a sensor for a given time; failed readings are omitted. `progress` receives the fraction done.
+///
+/// # Errors
+/// The sensor's error, if it does not start or more than half of the readings fail.
+fn record(
+    sensor: &mut dyn Imu,
+    delay: &mut dyn DelayNs,
+    seconds: f64,
+    progress: &mut dyn FnMut(f64),
+) -> Result<Vec<ImuSample>> {
+    let identity = sensor.init(delay).into_diagnostic()?;
+    let scale = sensor.scale();
+    let period_s = 1.0 / identity.rate_hz;
+    let wanted = (seconds / period_s).ceil() as u32;
+    let (mut samples, mut last_error) = (Vec::with_capacity(wanted as usize), None);
+    for k in 0..wanted {
+        delay.delay_us((period_s * 1e6).round() as u32);
+        match sensor.read() {
+            Ok(raw) => samples.push(scale.sample(&raw, Seconds(f64::from(k) * period_s))),
+            Err(e) => last_error = Some(e),
+        }
+        progress(f64::from(k) / f64::from(wanted));
+    }
+    match last_error {
+        Some(e) if samples.len() * 2 < wanted as usize => Err(e).into_diagnostic(),
+        _ => Ok(samples),
+    }
+}
+
+/// The samples of a live sensor.
+///
+/// # Errors
+/// A report that names the bus.
+fn from_bus(bus: &Path, seconds: f64) -> Result<Vec<ImuSample>> {
+    let name = bus.display();
+    let open = I2cdev::new(bus)
+        .map_err(|e| miette!("{name}: {e}; give an I²C bus that exists and that you may open"))?;
+    let sensor = imu::open(&ChipConfig::default(), imu::linux::Classified(open));
+    let mut sensor = sensor.into_diagnostic()?;
+    let bar = output::bar(1000, "{percent} %");
+    let samples = record(sensor.as_mut(), &mut Delay, seconds, &mut |share| {
+        bar.set_position((share * 1000.0) as u64)
+    });
+    samples.map(finite)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimation::imu_calibration::gyro;
+    use crate::hardware::imu::fake::{FakeBus, FakeIcm20948, Motion};
+    use crate::hardware::imu::icm20948::{self, Icm20948};
+    use nalgebra::Vector3;
+
+    #[test]
+    fn a_live_chip_is_read_through_its_driver() {
+        let bus = FakeBus::new();
+        bus.machine().attach(FakeIcm20948::new(0x68, 1));
+        let bias = Vector3::new(0.01, -0.02, 0.005);
+        bus.machine().set_motion(&Motion {
+            gyro_rad_s: bias,
+            ..Motion::default()
+        });
+        let mut chip = Icm20948::new(bus.clone(), &icm20948::IcmConfig::default()).unwrap();
+        let mut shares = Vec::new();
+        let samples = record(&mut chip, &mut bus.delay(), 5.0, &mut |s| shares.push(s)).unwrap();
+        assert!(samples.len() > 2000 && shares.windows(2).all(|w| w[0] < w[1]));
+        let fit = gyro::at_rest(&samples).unwrap();
+        assert!((fit.bias_rad_s - bias).amax() < 1e-3, "{}", fit.bias_rad_s);
+        bus.machine().stuck = true;
+        assert!(record(&mut chip, &mut bus.delay(), 1.0, &mut |_| ()).is_err());
+    }
 }

@@ -4,11 +4,9 @@ use crate::cli::{ResultFile, inputs, output};
 use crate::config::{Board, PressureBound};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::{Sensor, slowness};
-use crate::hardware::pins;
 use crate::hardware::rt::{self, Grant, RtRequest};
-use crate::hardware::supply;
-use crate::service::disk::free_bytes;
-use crate::service::paths::Paths;
+use crate::hardware::{pins, supply};
+use crate::service::{disk, paths};
 use miette::Result;
 use serde::Serialize;
 use std::os::unix::fs::MetadataExt;
@@ -85,7 +83,7 @@ pub fn run(args: &Args) -> Result<bool> {
     let mut findings = vec![model(), kernel(), pressure(&board)];
     findings.extend(devices(&board));
     findings.extend(real_time(&board));
-    let paths = Paths::of(&board.service);
+    let paths = paths::Paths::of(&board.service);
     let sockets = socket_folder(paths.control.parent());
     findings.extend([clock(), power(), disk(&paths.state), sockets]);
     let text: String = findings.iter().map(Finding::line).collect();
@@ -234,7 +232,7 @@ fn disk(state: &Path) -> Finding {
     let mut folders = state.ancestors();
     let folder = folders.find(|f| f.exists()).unwrap_or(Path::new("/"));
     let remedy = "make sure that this user may write there, and that the card is sound: a file system with errors becomes read-only";
-    let Ok(free) = free_bytes(folder) else {
+    let Ok(free) = disk::free_bytes(folder) else {
         return Finding::new("disk", Warn, "free space unknown", remedy);
     };
     if let Err(e) = tempfile_in(folder) {

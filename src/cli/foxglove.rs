@@ -5,13 +5,12 @@
 
 mod viewers;
 
-use crate::cli::inputs::unlistenable;
-use crate::cli::output::print;
+use crate::cli::{inputs, output};
 use crate::service::flight::log::flights;
 use crate::service::flight::read::Tail;
 use crate::service::paths::flight_folders;
 use miette::{IntoDiagnostic, Result, bail};
-use std::net::{SocketAddr, TcpListener};
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use viewers::Viewers;
@@ -48,9 +47,8 @@ pub fn run(args: &Args) -> Result<()> {
         Some(folder) => vec![folder.clone()],
         None => flight_folders(),
     };
-    let fail = |e: std::io::Error| unlistenable(args.listen, e.kind());
-    let listener = TcpListener::bind(args.listen).map_err(fail)?;
-    print(format!("ws://{}\n", listener.local_addr().map_err(fail)?));
+    let (address, listener) = inputs::listen(args.listen)?;
+    output::print(format!("ws://{address}\n"));
     let viewers = Viewers::start(listener).into_diagnostic()?;
     let (mut followed, mut said) = (Followed::default(), String::new());
     loop {

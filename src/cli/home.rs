@@ -4,8 +4,7 @@ use crate::cli::manual_motion::{self, motion_error, with_manual_control, without
 use crate::cli::{inputs, output};
 use crate::config::Board;
 use crate::primitives::Steps;
-use crate::service::paths::Paths;
-use crate::service::store::Store;
+use crate::service::{Store, paths};
 use crate::supervisor::commission::homing::{self, HomingError, HomingMethod};
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::io::BufRead;
@@ -33,7 +32,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     let board = inputs::board(Some(&args.board))?;
     // the lock of the state folder also keeps a service from starting meanwhile
-    let open = |_| Store::open(&Paths::of(&board.service).state);
+    let open = |_| Store::open(&paths::Paths::of(&board.service).state);
     let memory = board.hardware().map(open).transpose().into_diagnostic()?;
     let text = match board.homing.method {
         HomingMethod::Switches => by_switches(args, &board)?,

@@ -7,7 +7,7 @@ use crate::model::DescribedMachine;
 use crate::primitives::Check;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use serde::de::DeserializeOwned;
-use std::net::SocketAddr;
+use std::net::{SocketAddr, TcpListener};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -180,7 +180,14 @@ pub fn program(plant: &str) -> Result<(String, Vec<String>)> {
     }
 }
 
-/// The message about an address at which nothing can be served.
-pub fn unlistenable(listen: SocketAddr, why: impl std::fmt::Display) -> miette::Report {
-    miette!("--listen {listen}: {why}; name an address of this computer and a free port")
+/// Listens at the address of `--listen`; the result names the port, too, if that may be any.
+///
+/// # Errors
+/// A report about an address at which nothing can be served.
+pub fn listen(at: SocketAddr) -> Result<(SocketAddr, TcpListener)> {
+    let opened = TcpListener::bind(at).and_then(|listener| Ok((listener.local_addr()?, listener)));
+    opened.map_err(|e| {
+        let why = e.kind();
+        miette!("--listen {at}: {why}; name an address of this computer and a free port")
+    })
 }

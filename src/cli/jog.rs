@@ -47,8 +47,7 @@ pub fn run(args: &Args) -> Result<()> {
     let report = manual_motion::motion_error;
     let (out, back) = manual_motion::with_manual_control(machine.as_mut(), report, stroke)?;
     let (channel, step_mm) = (args.channel, machine.info().step_mm);
-    let shown = |mm: f64| format!("{mm:.3} mm ({:.0} steps)", mm / step_mm);
-    let (out, back) = (shown(out), shown(back));
+    let [out, back] = [out, back].map(|mm| format!("{mm:.3} mm ({:.0} steps)", mm / step_mm));
     output::print(format!(
         "channel {channel}: reached {out}, now at {back}, drivers released\n"
     ));

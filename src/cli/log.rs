@@ -2,8 +2,7 @@
 
 mod export;
 
-use crate::cli::flight::{self, flight_of};
-use crate::cli::{ResultFile, output, within};
+use crate::cli::{ResultFile, flight, output, within};
 use crate::report::{Axis, Chart, Ink, Page, Series, Stroke};
 use crate::service::flight::channels::Changes;
 use crate::service::flight::file::{FlightFile, TOPICS};
@@ -147,7 +146,7 @@ impl Info {
         ];
         let x = Axis::new("time / s", 0.0, self.duration_s, 8);
         let chart = Chart::new("Bend", x, Axis::new("bend / °", 0.0, 90.0, 6), series);
-        page.charts(&[(chart.svg(), "Target and estimate of the bend.".to_owned())]);
+        page.charts([(chart.svg(), "Target and estimate of the bend.")]);
         page.table("|", facts);
         page.heading("Events");
         self.events.iter().for_each(|event| page.text(event));
@@ -156,7 +155,7 @@ impl Info {
 }
 
 fn info(args: &InfoArgs) -> Result<bool> {
-    let (path, mut info) = (flight_of(&args.file)?, Info::default());
+    let (path, mut info) = (flight::flight_of(&args.file)?, Info::default());
     let ending = flight::read(&path, &mut |t_s, message| info.take(t_s, message))?;
     let begin_s = info.begin_ns.unwrap_or(0) / 1_000_000_000;
     let begins = OffsetDateTime::from_unix_timestamp(begin_s as i64);
@@ -184,7 +183,7 @@ fn info(args: &InfoArgs) -> Result<bool> {
 const ROUNDING_S: f64 = 1e-6;
 
 fn cut(args: &CutArgs) -> Result<bool> {
-    let (path, from_s, to_s) = (flight_of(&args.file)?, args.from, args.to);
+    let (path, from_s, to_s) = (flight::flight_of(&args.file)?, args.from, args.to);
     if from_s >= to_s {
         bail!("--from {from_s} --to {to_s}: the part is empty; --to must be later");
     }

@@ -80,7 +80,7 @@ commands! {
     enum Command;
 
     /// Run the paper's experiment: open-loop arms and closed loop.
-    Evaluate(evaluate::args::Args) => evaluate::run,
+    Evaluate(evaluate::Args) => evaluate::run,
     /// Show the service and a leak of a simulated tip, cause to remedy.
     Demo(demo::Args) => demo::run,
     /// Run every step from a board file to a tip that bends.
@@ -188,13 +188,9 @@ mod tests {
         assert_eq!(exit_code(&Ok(CommandOutcome(false))), 1);
         assert_eq!(exit_code(&Err(miette!("bad key"))), 2);
         assert_eq!(exit_code(&Err(Refused::report("not while disarmed"))), 1);
-        let gone = || Unreachable {
-            what: "/dev/i2c-1".to_owned(),
-            why: "no such file".to_owned(),
-        };
-        assert_eq!(exit_code(&Err(gone().into())), 3);
-        let deep: miette::Result<CommandOutcome> =
-            Err(miette::Report::from(gone())).wrap_err("at start");
+        let gone = || Unreachable::report("/dev/i2c-1", "no such file");
+        assert_eq!(exit_code(&Err(gone())), 3);
+        let deep: miette::Result<CommandOutcome> = Err(gone()).wrap_err("at start");
         assert_eq!(exit_code(&deep), 3);
     }
 

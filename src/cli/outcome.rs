@@ -27,19 +27,13 @@ impl From<bool> for CommandOutcome {
 ///
 /// Convert it to a `Report` with `?` or `Report::from`; `into_diagnostic` would hide its type.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
-#[error("{what} cannot be reached: {why}")]
-pub struct Unreachable {
-    /// Which device, bus or service.
-    pub what: String,
-    /// The system's reason, and the remedy.
-    pub why: String,
-}
+#[error("{0}")]
+pub struct Unreachable(String);
 
 impl Unreachable {
-    /// The report about a device, bus or service that does not answer.
-    pub fn report(what: &str, why: impl ToString) -> Report {
-        let (what, why) = (what.to_owned(), why.to_string());
-        Self { what, why }.into()
+    /// The report about a device, bus or service that does not answer: the system's reason, and the remedy.
+    pub fn report(what: &str, why: impl fmt::Display) -> Report {
+        Self(format!("{what} cannot be reached: {why}")).into()
     }
 }
 

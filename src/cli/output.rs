@@ -19,6 +19,7 @@ use std::io::{Read, Stdout, Write};
 use std::ops::Deref;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// The file of a result, as an option of a command names it; `-` is standard output. Every argument that is a path of another type is
 /// an input. Before a command runs, [`check_arguments`] protects the inputs from its results.
@@ -70,6 +71,9 @@ impl Drop for Scratch {
     }
 }
 
+/// Time after which progress shows that the work goes on.
+const TICK: Duration = Duration::from_millis(200);
+
 /// Progress of long work on standard error, shown only on a terminal: a bar if the length is known, else a spinner, followed by
 /// `text` (an `indicatif` template) and the elapsed time. It vanishes when it is dropped.
 pub fn bar(length: u64, text: &str) -> ProgressBar {
@@ -78,6 +82,7 @@ pub fn bar(length: u64, text: &str) -> ProgressBar {
         _ => (ProgressBar::new(length), "{bar:40}"),
     };
     let bar = bar.with_finish(ProgressFinish::AndClear);
+    bar.enable_steady_tick(TICK);
     if let Ok(style) = ProgressStyle::with_template(&format!("{shape} {text} {{elapsed}}")) {
         bar.set_style(style);
     }

@@ -2,9 +2,7 @@
 
 pub mod settings;
 
-use crate::cli::flight::{self, flight_of};
-use crate::cli::output::print;
-use crate::cli::{ResultFile, output};
+use crate::cli::{ResultFile, flight, output};
 use crate::config::Gains;
 use crate::model::Line;
 use crate::service::flight::cycle::Cycle;
@@ -33,20 +31,12 @@ pub struct Args {
     out: Option<ResultFile>,
 }
 
-/// What the supervisor of a log started from.
-///
-/// # Errors
-/// What is wrong with the configuration in the log.
-pub fn start_of(header: &Header) -> Result<Start, String> {
-    Ok(Start::of(header, Settings::of(header)?.config(header)))
-}
-
 /// Runs the command.
 ///
 /// # Errors
 /// A report that names the defect of the log.
 pub fn run(args: &Args) -> Result<bool> {
-    let path = flight_of(&args.log)?;
+    let path = flight::flight_of(&args.log)?;
     let mut replay = Replay {
         args: args.changes.any().then_some(&args.changes),
         ..Replay::default()
@@ -67,16 +57,16 @@ pub fn run(args: &Args) -> Result<bool> {
     } else {
         format!("; {ending}")
     };
-    print(format!(
+    output::print(format!(
         "{cycles} cycles replayed, {different} differ{shown}\n"
     ));
     for (before, t_s, lost) in &replay.gaps {
-        print(format!(
+        output::print(format!(
             "gap: {lost} cycles are missing before cycle {before} at {t_s:.3} s\n"
         ));
     }
     if skipped > 0 {
-        print(format!(
+        output::print(format!(
             "{skipped} cycles after a gap are not compared, because nothing tells the state of the loop there\n"
         ));
     }
@@ -91,7 +81,7 @@ pub fn run(args: &Args) -> Result<bool> {
         0 => "a field without a digest".to_owned(),
         _ => fields.join(", "),
     };
-    print(format!(
+    output::print(format!(
         "the first difference is in cycle {number} at {t_s:.3} s, in {fields}: the software has changed since version {program} wrote the log\n"
     ));
     Ok(false)
@@ -317,7 +307,7 @@ fn compare(changes: &mut [Change], t_s: f64, run: &CycleOutput, other: &CycleOut
 }
 
 fn show(changes: &[Change], cycles: u64) {
-    print(
+    output::print(
         "\nWith the other settings, on the same input. This is speculation: the recorded machine did not follow them.\n",
     );
     let row = |(name, (squares, largest, at_s)): (&&str, &Change)| {
@@ -327,5 +317,5 @@ fn show(changes: &[Change], cycles: u64) {
     };
     let rows = QUANTITIES.iter().zip(changes).map(row);
     let header = "difference|RMS|largest|at, s";
-    print(format!("{}\n", output::table(header, 1..4, rows)));
+    output::print(format!("{}\n", output::table(header, 1..4, rows)));
 }

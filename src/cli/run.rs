@@ -1,17 +1,12 @@
 //! `retroflex run`: the service, in the foreground or under systemd.
 
 use crate::cli::{Unreachable, inputs, logging, manual_motion, within};
-use crate::config::supervisor::assemble;
-use crate::config::{Board, Calibration, PressureBound, ServiceSection, source};
+use crate::config::{Board, Calibration, PressureBound, ServiceSection, source, supervisor};
 use crate::hardware::machine::{Hardware, HardwareError, MachineConfig};
-use crate::service::disk;
-use crate::service::error::ServiceError;
 use crate::service::flight::start::hash;
-use crate::service::notify::Notifier;
 use crate::service::paths::Paths;
 use crate::service::record::{flight_path, make_room};
-use crate::service::start::RunConfig;
-use crate::service::{Claim, serve};
+use crate::service::{Claim, Notifier, RunConfig, ServiceError, disk, serve};
 use crate::simulation::link::Link;
 use crate::simulation::lockstep::Lockstep;
 use crate::supervisor::Machine;
@@ -99,7 +94,7 @@ pub fn run(args: &Args) -> Result<()> {
     }
     let claim = Claim::new(&board.service).map_err(report)?;
     let machine = open(args, path.as_deref(), &board)?;
-    let mut supervisor = assemble(&board, &calibration, &gains, machine.info());
+    let mut supervisor = supervisor::assemble(&board, &calibration, &gains, machine.info());
     let mut model = None;
     if let Some((path, machine)) = feedforward {
         supervisor.tick = supervisor.tick.fed_forward(machine);

@@ -1,8 +1,7 @@
 //! Horizontal bars with whiskers, one row for each name.
 
 use crate::report::chart::WIDTH;
-use crate::report::svg::Anchor::{End, Middle};
-use crate::report::svg::{Ink, Svg};
+use crate::report::svg::{End, Ink, Middle, Svg};
 
 /// One bar.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,13 +24,8 @@ const TOP: f64 = 34.0;
 /// The drawing as a stand-alone `<svg>` element with an axis from 0 to 100 %.
 pub fn svg(title: &str, ink: Ink, bars: &[Bar]) -> String {
     let bottom = TOP + ROW * bars.len() as f64;
-    let x = |share: f64| {
-        if share.is_finite() {
-            LEFT + (WIDTH - LEFT - RIGHT) * share.clamp(0.0, 1.0)
-        } else {
-            LEFT
-        }
-    };
+    // `max` leaves NaN out
+    let x = |share: f64| LEFT + (WIDTH - LEFT - RIGHT) * share.clamp(0.0, 1.0).max(0.0);
     let mut out = Svg::new(WIDTH, bottom + 26.0, title);
     out.heading(8.0, title);
     for percent in [0, 25, 50, 75, 100] {

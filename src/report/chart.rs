@@ -3,8 +3,7 @@
 //! A [`Chart`] is data; [`Chart::svg`] draws one, [`sheet`] draws several in a grid. Lines of the same colour differ by their
 //! dash pattern, so that no meaning depends on colour alone.
 
-use crate::report::svg::Anchor::{End, Middle, Start};
-use crate::report::svg::{Ink, Svg, polyline};
+use crate::report::svg::{End, Ink, Middle, Start, Svg, polyline};
 
 /// Dash pattern of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

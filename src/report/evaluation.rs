@@ -40,7 +40,8 @@ const ARM_FIGURES: [(&str, ArmFigure); 11] = [
     ("obstructed", |_, a| a.blocked.to_string()),
 ];
 
-fn deg(x: f64) -> String {
+/// Degrees with two decimals.
+pub fn deg(x: f64) -> String {
     format!("{x:.2}°")
 }
 
@@ -200,11 +201,10 @@ pub fn html(e: &Evaluation) -> String {
         let figures = ARM_FIGURES.map(|(_, figure)| figure(arm, a));
         [vec![look(arm).0.to_owned()], figures.into()].concat()
     };
-    let rows: Vec<_> = arms(e).map(row).collect();
-    page.table(&format!("arm|{names}"), &rows);
+    page.table(&format!("arm|{names}"), arms(e).map(row));
     page.heading("The paper's Figure 6, redrawn, and the closed loop");
-    let drawn = |(chart, caption): Figure| (chart.svg(), caption.to_owned());
-    page.charts(&figures(e).into_iter().map(drawn).collect::<Vec<_>>());
+    let drawn = |(chart, caption): Figure| (chart.svg(), caption);
+    page.charts(figures(e).into_iter().map(drawn));
     page.heading("Gains");
     page.text(&if e.iterations == 0 {
         "Taken from a calibration file.".to_owned()
@@ -218,7 +218,7 @@ pub fn html(e: &Evaluation) -> String {
         )
     });
     let header = "channel|k_ε|± σ|k_λ / mm|± σ / mm|condition|residual / mm";
-    page.table(header, &gain_rows(e));
+    page.table(header, gain_rows(e));
     page.quiet("For research. Not a medical device.");
     page.html()
 }

@@ -69,6 +69,6 @@ pub fn page(survey: &Survey) -> Page {
         let drawing = bars::svg(&lot.name, Ink::GREEN, &bars);
         (drawing, format!("{} logs", lot.logs))
     };
-    page.charts(&survey.lots.iter().map(chart).collect::<Vec<_>>());
+    page.charts(survey.lots.iter().map(chart));
     page
 }

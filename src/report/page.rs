@@ -36,7 +36,7 @@ impl Page {
         self.line(format_args!("<p class=\"quiet\">{}</p>", escape(text)));
     }
     /// Adds a table, whose header has the names of the columns between bars; the first column is text, the others are numbers.
-    pub fn table<R: AsRef<[String]>>(&mut self, header: &str, rows: &[R]) {
+    pub fn table<R: AsRef<[String]>>(&mut self, header: &str, rows: impl IntoIterator<Item = R>) {
         let cell = |tag: &str, text: &str| format!("<{tag}>{}</{tag}>", escape(text));
         let head: String = header.split('|').map(|text| cell("th", text)).collect();
         self.line(format_args!("<table><thead><tr>{head}</tr></thead><tbody>"));
@@ -51,10 +51,10 @@ impl Page {
         self.line(format_args!("<pre>{}</pre>", escape(text)));
     }
     /// Adds drawings side by side: (SVG, caption).
-    pub fn charts(&mut self, drawings: &[(String, String)]) {
+    pub fn charts<C: AsRef<str>>(&mut self, drawings: impl IntoIterator<Item = (String, C)>) {
         self.line("<div class=\"charts\">");
         for (svg, caption) in drawings {
-            let caption = escape(caption);
+            let caption = escape(caption.as_ref());
             self.line(format_args!(
                 "<figure>{svg}<figcaption>{caption}</figcaption></figure>"
             ));
@@ -95,7 +95,7 @@ mod tests {
     fn text_is_escaped() {
         let mut page = Page::new("<x>");
         page.text("<script>alert(1)</script>");
-        page.table("a", &[["1 & 2".to_owned()]]);
+        page.table("a", [["1 & 2".to_owned()]]);
         let html = page.html();
         assert!(
             !html.contains("<script")

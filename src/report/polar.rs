@@ -3,8 +3,7 @@
 //! Colours run from pale to dark in one hue, so that greyscale print keeps their order.
 
 use crate::report::chart::{HEIGHT, WIDTH};
-use crate::report::svg::Anchor::{End, Middle, Start};
-use crate::report::svg::{Ink, Svg};
+use crate::report::svg::{End, Ink, Middle, Start, Svg};
 use std::f64::consts::TAU;
 
 /// Width of a ring, degrees of bend.
@@ -39,8 +38,8 @@ fn colour(share: f64) -> String {
         [205.0, 92.0, 46.0],
         [92.0, 22.0, 28.0],
     ];
-    let share = if share.is_finite() { share } else { 0.0 };
-    let x = 3.0 * share.clamp(0.0, 1.0);
+    // `max` leaves NaN out
+    let x = 3.0 * share.clamp(0.0, 1.0).max(0.0);
     let k = (x as usize).min(2);
     let [r, g, b] = std::array::from_fn(|i| {
         (STOPS[k][i] + (STOPS[k + 1][i] - STOPS[k][i]) * (x - k as f64)).round() as u8

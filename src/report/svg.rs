@@ -44,6 +44,7 @@ pub(crate) enum Anchor {
     Middle,
     End,
 }
+pub(crate) use Anchor::{End, Middle, Start};
 
 /// An SVG document under construction; all lengths in px at 96 dpi.
 #[derive(Debug, Clone)]
@@ -82,9 +83,9 @@ impl Svg {
 
     pub(crate) fn text(&mut self, at: (f64, f64), anchor: Anchor, ink: Ink, text: &str) {
         let anchor = match anchor {
-            Anchor::Start => "start",
-            Anchor::Middle => "middle",
-            Anchor::End => "end",
+            Start => "start",
+            Middle => "middle",
+            End => "end",
         };
         let style = format!("font-size=\"11\" text-anchor=\"{anchor}\"");
         self.styled_text(at.0, at.1, ink, &style, text);

@@ -2,8 +2,7 @@
 //! best open loop and where it fails.
 
 use crate::experiment::sweep::{GOOD_DEG, SweepRow};
-use crate::report::svg::Anchor::{End, Middle, Start};
-use crate::report::svg::{Ink, Svg};
+use crate::report::svg::{End, Ink, Middle, Start, Svg};
 
 const LEFT: f64 = 200.0;
 const TOP: f64 = 52.0;

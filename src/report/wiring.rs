@@ -1,7 +1,6 @@
 //! The wiring of a board as a drawing: the header of the computer, and the devices with a line for each wire.
 
-use crate::report::svg::Anchor::{End, Middle, Start};
-use crate::report::svg::{Ink, Svg};
+use crate::report::svg::{End, Ink, Middle, Start, Svg};
 use std::collections::BTreeSet;
 
 /// A device with its terminals, from top to bottom.

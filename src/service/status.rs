@@ -328,7 +328,8 @@ pub fn limits(config: &SupervisorConfig) -> Value {
     json!({"travel_mm": tick.limits.travel_mm, "k_epsilon": k_epsilon, "k_lambda_mm": k_lambda_mm})
 }
 
-fn round(x: f64) -> f64 {
+/// A figure of the status, which has four digits.
+pub fn round(x: f64) -> f64 {
     (x * 1e4).round() / 1e4
 }
 

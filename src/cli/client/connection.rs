@@ -1,12 +1,10 @@
 //! The connection of a command to the service.
 
-use crate::cli::output::print;
-use crate::cli::{Refused, Unreachable};
+use crate::cli::{Refused, Unreachable, output};
 use crate::model::Bend;
 use crate::service::client::connect_within;
-use crate::service::paths;
-use crate::service::protocol::{Failure, Request};
 use crate::service::status::Status;
+use crate::service::{Failure, Request, paths};
 use crate::supervisor::{Mode, Refusal};
 use miette::{Context, Report, Result, bail, miette};
 use serde_json::Value;
@@ -96,10 +94,7 @@ pub(super) fn stop(at: &At) -> Result<bool> {
         let all = sockets.iter();
         let all = all.map(|socket| scope.spawn(|| Connection::stop(socket)));
         let all: Vec<_> = all.collect();
-        let failed = |_| {
-            let message = "the command failed".to_owned();
-            Err(Failure { code: 3, message })
-        };
+        let failed = |_| Err(Failure::unreachable("the command failed"));
         let joined = all.into_iter().map(|one| one.join().unwrap_or_else(failed));
         joined.collect()
     });
@@ -109,7 +104,7 @@ pub(super) fn stop(at: &At) -> Result<bool> {
         match answer {
             Ok(value) => {
                 if sockets.len() > 1 {
-                    print(format!("{name}: stopped\n"));
+                    output::print(format!("{name}: stopped\n"));
                 }
                 print_result(&value);
             }
@@ -196,7 +191,7 @@ fn print_result(value: &Value) {
         eprintln!("note: {remark}");
     }
     if value.as_object().is_some_and(|map| !map.is_empty()) {
-        print(words(value));
+        output::print(words(value));
     }
 }
 

@@ -6,10 +6,8 @@ pub mod view;
 
 use super::connection::{At, Connection, report, socket};
 use super::keys::{Key, keys};
-use crate::cli::flight::flight_of;
-use crate::cli::{inputs, within};
-use crate::service::paths;
-use crate::service::protocol::{Failure, Request};
+use crate::cli::{flight, inputs, within};
+use crate::service::{Failure, Request, paths};
 use miette::{IntoDiagnostic, Result, bail};
 use player::Player;
 use ratatui::DefaultTerminal;
@@ -59,7 +57,7 @@ trait Source {
 /// # Errors
 /// A report about a log or a terminal that cannot be used, or a service that cannot be reached.
 pub fn monitor(args: &MonitorArgs) -> Result<()> {
-    let open = |log: &PathBuf| Player::open(&flight_of(log)?, args.speed);
+    let open = |log: &PathBuf| Player::open(&flight::flight_of(log)?, args.speed);
     let log = args.log.as_ref().map(open).transpose()?;
     if !stdin().is_terminal() || !stdout().is_terminal() {
         bail!("the monitor needs a terminal; elsewhere, use `retroflex status --watch`");

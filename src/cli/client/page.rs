@@ -8,15 +8,14 @@ mod server;
 mod site;
 
 use super::connection::{At, socket};
-use crate::cli::inputs::unlistenable;
-use crate::cli::output::print;
+use crate::cli::{inputs, output};
 use crate::log::error::why_unreadable;
 use crate::log::table::text;
 use hyper::body::Bytes;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use site::Site;
 use std::io::Write;
-use std::net::{SocketAddr, TcpListener};
+use std::net::SocketAddr;
 use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use tokio::sync::{Mutex, watch};
@@ -53,12 +52,10 @@ pub fn page(args: &PageArgs) -> Result<()> {
         );
     }
     args.diagnosis.as_deref().map_or(Ok(()), check_diagnosis)?;
-    let fail = |e: std::io::Error| unlistenable(listen, e.kind());
-    let listener = TcpListener::bind(listen).map_err(fail)?;
-    let address = listener.local_addr().map_err(fail)?;
+    let (address, listener) = inputs::listen(listen)?;
     let file = args.token_file.as_ref();
     let file = file.map(|file| format!("?token=TOKEN, with the token in {}", file.display()));
-    print(format!("http://{address}/{}\n", file.unwrap_or_default()));
+    output::print(format!("http://{address}/{}\n", file.unwrap_or_default()));
     let (sender, latest) = watch::channel(Bytes::new());
     let control = socket.clone();
     std::thread::spawn(move || site::follow(&control, &sender));

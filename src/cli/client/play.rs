@@ -177,8 +177,7 @@ fn run_path(connection: &mut Connection, rows: &[PathRow], stops: u64) -> Result
     let first = ScheduleRow {
         bend_deg,
         dir_deg,
-        hold_s: AT_FIRST_S,
-        ..ScheduleRow::rest(0.0, &Geometry::default())
+        ..ScheduleRow::rest(AT_FIRST_S, &Geometry::default())
     };
     ask(connection, &to_first(rows[0]))?;
     arrive_and_hold(connection, &now, 0.0, &first, Some(rows[0]))?;

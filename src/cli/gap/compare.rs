@@ -75,7 +75,6 @@ fn simulated(args: &Args, log: &Observed) -> Result<(String, Compared)> {
     let _logging = logging::start();
     let bar = output::bar(0, "{pos} runs of the simulator,");
     let mut name = String::new();
-    bar.enable_steady_tick(std::time::Duration::from_millis(200));
     let run = |values: &[f64]| -> std::result::Result<Motion, ExperimentError> {
         let mut arguments = arguments.clone();
         for (knob, value) in args.fit.iter().zip(values) {

@@ -10,16 +10,17 @@ use crate::diagnosis::rig::{Document, MapFile, RigProblem, SavedRig};
 use crate::diagnosis::tip::observed::Segment;
 use crate::diagnosis::tip::{SavedModel, TipProblem};
 use crate::model::effects::catalogue;
-use crate::report::gap::answer::summary;
 use crate::report::gap::evidence::Evidence;
 use crate::report::gap::map::{self, Rows};
-use crate::report::gap::page;
+use crate::report::gap::{page, summary};
 use crate::service::flight::cycle::fnv;
-use indicatif::ProgressBar;
 use miette::{IntoDiagnostic, Result, bail};
 use serde::Serialize;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
+
+/// What progress shows.
+const FITTED: &str = "the effects are fitted,";
 
 /// Arguments of `gap diagnose`.
 #[derive(Debug, clap::Args)]
@@ -72,12 +73,11 @@ pub fn run(args: &Args) -> Result<()> {
         return run_mapped(map, args);
     }
     let (lines, rig) = (args.driven.lines()?, args.driven.rig()?);
-    let mut logs = input::each(&args.logs, |path| input::observe(path, &rig))?.into_iter();
-    let Some(mut observed) = logs.next() else {
-        bail!("no log is given");
-    };
-    logs.for_each(|log| observed.append(log));
-    let bar = busy();
+    let mut logs = input::each(&args.logs, |path| input::observe(path, &rig))?;
+    // at least one is required
+    let mut observed = logs.remove(0);
+    logs.into_iter().for_each(|log| observed.append(log));
+    let bar = output::bar(0, FITTED);
     let done = diagnose(&TipProblem::new(&observed, catalogue(), &lines, args.seed));
     bar.finish_and_clear();
     let html = || {
@@ -99,17 +99,15 @@ pub fn run(args: &Args) -> Result<()> {
         let model = SavedModel::new(&sources(args), &done).with_forecast(&observed, &done);
         toml::to_string(&model).into_diagnostic()
     };
-    write(args, &done.document, html, model)?;
-    let text = summary(&done.document, args.save.as_deref()) + "\n";
-    output::show(text, &args.json);
-    Ok(())
+    let text = summary(&done.document, args.save.as_deref());
+    write(args, &done.document, html, model, &text)
 }
 
 /// Diagnoses logs of another rig.
 fn run_mapped(map_file: &Path, args: &Args) -> Result<()> {
     let map: MapFile = source::read(map_file)?;
     let logs = input::each(&args.logs, |path| input::mapped(path, &map, map_file))?;
-    let bar = busy();
+    let bar = output::bar(0, FITTED);
     let problem = RigProblem::new(&map, &logs, args.seed);
     let done = problem.as_ref().map(|problem| (problem, diagnose(problem)));
     bar.finish_and_clear();
@@ -130,24 +128,16 @@ fn run_mapped(map_file: &Path, args: &Args) -> Result<()> {
         };
         toml::to_string(&SavedRig::new(sources(args), problem, done)).into_diagnostic()
     };
-    write(args, document, html, model)?;
-    output::show(map::summary(document) + "\n", &args.json);
-    Ok(())
+    write(args, document, html, model, &map::summary(document))
 }
 
-/// Progress of the fit.
-fn busy() -> ProgressBar {
-    let bar = output::bar(0, "the effects are fitted,");
-    bar.enable_steady_tick(std::time::Duration::from_millis(200));
-    bar
-}
-
-/// Writes the requested files: none unless all can be made.
+/// Writes the requested files, none unless all can be made, and shows the answer.
 fn write(
     args: &Args,
     document: &impl Serialize,
     html: impl FnOnce() -> Result<String>,
     model: impl FnOnce() -> Result<String>,
+    answer: &str,
 ) -> Result<()> {
     let mut files: Vec<(&Path, String)> = Vec::new();
     if let Some(path) = &args.json {
@@ -165,6 +155,7 @@ fn write(
             eprintln!("written: {}", path.display());
         }
     }
+    output::show(format!("{answer}\n"), &args.json);
     Ok(())
 }
 

@@ -156,12 +156,8 @@ fn tell_units(tasks: &mut [Task], units: &Path) -> Result<()> {
     for record in reader.records() {
         let record = record.map_err(failed)?;
         let line = record.position().map_or(0, csv::Position::line);
-        let Unit {
-            log,
-            unit,
-            lot,
-            date,
-        } = record.deserialize(Some(&header)).map_err(failed)?;
+        let of: Unit = record.deserialize(Some(&header)).map_err(failed)?;
+        let (log, date) = (of.log, of.date);
         let Some(task) = tasks.iter_mut().find(|task| task.row.log == log) else {
             bail!("{file}, line {line}, column log: `{log}`: there is no such log");
         };
@@ -175,7 +171,7 @@ fn tell_units(tasks: &mut [Task], units: &Path) -> Result<()> {
                 "{file}, line {line}, column date: `{date}` is no day; write it as YYYY-MM-DD, such as 2026-03-31, or leave it empty"
             );
         }
-        (task.row.unit, task.row.lot, task.row.date) = (unit, lot, date);
+        (task.row.unit, task.row.lot, task.row.date) = (of.unit, of.lot, date);
     }
     Ok(())
 }

@@ -1,13 +1,12 @@
 //! `log export`: the samples of a flight log with what the loop made of them, as a bend log or a Parquet table.
 
-use crate::cli::flight::{self, flight_of};
-use crate::cli::{ResultFile, output};
+use crate::cli::{ResultFile, flight, output};
 use crate::log::columns::{self, Column};
 use crate::service::flight::cycle::Cycle;
 use crate::service::flight::read::Entry;
 use crate::service::flight::scene::timestamp;
 use crate::service::flight::start::Event;
-use crate::service::record;
+use crate::service::{record, status};
 use mcap::Message;
 use miette::{IntoDiagnostic, Result};
 use serde_json::{Map, Value, json};
@@ -109,8 +108,9 @@ impl Rows {
         if self.numbers.is_empty() {
             self.start_ns = unix_ns.saturating_sub((row[0] * 1e9) as u64);
         }
+        // single precision keeps the four digits
         let value = |place| self.status.pointer(place).and_then(Value::as_f64);
-        row.extend(OF_LOOP.map(|(_, place)| value(place).map_or(f64::NAN, round)));
+        row.extend(OF_LOOP.map(|(_, place)| value(place).map_or(f64::NAN, status::round)));
         self.numbers.push(row);
         let mode = self.status["mode"].as_str().unwrap_or_default();
         self.modes.push(mode.to_owned());
@@ -148,11 +148,6 @@ impl Rows {
     }
 }
 
-/// The status has four digits, which single precision keeps.
-fn round(x: f64) -> f64 {
-    (x * 1e4).round() / 1e4
-}
-
 /// Names of the columns of numbers.
 fn names() -> Vec<&'static str> {
     let samples = record::HEADER.trim_end().split(',');
@@ -164,7 +159,7 @@ fn names() -> Vec<&'static str> {
 /// # Errors
 /// A report that names the file.
 pub fn export(args: &ExportArgs) -> Result<bool> {
-    let (path, mut rows) = (flight_of(&args.file)?, Rows::default());
+    let (path, mut rows) = (flight::flight_of(&args.file)?, Rows::default());
     let ending = flight::read(&path, &mut |_, message| rows.take(message))?;
     output::write_some(&args.csv, || Ok(rows.csv()))?;
     output::write_some(&args.parquet, || rows.parquet())?;

@@ -1,13 +1,10 @@
 //! The settings that a flight log holds, and others to replay it with.
 
 use crate::cli::inputs;
-use crate::config::source;
-use crate::config::supervisor::assemble;
-use crate::config::{Board, Calibration, Gains};
-use crate::control::DynamicsPrior;
+use crate::config::{Board, Calibration, Gains, source, supervisor};
 use crate::diagnosis::tip::SavedModel;
 use crate::estimation::fusion::estimator::EstimatorName;
-use crate::model::{DescribedMachine, Line};
+use crate::model::DescribedMachine;
 use crate::primitives::Check;
 use crate::service::flight::start::Header;
 use crate::supervisor::SupervisorConfig;
@@ -51,8 +48,8 @@ pub struct Settings {
     pub gains: Gains,
     /// The calibration.
     pub calibration: Calibration,
-    /// Lines and dynamics that were in use instead of those of the calibration.
-    learned: Option<([Line; 3], DynamicsPrior)>,
+    /// The lines and dynamics that were in use count instead of those of the calibration.
+    learned: bool,
     feedforward: Option<Arc<DescribedMachine>>,
 }
 
@@ -81,19 +78,20 @@ impl Settings {
             feedforward: model.map(|model| inputs::described_by(name, &model, &board)),
             gains: text(gains)?,
             calibration: text(calibration)?,
-            learned: Some((header.lines, header.dynamics)),
+            learned: true,
             board,
         })
     }
 
     /// What a supervisor with these settings is made of.
     pub fn config(&self, header: &Header) -> SupervisorConfig {
-        let mut config = assemble(&self.board, &self.calibration, &self.gains, &header.machine);
+        let (board, machine) = (&self.board, &header.machine);
+        let mut config = supervisor::assemble(board, &self.calibration, &self.gains, machine);
         if let Some(machine) = &self.feedforward {
             config.tick = config.tick.fed_forward(Arc::clone(machine));
         }
-        if let Some(learned) = self.learned {
-            (config.tick.lines, config.tick.dynamics) = learned;
+        if self.learned {
+            (config.tick.lines, config.tick.dynamics) = (header.lines, header.dynamics);
         }
         config
     }
@@ -106,11 +104,11 @@ impl Settings {
         self.gains = args.gains.as_deref().map_or(Ok(self.gains), source::read)?;
         self.gains.fuse.filter = args.filter.unwrap_or(self.gains.fuse.filter);
         if let Some(path) = &args.calib {
-            (self.calibration, self.learned) = (source::read(path)?, None);
+            (self.calibration, self.learned) = (source::read(path)?, false);
         }
         if let Some(path) = &args.feedforward {
             self.feedforward = Some(inputs::described(path, &self.board)?);
-            self.learned = None;
+            self.learned = false;
         }
         Ok(self)
     }

@@ -70,29 +70,29 @@ pub fn residuals(
     (chart, format!("RMS in {STRETCHES} equal stretches."))
 }
 
-/// A signal in the window of this length in which the recalibrated model errs most.
-pub fn trace(t: &Trace, window_s: f64, x: &str, y: &str) -> Option<Chart> {
+/// A signal, its points as in [`Trace`], in the window of this length in which the recalibrated model errs most.
+pub fn trace(label: &str, points: &[[f64; 4]], window: f64, x: &str, y: &str) -> Option<Chart> {
     let error = |p: &[f64; 4]| (p[1] - p[2]).powi(2);
-    let (first, last) = (t.points.first()?[0], t.points.last()?[0]);
-    let starts = (0..).map(|k| first + f64::from(k) * window_s / 5.0);
-    let starts = starts.take_while(|from| *from == first || from + window_s <= last);
+    let (first, last) = (points.first()?[0], points.last()?[0]);
+    let starts = (0..).map(|k| first + f64::from(k) * window / 5.0);
+    let starts = starts.take_while(|from| *from == first || from + window <= last);
     let within = |from: f64| {
-        let window = from..from + window_s;
-        t.points.iter().filter(move |p| window.contains(&p[0]))
+        let shown = from..from + window;
+        points.iter().filter(move |p| shown.contains(&p[0]))
     };
     let sum = |from: f64| -> f64 { within(from).filter(|p| p[2].is_finite()).map(error).sum() };
     let from = starts.max_by(|a, b| sum(*a).total_cmp(&sum(*b)))?;
     let every = within(from).count() / POINTS + 1;
     let shown = || within(from).step_by(every);
     let column = |i: usize| shown().map(|p| (p[0], p[i])).collect();
-    let x = Axis::new(x, from, from + window_s, 5);
+    let x = Axis::new(x, from, from + window, 5);
     let y = Axis::around(y, shown().flat_map(|p| p[1..].to_vec()), 5);
     let series = vec![
         Series::line("measured", Ink::GREY, Stroke::Solid, column(1)),
         Series::line("recalibrated", Ink::RED, Stroke::Dotted, column(2)),
         Series::line("with effects", Ink::BLUE, Stroke::Dashed, column(3)),
     ];
-    Some(Chart::new(&t.label, x, y, series))
+    Some(Chart::new(label, x, y, series))
 }
 
 /// How probable effects are, and what each closes.

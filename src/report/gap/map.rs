@@ -4,10 +4,9 @@ use crate::diagnosis::rig::document::{LogEntry, Parameter};
 use crate::diagnosis::rig::operators::kind;
 use crate::diagnosis::rig::{Document, Entry, RigProblem, Set};
 use crate::diagnosis::verdict::VerdictKind;
-use crate::report::Page;
-use crate::report::gap::charts::{self, Ranked, Trace};
+use crate::report::gap::charts::{self, Ranked};
 use crate::report::gap::words::{self, verdict};
-use crate::report::table::table;
+use crate::report::{Page, table};
 
 /// Effects in the table of the answer, and on the page.
 const SHOWN: [usize; 2] = [6, 10];
@@ -73,11 +72,8 @@ impl Rows {
         }
         let rows = self.points.len() as f64;
         let window = (last[0] - first[0]) * (TRACE_ROWS / rows).clamp(0.1, 1.0);
-        let trace = Trace {
-            label: "Measured and predicted".to_owned(),
-            points: self.points.clone(),
-        };
-        let drawn = charts::trace(&trace, window, time, &format!("output / {unit}"));
+        let (label, output) = ("Measured and predicted", format!("output / {unit}"));
+        let drawn = charts::trace(label, &self.points, window, time, &output);
         let caption = "Where the error of the recalibrated model is largest.".to_owned();
         out.extend(drawn.map(|chart| (chart.svg(), caption)));
         out
@@ -153,10 +149,10 @@ pub fn page(source: &str, d: &Document, rows: &Rows, made: &[[String; 2]]) -> St
     said(d).iter().for_each(|line| page.text(line));
     page.quiet("Recalibration identifies the nominal model on these logs; what it closes is not credited to an effect.");
     if let [_, _, ..] = d.logs.as_slice() {
-        page.table(LOGS, &d.logs.iter().map(log_row).collect::<Vec<_>>());
+        page.table(LOGS, d.logs.iter().map(log_row));
     }
     page.heading("Where");
-    page.charts(&rows.charts(&d.unit));
+    page.charts(rows.charts(&d.unit));
     page.heading("Which");
     let shown = || d.effects.iter().take(SHOWN[1]);
     let ranked = |e: &Entry| Ranked {
@@ -165,9 +161,9 @@ pub fn page(source: &str, d: &Document, rows: &Rows, made: &[[String; 2]]) -> St
         closed: (e.closed, e.closed_ci95),
         strong: d.verdict.speaks_of(&e.name),
     };
-    page.charts(&charts::ranking(&shown().map(ranked).collect::<Vec<_>>()));
+    page.charts(charts::ranking(&shown().map(ranked).collect::<Vec<_>>()));
     let sets = d.set.iter().filter(|_| d.verdict.names.len() > 1);
-    page.table(EFFECTS, &sets.chain(shown()).map(row).collect::<Vec<_>>());
+    page.table(EFFECTS, sets.chain(shown()).map(row));
     page.made_from(made, "docs/other-rigs.md");
     page.html()
 }

@@ -2,7 +2,7 @@
 
 use super::view::{CHART_S, View};
 use crate::cli::flight;
-use crate::cli::replay::start_of;
+use crate::cli::replay::settings::Settings;
 use crate::service::flight::file::TOPICS;
 use crate::service::flight::read::Entry;
 use crate::service::flight::start::Event;
@@ -96,7 +96,7 @@ fn recorded(path: &Path) -> Result<Frames> {
         }
         match Entry::of(message)? {
             Entry::Event(ref event) if let Event::Start(header) = &**event => {
-                let limits = status::limits(&start_of(header)?.config);
+                let limits = status::limits(&Settings::of(header)?.config(header));
                 now.insert("limits".to_owned(), limits);
             }
             Entry::Shown(Value::Object(fields)) => now.extend(fields),

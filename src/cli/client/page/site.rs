@@ -5,8 +5,7 @@
 
 use crate::log::table::text;
 use crate::service::client::Client;
-use crate::service::paths;
-use crate::service::protocol::{Failure, Request};
+use crate::service::{Failure, Request, paths};
 use hyper::body::Bytes;
 use serde_json::{Value, json};
 use std::collections::HashMap;
