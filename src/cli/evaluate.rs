@@ -217,7 +217,7 @@ fn verdict(e: &Evaluation) -> bool {
 fn study(args: &Args, board: &Board, gains: &Gains) -> Result<bool> {
     let study = Study {
         config: assemble(board, &inputs::calibration(args.calib.as_deref())?, gains),
-        make: built_in(args, board)?.make(),
+        make: built_in(args, board)?,
         seed: args.seed,
         units: if args.sweep {
             SWEEP_UNITS
