@@ -132,11 +132,7 @@ pub fn run(
     gyro_bias(drive)?;
     drive.energise(true)?;
     let mut answers = [Vector2::zeros(); 3];
-    let &TrialConfig {
-        geometry,
-        stroke_mm,
-        hold_s,
-    } = config;
+    let (stroke_mm, hold_s) = (config.stroke_mm, config.hold_s);
     for (i, answer) in answers.iter_mut().enumerate() {
         progress(&format!("channel {}: stroke of {stroke_mm} mm", i + 1));
         *answer = stroke(drive, i, stroke_mm, 0.0)?.0;
@@ -148,11 +144,8 @@ pub fn run(
         leak_per_s[i] = Some(stroke(drive, i, TRIAL.hold_mm, hold_s)?.1);
     }
     drive.energise(false)?;
-    let expected = [0, 1, 2].map(|i| {
-        let mut q = Vector3::zeros();
-        q[i] = 1.0;
-        geometry.shape(&q).bend.0
-    });
+    let each_longer = [Vector3::x(), Vector3::y(), Vector3::z()];
+    let expected = each_longer.map(|q_mm| config.geometry.shape(&q_mm).bend.0);
     let wirings = match dead {
         [false, false, false] => wiring::identify(&answers, &expected),
         _ => Vec::new(),
