@@ -27,13 +27,13 @@ pub struct DynamicsPrior {
     pub uncertainty_s: f64,
 }
 
-/// Longest lag or dead time that any line or sensor has, s.
-const TIME_MAX_S: f64 = 600.0;
+/// Lags and dead times that a line or a sensor can have, s: the longest is beyond any of them.
+const TIMES_S: std::ops::RangeInclusive<f64> = 0.0..=600.0;
 
 impl DynamicsPrior {
     /// True for a lag or a dead time that something can have.
     pub fn is_possible_s(time_s: f64) -> bool {
-        (0.0..=TIME_MAX_S).contains(&time_s)
+        TIMES_S.contains(&time_s)
     }
     /// What a calibration has measured.
     pub fn calibrated(expected: Dynamics) -> Self {

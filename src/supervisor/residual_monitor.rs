@@ -21,7 +21,7 @@ pub use crate::supervisor::suspicion::{Suspicion, SuspicionKind};
 use crate::model::Geometry;
 use crate::parameters;
 use crate::primitives::lasting;
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 
 parameters! {
     /// Residual monitor: when a difference between predicted and estimated bend is reported.
@@ -322,15 +322,8 @@ impl ResidualMonitor {
     ) -> (Suspicion, bool) {
         use SuspicionKind::{Burst, Contact, Inverted, Leak, LostSteps, NoResponse, Strong, Weak};
         let u = if sudden { self.jump.jump } else { self.smooth };
-        let along: [f64; 3] = std::array::from_fn(|j| u.dot(&Geometry::spoke(j)));
-        let longer = |a: usize, b: usize| {
-            if along[b].abs() > along[a].abs() {
-                b
-            } else {
-                a
-            }
-        };
-        let j = longer(longer(0, 1), 2);
+        let along = Vector3::from_fn(|j, _| u.dot(&Geometry::spoke(j)));
+        let j = along.iamax();
         let x_mm = -1.5 * self.r_mm * along[j];
         let bellow_mm = |bend: &Vector2<f64>| -self.r_mm * Geometry::spoke(j).dot(bend);
         let motion_mm = bellow_mm(&(input.predicted - self.baseline.1));

@@ -5,7 +5,7 @@ use super::types::{Input, LoopConfig};
 use crate::estimation::fusion::base_watch::{Watch, WatchInput};
 use crate::estimation::fusion::tip::{FusionInput, STILL_AFTER_S};
 use crate::model::Bend;
-use crate::primitives::{ImuReading, LIKELY_SIGMAS, lasting};
+use crate::primitives::{LIKELY_SIGMAS, lasting};
 use nalgebra::Vector3;
 
 /// Updates the fusion with the samples, the motors' field and whether the pistons rest.
@@ -20,12 +20,9 @@ pub(super) fn estimate(config: &LoopConfig, state: &mut LoopState, input: &Input
     let energised = motors.idle_s.map(|s| s < config.motors_idle_after_s);
     let coils = config.motors.as_ref();
     let coils_ut = coils.map_or_else(Vector3::zeros, |m| m.at(&input.steps.0, &energised));
-    let tip = match input.imu {
-        ImuReading::Sample(sample, quality) => {
-            ImuReading::Sample(config.imu.apply(&sample), quality)
-        }
-        other => other,
-    };
+    let tip = input
+        .imu
+        .map(|sample, _| *sample = config.imu.apply(sample));
     let still = motors.still_s >= STILL_AFTER_S;
     if let (Some(described), Some(rest), Some(_)) = (
         &mut state.described,

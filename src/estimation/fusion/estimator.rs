@@ -92,10 +92,11 @@ impl Estimator {
         alignment: &Alignment,
         period_s: f64,
     ) -> Self {
-        let generic = |name| Generic::new(name, alignment, Bend::STRAIGHT, period_s);
         match name {
             EstimatorName::Bend => Self::Bend(BendFilter::new(bend, alignment)),
-            EstimatorName::Generic(name) => Self::Generic(generic(name)),
+            EstimatorName::Generic(name) => {
+                Self::Generic(Generic::new(name, alignment, Bend::STRAIGHT, period_s))
+            }
         }
     }
 
