@@ -1,5 +1,7 @@
 //! Lag and dead time from the pistons to the estimated bend.
 
+use crate::primitives::SURE_SIGMAS;
+
 /// Lag and dead time from the pistons to the estimated bend.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Dynamics {
@@ -25,13 +27,13 @@ pub struct DynamicsPrior {
     pub uncertainty_s: f64,
 }
 
-/// Longest lag or dead time that any line or sensor has, s.
-const TIME_MAX_S: f64 = 600.0;
+/// Lags and dead times that a line or a sensor can have, s: the longest is beyond any of them.
+const TIMES_S: std::ops::RangeInclusive<f64> = 0.0..=600.0;
 
 impl DynamicsPrior {
     /// True for a lag or a dead time that something can have.
     pub fn is_possible_s(time_s: f64) -> bool {
-        (0.0..=TIME_MAX_S).contains(&time_s)
+        TIMES_S.contains(&time_s)
     }
     /// What a calibration has measured.
     pub fn calibrated(expected: Dynamics) -> Self {
@@ -48,9 +50,9 @@ impl DynamicsPrior {
             / self.uncertainty_s.powi(2)
     }
 
-    /// The range of three standard deviations.
+    /// The range of [`SURE_SIGMAS`].
     pub fn range(&self) -> DynamicsRange {
-        let margin_s = 3.0 * self.uncertainty_s;
+        let margin_s = SURE_SIGMAS * self.uncertainty_s;
         DynamicsRange {
             best: self.expected,
             response_min_s: (self.expected.response_s() - margin_s).max(0.0),
@@ -75,7 +77,7 @@ impl DynamicsRange {
     pub fn prior(&self) -> DynamicsPrior {
         DynamicsPrior {
             expected: self.best,
-            uncertainty_s: (self.error_max_s() / 3.0).max(UNCERTAINTY_MIN_S),
+            uncertainty_s: (self.error_max_s() / SURE_SIGMAS).max(UNCERTAINTY_MIN_S),
         }
     }
 

@@ -5,7 +5,6 @@
 //! most of the response, so that an effect that delays has an answer too. Broyden's method (*Math. Comp.* 1965) starts from the
 //! last solution with the last slope, so a tick needs one or two evaluations of the laws and never more than five. Nothing
 //! allocates after [`Feedforward::new`].
-
 use crate::control::limits::relief;
 use crate::model::effects::{Memory, Moment};
 use crate::model::{Bend, Chain, DescribedMachine, Shape, orientation};
@@ -15,23 +14,29 @@ use std::sync::Arc;
 
 /// Times for which the inverse may hold the play outputs, s. A longer horizon leads a slow line less, and follows creep later.
 const HORIZONS_S: [f64; 5] = [0.02, 0.05, 0.1, 0.2, 0.3];
-/// Least share of the response at the longest horizon that the shape must show at the one that is used.
-const RESPONSE_MIN: f64 = 0.7;
+
+crate::constants! {
+    /// When the inverse is solved, and how far it goes.
+    const SOLVER: SolverConstants;
+    /// Least share of the response at the longest horizon that the shape must show at the one that is used.
+    response_min = 0.7;
+    /// Error of a bellow at which the inverse is solved, mm: 0.03° of bend.
+    solved_mm = 0.002;
+    /// Largest change of a bellow per evaluation, mm.
+    change_max_mm = 1.0;
+    /// Largest distance of the solution from the nominal one, mm of bellow: the range of a bellow. A law far outside its log is not
+    /// followed further.
+    correction_max_mm = 9.0;
+    /// Least change of a nominal bellow per common change of length.
+    part_min = 0.2;
+    /// Least product, in units of the squared change, with which the slope is updated.
+    slope_min = 0.05;
+}
+
 /// Probe of the response, mm of play output.
 const PROBE_MM: Vector3<f64> = Vector3::new(2.0, -1.0, -1.0);
 /// Largest number of evaluations per tick.
 const ROUNDS: usize = 5;
-/// Error of a bellow at which the inverse is solved, mm: 0.03° of bend.
-const SOLVED_MM: f64 = 0.002;
-/// Largest change of a bellow per evaluation, mm.
-const CHANGE_MAX_MM: f64 = 1.0;
-/// Largest distance of the solution from the nominal one, mm of bellow: the range of a bellow. A law far outside its log is not followed
-/// further.
-const CORRECTION_MAX_MM: f64 = 9.0;
-/// Least change of a nominal bellow per common change of length.
-const PART_MIN: f64 = 0.2;
-/// Least product, in units of the squared change, with which the slope is updated.
-const SLOPE_MIN: f64 = 0.05;
 /// Evaluations of the drive's inverse.
 const DRIVE_ROUNDS: usize = 6;
 
@@ -71,7 +76,7 @@ impl Feedforward {
         new.zero(up);
         let response = HORIZONS_S.map(|horizon_s| new.held(&PROBE_MM, horizon_s).bend.0.norm());
         let last = HORIZONS_S.len() - 1;
-        let enough = |r: &f64| *r >= RESPONSE_MIN * response[last];
+        let enough = |r: &f64| *r >= SOLVER.response_min * response[last];
         new.horizon_s = HORIZONS_S[response.iter().position(enough).unwrap_or(last)];
         new
     }
@@ -132,19 +137,23 @@ impl Feedforward {
             if let Some((solution, shape)) = before {
                 self.learn_slope(&(self.solution_mm - solution), &(reached - shape));
             }
-            let part = self.slope.column_sum().map(|part| part.max(PART_MIN));
+            let part = self
+                .slope
+                .column_sum()
+                .map(|part| part.max(SOLVER.part_min));
             let next = self.solution_mm + self.slope * (wanted_mm - reached);
             let wanted_mm = wanted_mm.add_scalar(relief(&next, &part, room_mm));
             let missing = wanted_mm - reached;
-            if missing.amax() < SOLVED_MM {
+            if missing.amax() < SOLVER.solved_mm {
                 break;
             }
             before = Some((self.solution_mm, reached));
             let step = self.slope * missing;
-            let share = (CHANGE_MAX_MM / step.amax()).min(1.0);
+            let share = (SOLVER.change_max_mm / step.amax()).min(1.0);
             let next = self.solution_mm + step * share;
             self.solution_mm = wanted_mm
-                + (next - wanted_mm).map(|d| d.clamp(-CORRECTION_MAX_MM, CORRECTION_MAX_MM));
+                + (next - wanted_mm)
+                    .map(|d| d.clamp(-SOLVER.correction_max_mm, SOLVER.correction_max_mm));
         }
         self.solution_mm
     }
@@ -153,9 +162,9 @@ impl Feedforward {
     fn learn_slope(&mut self, step: &Vector3<f64>, reached: &Vector3<f64>) {
         let projected = self.slope.transpose() * step;
         let product = projected.dot(reached);
-        if product > SLOPE_MIN * step.norm_squared() {
+        if product > SOLVER.slope_min * step.norm_squared() {
             self.slope += (step - self.slope * reached) * projected.transpose() / product;
-        } else if step.norm() > SOLVED_MM {
+        } else if step.norm() > SOLVER.solved_mm {
             self.slope = Matrix3::identity();
         }
     }
@@ -330,7 +339,7 @@ mod tests {
             if needed_mm.max() - needed_mm.min() < 1.9 * room_mm[0] {
                 relieved += 1;
                 let beyond_mm = bellow_mm.amax() - room_mm[0];
-                assert!(beyond_mm < SOLVED_MM, "{bellow_mm} of {room_mm}");
+                assert!(beyond_mm < SOLVER.solved_mm, "{bellow_mm} of {room_mm}");
                 assert!(error_deg < 0.1, "{error_deg}° at {bend}° toward {dir}°");
             }
         }
@@ -342,7 +351,7 @@ mod tests {
         let mut state = Feedforward::new(machine(&[]));
         let wanted = Vector3::new(-3.0, 1.0, 2.0);
         for _ in 0..3 {
-            assert!((state.invert(&wanted, &ANY_ROOM) - wanted).amax() < SOLVED_MM);
+            assert!((state.invert(&wanted, &ANY_ROOM) - wanted).amax() < SOLVER.solved_mm);
         }
         assert!((state.counted(&wanted) - wanted).amax() < 1e-12);
     }

@@ -44,7 +44,7 @@ pub struct ObstructionDetector {
     start: Option<(Vector2<f64>, Vector2<f64>)>,
     /// Time for which the tip has not followed, s.
     pushed_s: f64,
-    /// Error with which the tip was found not to follow, rad.
+    /// Error with which the tip was last found not to follow, rad.
     found: f64,
     /// The tip does not follow.
     pub blocked: bool,
@@ -80,9 +80,6 @@ impl ObstructionDetector {
             self.start = Some((*given, *estimate));
         } else if self.pushed_s > answer_s && error.norm() > config.error_deg.to_radians() {
             (self.blocked, self.found) = (true, error.norm());
-        }
-        if !self.blocked {
-            self.found = 0.0;
         }
     }
 }

@@ -9,7 +9,6 @@
 //! because a move crosses gaps whose width is known to a standard deviation, and friction. What a reversal does wrong is seen after
 //! `t_answer`, while an error that has lasted for `t_rest` goes on. `|e'|` is what the limits of the actuators leave; 0 without a limit and with `kp` 1. The variance of
 //! the belief is on neither side: it is the same before and after a move.
-
 use crate::control::CalmConfig;
 use crate::control::dynamics::Dynamics;
 use crate::control::observer::Observer;
@@ -17,18 +16,24 @@ use crate::control::observer::laws::{OFFSET, ROTATION};
 use crate::primitives::lasting;
 use nalgebra::{Vector2, Vector3};
 
-/// Weight of one answer in the mean square of the slip, the share that a new target keeps, and the largest slip, rad.
-const SLIP_GAIN: f64 = 0.05;
-const SLIP_KEEP: f64 = 0.75;
-const SLIP_MAX: f64 = 0.05;
-/// Time beyond dead time and three lags after which a move is answered, s.
-const ANSWERED_S: f64 = 0.2;
-/// Least time for which a new pose is corrected at full speed, s.
-const QUICK_MIN_S: f64 = 0.35;
-/// Speed per error above the large one, 1/s.
-const LARGE_GAIN_1_S: f64 = 10.0;
-/// Factor on the piston speed of a late correction, and standard deviations of a gap that are surely empty.
-const LATE_FACTOR: f64 = 1.5;
+crate::constants! {
+    /// What a move is believed to do, and how fast a late one is.
+    const RULE: RuleConstants;
+    /// Weight of one answer in the mean square of the slip.
+    slip_gain = 0.05;
+    /// Share of that mean square that a new target keeps.
+    slip_keep = 0.75;
+    /// Largest slip, rad.
+    slip_max = 0.05;
+    /// Time beyond dead time and three lags after which a move is answered, s.
+    answered_s = 0.2;
+    /// Least time for which a new pose is corrected at full speed, s.
+    quick_min_s = 0.35;
+    /// Speed per error above the large one, 1/s.
+    large_gain_1_s = 10.0;
+    /// Factor on the piston speed of a late correction, and standard deviations of a gap that are surely empty.
+    late_factor = 1.5;
+}
 
 /// State of the rule.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -62,7 +67,7 @@ impl Rule {
     /// A new target.
     pub fn depart(&mut self) {
         self.acted = None;
-        self.slip_2 *= SLIP_KEEP;
+        self.slip_2 *= RULE.slip_keep;
     }
 
     /// One tick with a set-point that moves or rests.
@@ -84,8 +89,8 @@ impl Rule {
         };
         *since_s += dt_s;
         if *since_s > answered_s(dynamics) && !disturbed {
-            let miss_2 = (estimate - *aim).norm().min(SLIP_MAX).powi(2);
-            self.slip_2 += SLIP_GAIN * (miss_2 - self.slip_2);
+            let miss_2 = (estimate - *aim).norm().min(RULE.slip_max).powi(2);
+            self.slip_2 += RULE.slip_gain * (miss_2 - self.slip_2);
             self.acted = None;
         }
     }
@@ -121,11 +126,11 @@ impl Rule {
         dt_s: f64,
     ) -> Vector3<f64> {
         let Dynamics { lag_s, delay_s } = observer.dynamics;
-        if self.held_s <= (config.after_s - (delay_s + 2.0 * lag_s)).max(QUICK_MIN_S) {
+        if self.held_s <= (config.after_s - (delay_s + 2.0 * lag_s)).max(RULE.quick_min_s) {
             return self.goal_mm;
         }
         let beyond = (error_rad - config.large_deg.to_radians()).max(0.0);
-        let speed = config.speed_deg_s.to_radians() + LARGE_GAIN_1_S * beyond;
+        let speed = config.speed_deg_s.to_radians() + RULE.large_gain_1_s * beyond;
         Vector3::from_fn(|i, _| {
             let (from, goal) = (from_mm[i], self.goal_mm[i]);
             let to_go = goal - from;
@@ -136,12 +141,12 @@ impl Rule {
             let engaged = -play.slope * to_go > 0.0 && !observer.now.is_uncertain(i);
             let sigma_mm = observer.half_width_sigma_mm(i);
             let engages = play.w_mm
-                + to_go.signum() * (observer.lines[i].k_lambda_mm - LATE_FACTOR * sigma_mm);
+                + to_go.signum() * (observer.lines[i].k_lambda_mm - RULE.late_factor * sigma_mm);
             if !engaged && (engages - from) * to_go > 0.0 {
                 let crosses = (goal - engages) * to_go > 0.0;
                 return if crosses { engages } else { goal };
             }
-            let most = speed * LATE_FACTOR * observer.mm_per_rad(i) * dt_s;
+            let most = speed * RULE.late_factor * observer.mm_per_rad(i) * dt_s;
             from + to_go.clamp(-most, most)
         })
     }
@@ -149,7 +154,7 @@ impl Rule {
 
 /// Time after which a move is answered, s.
 fn answered_s(dynamics: &Dynamics) -> f64 {
-    dynamics.delay_s + 3.0 * dynamics.lag_s + ANSWERED_S
+    dynamics.delay_s + 3.0 * dynamics.lag_s + RULE.answered_s
 }
 
 /// Bend of the channels with which the tip is at `at`, rad, while g has the share `share` and a disturbance bends by `disturbed`.

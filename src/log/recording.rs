@@ -108,8 +108,8 @@ fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
     })
 }
 
-/// Turns a reference from east-north-up to the world frame (north-west-up).
-fn world_from_enu(r_enu_sensor: UnitQuaternion<f64>) -> Rotation<World, Sensor> {
+/// Turns an orientation from east-north-up to the world frame (north-west-up).
+pub fn world_from_enu(r_enu_sensor: UnitQuaternion<f64>) -> Rotation<World, Sensor> {
     let r_world_enu = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -FRAC_PI_2);
     Rotation::assert_frames(r_world_enu * r_enu_sensor)
 }

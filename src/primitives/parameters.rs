@@ -20,7 +20,8 @@
 //! The columns of a row are: paragraph, key, type, default, unit, allowed values, hint for the error message. A row
 //! without a default is required in the file; a row without unit and range accepts every value of its type. A row
 //! whose type is itself such a structure is a sub-table. `name as "key"` gives the field another name in the file.
-//! Fields that no file holds follow in a block `set in code { … }`.
+//! Fields that no file holds follow in a block `set in code { … }`. After `by Key -> Value`, rows `name of Variant` are also found by the
+//! variant of an enumeration `Key`.
 
 use crate::primitives::check::{Checker, Invalid};
 use toml::{Table as Values, Value};
@@ -252,9 +253,9 @@ pub fn join(at: &str, key: &str) -> String {
 macro_rules! parameters {
     (
         $(#[doc = $about:literal])+
-        pub struct $name:ident $(: $($extra:ident),+)? { $(
+        pub struct $name:ident $(: $($extra:ident),+)? $(by $of:ident -> $result:ident)? { $(
             $(#[doc = $paragraph:literal])+
-            $field:ident $(as $key:literal)?: $kind:ty $(= $default:expr)?
+            $field:ident $(of $variant:ident)? $(as $key:literal)?: $kind:ty $(= $default:expr)?
             $(, $unit:literal, $([$($one:literal),+])? $($low:literal ..= $high:literal)?, $hint:literal)?;
         )+ }
         $(set in code { $($(#[doc = $code_doc:literal])+ $code_field:ident: $code_kind:ty = $code_default:expr;)+ })?
@@ -280,6 +281,8 @@ macro_rules! parameters {
             }
         }
 
+        $crate::parameters!(@of $name [$($of $result)?] $($($variant $field)?)+);
+
         impl $crate::primitives::parameters::Setting for $name {
             const SHAPE: $crate::primitives::parameters::Shape =
                 $crate::primitives::parameters::Shape::Table(<Self as $crate::primitives::parameters::Parameters>::TABLE);
@@ -298,6 +301,15 @@ macro_rules! parameters {
                     shape: <$kind as $crate::primitives::parameters::Setting>::SHAPE,
                 }),+],
             };
+        }
+    };
+    (@of $name:ident []) => {};
+    (@of $name:ident [$of:ident $result:ident] $($variant:ident $field:ident)+) => {
+        impl $name {
+            #[doc = concat!("What is set for a [`", stringify!($of), "`].")]
+            pub fn of(&self, key: $of) -> $result {
+                match key { $($of::$variant => self.$field,)+ }
+            }
         }
     };
     (@default) => { Default::default() };

@@ -21,7 +21,7 @@ pub use crate::supervisor::suspicion::{Suspicion, SuspicionKind};
 use crate::model::Geometry;
 use crate::parameters;
 use crate::primitives::lasting;
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 
 parameters! {
     /// Residual monitor: when a difference between predicted and estimated bend is reported.
@@ -62,26 +62,31 @@ pub struct ResidualInput {
     pub blocked: bool,
 }
 
-/// Time at rest after which the remaining residual becomes the baseline, s.
-const SETTLE_S: f64 = 0.6;
+crate::constants! {
+    /// How the residual is followed and classified.
+    const MONITOR: MonitorConstants;
+    /// Time at rest after which the remaining residual becomes the baseline, s.
+    settle_s = 0.6;
+    /// Time for which a jump, and the motion of the pistons before it, is remembered, s.
+    jump_memory_s = 0.3;
+    /// Share of its deflection that a line without pressure has lost: less than 1, because part of the line's response is still pending
+    /// when the suspicion is classified.
+    lost = -0.7;
+    /// Time for which a new suspicion is updated, s.
+    update_s = 0.4;
+    /// A residual that grows from half the threshold to the threshold within this time, plus the lag of the line, is not a leak, s. A leak
+    /// takes seconds.
+    abrupt_s = 0.25;
+    /// Time constant for smoothing the residual, s.
+    smooth_s = 0.03;
+    /// Predicted motion of a bellow below which its share is undefined, mm.
+    motion_min_mm = 0.8;
+    /// Deflection of a bellow below which its share is undefined, mm.
+    deflection_min_mm = 0.5;
+}
+
 /// Ticks within which a change of the residual counts as a jump.
 const JUMP_TICKS: usize = 64;
-/// Time for which a jump, and the motion of the pistons before it, is remembered, s.
-const JUMP_MEMORY_S: f64 = 0.3;
-/// Share of its deflection that a line without pressure has lost: less than 1, because part of the line's response is
-/// still pending when the suspicion is classified.
-const LOST: f64 = -0.7;
-/// Time for which a new suspicion is updated, s.
-const UPDATE_S: f64 = 0.4;
-/// A residual that grows from half the threshold to the threshold within this time, plus the lag of the line, is not a
-/// leak, s. A leak takes seconds.
-const ABRUPT_S: f64 = 0.25;
-/// Time constant for smoothing the residual, s.
-const SMOOTH_S: f64 = 0.03;
-/// Predicted motion of a bellow below which its share is undefined, mm.
-const MOTION_MIN_MM: f64 = 0.8;
-/// Deflection of a bellow below which its share is undefined, mm.
-const DEFLECTION_MIN_MM: f64 = 0.5;
 
 /// Detects a change of the residual that is faster than any motion of the pistons explains.
 #[derive(Debug, Clone, PartialEq)]
@@ -118,17 +123,17 @@ impl JumpDetector {
         self.head = (self.head + 1) % JUMP_TICKS;
         self.filled = (self.filled + 1).min(JUMP_TICKS + 1);
         let path: f64 = self.recent.iter().map(|(_, path)| path).sum();
-        self.path_rad = path.max(self.path_rad * (-dt_s / JUMP_MEMORY_S).exp());
+        self.path_rad = path.max(self.path_rad * (-dt_s / MONITOR.jump_memory_s).exp());
         self.age_s += dt_s;
         let change = residual - then;
         let jumps = self.filled > JUMP_TICKS && change.norm() > threshold_rad + 2.0 * self.path_rad;
-        if jumps && (self.age_s > JUMP_MEMORY_S || change.norm() > self.jump.norm()) {
+        if jumps && (self.age_s > MONITOR.jump_memory_s || change.norm() > self.jump.norm()) {
             (self.jump, self.age_s) = (change, 0.0);
         }
     }
 
     fn is_recent(&self) -> bool {
-        self.age_s < JUMP_MEMORY_S
+        self.age_s < MONITOR.jump_memory_s
     }
 }
 
@@ -220,7 +225,7 @@ impl ResidualMonitor {
         let gapless = (input.gapless - before.unwrap_or(input.gapless)).norm();
         self.rested_s = lasting(!input.moving, self.rested_s, input.dt_s);
         let departs = input.moving && self.settled;
-        let settles = !self.settled && self.rested_s > SETTLE_S + 4.0 * input.answer_s;
+        let settles = !self.settled && self.rested_s > MONITOR.settle_s + 4.0 * input.answer_s;
         if (departs || settles) && self.verdict.is_none() && self.beyond_s == 0.0 {
             (self.baseline, self.path_rad) = ((residual, input.predicted), 0.0);
             self.smooth = Vector2::zeros();
@@ -230,7 +235,7 @@ impl ResidualMonitor {
             self.acquit(input);
         }
         let since = residual - self.baseline.0;
-        let keep = (-input.dt_s / SMOOTH_S).exp();
+        let keep = (-input.dt_s / MONITOR.smooth_s).exp();
         self.smooth = since + (self.smooth - since) * keep;
         let threshold_rad = self.config.jump_deg.to_radians();
         let path_rad = moved.max(gapless);
@@ -284,7 +289,8 @@ impl ResidualMonitor {
             let then = verdict.suspicion;
             let same = now.share * then.share >= 0.0
                 && (now.kind, then.kind) != (SuspicionKind::NoResponse, SuspicionKind::Weak);
-            if verdict.age_s < UPDATE_S && beyond && same && now.deg > verdict.suspicion.deg {
+            if verdict.age_s < MONITOR.update_s && beyond && same && now.deg > verdict.suspicion.deg
+            {
                 (verdict.suspicion, verdict.of_motion) = (now, of_motion);
             }
             self.verdict = Some(verdict);
@@ -293,7 +299,7 @@ impl ResidualMonitor {
         if self.beyond_s < self.config.for_s {
             return None;
         }
-        let abrupt = sudden || self.rising_s - self.beyond_s < ABRUPT_S + input.answer_s;
+        let abrupt = sudden || self.rising_s - self.beyond_s < MONITOR.abrupt_s + input.answer_s;
         let (suspicion, of_motion) = self.classify(input, moved, sudden, abrupt);
         self.verdict = Some(Verdict {
             suspicion,
@@ -316,15 +322,8 @@ impl ResidualMonitor {
     ) -> (Suspicion, bool) {
         use SuspicionKind::{Burst, Contact, Inverted, Leak, LostSteps, NoResponse, Strong, Weak};
         let u = if sudden { self.jump.jump } else { self.smooth };
-        let along: [f64; 3] = std::array::from_fn(|j| u.dot(&Geometry::spoke(j)));
-        let longer = |a: usize, b: usize| {
-            if along[b].abs() > along[a].abs() {
-                b
-            } else {
-                a
-            }
-        };
-        let j = longer(longer(0, 1), 2);
+        let along = Vector3::from_fn(|j, _| u.dot(&Geometry::spoke(j)));
+        let j = along.iamax();
         let x_mm = -1.5 * self.r_mm * along[j];
         let bellow_mm = |bend: &Vector2<f64>| -self.r_mm * Geometry::spoke(j).dot(bend);
         let motion_mm = bellow_mm(&(input.predicted - self.baseline.1));
@@ -342,24 +341,24 @@ impl ResidualMonitor {
         let (of_motion, of_deflection) = (x_mm / motion_mm, x_mm / deflection_mm);
         // what begins abruptly at rest is judged by the deflection: the motion since is the loop's answer
         let in_motion = !(self.settled && abrupt)
-            && (!sudden && moved > u.norm() && motion_mm.abs() > MOTION_MIN_MM);
-        let deflected = deflection_mm.abs() > DEFLECTION_MIN_MM;
+            && (!sudden && moved > u.norm() && motion_mm.abs() > MONITOR.motion_min_mm);
+        let deflected = deflection_mm.abs() > MONITOR.deflection_min_mm;
         // a residual along one spoke has its cause in one line, even if the controller reports an obstruction
         let one_line = along[j].abs() > 0.9 * u.norm();
-        let suspicion = if in_motion && one_line && of_motion < LOST {
+        let suspicion = if in_motion && one_line && of_motion < MONITOR.lost {
             let inverted = of_motion < -1.5;
             of(if inverted { Inverted } else { NoResponse }, of_motion)
-        } else if self.settled && one_line && deflected && of_deflection < LOST {
+        } else if self.settled && one_line && deflected && of_deflection < MONITOR.lost {
             of(Burst, of_deflection)
         } else if input.blocked && !sudden {
             contact(-1.0)
         } else if in_motion {
             match of_motion {
-                share if share < LOST => of(NoResponse, share),
+                share if share < MONITOR.lost => of(NoResponse, share),
                 share if share < 0.0 => of(Weak, share),
                 share => of(Strong, share),
             }
-        } else if deflection_mm.abs() < DEFLECTION_MIN_MM {
+        } else if deflection_mm.abs() < MONITOR.deflection_min_mm {
             // an undeflected channel has no pressure to lose: the cause is the drive or a contact
             if sudden {
                 of(LostSteps, 0.0)

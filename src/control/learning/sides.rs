@@ -15,14 +15,6 @@ pub struct Sides {
 }
 
 impl Sides {
-    /// Pistons that have rested at these positions, mm, on an unknown side.
-    pub fn resting(piston_mm: Vector3<f64>) -> Self {
-        Self {
-            last_mm: piston_mm,
-            ..Self::default()
-        }
-    }
-
     /// Follows the pistons, mm.
     pub fn follow(&mut self, piston_mm: &Vector3<f64>) {
         for i in 0..3 {

@@ -10,7 +10,9 @@
 //! The result is not only the best candidate but also the range of candidates that remain plausible: what the observer learns
 //! during motion, and how long it waits for an answer, follow from it. The range is wide at first and narrows as the tip moves.
 
+use super::PERIOD_S;
 use crate::control::dynamics::{Dynamics, DynamicsPrior, DynamicsRange};
+use crate::primitives::SURE_SIGMAS;
 use nalgebra::Vector2;
 
 /// Lags of the candidates, s.
@@ -21,30 +23,31 @@ pub const LAGS_S: [f64; 13] = [
 pub const DELAYS_S: [f64; 16] = [
     0.0, 0.01, 0.025, 0.05, 0.08, 0.11, 0.14, 0.17, 0.2, 0.24, 0.28, 0.32, 0.37, 0.43, 0.5, 0.6,
 ];
-/// Sampling rate of the bank, 1/s.
-const RATE_HZ: f64 = 100.0;
-const PERIOD_S: f64 = 1.0 / RATE_HZ;
+
+crate::constants! {
+    /// How the bank compares, and what it concludes.
+    const BANK: BankConstants;
+    /// Time constant of the high-pass, s.
+    high_pass_s = 0.5;
+    /// Forgetting time of the energies while moving, s.
+    memory_s = 30.0;
+    /// Path of the tip that counts as one independent observation, rad.
+    path_per_row_rad = 0.05;
+    /// Largest number of independent observations, so that an error of the model is not taken for certainty.
+    rows_max = 60.0;
+    /// Unexplained share that the form of the models alone leaves.
+    share_floor = 0.005;
+    /// Unexplained share of the best candidate above which the motion says nothing about lag and dead time, because an obstacle or a
+    /// fault shapes it.
+    unexplained_max = 0.35;
+    /// The share above which the motion makes no further candidate plausible.
+    explained_max = 0.1;
+    /// The candidate in use is replaced when another is better by this much in −2 ln L.
+    better = 1.0;
+}
+
 /// Samples of history, enough for the longest dead time.
 const HISTORY: usize = 64;
-/// Time constant of the high-pass, s.
-const HIGH_PASS_S: f64 = 0.5;
-/// Forgetting time of the energies while moving, s.
-const MEMORY_S: f64 = 30.0;
-/// Path of the tip that counts as one independent observation, rad.
-const PATH_PER_ROW_RAD: f64 = 0.05;
-/// Largest number of independent observations, so that an error of the model is not taken for certainty.
-const ROWS_MAX: f64 = 60.0;
-/// Unexplained share that the form of the models alone leaves.
-const SHARE_FLOOR: f64 = 0.005;
-/// Unexplained share of the best candidate above which the motion says nothing about lag and dead time, because an
-/// obstacle or a fault shapes it.
-const UNEXPLAINED_MAX: f64 = 0.35;
-/// The share above which the motion makes no further candidate plausible.
-const EXPLAINED_MAX: f64 = 0.1;
-/// Candidates within this distance of the best in −2 ln L are plausible (three standard deviations).
-const PLAUSIBLE: f64 = 9.0;
-/// The candidate in use is replaced when another is better by this much in −2 ln L.
-const BETTER: f64 = 1.0;
 
 /// Prediction and energies of one candidate.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -102,7 +105,7 @@ impl DynamicsBank {
         self.history[self.head] = self.commanded / dt_s;
         self.commanded = Vector2::zeros();
         let delayed = DELAYS_S.map(|delay_s| self.back(delay_s / dt_s));
-        let slow_keep = (-dt_s / HIGH_PASS_S).exp();
+        let slow_keep = (-dt_s / BANK.high_pass_s).exp();
         self.slow_estimate = estimate + (self.slow_estimate - estimate) * slow_keep;
         let fast_estimate = estimate - self.slow_estimate;
         let path = (estimate - self.last_estimate).norm();
@@ -110,7 +113,7 @@ impl DynamicsBank {
         let moving = path > 0.02 * dt_s.max(PERIOD_S);
         self.motion_rad += if moving { path } else { 0.0 };
         let forget = if moving {
-            (-dt_s / MEMORY_S).exp()
+            (-dt_s / BANK.memory_s).exp()
         } else {
             1.0
         };
@@ -139,11 +142,11 @@ impl DynamicsBank {
     /// candidate in use stays in use unless another is clearly better.
     pub fn assess(&self, before: &DynamicsPrior, now: &DynamicsRange) -> DynamicsRange {
         let share = self.unexplained_least();
-        if share > UNEXPLAINED_MAX {
+        if share > BANK.unexplained_max {
             return *now;
         }
-        let rows = (self.motion_rad / PATH_PER_ROW_RAD).min(ROWS_MAX);
-        let rows = rows / (share + SHARE_FLOOR);
+        let rows = (self.motion_rad / BANK.path_per_row_rad).min(BANK.rows_max);
+        let rows = rows / (share + BANK.share_floor);
         let score = |c| rows * self.unexplained(c) + before.distance_squared(&candidate(c));
         let scored = all().map(|c| (c, score(c)));
         let none = ((0, 0), f64::INFINITY);
@@ -153,17 +156,19 @@ impl DynamicsBank {
             response_min_s: f64::INFINITY,
             response_max_s: 0.0,
         };
-        if score(nearest(&now.best)) > least + BETTER {
+        if score(nearest(&now.best)) > least + BANK.better {
             range.best = self.interpolated(best);
         }
-        for c in all().filter(|c| score(*c) < least + PLAUSIBLE) {
+        // −2 ln L
+        let plausible = SURE_SIGMAS * SURE_SIGMAS;
+        for c in all().filter(|c| score(*c) < least + plausible) {
             // a candidate stands for everything up to half of the way to its neighbours
             let (lag_s, delay_s) = (cell(&LAGS_S, c.0), cell(&DELAYS_S, c.1));
             range.response_min_s = range.response_min_s.min(lag_s[0] + delay_s[0]);
             range.response_max_s = range.response_max_s.max(lag_s[1] + delay_s[1]);
         }
         // what no candidate explains, such as a wall, makes none of them likelier
-        if share > EXPLAINED_MAX && range.error_max_s() > now.error_max_s() {
+        if share > BANK.explained_max && range.error_max_s() > now.error_max_s() {
             return *now;
         }
         range

@@ -10,14 +10,13 @@ use super::knowledge::{Knowledge, RESIDUAL, row_of};
 use super::laws::{self, Channels, Columns, LAWS, Theta};
 use crate::control::dynamics::{Dynamics, DynamicsRange};
 use crate::model::{Geometry, Line};
+use crate::primitives::SURE_SIGMAS;
 use nalgebra::{Vector2, Vector3};
 
 /// Ticks of history: 1.2 s at a period of 1 ms.
 const HISTORY: usize = 1200;
 /// Speed above which a change of the prediction is no motion but a change of the dead time, rad/s.
 const SPEED_MAX: f64 = 2.5;
-/// Standard deviations by which the largest plausible error of the response time counts for how long a motion is in flight: half of three.
-const TIMING_SIGMAS: f64 = 1.5;
 
 /// How the tip answers the channels, delayed and lagged.
 #[derive(Debug, Clone, Copy, Default)]
@@ -182,7 +181,8 @@ impl Observer {
         answer.rate = moved / dt_s.max(f64::MIN_POSITIVE);
         let keep = (-dt_s / lag_s.max(5e-3)).exp();
         answer.lag_derivative = -answer.rate + (answer.lag_derivative + answer.rate) * keep;
-        let answered_s = self.dynamics.response_s() + self.timing_error_s / TIMING_SIGMAS;
+        // half of the largest plausible error counts for how long a motion is in flight
+        let answered_s = self.dynamics.response_s() + self.timing_error_s / (SURE_SIGMAS / 2.0);
         let slowest = (-dt_s / answered_s.max(0.02)).exp();
         answer.recent_rate = answer.rate.norm().max(answer.recent_rate * slowest);
         self.due_s += dt_s;

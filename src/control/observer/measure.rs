@@ -1,45 +1,53 @@
 //! What the observer takes from a measurement, and from the bank of candidates for lag and dead time.
 
+use super::PERIOD_S;
 use super::config::{ObserverConfig, standard_deviations};
 use super::filter::Observer;
 use super::knowledge::{DELAY, LAG, row_of};
 use super::laws;
 use crate::control::dynamics::{Dynamics, DynamicsRange};
+use crate::primitives::SURE_SIGMAS;
 use nalgebra::{Matrix2, Vector2};
 
-/// Interval between two measurements, s.
-const PERIOD_S: f64 = 0.01;
-/// Time constants with which the rate of the residual and its noise are smoothed, s.
-const RESIDUAL_RATE_S: f64 = 0.03;
-const NOISE_S: f64 = 2.0;
-/// Standard deviation of an estimate that is not doubted, rad (0.6°).
-const SIGMA_RAD: f64 = 0.01;
-/// Innovation in standard deviations of the estimate from which the tip has moved, for certain.
-const DOUBTED_SIGMAS: f64 = 3.0;
-/// Largest square of a change in units of the noise that counts as noise.
-const OUTLIER_2: f64 = 9.0;
-/// Rate of the residual that a settled pose may have, rad/s.
-const SETTLED_RAD_S: f64 = 0.03;
+crate::constants! {
+    /// What a measurement is taken for.
+    const MEASURE: MeasureConstants;
+    /// Time constant with which the rate of the residual is smoothed, s.
+    residual_rate_s = 0.03;
+    /// Time constant with which its noise is smoothed, s.
+    noise_s = 2.0;
+    /// Standard deviation of an estimate that is not doubted, rad (0.6°).
+    sigma_rad = 0.01;
+    /// Rate of the residual that a settled pose may have, rad/s.
+    settled_rad_s = 0.03;
+    /// Largest correction of lag and dead time beyond [`CORRECTION_SHARE`], s.
+    correction_s = 0.012;
+    /// How sure the bank must be before they are corrected: a share of both …
+    sure_share = 0.5;
+    /// … and a constant, s.
+    sure_s = 0.03;
+    /// Least spread of a half-width, mm.
+    spread_min_mm = 0.02;
+    /// Largest spread as a share of the half-width.
+    spread_max = 0.8;
+    /// Weight of a pose in the size of g.
+    size_gain = 0.15;
+    /// Least size of g, rad.
+    size_min = 0.003;
+    /// Largest square of what a pose leaves that counts in it, rad².
+    size_max_2 = 0.003;
+}
+
 /// How long an error of timing has the same sign, s: with and without states for lag and dead time.
 const SAME_SIGN_S: [f64; 2] = [0.1, 3.0];
-/// Largest corrections of lag and dead time as shares of both, and in s; how sure the bank must be before they are corrected.
+/// Largest corrections of lag and dead time as shares of both.
 const CORRECTION_SHARE: [f64; 2] = [0.4, 0.15];
-const CORRECTION_S: f64 = 0.012;
-const SURE_SHARE: f64 = 0.5;
-const SURE_S: f64 = 0.03;
 /// Standard deviation of lag and of dead time about those of the bank: a share and a constant, s.
 const TIMES_SIGMA: [(f64, f64); 2] = [(0.15, 0.003), (0.06, 0.002)];
 /// Half-widths that a line can have, mm.
 const HALF_WIDTH_MM: [f64; 2] = [0.05, 1.6];
-/// Spread of a half-width, mm, at least, and at most as a share of it.
-const SPREAD_MIN_MM: f64 = 0.02;
-const SPREAD_MAX: f64 = 0.8;
 /// Bend that no tip has, rad: a filter that believes it has diverged and begins anew.
 const BELIEVED_MAX: f64 = 2.0 * std::f64::consts::PI;
-/// Weight of a pose in the size of g, with the least, rad, and the largest square, rad².
-const SIZE_GAIN: f64 = 0.15;
-const SIZE_MIN: f64 = 0.003;
-const SIZE_MAX_2: f64 = 0.003;
 
 /// What the observer is told of the tip.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,19 +77,24 @@ impl Observer {
         let answer = &mut self.answer;
         let change = residual - std::mem::replace(&mut answer.residual, residual);
         let rate = change.norm() / dt_s;
-        answer.residual_rate += (rate - answer.residual_rate) * (dt_s / RESIDUAL_RATE_S).min(1.0);
+        answer.residual_rate +=
+            (rate - answer.residual_rate) * (dt_s / MEASURE.residual_rate_s).min(1.0);
         let least = config.noise_deg.to_radians().powi(2);
-        let noise_2 = (change.norm_squared() / 4.0).min(OUTLIER_2 * least.max(self.noise_2));
-        if answer.recent_rate < SETTLED_RAD_S {
-            self.noise_2 += (noise_2 - self.noise_2) * (dt_s / NOISE_S).min(1.0);
+        // what changes by more is no noise
+        let most_2 = SURE_SIGMAS * SURE_SIGMAS * least.max(self.noise_2);
+        let noise_2 = (change.norm_squared() / 4.0).min(most_2);
+        if answer.recent_rate < MEASURE.settled_rad_s {
+            self.noise_2 += (noise_2 - self.noise_2) * (dt_s / MEASURE.noise_s).min(1.0);
         }
         let response_s = self.dynamics.response_s();
-        let corrects = self.timing_error_s / 3.0 < SURE_SHARE * response_s + SURE_S;
+        let corrects =
+            self.timing_error_s / SURE_SIGMAS < MEASURE.sure_share * response_s + MEASURE.sure_s;
         let mut timing_s = config.timing_s + config.timing_share * response_s;
         if !corrects {
-            timing_s = timing_s.max(self.timing_error_s / 3.0);
+            timing_s = timing_s.max(self.timing_error_s / SURE_SIGMAS);
         }
-        let unsettled = config.unsettled_s * (answer.residual_rate - SETTLED_RAD_S).max(0.0);
+        let unsettled =
+            config.unsettled_s * (answer.residual_rate - MEASURE.settled_rad_s).max(0.0);
         let timing_2 = (timing_s * answer.recent_rate).powi(2) + unsettled.powi(2);
         let same_sign = (SAME_SIGN_S[usize::from(!corrects)] / dt_s).max(1.0);
         self.variance = least.max(self.noise_2);
@@ -122,7 +135,7 @@ impl Observer {
         let bank = [self.bank.lag_s, self.bank.delay_s];
         let mut now = [self.dynamics.lag_s, self.dynamics.delay_s];
         for k in 0..2 {
-            let most = CORRECTION_SHARE[k] * bank[k] + CORRECTION_S;
+            let most = CORRECTION_SHARE[k] * bank[k] + MEASURE.correction_s;
             now[k] = (now[k] + std::mem::take(&mut self.known.x[LAG + k]))
                 .clamp(bank[k] - most, bank[k] + most);
         }
@@ -142,8 +155,8 @@ impl Observer {
             } else {
                 (now_mm + change).clamp(HALF_WIDTH_MM[0], HALF_WIDTH_MM[1])
             };
-            let spread_mm = self.half_width_sigma_mm(i).max(SPREAD_MIN_MM);
-            let spread_mm = spread_mm.min(SPREAD_MAX * next_mm);
+            let spread_mm = self.half_width_sigma_mm(i).max(MEASURE.spread_min_mm);
+            let spread_mm = spread_mm.min(MEASURE.spread_max * next_mm);
             let (change_mm, mm_per_rad) = (next_mm - now_mm, self.mm_per_rad(i));
             self.lines[i].k_lambda_mm = next_mm;
             self.now.widen(i, change_mm, spread_mm, mm_per_rad);
@@ -169,7 +182,7 @@ impl Observer {
         let times_s = [self.bank.lag_s, self.bank.delay_s];
         std::array::from_fn(|k| {
             let (share, least_s) = TIMES_SIGMA[k];
-            let sigma_s = (share * times_s[k] + least_s).max(self.timing_error_s / 3.0);
+            let sigma_s = (share * times_s[k] + least_s).max(self.timing_error_s / SURE_SIGMAS);
             sigma_s * sigma_s
         })
     }
@@ -180,15 +193,15 @@ impl Observer {
             self.known.p[(LAG + k, LAG + k)] += 0.5 * most;
             self.known.cap(LAG + k, most);
         }
-        let size_2 = (self.residual().norm_squared() / 2.0).min(SIZE_MAX_2);
+        let size_2 = (self.residual().norm_squared() / 2.0).min(MEASURE.size_max_2);
         let before_2 = self.known.residual_size.powi(2);
-        let mean_2 = before_2 * (1.0 - SIZE_GAIN) + SIZE_GAIN * size_2;
-        self.known.residual_size = mean_2.sqrt().max(SIZE_MIN);
+        let mean_2 = before_2 * (1.0 - MEASURE.size_gain) + MEASURE.size_gain * size_2;
+        self.known.residual_size = mean_2.sqrt().max(MEASURE.size_min);
     }
 }
 
 /// Principal axes of the covariance of the estimate, rad², and the measurement noise along each, rad². An error of the estimate lasts for
-/// seconds, and an innovation beyond [`DOUBTED_SIGMAS`] is none of it.
+/// seconds, and an innovation beyond [`SURE_SIGMAS`] is none of it: the tip has moved.
 fn doubt(
     covariance: Matrix2<f64>,
     innovation: &Vector2<f64>,
@@ -197,9 +210,9 @@ fn doubt(
     let known = covariance.symmetric_eigen();
     let doubt_2 = Vector2::from_fn(|k, _| {
         let sigma = known.eigenvalues[k].max(0.0).sqrt();
-        let most = DOUBTED_SIGMAS * sigma.max(SIGMA_RAD);
+        let most = SURE_SIGMAS * sigma.max(MEASURE.sigma_rad);
         let off = innovation.dot(&known.eigenvectors.column(k)) / most;
-        let doubted = (sigma - SIGMA_RAD).max(0.0).powi(2) * (1.0 - off * off).max(0.0);
+        let doubted = (sigma - MEASURE.sigma_rad).max(0.0).powi(2) * (1.0 - off * off).max(0.0);
         doubted * SAME_SIGN_S[1] / dt_s
     });
     (known.eigenvectors, doubt_2)

@@ -8,6 +8,9 @@ pub mod laws;
 mod measure;
 pub mod periodic;
 
+/// Interval at which the observer and the bank take a measurement, s.
+const PERIOD_S: f64 = 0.01;
+
 pub use config::ObserverConfig;
 pub use filter::Observer;
 pub use knowledge::Knowledge;

@@ -5,6 +5,7 @@
 //! offset alone (multiple-model estimation, Magill 1965).
 
 use crate::parameters;
+use crate::primitives::FOREIGN_SIGMAS;
 use nalgebra::{SMatrix, SVector, Vector2};
 use std::f64::consts::TAU;
 
@@ -28,27 +29,33 @@ const HARMONICS: usize = 3;
 const RELATIVE: [f64; HARMONICS] = [1.0, 0.4, 0.3];
 /// States per axis: offset, then cosine and sine of each harmonic.
 const STATES: usize = 1 + 2 * HARMONICS;
-/// Number of frequencies, the lowest and the highest, Hz: 10 to 29 breaths a minute.
+/// Number of frequencies.
 const FREQUENCIES: usize = 16;
-const LOW_HZ: f64 = 0.16;
-const HIGH_HZ: f64 = 0.48;
-/// Random walk of the fundamental, rad/√s; less for the harmonics.
-const WALK: f64 = 0.006;
-/// Random walk of the offset per rad of path, and per √s, rad.
-const PATH_WALK: f64 = 0.03;
-const DRIFT: f64 = 0.0035;
-/// Standard deviation of the offset at first, rad.
-const OFFSET_RAD: f64 = 0.02;
-/// Amplitude from which a disturbance is worth cancelling, rad (0.35°).
-const WORTH_RAD: f64 = 0.006;
-/// Lead with which another frequency replaces the one believed, nat.
-const BETTER: f64 = 1.0;
-/// An innovation counts no more than this many squared standard deviations; samples within a breath are not independent.
-const OUTLIER_2: f64 = 25.0;
-const INDEPENDENT: f64 = 0.1;
-/// Interval between two updates, s, and the time before a first belief, s.
-const PERIOD_S: f64 = 0.02;
-const FIRST_S: f64 = 2.0;
+/// The lowest and the highest, Hz: 10 to 29 breaths a minute.
+const BREATHS_HZ: [f64; 2] = [0.16, 0.48];
+
+crate::constants! {
+    /// Prior and noise of a filter, and when a disturbance is believed.
+    const BREATH: BreathConstants;
+    /// Random walk of the fundamental, rad/√s; less for the harmonics.
+    walk = 0.006;
+    /// Random walk of the offset per rad of path, rad.
+    path_walk = 0.03;
+    /// Random walk of the offset per √s, rad.
+    drift = 0.0035;
+    /// Standard deviation of the offset at first, rad.
+    offset_rad = 0.02;
+    /// Amplitude from which a disturbance is worth cancelling, rad (0.35°).
+    worth_rad = 0.006;
+    /// Lead with which another frequency replaces the one believed, nat.
+    better = 1.0;
+    /// Share of a sample that is independent of those before, within a breath.
+    independent = 0.1;
+    /// Interval between two updates, s.
+    period_s = 0.02;
+    /// Time before a first belief, s.
+    first_s = 2.0;
+}
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Oscillator {
@@ -61,7 +68,7 @@ struct Oscillator {
 impl Oscillator {
     fn new(hertz: f64, amplitude_rad: f64) -> Self {
         let mut covariance = SMatrix::zeros();
-        covariance[(0, 0)] = OFFSET_RAD * OFFSET_RAD;
+        covariance[(0, 0)] = BREATH.offset_rad * BREATH.offset_rad;
         if hertz > 0.0 {
             for k in 1..STATES {
                 covariance[(k, k)] = (amplitude_rad * RELATIVE[(k - 1) / 2]).powi(2) / 2.0;
@@ -76,7 +83,8 @@ impl Oscillator {
     }
 
     fn predict(&mut self, config: &PeriodicConfig, moved: f64, dt_s: f64) {
-        self.covariance[(0, 0)] += PATH_WALK * PATH_WALK * moved + DRIFT * DRIFT * dt_s;
+        self.covariance[(0, 0)] +=
+            BREATH.path_walk * BREATH.path_walk * moved + BREATH.drift * BREATH.drift * dt_s;
         if self.rate_rad_s == 0.0 {
             return;
         }
@@ -92,7 +100,7 @@ impl Oscillator {
         let amplitude = config.amplitude_deg.to_radians();
         for k in 1..STATES {
             let harmonic = (k - 1) / 2;
-            let walk = (WALK / (harmonic + 1) as f64).powi(2) * dt_s;
+            let walk = (BREATH.walk / (harmonic + 1) as f64).powi(2) * dt_s;
             self.covariance[(k, k)] =
                 (self.covariance[(k, k)] + walk).min((amplitude * RELATIVE[harmonic]).powi(2));
         }
@@ -108,13 +116,15 @@ impl Oscillator {
         let about = self.covariance * row;
         let expected = row.dot(&about) + variance;
         let gain = about / expected;
+        // an innovation counts no further
+        let most_2 = FOREIGN_SIGMAS * FOREIGN_SIGMAS;
         let (mut cost, mut outlier) = (0.0, false);
         for axis in 0..2 {
             let innovation = residual[axis] - row.dot(&self.states[axis]);
             self.states[axis] += gain * innovation;
             let normalised_2 = innovation * innovation / expected;
-            outlier |= normalised_2 > OUTLIER_2;
-            cost += 0.5 * (normalised_2.min(OUTLIER_2) + expected.ln());
+            outlier |= normalised_2 > most_2;
+            cost += 0.5 * (normalised_2.min(most_2) + expected.ln());
         }
         self.covariance -= gain * about.transpose();
         self.covariance = (self.covariance + self.covariance.transpose()) * 0.5;
@@ -144,7 +154,8 @@ impl Periodic {
             if k == 0 {
                 return 0.0;
             }
-            LOW_HZ * (HIGH_HZ / LOW_HZ).powf((k - 1) as f64 / (FREQUENCIES - 1) as f64)
+            BREATHS_HZ[0]
+                * (BREATHS_HZ[1] / BREATHS_HZ[0]).powf((k - 1) as f64 / (FREQUENCIES - 1) as f64)
         };
         let amplitude_rad = config.amplitude_deg.to_radians();
         Self {
@@ -171,7 +182,7 @@ impl Periodic {
         self.age_s += dt_s;
         self.due_s += dt_s;
         self.path += moved;
-        if self.due_s < PERIOD_S - 1e-9 {
+        if self.due_s < BREATH.period_s - 1e-9 {
             return;
         }
         let dt_s = std::mem::take(&mut self.due_s);
@@ -181,7 +192,7 @@ impl Periodic {
         for one in &mut self.bank {
             one.predict(config, path, dt_s);
             let (cost, outlier) = one.correct(residual, variance);
-            one.cost = one.cost * keep + INDEPENDENT * cost;
+            one.cost = one.cost * keep + BREATH.independent * cost;
             jumped &= outlier;
         }
         if jumped {
@@ -196,9 +207,9 @@ impl Periodic {
         }
         let lead = self.bank[0].cost - self.bank[best].cost;
         let bar = self.believed.map_or(config.believed, |_| 0.0);
-        let worth = self.bank[best].amplitude() > WORTH_RAD && self.age_s > FIRST_S;
+        let worth = self.bank[best].amplitude() > BREATH.worth_rad && self.age_s > BREATH.first_s;
         self.believed = (lead > bar && worth).then(|| {
-            let enough = self.bank[best].cost + BETTER;
+            let enough = self.bank[best].cost + BREATH.better;
             let now = self.believed.filter(|&k| self.bank[k].cost < enough);
             now.unwrap_or(best)
         });

@@ -1,17 +1,21 @@
 //! The inverse of a backlash under a reference that moves: where a piston passes, and when it crosses.
-
 use crate::control::path::RUN_UP_S;
 use crate::model::SideState;
 use crate::motion::{MotionLimits, MotionState, Stop};
 
-/// Motion of the play output that the crossing of a backlash may cost, mm.
-const CROSSING_COST_MM: f64 = 0.03;
-/// Shortest and longest crossing, s: a piston needs the first from rest to rest.
-const CROSSING_S: (f64, f64) = (0.08, RUN_UP_S);
-/// Part of a crossing in which the piston starts and stops, s.
-const STARTING_S: f64 = 0.05;
-/// Speed of a play output below which its direction is not a new one, mm/s.
-const TURN_MM_S: f64 = 0.3;
+/// Shortest crossing, s: a piston needs it from rest to rest.
+pub(super) const CROSSING_MIN_S: f64 = 0.08;
+
+crate::constants! {
+    /// The crossing of a backlash.
+    const CROSSING: CrossingConstants;
+    /// Motion of the play output that it may cost, mm.
+    cost_mm = 0.03;
+    /// Part of it in which the piston starts and stops, s.
+    starting_s = 0.05;
+    /// Speed of a play output below which its direction is not a new one, mm/s.
+    turn_mm_s = 0.3;
+}
 
 /// A play output on its direction: position in mm, speed and acceleration of the reference in mm/s and mm/s².
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,15 +40,15 @@ pub(super) fn invert(
     limits: &MotionLimits,
     dt_s: f64,
 ) -> (f64, SideState) {
-    let turn_s = (2.0 * CROSSING_COST_MM / passing.acceleration.abs().max(1e-9)).sqrt();
-    let crossing_s = (2.0 * turn_s).clamp(CROSSING_S.0, CROSSING_S.1);
+    let turn_s = (2.0 * CROSSING.cost_mm / passing.acceleration.abs().max(1e-9)).sqrt();
+    let crossing_s = (2.0 * turn_s).clamp(CROSSING_MIN_S, RUN_UP_S);
     let heading = passing.speed + passing.acceleration * crossing_s / 2.0;
-    let direction = if heading.abs() > TURN_MM_S || before.direction == 0.0 {
+    let direction = if heading.abs() > CROSSING.turn_mm_s || before.direction == 0.0 {
         heading.signum()
     } else {
         before.direction
     };
-    let most = 2.0 * dt_s / (crossing_s - STARTING_S);
+    let most = 2.0 * dt_s / (crossing_s - CROSSING.starting_s);
     let next = SideState {
         w_mm: passing.w_mm,
         side: before.side + (direction - before.side).clamp(-most, most),

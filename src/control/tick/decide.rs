@@ -1,6 +1,6 @@
 //! The deciding half of the tick: set-point, belief and rule, down to the pistons.
 
-use super::crossing::{self, Passing};
+use super::crossing::{self, CROSSING_MIN_S, Passing};
 use super::state::{Hold, LoopState};
 use super::types::{FeedbackConfig, Input, LoopConfig};
 use crate::control::follow::Follower;
@@ -19,7 +19,7 @@ const LEAD_SHARE: f64 = 0.35;
 /// Longest time between two targets of a stream, s; a target that has lasted for longer is at rest.
 const STREAM_PERIOD_S: f64 = 0.1;
 /// Lag from which a line is slow: twice the time for which a reversal stops the tip, s.
-const SLOW_S: f64 = 0.16;
+const SLOW_S: f64 = 2.0 * CROSSING_MIN_S;
 /// Time constant with which the offset after a hold decays, s.
 const EASE_S: f64 = 0.15;
 /// Time beyond lag, dead time and their error within which a free tip answers, s.

@@ -3,16 +3,10 @@
 use super::state::{LoopState, QuietPose};
 use super::types::{Input, LoopConfig};
 use crate::estimation::fusion::base_watch::{Watch, WatchInput};
-use crate::estimation::fusion::tip::FusionInput;
+use crate::estimation::fusion::tip::{FusionInput, STILL_AFTER_S};
 use crate::model::Bend;
-use crate::primitives::{ImuReading, lasting};
+use crate::primitives::{LIKELY_SIGMAS, lasting};
 use nalgebra::Vector3;
-
-/// Time since the last step after which the tip counts as still, s.
-const STILL_AFTER_S: f64 = 0.5;
-
-/// Standard deviations of what no law explains that the last quiet pose is believed to: a base that sways passes through quiet ones.
-const BELIEVED_SIGMAS: f64 = 2.0;
 
 /// Updates the fusion with the samples, the motors' field and whether the pistons rest.
 pub(super) fn estimate(config: &LoopConfig, state: &mut LoopState, input: &Input) {
@@ -26,12 +20,9 @@ pub(super) fn estimate(config: &LoopConfig, state: &mut LoopState, input: &Input
     let energised = motors.idle_s.map(|s| s < config.motors_idle_after_s);
     let coils = config.motors.as_ref();
     let coils_ut = coils.map_or_else(Vector3::zeros, |m| m.at(&input.steps.0, &energised));
-    let tip = match input.imu {
-        ImuReading::Sample(sample, quality) => {
-            ImuReading::Sample(config.imu.apply(&sample), quality)
-        }
-        other => other,
-    };
+    let tip = input
+        .imu
+        .map(|sample, _| *sample = config.imu.apply(sample));
     let still = motors.still_s >= STILL_AFTER_S;
     if let (Some(described), Some(rest), Some(_)) = (
         &mut state.described,
@@ -91,10 +82,10 @@ pub(super) fn watch_base(
     if flagged {
         state.base.watch.forget(&config.fuse.watch);
         // the tip is where it was in the last quiet pose, moved by what the pistons have done since; what was learned
-        // since the base began to turn is taken back
+        // since the base began to turn is taken back; not further, because a base that sways passes through quiet poses
         let by_pistons = quiet.estimate + played - quiet.played;
-        state.return_to_known(&by_pistons, BELIEVED_SIGMAS);
-        state.unlearn(&by_pistons, BELIEVED_SIGMAS);
+        state.return_to_known(&by_pistons, LIKELY_SIGMAS);
+        state.unlearn(&by_pistons, LIKELY_SIGMAS);
     } else if state.base.watch.quiet() {
         state.base.quiet = QuietPose {
             estimate: estimate.0,

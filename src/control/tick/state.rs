@@ -11,9 +11,10 @@ use crate::control::path::RUN_UP_S;
 use crate::control::rule::Rule;
 use crate::control::saturation::SaturationMonitor;
 use crate::estimation::fusion::base_watch::Watch;
+use crate::estimation::fusion::sway;
 use crate::estimation::fusion::tip::Fusion;
 use crate::model::{Bend, Line, Shape, SideState};
-use crate::primitives::Steps;
+use crate::primitives::{SURE_SIGMAS, Steps};
 use nalgebra::{Vector2, Vector3};
 
 /// Time by which the pistons answer a command, s.
@@ -88,9 +89,7 @@ pub(super) struct BeforeBaseMotion {
 }
 
 /// Time within which a motion of the base is noticed, s: twice the memory of [`Watch`].
-const UNNOTICED_S: f64 = 10.0;
-/// Standard deviations of a sway, which is no noise but has the same sign for seconds, that a measurement of the bend has in it.
-const SWAY_SIGMAS: f64 = 3.0;
+const UNNOTICED_S: f64 = 2.0 * sway::MEMORY_S;
 
 impl BeforeBaseMotion {
     fn of(laws: Knowledge) -> Self {
@@ -301,7 +300,8 @@ impl LoopState {
                 (before.laws, before.age_s) = ([before.laws[1], self.observer.known], 0.0);
             }
         } else if before.sways {
-            before.sway_rad = SWAY_SIGMAS * sway_rad;
+            // a sway is no noise but has the same sign for seconds
+            before.sway_rad = SURE_SIGMAS * sway_rad;
             if began {
                 let by_laws = self.observer.settled_by_laws();
                 self.unlearn(&by_laws, 0.0);

@@ -79,14 +79,18 @@ pub struct Follow {
     mount_variance: f64,
 }
 
-/// Time constant of the bias, s.
-const BIAS_TIME_S: f64 = 40.0;
-/// Standard deviation of the mount beyond its configuration, rad (1.7°).
-const MOUNT_SIGMA_RAD: f64 = 0.03;
-/// Variance of a comparison of the rates times its duration, (rad/s)² s: the tip moves by 0.02 rad/s for 0.1 s.
-const RATE_VARIANCE: f64 = 0.02 * 0.02 * 0.1;
-/// Rate below which the rates are not compared, rad/s.
-const COMPARED_RAD_S: f64 = 0.1;
+crate::constants! {
+    /// Bias and mount of the IMU on the base.
+    const BASE: BaseConstants;
+    /// Time constant of the bias, s.
+    bias_time_s = 40.0;
+    /// Standard deviation of the mount beyond its configuration, rad (1.7°).
+    mount_sigma_rad = 0.03;
+    /// Variance of a comparison of the rates times its duration, (rad/s)² s: the tip moves by 0.02 rad/s for 0.1 s.
+    rate_variance = 0.02 * 0.02 * 0.1;
+    /// Rate below which the rates are not compared, rad/s.
+    compared_rad_s = 0.1;
+}
 
 impl BaseTracker {
     /// Processes a sample. `tip_up` is the mean specific force of the tip during its alignment, once complete.
@@ -129,14 +133,14 @@ impl BaseTracker {
     pub fn compare(&mut self, tip_rate_rad_s: &Vector3<f64>, dt_s: f64) {
         let Self::Following(f) = self else { return };
         let rate = f.to_tip * f.rate_rad_s;
-        if rate.norm() < COMPARED_RAD_S {
+        if rate.norm() < BASE.compared_rad_s {
             return;
         }
         // recursive least squares for a small rotation m of the mount: the tip's rate is ω + m × ω
         let information = f.mount_variance * dt_s
-            / (f.mount_variance * rate.norm_squared() * dt_s + RATE_VARIANCE);
+            / (f.mount_variance * rate.norm_squared() * dt_s + BASE.rate_variance);
         let found = rate.cross(&(tip_rate_rad_s - rate)) * information;
-        let turn = UnitQuaternion::from_scaled_axis(found.cap_magnitude(MOUNT_SIGMA_RAD));
+        let turn = UnitQuaternion::from_scaled_axis(found.cap_magnitude(BASE.mount_sigma_rad));
         f.to_tip = turn * f.to_tip;
         // two of the three axes have been seen
         f.mount_variance *= 1.0 - 2.0 / 3.0 * information * rate.norm_squared();
@@ -184,7 +188,7 @@ impl Follow {
             rest: *rest,
             to_tip: level * mount,
             last_t_s: t_s,
-            mount_variance: MOUNT_SIGMA_RAD * MOUNT_SIGMA_RAD,
+            mount_variance: BASE.mount_sigma_rad * BASE.mount_sigma_rad,
             ..Self::default()
         }
     }
@@ -237,7 +241,7 @@ impl Follow {
         }
         let rate = self.rate_rad_s - self.bias_rad_s + correction;
         self.q_rest_now *= UnitQuaternion::from_scaled_axis(rate * dt_s);
-        self.bias_rad_s -= misfit * (dt_s / (BIAS_TIME_S * BIAS_TIME_S));
+        self.bias_rad_s -= misfit * (dt_s / (BASE.bias_time_s * BASE.bias_time_s));
         self.q_rest_now.renormalize_fast();
     }
 

@@ -25,10 +25,10 @@
 use crate::estimation::fusion::bend::right_jacobian_inverse;
 use crate::estimation::fusion::intake::share;
 use crate::estimation::fusion::sway::Sway;
-use crate::estimation::fusion::twist_law::{GATE_SIGMAS, TwistLaw};
+use crate::estimation::fusion::twist_law::TwistLaw;
 use crate::model::Bend;
 use crate::parameters;
-use crate::primitives::lasting;
+use crate::primitives::{SURE_SIGMAS, lasting};
 use nalgebra::{Vector2, Vector3};
 
 parameters! {
@@ -126,22 +126,25 @@ enum Onset {
     Driven,
 }
 
-/// Memory of the path of the set-point, in addition to twice the response time of the lines, s: it determines when the set-point counts
-/// as constant.
-const PATH_FAST_S: f64 = 0.25;
-/// Share of the onset from which a motion counts.
-const DRIVEN_SHARE: f64 = 0.5;
-/// Path of the set-point below which it counts as constant, rad (1°).
-const CONSTANT_RAD: f64 = 0.017;
-/// Unexplained bend that counts as having come back, rad (1.5°).
-const RETURNED_RAD: f64 = 0.026;
-/// Time for which it must have come back, s.
-const RETURN_AFTER_S: f64 = 3.0;
-/// Tolerated sway, relative to the largest that came back, and its upper limit, rad (15°).
-const SWAY_MARGIN: f64 = 1.3;
-const SWAY_MAX_RAD: f64 = 0.26;
-/// Unexplained motion that counts as none, rad (1°).
-const QUIET_RAD: f64 = 0.017;
+crate::constants! {
+    /// What counts as rest, as the doing of the pistons, and as having come back.
+    const WATCH: WatchConstants;
+    /// Memory of the path of the set-point, in addition to twice the response time of the lines, s: it determines when the set-point counts
+    /// as constant.
+    path_fast_s = 0.25;
+    /// Motion that counts as none, rad (1°): path of the set-point, unexplained bend, unexplained twist.
+    quiet_rad = 0.017;
+    /// Share of the onset from which a motion counts.
+    driven_share = 0.5;
+    /// Unexplained bend that counts as having come back, rad (1.5°).
+    returned_rad = 0.026;
+    /// Time for which it must have come back, s.
+    return_after_s = 3.0;
+    /// Tolerated sway, relative to the largest that came back.
+    sway_margin = 1.3;
+    /// Largest tolerated sway, rad (15°).
+    sway_max_rad = 0.26;
+}
 
 impl Watch {
     /// Processes one tick; true when the base has moved. `open_loop_rad` is the standard deviation of the bend that the pistons alone
@@ -156,13 +159,13 @@ impl Watch {
         let (model, setpoint) = self.last.replace(now).unwrap_or(now);
         let path = (input.setpoint - setpoint).norm();
         let decay = |tau_s: f64| (-input.dt_s / (tau_s + 2.0 * input.response_s)).exp();
-        self.path_fast = self.path_fast * decay(PATH_FAST_S) + path;
+        self.path_fast = self.path_fast * decay(WATCH.path_fast_s) + path;
         // rate of the rotation vector φ = (b_y, b_x, 0)
         let phi = Bend(input.estimate).rotation_vector();
         let phi_rate = right_jacobian_inverse(&phi) * input.rate_rad_s;
         let fade = 1.0 - share(input.dt_s, config.memory_s);
         let twisted = phi_rate.z * input.dt_s;
-        let disturbed = self.sigmas.abs() > GATE_SIGMAS;
+        let disturbed = self.sigmas.abs() > SURE_SIGMAS;
         let change = (self.law).step(&input.estimate, twisted, disturbed, input.dt_s);
         self.twist = self.twist * fade + twisted;
         self.change = self.change * fade + change;
@@ -173,10 +176,10 @@ impl Watch {
         self.sigmas = self.unexplained / variance.sqrt();
         // b = (φ_y, φ_x)
         let turned = Vector2::new(phi_rate.y, phi_rate.x) * input.dt_s;
-        self.driven = self.driven * decay(PATH_FAST_S) + input.model - model;
-        self.turned = self.turned * decay(PATH_FAST_S) + turned;
+        self.driven = self.driven * decay(WATCH.path_fast_s) + input.model - model;
+        self.turned = self.turned * decay(WATCH.path_fast_s) + turned;
         self.follow_bend(config, input, turned, input.model - model, fade);
-        let significant = self.sigmas.abs() > GATE_SIGMAS;
+        let significant = self.sigmas.abs() > SURE_SIGMAS;
         let side = if significant {
             self.sigmas.signum()
         } else {
@@ -184,7 +187,7 @@ impl Watch {
         };
         self.sway
             .step(&self.law, &change, twisted, side, input.dt_s);
-        let held = (self.path_fast <= CONSTANT_RAD)
+        let held = (self.path_fast <= WATCH.quiet_rad)
             .then(|| (turned - (input.model - model), input.model - input.estimate));
         self.sway.hold(held, input.dt_s);
         self.exceeds(config, open_loop_rad)
@@ -198,7 +201,7 @@ impl Watch {
         modelled: Vector2<f64>,
         fade: f64,
     ) {
-        if self.path_fast > CONSTANT_RAD {
+        if self.path_fast > WATCH.quiet_rad {
             (self.settled, self.bend, self.onset) = (false, Vector2::zeros(), Onset::None);
         } else if self.settled {
             self.bend = self.bend * fade + turned - modelled;
@@ -208,7 +211,7 @@ impl Watch {
             } else if size > onset && self.onset == Onset::None {
                 // the tip turned, and the pistons have not driven it that way; that the loop already corrects is no reason
                 let way = self.bend / size;
-                let most = DRIVEN_SHARE * onset;
+                let most = WATCH.driven_share * onset;
                 let turns = self.turned.dot(&way) > most && self.driven.dot(&way) < most;
                 self.onset = if input.still_s > 2.0 * input.response_s || turns {
                     Onset::Unprovoked
@@ -239,14 +242,14 @@ impl Watch {
     pub fn returned(&mut self, unexplained: &Vector2<f64>, dt_s: f64) -> bool {
         let size = unexplained.norm();
         self.excursion = self.excursion.max(size);
-        let agrees = size < RETURNED_RAD && self.unexplained.abs() < QUIET_RAD;
+        let agrees = size < WATCH.returned_rad && self.unexplained.abs() < WATCH.quiet_rad;
         self.back_s = lasting(agrees, self.back_s, dt_s);
         let disturbed = self.sway.is_disturbance() && !self.twisted;
-        let back = self.back_s >= RETURN_AFTER_S || disturbed || self.sway.sways();
+        let back = self.back_s >= WATCH.return_after_s || disturbed || self.sway.sways();
         if back {
             (self.back_s, self.twisted) = (0.0, false);
-            let most = self.tolerated.max(SWAY_MARGIN * self.excursion);
-            self.tolerated = most.min(SWAY_MAX_RAD);
+            let most = self.tolerated.max(WATCH.sway_margin * self.excursion);
+            self.tolerated = most.min(WATCH.sway_max_rad);
             (self.excursion, self.bend, self.onset, self.settled) =
                 (0.0, Vector2::zeros(), Onset::None, false);
         }
@@ -261,7 +264,9 @@ impl Watch {
 
     /// True if the loop has settled without unexplained motion: the present state is a valid one to return to.
     pub fn quiet(&self) -> bool {
-        self.settled && self.bend.norm() < QUIET_RAD && self.unexplained.abs() < QUIET_RAD
+        self.settled
+            && self.bend.norm() < WATCH.quiet_rad
+            && self.unexplained.abs() < WATCH.quiet_rad
     }
 }
 

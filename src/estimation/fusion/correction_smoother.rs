@@ -2,15 +2,18 @@
 //!
 //! While armed, every correction of the estimate is subtracted from the output and then decays with time constant τ.
 //! The output follows the gyroscope at once, and gravity and field smoothly.
-
 use nalgebra::Vector2;
 
-/// Time constant, s.
-const TAU_S: f64 = 0.3;
-/// Time after a recovery during which corrections are smoothed, s.
-const ARMED_S: f64 = 1.0;
-/// Offset that is set to zero, rad: far below the resolution of the estimate.
-const NEGLIGIBLE_RAD: f64 = 1e-5;
+crate::constants! {
+    /// How corrections are smoothed.
+    const SMOOTH: SmoothConstants;
+    /// Time constant, s.
+    tau_s = 0.3;
+    /// Time after a recovery during which corrections are smoothed, s.
+    armed_s = 1.0;
+    /// Offset that is set to zero, rad: far below the resolution of the estimate.
+    negligible_rad = 1e-5;
+}
 
 /// Difference between the output and the estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -23,7 +26,7 @@ pub struct CorrectionSmoother {
 impl CorrectionSmoother {
     /// Smooths the corrections of the next second.
     pub fn arm(&mut self) {
-        self.armed_s = ARMED_S;
+        self.armed_s = SMOOTH.armed_s;
     }
     /// Processes an update that moved the estimate by `correction` beyond the integrated rate.
     pub fn step(&mut self, correction: &Vector2<f64>, dt_s: f64) {
@@ -31,8 +34,8 @@ impl CorrectionSmoother {
             self.armed_s -= dt_s;
             self.offset -= correction;
         }
-        self.offset *= (-dt_s / TAU_S).exp();
-        if self.offset.norm_squared() < NEGLIGIBLE_RAD * NEGLIGIBLE_RAD {
+        self.offset *= (-dt_s / SMOOTH.tau_s).exp();
+        if self.offset.norm_squared() < SMOOTH.negligible_rad * SMOOTH.negligible_rad {
             self.offset = Vector2::zeros();
         }
     }

@@ -2,13 +2,12 @@
 
 use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::bend::{BendFilter, BendFilterConfig};
-use crate::estimation::fusion::filter::TipEstimator;
+use crate::estimation::fusion::filter::{TipEstimator, as_trait};
 use crate::estimation::fusion::generic::Generic;
 use crate::estimation::fusion::registry::FilterName;
 use crate::model::Bend;
 use crate::primitives::{Setting, Shape};
 use serde::{Deserialize, Serialize};
-use std::ops::{Deref, DerefMut};
 
 /// Name of the bend filter.
 const BEND: &str = "bend";
@@ -83,24 +82,7 @@ pub enum Estimator {
     Generic(Generic),
 }
 
-impl Deref for Estimator {
-    type Target = dyn TipEstimator;
-    fn deref(&self) -> &Self::Target {
-        match self {
-            Self::Bend(f) => f,
-            Self::Generic(f) => f,
-        }
-    }
-}
-
-impl DerefMut for Estimator {
-    fn deref_mut(&mut self) -> &mut Self::Target {
-        match self {
-            Self::Bend(f) => f,
-            Self::Generic(f) => f,
-        }
-    }
-}
+as_trait!(Estimator { Bend, Generic }: TipEstimator);
 
 impl Estimator {
     /// The named estimator, starting from the alignment, updated at most once in `period_s`.
@@ -110,10 +92,11 @@ impl Estimator {
         alignment: &Alignment,
         period_s: f64,
     ) -> Self {
-        let generic = |name| Generic::new(name, alignment, Bend::STRAIGHT, period_s);
         match name {
             EstimatorName::Bend => Self::Bend(BendFilter::new(bend, alignment)),
-            EstimatorName::Generic(name) => Self::Generic(generic(name)),
+            EstimatorName::Generic(name) => {
+                Self::Generic(Generic::new(name, alignment, Bend::STRAIGHT, period_s))
+            }
         }
     }
 

@@ -10,22 +10,26 @@ use super::intake::share;
 use crate::primitives::lasting;
 use nalgebra::Vector3;
 
-/// Largest relative difference of the strength from the reference.
-const STRENGTH_SHARE: f64 = 0.1;
-/// Largest difference of the dip from the reference, degrees.
-const DIP_DEG: f64 = 10.0;
-/// Time constant with which the reference follows an accepted field, s.
-const REFERENCE_TAU_S: f64 = 20.0;
-/// Time for which the field must agree before it is accepted again, s.
-const REGAIN_S: f64 = 0.5;
-/// Longest full rejection, s: after a minute the gyroscope may have drifted further than a disturbed field deviates.
-const REJECT_MAX_S: f64 = 60.0;
-/// Weight of a field that is still disturbed after [`REJECT_MAX_S`].
-const WEIGHT_AFTER_REJECTION: f64 = 0.5;
-/// Time of turning over which a different field must stay constant to become the reference, s.
-const ACCEPT_S: f64 = 20.0;
-/// Angular rate above which a constant field is significant, °/s: a still sensor sees any field as constant.
-const TURNING_DEG_S: f64 = 20.0;
+crate::constants! {
+    /// When a field is rejected and accepted again: the settings that Laidig & Seel publish for VQF.
+    const GATE: GateConstants;
+    /// Largest relative difference of the strength from the reference.
+    strength_share = 0.1;
+    /// Largest difference of the dip from the reference, degrees.
+    dip_deg = 10.0;
+    /// Time constant with which the reference follows an accepted field, s.
+    reference_tau_s = 20.0;
+    /// Time for which the field must agree before it is accepted again, s.
+    regain_s = 0.5;
+    /// Longest full rejection, s: after a minute the gyroscope may have drifted further than a disturbed field deviates.
+    reject_max_s = 60.0;
+    /// Weight of a field that is still disturbed after the longest rejection.
+    weight_after = 0.5;
+    /// Time of turning over which a different field must stay constant to become the reference, s.
+    accept_s = 20.0;
+    /// Angular rate above which a constant field is significant, °/s: a still sensor sees any field as constant.
+    turning_deg_s = 20.0;
+}
 
 impl FieldShape {
     /// Shape of a field given in the world frame, µT.
@@ -36,8 +40,8 @@ impl FieldShape {
         }
     }
     fn near(&self, other: &Self) -> bool {
-        (self.norm_ut - other.norm_ut).abs() < STRENGTH_SHARE * other.norm_ut
-            && (self.dip_rad - other.dip_rad).abs() < DIP_DEG.to_radians()
+        (self.norm_ut - other.norm_ut).abs() < GATE.strength_share * other.norm_ut
+            && (self.dip_rad - other.dip_rad).abs() < GATE.dip_deg.to_radians()
     }
     fn follow(&mut self, target: &Self, share: f64) {
         self.norm_ut += share * (target.norm_ut - self.norm_ut);
@@ -69,17 +73,17 @@ impl FieldGate {
         self.agreed_s = lasting(agrees, self.agreed_s, dt_s);
         if !agrees {
             self.disturbed = true;
-        } else if self.agreed_s >= REGAIN_S {
+        } else if self.agreed_s >= GATE.regain_s {
             self.disturbed = false;
-            reference.follow(&now, share(dt_s, REFERENCE_TAU_S));
+            reference.follow(&now, share(dt_s, GATE.reference_tau_s));
         }
         if now.near(candidate) {
-            candidate.follow(&now, share(dt_s, REFERENCE_TAU_S));
-            let turns = turning_rad_s >= TURNING_DEG_S.to_radians();
+            candidate.follow(&now, share(dt_s, GATE.reference_tau_s));
+            let turns = turning_rad_s >= GATE.turning_deg_s.to_radians();
             self.candidate_s += if turns { dt_s } else { 0.0 };
-            if self.disturbed && self.candidate_s >= ACCEPT_S {
+            if self.disturbed && self.candidate_s >= GATE.accept_s {
                 *reference = *candidate;
-                (self.agreed_s, self.disturbed) = (REGAIN_S, false);
+                (self.agreed_s, self.disturbed) = (GATE.regain_s, false);
             }
         } else {
             (*candidate, self.candidate_s) = (now, 0.0);
@@ -91,11 +95,11 @@ impl FieldGate {
         if !self.disturbed {
             self.rejected_s = (self.rejected_s - 2.0 * dt_s).max(0.0);
             1.0
-        } else if self.rejected_s < REJECT_MAX_S {
+        } else if self.rejected_s < GATE.reject_max_s {
             self.rejected_s += dt_s;
             0.0
         } else {
-            WEIGHT_AFTER_REJECTION
+            GATE.weight_after
         }
     }
 }

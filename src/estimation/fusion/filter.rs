@@ -96,6 +96,24 @@ pub trait TipEstimator {
     }
 }
 
+/// Lets an enumeration of filters be used as the trait that all of them implement.
+macro_rules! as_trait {
+    ($kind:ident { $($variant:ident),+ }: $filter:ident) => {
+        impl std::ops::Deref for $kind {
+            type Target = dyn $filter;
+            fn deref(&self) -> &Self::Target {
+                match self { $(Self::$variant(it) => it,)+ }
+            }
+        }
+        impl std::ops::DerefMut for $kind {
+            fn deref_mut(&mut self) -> &mut Self::Target {
+                match self { $(Self::$variant(it) => it,)+ }
+            }
+        }
+    };
+}
+pub(super) use as_trait;
+
 /// Orientation in which `up` and the horizontal part of `field` (sensor frame) are the world's z and x.
 ///
 /// The triad method of Black (1964) with the accelerometer as the exact vector. Without a usable field the result

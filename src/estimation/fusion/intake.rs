@@ -6,21 +6,19 @@
 
 use crate::primitives::ImuSample;
 use nalgebra::Vector3;
+use std::ops::RangeInclusive;
 
 /// Gravity, m/s², where nothing has measured it: an error of a percent is negligible, since the direction dominates.
 pub const GRAVITY_M_S2: f64 = 9.81;
 /// Longest step that is integrated, s. After a longer one a filter levels itself again.
 pub const GAP_MAX_S: f64 = 1.0;
-/// Largest plausible angular rate, rad/s: above the range of every MEMS gyroscope (4000 °/s), with margin.
-const GYRO_MAX_RAD_S: f64 = 100.0;
-/// Largest plausible specific force, m/s²: 400 g, above the range of every part.
-const ACC_MAX_M_S2: f64 = 4000.0;
-/// Smallest specific force with a usable direction, m/s²: all zeros is a dead bus, less than this is free fall.
-const ACC_MIN_M_S2: f64 = 0.1;
-/// Largest plausible field, µT: the full range of the AK09916 is 4900.
-const MAG_MAX_UT: f64 = 50_000.0;
-/// Smallest field with a usable direction, µT.
-const MAG_MIN_UT: f64 = 0.1;
+/// Plausible angular rates, rad/s: the largest is above the range of every MEMS gyroscope (4000 °/s), with margin.
+const GYRO_RAD_S: RangeInclusive<f64> = 0.0..=100.0;
+/// Plausible specific forces with a usable direction, m/s²: all zeros is a dead bus, less than the smallest is free fall; the largest,
+/// 400 g, is above the range of every part.
+const ACC_M_S2: RangeInclusive<f64> = 0.1..=4000.0;
+/// Plausible fields with a usable direction, µT: the full range of the AK09916 is 4900.
+const MAG_UT: RangeInclusive<f64> = 0.1..=50_000.0;
 
 /// The parts of a sample that a filter may use.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -35,14 +33,10 @@ pub struct Usable {
 
 /// Removes from a sample what no sensor can measure.
 pub fn usable(sample: &ImuSample) -> Usable {
-    let within = |v: &Vector3<f64>, min: f64, max: f64| {
-        let norm = v.norm();
-        norm.is_finite() && norm >= min && norm <= max
-    };
     Usable {
-        gyro_rad_s: Some(sample.gyro_rad_s).filter(|v| within(v, 0.0, GYRO_MAX_RAD_S)),
-        acc_m_s2: Some(sample.acc_m_s2).filter(|v| within(v, ACC_MIN_M_S2, ACC_MAX_M_S2)),
-        mag_ut: sample.mag_ut.filter(|v| within(v, MAG_MIN_UT, MAG_MAX_UT)),
+        gyro_rad_s: Some(sample.gyro_rad_s).filter(|v| GYRO_RAD_S.contains(&v.norm())),
+        acc_m_s2: Some(sample.acc_m_s2).filter(|v| ACC_M_S2.contains(&v.norm())),
+        mag_ut: sample.mag_ut.filter(|v| MAG_UT.contains(&v.norm())),
     }
 }
 

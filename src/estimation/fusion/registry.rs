@@ -9,13 +9,12 @@
 //!
 //! A new filter needs its own file, a line in `fusion/mod.rs` and its entries in [`FilterName`] and [`Filter`].
 
-use crate::estimation::fusion::filter::{OrientationFilter, Periods};
+use crate::estimation::fusion::filter::{OrientationFilter, Periods, as_trait};
 use crate::estimation::fusion::madgwick::Madgwick;
 use crate::estimation::fusion::mekf::{Mekf, MekfConfig};
 use crate::estimation::fusion::vqf::{TAU_MAG_LONG_S, TAU_MAG_S, Vqf};
 use crate::named;
 use serde::{Deserialize, Serialize};
-use std::ops::{Deref, DerefMut};
 use std::str::FromStr;
 
 named! {
@@ -61,26 +60,7 @@ pub enum Filter {
     Mekf(Mekf),
 }
 
-impl Deref for Filter {
-    type Target = dyn OrientationFilter;
-    fn deref(&self) -> &Self::Target {
-        match self {
-            Self::Madgwick(f) => f,
-            Self::Vqf(f) => f,
-            Self::Mekf(f) => f,
-        }
-    }
-}
-
-impl DerefMut for Filter {
-    fn deref_mut(&mut self) -> &mut Self::Target {
-        match self {
-            Self::Madgwick(f) => f,
-            Self::Vqf(f) => f,
-            Self::Mekf(f) => f,
-        }
-    }
-}
+as_trait!(Filter { Madgwick, Vqf, Mekf }: OrientationFilter);
 
 impl FromStr for FilterName {
     type Err = String;

@@ -8,23 +8,27 @@ use super::intake::share;
 use crate::primitives::lasting;
 use nalgebra::Vector3;
 
-/// Longest run of lost samples that does not end a standstill, s.
-const MISSED_MAX_S: f64 = 0.1;
-/// Time constant of the slow mean of both sensors, s.
-const MEAN_TAU_S: f64 = 0.5;
-/// Time for which both sensors must stay close to their mean, s.
-const STILL_MIN_S: f64 = 1.5;
-/// Largest deviation of the angular rate from its mean, °/s.
-const GYRO_DEVIATION_DEG_S: f64 = 2.0;
-/// Largest deviation of the specific force from its mean, m/s².
-const ACC_DEVIATION_M_S2: f64 = 0.5;
-/// Largest mean rate that can be bias at the first standstill, °/s per axis.
-const BIAS_MAX_DEG_S: f64 = 6.0;
-/// Largest change of the bias between two standstills, °/s per axis.
-const BIAS_CHANGE_DEG_S: f64 = 1.0;
-/// Growth of that limit with the time since the previous standstill, °/s per second. It bounds the time for which
-/// a false first standstill blocks true ones.
-const BIAS_CHANGE_DEG_S2: f64 = 0.05;
+crate::constants! {
+    /// What counts as still. Mean, time and deviations are the settings that Laidig & Seel publish for VQF.
+    const STILL: StillConstants;
+    /// Time constant of the slow mean of both sensors, s.
+    mean_tau_s = 0.5;
+    /// Time for which both sensors must stay close to their mean, s.
+    time_s = 1.5;
+    /// Largest deviation of the angular rate from its mean, °/s.
+    gyro_deg_s = 2.0;
+    /// Largest deviation of the specific force from its mean, m/s².
+    acc_m_s2 = 0.5;
+    /// Longest run of lost samples that does not end a standstill, s.
+    missed_max_s = 0.1;
+    /// Largest mean rate that can be bias at the first standstill, °/s per axis.
+    bias_max_deg_s = 6.0;
+    /// Largest change of the bias between two standstills, °/s per axis.
+    bias_change_deg_s = 1.0;
+    /// Growth of that limit with the time since the previous standstill, °/s per second. It bounds the time for which a false first
+    /// standstill blocks true ones.
+    bias_change_deg_s2 = 0.05;
+}
 
 /// Tells standstill from motion.
 #[derive(Debug, Clone, Copy, Default)]
@@ -41,13 +45,13 @@ impl StandstillDetector {
     /// Takes one pair of samples (rad/s, m/s²); true at standstill.
     pub fn update(&mut self, gyro: &Vector3<f64>, acc: &Vector3<f64>, dt_s: f64) -> bool {
         self.missed_s = 0.0;
-        let share = share(dt_s, MEAN_TAU_S);
+        let share = share(dt_s, STILL.mean_tau_s);
         let (gyro_mean, acc_mean) = self.means.get_or_insert((*gyro, *acc));
         *gyro_mean += share * (gyro - *gyro_mean);
         *acc_mean += share * (acc - *acc_mean);
         let mean = *gyro_mean;
-        let still = (gyro - mean).norm() < GYRO_DEVIATION_DEG_S.to_radians()
-            && (acc - *acc_mean).norm() < ACC_DEVIATION_M_S2;
+        let still = (gyro - mean).norm() < STILL.gyro_deg_s.to_radians()
+            && (acc - *acc_mean).norm() < STILL.acc_m_s2;
         self.still_s = lasting(still && self.may_be_bias(&mean), self.still_s, dt_s);
         if self.standstill() {
             self.known = Some((mean, 0.0));
@@ -58,23 +62,24 @@ impl StandstillDetector {
     }
 
     fn may_be_bias(&self, mean: &Vector3<f64>) -> bool {
-        let change_deg_s =
-            |since_s: f64| (BIAS_CHANGE_DEG_S + BIAS_CHANGE_DEG_S2 * since_s).min(BIAS_MAX_DEG_S);
-        mean.amax() < BIAS_MAX_DEG_S.to_radians()
+        let change_deg_s = |since_s: f64| {
+            (STILL.bias_change_deg_s + STILL.bias_change_deg_s2 * since_s).min(STILL.bias_max_deg_s)
+        };
+        mean.amax() < STILL.bias_max_deg_s.to_radians()
             && self.known.is_none_or(|(bias, since_s)| {
                 (mean - bias).amax() < change_deg_s(since_s).to_radians()
             })
     }
-    /// Counts a lost sample. After `MISSED_MAX_S` without samples the sensor may have moved.
+    /// Counts a lost sample. After a run of them the sensor may have moved.
     pub fn miss(&mut self, dt_s: f64) {
         self.missed_s += dt_s;
-        if self.missed_s > MISSED_MAX_S {
+        if self.missed_s > STILL.missed_max_s {
             self.still_s = 0.0;
         }
     }
     /// True when the sensor has been still for long enough.
     pub fn standstill(&self) -> bool {
-        self.still_s >= STILL_MIN_S
+        self.still_s >= STILL.time_s
     }
     /// Slow mean of the angular rate, rad/s: the bias, at standstill.
     pub fn gyro_mean_rad_s(&self) -> Vector3<f64> {

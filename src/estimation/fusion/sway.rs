@@ -4,33 +4,36 @@
 //! mount ([`TwistLaw`]). The rest is a base that turns, which then turns the tip about the other two axes as well. Bend of the tip itself, such as breath causes, comes without twist. What the pistons do not explain is the sum of
 //! both. The best linear estimate of the tip's part is that sum times its share in the mean square (Wiener 1949), so feedback that
 //! takes only this share follows a disturbance of the tip and ignores a sway.
-
 use crate::estimation::fusion::intake::share;
 use crate::estimation::fusion::twist_law::TwistLaw;
+use crate::primitives::LIKELY_SIGMAS;
 use nalgebra::{Vector2, Vector3};
 
 /// Memory of the mean squares, and time after which a turn is forgotten, s.
-const MEMORY_S: f64 = 5.0;
-/// Reversals of the unexplained twist, each within [`FADE_S`] of the one before, that make a sway: one is a turn and its way back.
+pub const MEMORY_S: f64 = 5.0;
+/// Reversals of the unexplained twist, each within the time of a sway of the one before, that make a sway: one is a turn and its way back.
 const SWAY_REVERSALS: u32 = 2;
-/// Time after which a sway counts as past, s: longer than the pause of a slow one.
-const FADE_S: f64 = 20.0;
-/// Standard deviations of the twist of the mechanism that are none of a sway.
-const OWN_SIGMAS: f64 = 2.0;
-/// Mean square of a sway in bend from that of its twist: two of three axes bend, and a memory of 5 s shows a third to a half of it.
-const SWAY_PER_TWIST: f64 = 6.0;
-/// Root mean square of the twist that the gyroscopes and the regression leave on a base that stands, rad (0.8°), and the largest that
-/// counts, rad (6°).
-const TWIST_MIN_RAD: f64 = 0.014;
-const TWIST_MAX_RAD: f64 = 0.105;
-/// Cost of a false correction, of a sway, relative to that of a missed one, of a disturbance of the tip.
-const FALSE_CORRECTION_COST: f64 = 2.0;
-/// Bend since the beginning of a hold above which it counts no further, rad (3°): one turn of the base is no disturbance that repeats.
-const DISTURBANCE_RAD: f64 = 0.052;
-/// Root mean square of that bend above which something disturbs the tip again and again, rad (1.5°).
-const DISTURBED_RAD: f64 = 0.026;
-/// Largest mean square of a sway relative to that of the bend, for a tip that is disturbed.
-const DISTURBED_SHARE: f64 = 0.1;
+
+crate::constants! {
+    /// What counts as a sway, and what as a disturbance.
+    const SWAY: SwayConstants;
+    /// Time after which a sway counts as past, s: longer than the pause of a slow one.
+    fade_s = 20.0;
+    /// Mean square of a sway in bend from that of its twist: two of three axes bend, and a memory of 5 s shows a third to a half of it.
+    per_twist = 6.0;
+    /// Root mean square of the twist that the gyroscopes and the regression leave on a base that stands, rad (0.8°).
+    twist_min_rad = 0.014;
+    /// Largest twist that counts, rad (6°).
+    twist_max_rad = 0.105;
+    /// Cost of a false correction, of a sway, relative to that of a missed one, of a disturbance of the tip.
+    false_correction_cost = 2.0;
+    /// Bend since the beginning of a hold above which it counts no further, rad (3°): one turn of the base is no disturbance that repeats.
+    disturbance_rad = 0.052;
+    /// Root mean square of that bend above which something disturbs the tip again and again, rad (1.5°).
+    disturbed_rad = 0.026;
+    /// Largest mean square of a sway relative to that of the bend, for a tip that is disturbed.
+    disturbed_share = 0.1;
+}
 
 /// Mean squares over the last seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -48,7 +51,7 @@ pub struct Sway {
     held: Vector2<f64>,
     /// Bend that the model does not explain, rad².
     unexplained2: f64,
-    /// Bend since the beginning of a hold, each at most [`DISTURBANCE_RAD`], rad².
+    /// Bend since the beginning of a hold, each limited, rad².
     disturbed2: f64,
 }
 
@@ -66,23 +69,25 @@ impl Sway {
         let fade = 1.0 - share(dt_s, MEMORY_S);
         self.twist = self.twist * fade + twisted;
         self.bend = self.bend * fade + change;
-        let own = OWN_SIGMAS * law.variance(&self.bend).sqrt();
-        let rest = ((self.twist - law.twist(&self.bend)).abs() - own).clamp(0.0, TWIST_MAX_RAD);
+        // what is usual of the mechanism is none of a sway
+        let own = LIKELY_SIGMAS * law.variance(&self.bend).sqrt();
+        let rest =
+            ((self.twist - law.twist(&self.bend)).abs() - own).clamp(0.0, SWAY.twist_max_rad);
         let grows = rest * rest > self.twist2;
-        let memory_s = if grows { MEMORY_S } else { FADE_S };
+        let memory_s = if grows { MEMORY_S } else { SWAY.fade_s };
         self.twist2 += (rest * rest - self.twist2) * share(dt_s, memory_s);
         self.reverse(side, dt_s);
     }
 
     fn reverse(&mut self, side: f64, dt_s: f64) {
         self.rests_s += dt_s;
-        if self.rests_s > FADE_S {
+        if self.rests_s > SWAY.fade_s {
             self.reversals = 0;
         }
         if side == 0.0 {
             return;
         }
-        if side == -self.side && self.rests_s <= FADE_S {
+        if side == -self.side && self.rests_s <= SWAY.fade_s {
             self.reversals = self.reversals.saturating_add(1);
         }
         (self.side, self.rests_s) = (side, 0.0);
@@ -97,13 +102,14 @@ impl Sway {
         };
         self.held += bent;
         let k = share(dt_s, MEMORY_S);
-        self.disturbed2 += (self.held.norm().min(DISTURBANCE_RAD).powi(2) - self.disturbed2) * k;
+        self.disturbed2 +=
+            (self.held.norm().min(SWAY.disturbance_rad).powi(2) - self.disturbed2) * k;
         self.unexplained2 += (unexplained.norm_squared() - self.unexplained2) * k;
     }
 
     /// Mean square of the bend that is due to the base, rad².
     pub fn mean_square(&self) -> f64 {
-        SWAY_PER_TWIST * (self.twist2 - TWIST_MIN_RAD * TWIST_MIN_RAD).max(0.0)
+        SWAY.per_twist * (self.twist2 - SWAY.twist_min_rad * SWAY.twist_min_rad).max(0.0)
     }
 
     /// The base turns to and fro.
@@ -113,13 +119,13 @@ impl Sway {
 
     /// Something bends the tip in hold after hold, such as breath.
     pub fn is_disturbance(&self) -> bool {
-        self.disturbed2 > DISTURBED_RAD * DISTURBED_RAD
-            && self.mean_square() < DISTURBED_SHARE * self.disturbed2
+        self.disturbed2 > SWAY.disturbed_rad * SWAY.disturbed_rad
+            && self.mean_square() < SWAY.disturbed_share * self.disturbed2
     }
 
     /// Share of the unexplained bend that is due to the tip and not to a swaying base, 0 to 1; 1 for a base that stands.
     pub fn share_of_tip(&self) -> f64 {
-        let sway2 = FALSE_CORRECTION_COST * self.mean_square();
+        let sway2 = SWAY.false_correction_cost * self.mean_square();
         if sway2 > 0.0 {
             (1.0 - sway2 / self.unexplained2).clamp(0.0, 1.0)
         } else {

@@ -3,19 +3,21 @@
 //! A section of constant curvature cannot twist. What a tip twists nevertheless is torsion of the section, in proportion to β, and tilt of
 //! the mount and sag, in proportion to the bend vector: `ψ = cᵀ (b_x, b_y, β (1 − β²/4))`. Recursive least squares over what the
 //! gyroscope measures finds c and its covariance; a twist beyond that is a rotation of the base.
-
+use crate::primitives::SURE_SIGMAS;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// Expected coefficients, rad/rad, 1 σ: 5.7° of twist at 57° of bend.
-const PRIOR: f64 = 0.1;
-/// Random walk of the coefficients, rad/rad/√s: .015 in a minute, as rubber warms and softens.
-const WALK: f64 = 0.002;
-/// Random walk of the twist that is not in proportion to bend, rad/√s.
-const NOISE: f64 = 0.0023;
-/// Innovation gate, σ: of a tick, and of what is left of a motion.
-pub const GATE_SIGMAS: f64 = 3.0;
-/// Share of the twist by which it may be of another form: it levels off with the bend, and depends on the direction.
-const FORM: f64 = 0.3;
+crate::constants! {
+    /// Prior and noise of the law.
+    const LAW: LawConstants;
+    /// Expected coefficients, rad/rad, 1 σ: 5.7° of twist at 57° of bend.
+    prior = 0.1;
+    /// Random walk of the coefficients, rad/rad/√s: .015 in a minute, as rubber warms and softens.
+    walk = 0.002;
+    /// Random walk of the twist that is not in proportion to bend, rad/√s.
+    noise = 0.0023;
+    /// Share of the twist by which it may be of another form: it levels off with the bend, and depends on the direction.
+    form = 0.3;
+}
 
 /// Coefficients and their covariance.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,7 +34,7 @@ impl Default for TwistLaw {
         Self {
             last: None,
             c: Vector3::zeros(),
-            p: Matrix3::identity() * (PRIOR * PRIOR),
+            p: Matrix3::identity() * (LAW.prior * LAW.prior),
             pause_s: 0.0,
         }
     }
@@ -53,11 +55,11 @@ impl TwistLaw {
         let change = now - self.last.replace(now).unwrap_or(now);
         self.pause_s = (self.pause_s - dt_s).max(0.0);
         if !disturbed && self.pause_s == 0.0 && dt_s > 0.0 {
-            self.p += Matrix3::identity() * (WALK * WALK * dt_s);
+            self.p += Matrix3::identity() * (LAW.walk * LAW.walk * dt_s);
             let gain = self.p * change;
-            let variance = change.dot(&gain) + NOISE * NOISE * dt_s;
+            let variance = change.dot(&gain) + LAW.noise * LAW.noise * dt_s;
             let innovation = twisted - self.c.dot(&change);
-            if innovation.powi(2) < GATE_SIGMAS * GATE_SIGMAS * variance {
+            if innovation.powi(2) < SURE_SIGMAS * SURE_SIGMAS * variance {
                 self.c += gain * (innovation / variance);
                 self.p -= gain * gain.transpose() / variance;
             }
@@ -80,7 +82,7 @@ impl TwistLaw {
 
     /// Its variance, rad².
     pub fn variance(&self, change: &Vector3<f64>) -> f64 {
-        let form = FORM * FORM * self.c.norm_squared() * change.xy().norm_squared();
+        let form = LAW.form * LAW.form * self.c.norm_squared() * change.xy().norm_squared();
         change.dot(&(self.p * change)) + form
     }
 }

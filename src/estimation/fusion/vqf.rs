@@ -16,6 +16,7 @@
 
 use super::filter::{FilterStatus, OrientationFilter, Periods};
 use super::intake::{self, Step};
+use crate::log::recording::world_from_enu;
 use crate::primitives::{ImuSample, Rotation, Sensor, World};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
@@ -30,8 +31,6 @@ const UPSIDE_DOWN_OFFSET: f64 = 1e-3;
 /// The filter and its state.
 pub struct Vqf {
     inner: vqf_rs::VQF,
-    periods: Periods,
-    tau_mag_s: f64,
     last_gyro: Vector3<f64>,
     levelled: bool,
     north_found: bool,
@@ -49,8 +48,6 @@ impl Vqf {
         let mag_s = period_or(periods.mag_s, imu_s);
         Self {
             inner: vqf_rs::VQF::new(imu_s, None, Some(mag_s), Some(params)),
-            periods,
-            tau_mag_s,
             last_gyro: Vector3::zeros(),
             levelled: false,
             north_found: false,
@@ -87,20 +84,19 @@ impl Vqf {
 impl Clone for Vqf {
     /// Copies the state, since the filter of the crate does not implement `Clone`.
     fn clone(&self) -> Self {
-        let mut copy = Self::new(self.periods, self.tau_mag_s);
-        *copy.inner.state_mut() = *self.inner.state();
-        (copy.last_gyro, copy.levelled, copy.north_found) =
-            (self.last_gyro, self.levelled, self.north_found);
-        copy
+        let (params, periods) = (*self.inner.params(), self.inner.coeffs());
+        let (imu_s, mag_s) = (periods.gyr_ts, periods.mag_ts);
+        let mut inner = vqf_rs::VQF::new(imu_s, None, Some(mag_s), Some(params));
+        *inner.state_mut() = *self.inner.state();
+        Self { inner, ..*self }
     }
 }
 
 impl std::fmt::Debug for Vqf {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let mut shown = f.debug_struct("Vqf");
-        shown
-            .field("tau_mag_s", &self.tau_mag_s)
-            .finish_non_exhaustive()
+        shown.field("tau_mag_s", &self.inner.params().tau_mag);
+        shown.finish_non_exhaustive()
     }
 }
 
@@ -131,9 +127,7 @@ impl OrientationFilter for Vqf {
         if !self.levelled {
             return Rotation::identity();
         }
-        let r_world_enu =
-            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -std::f64::consts::FRAC_PI_2);
-        Rotation::assert_frames(r_world_enu * unit(self.inner.quat_9d()))
+        world_from_enu(unit(self.inner.quat_9d()))
     }
 
     fn status(&self) -> FilterStatus {

@@ -8,6 +8,7 @@
 //! residuals, which carry less information. Readings are in time order and are decimated to at most 4000.
 
 use super::refusal::Refusal;
+use crate::primitives::UNEXPLAINED_SIGMAS;
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::storage::Owned;
 use nalgebra::{Const, DMatrix, DVector, Dyn, Matrix3, OMatrix, SMatrix, SVector, Vector3};
@@ -16,15 +17,21 @@ type Parameters = SVector<f64, 9>;
 
 /// Fewest readings: nine parameters are fitted.
 pub const SAMPLES_MIN: usize = 20;
-/// Smallest share of the sphere of directions that the readings must cover.
-const COVERAGE_MIN: f64 = 0.6;
-/// Largest sigma of the centre, as a share of the radius.
-const CENTRE_SIGMA_MAX: f64 = 0.02;
-/// Largest residual, as a share of the radius. It rejects an inhomogeneous field.
-const RESIDUAL_MAX: f64 = 0.05;
-/// Largest ratio of the longest to the shortest axis. A rotation about one axis alone fits arbitrarily flat
-/// ellipsoids; real soft iron stays below 1.5.
-const AXES_RATIO_MAX: f64 = 2.0;
+
+crate::constants! {
+    /// What the readings must fulfil.
+    const ENOUGH: ReadingLimits;
+    /// Smallest share of the sphere of directions that the readings must cover.
+    coverage_min = 0.6;
+    /// Largest sigma of the centre, as a share of the radius.
+    centre_sigma_max = 0.02;
+    /// Largest residual, as a share of the radius. It rejects an inhomogeneous field.
+    residual_max = 0.05;
+    /// Largest ratio of the longest to the shortest axis. A rotation about one axis alone fits arbitrarily flat ellipsoids; real soft
+    /// iron stays below 1.5.
+    axes_ratio_max = 2.0;
+}
+
 /// Most readings that are used, enough for the third digit of any sigma.
 const POINTS_MAX: usize = 4000;
 const BLOCKS: usize = 20;
@@ -166,7 +173,7 @@ fn near(points: &[Vector3<f64>], p: Parameters) -> Vec<Vector3<f64>> {
     let off = |x: &Vector3<f64>| ((m * (x - b)).norm() - 1.0).abs();
     let mut sizes: Vec<f64> = points.iter().map(off).collect();
     sizes.sort_by(f64::total_cmp);
-    let limit = 4.0 * 1.4826 * sizes[sizes.len() / 2] + 1e-9;
+    let limit = UNEXPLAINED_SIGMAS * 1.4826 * sizes[sizes.len() / 2] + 1e-9;
     points.iter().filter(|x| off(x) <= limit).copied().collect()
 }
 
@@ -194,9 +201,9 @@ fn correlation(residuals: &[f64]) -> f64 {
     (size as f64 * spread / power.max(1e-300)).max(1.0)
 }
 
-/// Refuses a residual `rms` beyond [`RESIDUAL_MAX`] of the radius.
+/// Refuses a residual `rms` that is too large a share of the radius.
 pub(super) fn check_residual(rms: f64, radius: f64, unit: &'static str) -> Result<(), Refusal> {
-    let limit = RESIDUAL_MAX * radius;
+    let limit = ENOUGH.residual_max * radius;
     if rms <= limit {
         Ok(())
     } else {
@@ -207,15 +214,18 @@ pub(super) fn check_residual(rms: f64, radius: f64, unit: &'static str) -> Resul
 impl VectorFit {
     /// Refuses readings that cover too little of the sphere, leave the bias uncertain or do not fit.
     fn check(self, of: &Measured) -> Result<Self, Refusal> {
-        if self.coverage < COVERAGE_MIN {
+        if self.coverage < ENOUGH.coverage_min {
             return Err(Refusal::PoorCoverage {
                 what: "the sphere",
                 have: self.coverage,
-                want: COVERAGE_MIN,
+                want: ENOUGH.coverage_min,
                 advice: of.advice,
             });
         }
-        let (sigma, limit) = (self.bias_sigma.amax(), CENTRE_SIGMA_MAX * self.length);
+        let (sigma, limit) = (
+            self.bias_sigma.amax(),
+            ENOUGH.centre_sigma_max * self.length,
+        );
         if sigma > limit {
             return Err(Refusal::TooUncertain {
                 what: of.bias,
@@ -257,7 +267,7 @@ pub(super) fn fit(readings: &[Vector3<f64>], of: &Measured) -> Result<VectorFit,
     if axes.min() <= 0.0 {
         return Err(Refusal::NotAnEllipsoid);
     }
-    let (ratio, limit) = (axes.max() / axes.min(), AXES_RATIO_MAX);
+    let (ratio, limit) = (axes.max() / axes.min(), ENOUGH.axes_ratio_max);
     if ratio > limit {
         return Err(Refusal::Flat { ratio, limit });
     }

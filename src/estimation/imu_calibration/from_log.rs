@@ -1,14 +1,11 @@
 //! What a bend log holds for the calibration: its samples, those beside motors that step, and the bends.
 
-use crate::estimation::fusion::tip::{FuseConfig, Fusion, FusionInput};
+use crate::estimation::fusion::tip::{FuseConfig, Fusion, FusionInput, STILL_AFTER_S};
 use crate::estimation::imu_calibration::{motor, mount, still};
 use crate::log::bend_log::BendLog;
 use crate::model::Drive;
 use crate::primitives::{ImuReading, ImuSample, Steps};
 use nalgebra::Vector3;
-
-/// A tip counts as still this long after the last step of any motor, s: longer than its slowest lag.
-const STILL_AFTER_S: f64 = 0.5;
 
 /// The samples of a log; none if it has no IMU.
 pub fn samples(log: &BendLog) -> Vec<ImuSample> {

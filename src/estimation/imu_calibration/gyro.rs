@@ -5,13 +5,11 @@
 
 use super::refusal::Refusal;
 use super::still;
+use crate::estimation::fusion::align::AlignConfig;
 use crate::primitives::ImuSample;
 use nalgebra::Vector3;
 
 const BLOCKS: usize = 10;
-/// Largest mean rate, rad/s per axis (8.6 °/s): above the zero-rate level of the supported parts. It bounds a steady
-/// rotation about the vertical, which the accelerometer does not observe.
-const MEAN_MAX_RAD_S: f64 = 0.15;
 
 /// Result for the gyroscope.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,7 +28,9 @@ pub struct GyroBias {
 /// [`Refusal`] if it is too short, not finite, or contains motion.
 pub fn at_rest(samples: &[ImuSample]) -> Result<GyroBias, Refusal> {
     let rest = still::rest(samples)?;
-    let (have, limit) = (rest.gyro_rad_s.amax(), MEAN_MAX_RAD_S);
+    // a steady rotation about the vertical, which the accelerometer does not observe, is bounded as in an alignment
+    let limit = AlignConfig::default().gyro_bias_max_rad_s;
+    let have = rest.gyro_rad_s.amax();
     if have > limit {
         return Err(Refusal::Moving {
             what: "the mean of the gyroscope",

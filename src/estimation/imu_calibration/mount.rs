@@ -13,14 +13,19 @@ use super::refusal::Refusal;
 use crate::primitives::{ImuSample, Rotation, Sensor, Tip};
 use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
-/// Smallest bend that is used, degrees.
-const BEND_MIN_DEG: f64 = 10.0;
+crate::constants! {
+    /// What the bends must fulfil.
+    const ENOUGH: BendLimits;
+    /// Smallest bend that is used, degrees.
+    bend_min_deg = 10.0;
+    /// Smallest spread of the directions: 0.5 is a full circle, 0 a single direction.
+    spread_min = 0.15;
+    /// Largest rms angle of the bend axes out of their plane, degrees.
+    out_of_plane_max_deg = 5.0;
+}
+
 /// Fewest bends.
 const BENDS_MIN: usize = 4;
-/// Smallest spread of the directions: 0.5 is a full circle, 0 a single direction.
-const SPREAD_MIN: f64 = 0.15;
-/// Largest rms angle of the bend axes out of their plane, degrees.
-const OUT_OF_PLANE_MAX_DEG: f64 = 5.0;
 
 /// A change of the bend within one plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -67,7 +72,7 @@ pub struct Mount {
 /// share a plane.
 pub fn from_bends(bends: &[BendTurn]) -> Result<Mount, Refusal> {
     Refusal::unless_finite(bends.iter().map(|b| &b.turn_rad))?;
-    let large = |b: &&BendTurn| b.turn_rad.norm() >= BEND_MIN_DEG.to_radians();
+    let large = |b: &&BendTurn| b.turn_rad.norm() >= ENOUGH.bend_min_deg.to_radians();
     let used: Vec<BendTurn> = bends.iter().filter(large).copied().collect();
     Refusal::unless_enough(used.len(), BENDS_MIN)?;
     let weight: f64 = used.iter().map(|b| b.turn_rad.norm_squared()).sum();
@@ -77,11 +82,11 @@ pub fn from_bends(bends: &[BendTurn]) -> Result<Mount, Refusal> {
     let mut order = [0, 1, 2];
     order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
     let spread = eigen.eigenvalues[order[1]];
-    if spread < SPREAD_MIN {
+    if spread < ENOUGH.spread_min {
         return Err(Refusal::PoorCoverage {
             what: "the plane of bends",
             have: spread,
-            want: SPREAD_MIN,
+            want: ENOUGH.spread_min,
             advice: "bend in all directions, at most 90° apart",
         });
     }
@@ -124,7 +129,7 @@ fn evaluate(
     let lift = |t: &Vector3<f64>| t.z - twist_per_bend * t.norm(); // rad out of the plane
     let squares: f64 = turned.iter().map(|t| lift(t).powi(2)).sum();
     let out_of_plane_rad = (squares / weight).sqrt();
-    let limit = OUT_OF_PLANE_MAX_DEG;
+    let limit = ENOUGH.out_of_plane_max_deg;
     let rms = (turned.iter().map(|t| t.z * t.z).sum::<f64>() / weight)
         .sqrt()
         .to_degrees();

@@ -4,17 +4,23 @@
 //! the two ends of the stretch can.
 
 use super::refusal::Refusal;
+use crate::estimation::fusion::intake::Mean;
 use crate::primitives::ImuSample;
 use nalgebra::Vector3;
 
-/// Largest standard deviation of the gyroscope, rad/s per axis: four times the noise of the supported parts.
-const GYRO_SPREAD_MAX_RAD_S: f64 = 0.02;
-/// Largest standard deviation of the accelerometer, m/s² per axis.
-const ACC_SPREAD_MAX_M_S2: f64 = 0.15;
-/// Largest tilt or heading change, degrees. A slow rotation of 0.5° in 2 s is a bias error of 0.25 °/s.
-const TURN_MAX_DEG: f64 = 0.5;
-/// Shortest rest, s.
-const DURATION_MIN_S: f64 = 1.0;
+crate::constants! {
+    /// What a rest must fulfil.
+    const REST: RestLimits;
+    /// Largest standard deviation of the gyroscope, rad/s per axis: four times the noise of the supported parts.
+    gyro_spread_max_rad_s = 0.02;
+    /// Largest standard deviation of the accelerometer, m/s² per axis.
+    acc_spread_max_m_s2 = 0.15;
+    /// Largest tilt or heading change, degrees. A slow rotation of 0.5° in 2 s is a bias error of 0.25 °/s.
+    turn_max_deg = 0.5;
+    /// Shortest rest, s.
+    duration_min_s = 1.0;
+}
+
 /// Fewest samples of a rest.
 const SAMPLES_MIN: usize = 30;
 
@@ -37,18 +43,6 @@ pub struct Rest {
     pub acc_std_m_s2: Vector3<f64>,
 }
 
-fn mean_std(
-    values: impl Iterator<Item = Vector3<f64>> + Clone,
-) -> Option<(Vector3<f64>, Vector3<f64>)> {
-    let n = values.clone().count();
-    if n == 0 {
-        return None;
-    }
-    let mean = values.clone().sum::<Vector3<f64>>() / n as f64;
-    let squares: Vector3<f64> = values.map(|v| (v - mean).component_mul(&(v - mean))).sum();
-    Some((mean, (squares / (n.max(2) - 1) as f64).map(f64::sqrt)))
-}
-
 fn angle(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
     a.cross(b).norm().atan2(a.dot(b))
 }
@@ -57,12 +51,16 @@ fn angle(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
 fn turn(samples: &[ImuSample]) -> f64 {
     let third = samples.len() / 3;
     let (head, tail) = (&samples[..third], &samples[samples.len() - third..]);
-    let acc = |s: &[ImuSample]| mean_std(s.iter().map(|s| s.acc_m_s2)).map(|m| m.0);
-    let mag = |s: &[ImuSample]| mean_std(s.iter().filter_map(|s| s.mag_ut)).map(|m| m.0);
-    let between = |a: Option<Vector3<f64>>, b: Option<Vector3<f64>>| {
-        a.zip(b).map_or(0.0, |(a, b)| angle(&a, &b))
+    let turned = |of: fn(&ImuSample) -> Option<Vector3<f64>>| {
+        let mean = |part: &[ImuSample]| {
+            let mut mean = Mean::default();
+            part.iter().for_each(|sample| mean.add(of(sample)));
+            mean.get()
+        };
+        let between = mean(head).zip(mean(tail));
+        between.map_or(0.0, |(a, b)| angle(&a, &b))
     };
-    between(acc(head), acc(tail)).max(between(mag(head), mag(tail)))
+    turned(|sample| Some(sample.acc_m_s2)).max(turned(|sample| sample.mag_ut))
 }
 
 /// Means of a stretch that should be one rest.
@@ -75,15 +73,19 @@ pub fn rest(samples: &[ImuSample]) -> Result<Rest, Refusal> {
     }
     Refusal::unless_enough(samples.len(), SAMPLES_MIN)?;
     let duration_s = samples[samples.len() - 1].t.0 - samples[0].t.0;
-    if duration_s < DURATION_MIN_S {
-        let want = (samples.len() as f64 * DURATION_MIN_S / duration_s.max(1e-9)).ceil() as usize;
+    if duration_s < REST.duration_min_s {
+        let want =
+            (samples.len() as f64 * REST.duration_min_s / duration_s.max(1e-9)).ceil() as usize;
         return Err(Refusal::TooFewSamples {
             have: samples.len(),
             want,
         });
     }
     let summary = |pick: fn(&ImuSample) -> Vector3<f64>| {
-        mean_std(samples.iter().map(pick)).unwrap_or((Vector3::zeros(), Vector3::zeros()))
+        let values = samples.iter().map(pick);
+        let mean = values.clone().sum::<Vector3<f64>>() / samples.len() as f64;
+        let squares: Vector3<f64> = values.map(|v| (v - mean).component_mul(&(v - mean))).sum();
+        (mean, (squares / (samples.len() - 1) as f64).map(f64::sqrt))
     };
     let (gyro_rad_s, gyro_std_rad_s) = summary(|s| s.gyro_rad_s);
     let (acc_m_s2, acc_std_m_s2) = summary(|s| s.acc_m_s2);
@@ -91,19 +93,19 @@ pub fn rest(samples: &[ImuSample]) -> Result<Rest, Refusal> {
         (
             "the standard deviation of the gyroscope",
             gyro_std_rad_s.amax(),
-            GYRO_SPREAD_MAX_RAD_S,
+            REST.gyro_spread_max_rad_s,
             "rad/s",
         ),
         (
             "the standard deviation of the accelerometer",
             acc_std_m_s2.amax(),
-            ACC_SPREAD_MAX_M_S2,
+            REST.acc_spread_max_m_s2,
             "m/s²",
         ),
         (
             "the rotation from start to end",
             turn(samples).to_degrees(),
-            TURN_MAX_DEG,
+            REST.turn_max_deg,
             "deg",
         ),
     ];
@@ -134,7 +136,7 @@ pub fn rests(samples: &[ImuSample]) -> Vec<Rest> {
     let mut found: Vec<Rest> = Vec::new();
     let mut from = 0;
     while from < samples.len() {
-        let end_s = samples[from].t.0 + DURATION_MIN_S;
+        let end_s = samples[from].t.0 + REST.duration_min_s;
         let Some(n) = samples[from..].iter().position(|s| s.t.0 >= end_s) else {
             break;
         };

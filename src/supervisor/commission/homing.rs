@@ -3,9 +3,9 @@
 //! The count at the second slow closing becomes the position that the board file states for the switch. The difference
 //! between the two slow closings is the repeatability and must stay within its limit.
 
-use crate::primitives::Steps;
 use crate::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};
 use crate::{choices, parameters};
+use nalgebra::Vector3;
 
 choices! {
     /// How zero is found.
@@ -113,15 +113,14 @@ pub fn with_switches(
         }
         repeat_mm[i] = mm;
     }
-    let (stands_mm, step_mm) = (drive.stands_mm(), drive.step_mm());
-    let moved_mm: [f64; 3] = std::array::from_fn(|i| config.at_mm[i] - closed_mm[i]);
-    drive.recount(Steps(std::array::from_fn(|i| {
-        ((stands_mm[i] + moved_mm[i]) / step_mm).round() as i32
-    })))?;
+    let moved_mm = Vector3::from(config.at_mm) - Vector3::from(closed_mm);
+    let stands_mm = Vector3::from(drive.stands_mm());
+    let counted = drive.drive().steps(&(stands_mm + moved_mm));
+    drive.recount(counted)?;
     drive.go([0.0; 3], config.speed_mm_s, &mut |_| false)?;
     Ok(Homed {
         repeat_mm,
-        moved_mm,
+        moved_mm: moved_mm.into(),
     })
 }
 
@@ -144,11 +143,11 @@ impl Search<'_, '_> {
     /// Approaches until the switch closes; returns the position of the closing, mm.
     fn close(&mut self, speed_mm_s: f64, most_mm: f64) -> Result<f64, HomingError> {
         let (i, channel, mm) = (self.i, self.i + 1, most_mm);
-        let (step_mm, target) = (self.drive.step_mm(), self.towards(most_mm));
+        let (drive, target) = (self.drive.drive(), self.towards(most_mm));
         let mut at = None;
         self.drive.go(target, speed_mm_s, &mut |s| {
             if s.inputs.home[i] {
-                at.get_or_insert(f64::from(s.counted.0[i]) * step_mm);
+                at.get_or_insert(drive.piston_mm(&s.counted)[i]);
             }
             at.is_some()
         })?;

@@ -3,8 +3,10 @@
 //! A move requests positions along a ramp of constant speed; the machine itself limits acceleration and travel. Any
 //! fault ends the move, and the pistons stay where they stopped.
 
+use crate::model::Drive;
 use crate::primitives::{Seconds, Steps};
 use crate::supervisor::{Alarm, Machine, MachineError, Sensed};
+use nalgebra::Vector3;
 
 /// Longest time for the counts to reach the target at the end of a move, s.
 const ARRIVE_MAX_S: f64 = 2.0;
@@ -67,21 +69,20 @@ impl<'a> ManualMotion<'a> {
         }
     }
 
-    /// Piston travel per microstep, mm.
-    pub fn step_mm(&self) -> f64 {
-        self.machine.info().step_mm
+    /// Counts and positions of the pistons.
+    pub(super) fn drive(&self) -> Drive {
+        let step_mm = self.machine.info().step_mm;
+        Drive { step_mm }
     }
 
     /// Counted positions, mm.
     pub fn stands_mm(&self) -> [f64; 3] {
-        let step_mm = self.step_mm();
-        self.last
-            .map_or([0.0; 3], |s| s.counted.0.map(|n| f64::from(n) * step_mm))
+        let counted = self.last.map_or(Steps::default(), |s| s.counted);
+        self.drive().piston_mm(&counted).into()
     }
 
     fn steps(&self) -> Steps {
-        let step_mm = self.step_mm();
-        Steps(self.wanted_mm.map(|p| (p / step_mm).round() as i32))
+        self.drive().steps(&self.wanted_mm.into())
     }
 
     /// One cycle of the machine with all checks.
@@ -141,7 +142,7 @@ impl<'a> ManualMotion<'a> {
     }
 
     /// Moves to `target_mm`; `speed_mm_s` is the speed of the channel with the longest way. The move ends early when
-    /// `enough` returns true; the result tells whether it did.
+    /// `enough` returns true.
     ///
     /// # Errors
     /// [`ManualMotionError`].
@@ -150,10 +151,10 @@ impl<'a> ManualMotion<'a> {
         target_mm: [f64; 3],
         speed_mm_s: f64,
         enough: &mut dyn FnMut(&Sensed) -> bool,
-    ) -> Result<bool, ManualMotionError> {
-        let from_mm = self.wanted_mm;
-        let ways_mm = (0..3).map(|i| (target_mm[i] - from_mm[i]).abs());
-        let way_mm = ways_mm.fold(0.0, f64::max);
+    ) -> Result<(), ManualMotionError> {
+        let from_mm = Vector3::from(self.wanted_mm);
+        let to_go_mm = Vector3::from(target_mm) - from_mm;
+        let way_mm = to_go_mm.amax();
         let began_s = self.now.0;
         loop {
             let share = if way_mm > 0.0 {
@@ -161,13 +162,11 @@ impl<'a> ManualMotion<'a> {
             } else {
                 1.0
             };
-            self.wanted_mm =
-                std::array::from_fn(|i| from_mm[i] + share * (target_mm[i] - from_mm[i]));
+            self.wanted_mm = (from_mm + to_go_mm * share).into();
             let sensed = self.turn()?;
             if enough(&sensed) {
                 self.wanted_mm = self.stands_mm();
-                self.arrive(enough)?;
-                return Ok(true);
+                return self.arrive(enough);
             }
             if share >= 1.0 {
                 return self.arrive(enough);
@@ -175,22 +174,17 @@ impl<'a> ManualMotion<'a> {
         }
     }
 
-    /// Waits until the counts reach the request; true if `enough` returned true in the meantime.
-    fn arrive(
-        &mut self,
-        enough: &mut dyn FnMut(&Sensed) -> bool,
-    ) -> Result<bool, ManualMotionError> {
+    /// Waits until the counts reach the request; `enough` receives every cycle.
+    fn arrive(&mut self, enough: &mut dyn FnMut(&Sensed) -> bool) -> Result<(), ManualMotionError> {
         let until_s = self.now.0 + ARRIVE_MAX_S;
-        let mut reached = false;
         while self.now.0 < until_s {
             let sensed = self.turn()?;
-            reached |= enough(&sensed);
+            enough(&sensed);
             if sensed.counted == self.steps() {
-                return Ok(reached);
+                return Ok(());
             }
         }
-        let stands = self.last.map_or(Steps::default(), |s| s.counted);
-        let stands = format!("{:?}", stands.0);
+        let stands = format!("{:?}", self.last.map_or([0; 3], |s| s.counted.0));
         Err(ManualMotionError::NotArrived(ARRIVE_MAX_S, stands))
     }
 
@@ -199,9 +193,8 @@ impl<'a> ManualMotion<'a> {
     /// # Errors
     /// [`ManualMotionError::NotArrived`] if the machine does not report the new counts.
     pub fn recount(&mut self, counted: Steps) -> Result<(), ManualMotionError> {
-        let step_mm = self.step_mm();
         self.machine.recount(&counted);
-        self.wanted_mm = counted.0.map(|n| f64::from(n) * step_mm);
-        self.arrive(&mut |_| false).map(|_| ())
+        self.wanted_mm = self.drive().piston_mm(&counted).into();
+        self.arrive(&mut |_| false)
     }
 }

@@ -1,5 +1,4 @@
 //! The commissioning procedure: each channel in turn bends the tip a little and holds it.
-
 use crate::model::Geometry;
 use crate::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};
 use crate::supervisor::commission::rotation::TipRotation;
@@ -7,16 +6,22 @@ use crate::supervisor::commission::wiring::{self, Wiring};
 use nalgebra::{Vector2, Vector3};
 use std::fmt::Write;
 
-/// Piston stroke of the leak test, mm.
-const HOLD_MM: f64 = 6.0;
-/// Speed of every move, mm/s.
-const SPEED_MM_S: f64 = 5.0;
-/// Time between the end of a move and the measurement, s.
-const SETTLE_S: f64 = 0.8;
-/// Bend below which a channel counts as dead, rad.
-const DEAD_RAD: f64 = 0.012;
-/// Relative loss of bend per second above which a line leaks, 1/s.
-const LEAK_MAX_PER_S: f64 = 0.005;
+crate::constants! {
+    /// The procedure.
+    const TRIAL: TrialConstants;
+    /// Piston stroke of the leak test, mm.
+    hold_mm = 6.0;
+    /// Speed of every move, mm/s.
+    speed_mm_s = 5.0;
+    /// Time between the end of a move and the measurement, s.
+    settle_s = 0.8;
+    /// Bend below which a channel counts as dead, rad.
+    dead_rad = 0.012;
+    /// Relative loss of bend per second above which a line leaks, 1/s.
+    leak_max_per_s = 0.005;
+    /// Largest measured rate of a tip at rest, noise included, rad/s.
+    still_max_rad_s = 0.06;
+}
 
 /// Parameters of the procedure.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -64,7 +69,7 @@ impl Findings {
     /// Channels that leak.
     pub fn leaks(&self) -> [bool; 3] {
         self.leak_per_s
-            .map(|l| l.is_some_and(|l| l > LEAK_MAX_PER_S))
+            .map(|l| l.is_some_and(|l| l > TRIAL.leak_max_per_s))
     }
 
     /// True if the wiring agrees with the board file and no line leaks.
@@ -127,27 +132,20 @@ pub fn run(
     gyro_bias(drive)?;
     drive.energise(true)?;
     let mut answers = [Vector2::zeros(); 3];
-    let &TrialConfig {
-        geometry,
-        stroke_mm,
-        hold_s,
-    } = config;
+    let (stroke_mm, hold_s) = (config.stroke_mm, config.hold_s);
     for (i, answer) in answers.iter_mut().enumerate() {
         progress(&format!("channel {}: stroke of {stroke_mm} mm", i + 1));
         *answer = stroke(drive, i, stroke_mm, 0.0)?.0;
     }
-    let dead = answers.map(|a| a.norm() < DEAD_RAD);
+    let dead = answers.map(|a| a.norm() < TRIAL.dead_rad);
     let mut leak_per_s = [None; 3];
     for i in (0..3).filter(|i| hold_s > 0.0 && !dead[*i]) {
         progress(&format!("channel {}: holding for {hold_s} s", i + 1));
-        leak_per_s[i] = Some(stroke(drive, i, HOLD_MM, hold_s)?.1);
+        leak_per_s[i] = Some(stroke(drive, i, TRIAL.hold_mm, hold_s)?.1);
     }
     drive.energise(false)?;
-    let expected = [0, 1, 2].map(|i| {
-        let mut q = Vector3::zeros();
-        q[i] = 1.0;
-        geometry.shape(&q).bend.0
-    });
+    let each_longer = [Vector3::x(), Vector3::y(), Vector3::z()];
+    let expected = each_longer.map(|q_mm| config.geometry.shape(&q_mm).bend.0);
     let wirings = match dead {
         [false, false, false] => wiring::identify(&answers, &expected),
         _ => Vec::new(),
@@ -167,7 +165,7 @@ fn gyro_bias(drive: &mut ManualMotion<'_>) -> Result<Vector3<f64>, TrialError> {
     let mean_rad_s = rotation.mean_rad_s();
     if rotation.samples < SAMPLES_MIN {
         Err(TrialError::Blind(rotation.samples))
-    } else if rotation.max_rad_s - mean_rad_s.norm() <= STILL_MAX_RAD_S {
+    } else if rotation.max_rad_s - mean_rad_s.norm() <= TRIAL.still_max_rad_s {
         Ok(mean_rad_s)
     } else {
         Err(TrialError::NotStill)
@@ -176,8 +174,6 @@ fn gyro_bias(drive: &mut ManualMotion<'_>) -> Result<Vector3<f64>, TrialError> {
 
 /// Fewest samples for a bias.
 const SAMPLES_MIN: u32 = 20;
-/// Largest measured rate of a tip at rest, noise included, rad/s.
-const STILL_MAX_RAD_S: f64 = 0.06;
 
 /// Moves one channel out, waits and returns; gives the bend, rad, and its relative loss during the wait, 1/s.
 fn stroke(
@@ -189,17 +185,17 @@ fn stroke(
     let mut rotation = TipRotation::new(gyro_bias(drive)?);
     let mut target = [0.0; 3];
     target[channel] = mm;
-    drive.go(target, SPEED_MM_S, &mut |s| {
+    drive.go(target, TRIAL.speed_mm_s, &mut |s| {
         rotation.add(s);
         false
     })?;
-    drive.stand(SETTLE_S, &mut |s| rotation.add(s))?;
+    drive.stand(TRIAL.settle_s, &mut |s| rotation.add(s))?;
     let bend = rotation.bend().0;
     drive.stand(hold_s, &mut |s| rotation.add(s))?;
     let left = rotation.bend().0.norm() / bend.norm().max(f64::MIN_POSITIVE);
     let lost = -left.max(1e-6).ln();
     let lost_per_s = if hold_s > 0.0 { lost / hold_s } else { 0.0 };
-    drive.go([0.0; 3], SPEED_MM_S, &mut |_| false)?;
-    drive.stand(SETTLE_S, &mut |_| ())?;
+    drive.go([0.0; 3], TRIAL.speed_mm_s, &mut |_| false)?;
+    drive.stand(TRIAL.settle_s, &mut |_| ())?;
     Ok((bend, lost_per_s))
 }

@@ -22,11 +22,11 @@ pub struct Wiring {
     pub residual_rad: f64,
 }
 
-/// Rotation of the sensor below which calibration suffices, rad.
+/// Rotation of the sensor below which calibration suffices, rad (20°).
 pub const TURN_SMALL_RAD: f64 = 0.35;
-/// Residuals that exceed the best by less fit equally well, rad.
+/// Residuals that exceed the best by less fit equally well, rad (7°).
 const ALIKE_RAD: f64 = 0.12;
-/// Residual above which no hypothesis fits, rad.
+/// Residual above which no hypothesis fits, rad (20°).
 const RESIDUAL_MAX_RAD: f64 = 0.35;
 
 const ORDERS: [[usize; 3]; 6] = [

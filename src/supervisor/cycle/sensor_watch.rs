@@ -6,12 +6,16 @@ use crate::estimation::fusion::tip::Fusion;
 use crate::primitives::lasting;
 use nalgebra::Vector3;
 
-/// Change of the gyroscope bias since the alignment that is reported, rad/s (0.9 °/s).
-const BIAS_MOVED_RAD_S: f64 = 0.016;
-/// Time constant for the rate of a resting tip, s.
-const RESTING_S: f64 = 0.5;
-/// Mean rate of a resting tip that is attributed to the sensor, rad/s (0.7 °/s).
-const RESTING_RAD_S: f64 = 0.012;
+crate::constants! {
+    /// When the gyroscope is said to have drifted.
+    const WATCH: SensorWatchConstants;
+    /// Change of the gyroscope bias since the alignment that is reported, rad/s (0.9 °/s).
+    bias_moved_rad_s = 0.016;
+    /// Time constant for the rate of a resting tip, s.
+    resting_s = 0.5;
+    /// Mean rate of a resting tip that is attributed to the sensor, rad/s (0.7 °/s).
+    resting_rad_s = 0.012;
+}
 
 /// State of the supervision.
 #[derive(Debug, Clone, Default)]
@@ -40,7 +44,7 @@ impl SensorWatch {
         let rests = frame.estimate.is_some() && frame.phase == TickPhase::Holding;
         self.resting_s = lasting(rests, self.resting_s, paced_s);
         if let Some(rate) = fusion.rate_rad_s() {
-            let keep = (-paced_s / RESTING_S).exp();
+            let keep = (-paced_s / WATCH.resting_s).exp();
             self.rate_rad_s = rate + (self.rate_rad_s - rate) * keep;
         }
         verdict.map_or(CauseSet::EMPTY, |v| v.raised)
@@ -49,12 +53,12 @@ impl SensorWatch {
     /// True if the gyroscope bias has changed since the alignment. A tip whose set-point rests does not turn for long, so
     /// a lasting mean rate is an error of the sensor or a rotation of the base.
     pub(super) fn bias_moved(&self, fusion: &Fusion) -> bool {
-        if self.resting_s > 3.0 * RESTING_S && self.rate_rad_s.norm() > RESTING_RAD_S {
+        if self.resting_s > 3.0 * WATCH.resting_s && self.rate_rad_s.norm() > WATCH.resting_rad_s {
             return true;
         }
         let filter = fusion.estimator().and_then(|e| e.as_bend());
         filter.zip(fusion.alignment()).is_some_and(|(now, rest)| {
-            (now.gyro_bias_rad_s() - rest.gyro_bias_rad_s).norm() > BIAS_MOVED_RAD_S
+            (now.gyro_bias_rad_s() - rest.gyro_bias_rad_s).norm() > WATCH.bias_moved_rad_s
         })
     }
 }

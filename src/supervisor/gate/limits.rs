@@ -89,51 +89,31 @@ parameters! {
     /// Safe state of each cause: `hold` (brake and stand, energised: the tip keeps its bend), `relax` (brake, return to zero
     /// slowly, then release the drivers) or `release` (release the drivers at once: the tip goes soft and straight by its own
     /// air, and zero must be found again).
-    pub struct SafeStates: Copy, Eq {
+    pub struct SafeStates: Copy, Eq by TripCause -> SafeState {
         /// The emergency stop is pressed. The step thread reacts by itself: `release` takes the current away at once; anything
         /// else brakes within the limits and keeps pressure on tissue.
-        emergency_stop: SafeState = SafeState::Release;
+        emergency_stop of EmergencyStop: SafeState = SafeState::Release;
         /// Alarm of the step thread: late, starved, torn motion, pins. What was pulsed is counted.
-        step_generator: SafeState = SafeState::Hold;
+        step_generator of StepGenerator: SafeState = SafeState::Hold;
         /// A turn of the loop came late; motion stands.
-        late: SafeState = SafeState::Hold;
+        late of Late: SafeState = SafeState::Hold;
         /// Motion was commanded while not armed: a software fault, and nothing has moved.
-        unarmed: SafeState = SafeState::Hold;
+        unarmed of Unarmed: SafeState = SafeState::Hold;
         /// A piston would leave its travel; the tip is not at fault.
-        travel: SafeState = SafeState::Hold;
+        travel of Travel: SafeState = SafeState::Hold;
         /// A piston is too fast.
-        rate: SafeState = SafeState::Hold;
+        rate of Rate: SafeState = SafeState::Hold;
         /// A piston is accelerated too strongly.
-        acceleration: SafeState = SafeState::Hold;
+        acceleration of Acceleration: SafeState = SafeState::Hold;
         /// A line would be compressed too far: less pressure is the way out.
-        pressure: SafeState = SafeState::Relax;
+        pressure of Pressure: SafeState = SafeState::Relax;
         /// The tip is hotter than `safety.tip_max_c`. Motion does not cool it; `relax` prepares its withdrawal.
-        temperature: SafeState = SafeState::Hold;
+        temperature of Temperature: SafeState = SafeState::Hold;
         /// No usable orientation for too long: a bus often recovers within a second.
-        stale: SafeState = SafeState::Hold;
+        stale of Stale: SafeState = SafeState::Hold;
         /// The two orientation filters disagree; one of them may be right.
-        disagreement: SafeState = SafeState::Hold;
+        disagreement of Disagreement: SafeState = SafeState::Hold;
         /// The tip does not follow its set-point. `relax` suits places where tissue may be caught.
-        following: SafeState = SafeState::Hold;
-    }
-}
-
-impl SafeStates {
-    /// Returns the safe state of `cause`.
-    pub fn of(&self, cause: TripCause) -> SafeState {
-        match cause {
-            TripCause::EmergencyStop => self.emergency_stop,
-            TripCause::StepGenerator => self.step_generator,
-            TripCause::Late => self.late,
-            TripCause::Unarmed => self.unarmed,
-            TripCause::Travel => self.travel,
-            TripCause::Rate => self.rate,
-            TripCause::Acceleration => self.acceleration,
-            TripCause::Pressure => self.pressure,
-            TripCause::Temperature => self.temperature,
-            TripCause::Stale => self.stale,
-            TripCause::Disagreement => self.disagreement,
-            TripCause::Following => self.following,
-        }
+        following of Following: SafeState = SafeState::Hold;
     }
 }

@@ -5,37 +5,46 @@ use super::kalman::{ACC, BASE, FIELD, GYRO, MAG, MOUNT, N, Row, TWIST};
 use super::laws::{TWIST_OFFSET_RAD, Twist, right_jacobian_inverse};
 use super::state::{BendFilter, FIELD_NIS_MAX};
 use crate::estimation::fusion::filter::TipEstimator;
+use crate::primitives::{FOREIGN_SIGMAS, UNEXPLAINED_SIGMAS};
 use nalgebra::{Matrix3, Vector3};
 
-/// NIS beyond which the noise model does not explain an innovation: four standard deviations.
-pub(super) const NIS_GATE: f64 = 16.0;
-/// Smallest noise of gyroscope, rad/s, accelerometer, m/s², and magnetometer, µT: a simulated source may be noise-free.
-const GYRO_SIGMA_MIN_RAD_S: f64 = 1e-3;
-const ACC_SIGMA_MIN_M_S2: f64 = 0.005;
-const MAG_SIGMA_MIN_UT: f64 = 0.05;
-/// Time constant of the NIS of the twist, s: a few poses.
-const TWIST_NIS_TIME_S: f64 = 3.0;
-/// Time constants of the NIS of the field, s: a disturbance is detected ten times faster than it is forgotten.
-const FIELD_NIS_RISE_S: f64 = 0.1;
-const FIELD_NIS_FALL_S: f64 = 1.0;
-/// Largest ratio of the NIS of one field reading to its mean.
-const FIELD_NIS_STEP_MAX: f64 = 100.0;
-/// Rotation over which the mean square error of the field is averaged, rad: about three motions.
-const FIELD_LEVEL_TURN_RAD: f64 = 2.0;
-/// Smallest error of the field: as a fraction of it, and µT.
-const FIELD_ERROR_MIN: f64 = 0.002;
-const FIELD_ERROR_MIN_UT: f64 = 0.2;
-/// Time for which what the states leave of an error of the field stays the same, s: a pose.
-const FIELD_POSE_S: f64 = 1.5;
-/// A rate at standstill beyond this many standard deviations is a turn of the base.
-const STILL_GATE: f64 = 5.0;
-/// Memory of the mean square rates at standstill, s, and their share in what is expected next.
-const STILL_MEMORY_S: f64 = 8.0;
-const STILL_SHARE: f64 = 0.5;
-/// Largest mean square that counts, (rad/s)².
-const STILL_RATE_MAX: f64 = 0.01;
-/// Least rate of a base that sways, rad/s.
-const SWAY_RATE_MIN_RAD_S: f64 = 0.005;
+/// NIS beyond which the noise model does not explain an innovation.
+pub(super) const NIS_GATE: f64 = UNEXPLAINED_SIGMAS * UNEXPLAINED_SIGMAS;
+
+crate::constants! {
+    /// Noise of the readings beside the settings of the filter. Least values are for simulated sources, which may be free of noise.
+    const NOISE: ReadingNoise;
+    /// Least noise of the gyroscope, rad/s.
+    gyro_min_rad_s = 1e-3;
+    /// Least noise of the accelerometer, m/s².
+    acc_min_m_s2 = 0.005;
+    /// Least noise of the magnetometer, µT.
+    mag_min_ut = 0.05;
+    /// Time constant of the NIS of the twist, s: a few poses.
+    twist_nis_time_s = 3.0;
+    /// Time constant with which the NIS of the field rises, s.
+    field_nis_rise_s = 0.1;
+    /// Time constant with which it falls, s: a disturbance is detected ten times faster than it is forgotten.
+    field_nis_fall_s = 1.0;
+    /// Largest ratio of the NIS of one field reading to its mean.
+    field_nis_step_max = 100.0;
+    /// Rotation over which the mean square error of the field is averaged, rad: about three motions.
+    field_level_turn_rad = 2.0;
+    /// Least error of the field as a fraction of it.
+    field_error_min = 0.002;
+    /// Least error of the field, µT.
+    field_error_min_ut = 0.2;
+    /// Time for which what the states leave of an error of the field stays the same, s: a pose.
+    field_pose_s = 1.5;
+    /// Memory of the mean square rates at standstill, s.
+    still_memory_s = 8.0;
+    /// Their share in what is expected next.
+    still_share = 0.5;
+    /// Largest mean square that counts, (rad/s)².
+    still_rate2_max = 0.01;
+    /// Least rate of a base that sways, rad/s.
+    sway_rate_min_rad_s = 0.005;
+}
 
 /// Rows of a reading of three axes, from its slopes by the entries from a place on, three each.
 pub(super) fn rows(slopes: &[(usize, Matrix3<f64>)]) -> [Row; 3] {
@@ -86,7 +95,7 @@ impl BendFilter {
     /// White noise of the mean specific force per axis, m²/s⁴.
     pub(super) fn gravity_white(&self) -> f64 {
         let motion = self.config.acc_motion_m_s2_per_rad_s * self.rate_rad_s;
-        let sigma = self.alignment.acc_sigma_m_s2.max(ACC_SIGMA_MIN_M_S2);
+        let sigma = self.alignment.acc_sigma_m_s2.max(NOISE.acc_min_m_s2);
         sigma * sigma / f64::from(self.window.acc.n.max(1)) + motion * motion
     }
 
@@ -97,7 +106,7 @@ impl BendFilter {
 
     /// White noise of the mean field per axis, µT².
     pub(super) fn field_white(&self) -> f64 {
-        let sigma = self.alignment.mag_sigma_ut.max(MAG_SIGMA_MIN_UT);
+        let sigma = self.alignment.mag_sigma_ut.max(NOISE.mag_min_ut);
         sigma * sigma / f64::from(self.window.mag.n.max(1))
     }
 
@@ -128,12 +137,13 @@ impl BendFilter {
         let nis = innovation.norm_squared() / variance;
         let rises = nis > self.field_nis;
         let time_s = if rises {
-            FIELD_NIS_RISE_S
+            NOISE.field_nis_rise_s
         } else {
-            FIELD_NIS_FALL_S
+            NOISE.field_nis_fall_s
         };
         let gain = (self.window.length_s / time_s).min(1.0);
-        self.field_nis += gain * (nis.min(FIELD_NIS_STEP_MAX * self.field_nis) - self.field_nis);
+        self.field_nis +=
+            gain * (nis.min(NOISE.field_nis_step_max * self.field_nis) - self.field_nis);
         let persistent =
             (self.field_nis.max(1.0) - 1.0) * (self.field_nis / FIELD_NIS_MAX).max(1.0);
         let excess = nis / FIELD_NIS_MAX;
@@ -142,7 +152,7 @@ impl BendFilter {
         let error = variance / 3.0 * persistent.max(sudden);
         let windows = self.windows(self.config.field_time_s);
         Some(Reading {
-            share: 1.0 / self.windows(FIELD_POSE_S),
+            share: 1.0 / self.windows(NOISE.field_pose_s),
             ..Reading::new(rows, innovation.into(), white, error, windows)
         })
     }
@@ -154,7 +164,7 @@ impl BendFilter {
         // a vertical field has no heading
         let heading = up.cross(w).try_normalize(1e-6).unwrap_or_default();
         let revealed = differs - heading * heading.dot(differs);
-        let gain = self.window.path / (self.window.path + FIELD_LEVEL_TURN_RAD);
+        let gain = self.window.path / (self.window.path + NOISE.field_level_turn_rad);
         let now = (revealed.norm_squared() / 2.0 - white).max(0.0);
         self.field_error_ut2 += gain * (now - self.field_error_ut2);
     }
@@ -162,7 +172,7 @@ impl BendFilter {
     /// Mean square error of the field per axis, µT².
     pub(super) fn field_level(&self) -> f64 {
         let norm = self.alignment.mag_rest_ut.map_or(0.0, |m| m.norm());
-        let least = (FIELD_ERROR_MIN * norm).max(FIELD_ERROR_MIN_UT);
+        let least = (NOISE.field_error_min * norm).max(NOISE.field_error_min_ut);
         self.field_error_ut2.max(least * least)
     }
 
@@ -183,7 +193,7 @@ impl BendFilter {
         (h[MOUNT], h[MOUNT + 1]) = (twist.psi_by_tilt.x, twist.psi_by_tilt.y);
         let innovation = c * twist.beta - twist.psi;
         let error = self.twist_sigma_rad(twist.beta).powi(2);
-        let gain = (self.window.length_s / TWIST_NIS_TIME_S).min(1.0);
+        let gain = (self.window.length_s / NOISE.twist_nis_time_s).min(1.0);
         let nis = innovation * innovation / (self.bank.variance(&[h]) + error);
         self.twist_nis += gain * (nis - self.twist_nis);
         let windows = self.windows(self.config.direction_time_s);
@@ -192,7 +202,7 @@ impl BendFilter {
 
     /// While the pistons stand the gyroscope measures its bias and the rate that the tip still has. Written as the rate of
     /// the rotation vector, a tip has no third component. What the tip has shown in the other two (creep, leak, breath)
-    /// counts as its own motion; a rate beyond that, or with a third component, is the base's.
+    /// counts as its own motion; a rate beyond [`FOREIGN_SIGMAS`] of it, or with a third component, is the base's.
     pub(super) fn standstill(&mut self) -> Option<Reading<3>> {
         let n = f64::from((self.window.still_n > 0).then_some(self.window.still_n)?);
         let to_phi = right_jacobian_inverse(&self.bend().rotation_vector());
@@ -200,12 +210,12 @@ impl BendFilter {
         let white = self.gyro_sigma_rad_s().powi(2) / n;
         let known = self.bank.mean_variance(GYRO) + white;
         let (tip2, twist2) = (rate.xy().norm_squared() / 2.0, rate.z * rate.z);
-        let gain = (self.window.length_s / STILL_MEMORY_S).min(1.0);
-        let beyond = |square: f64| (square - known).clamp(0.0, STILL_RATE_MAX);
+        let gain = (self.window.length_s / NOISE.still_memory_s).min(1.0);
+        let beyond = |square: f64| (square - known).clamp(0.0, NOISE.still_rate2_max);
         self.still_rate2 += gain * (beyond(tip2) - self.still_rate2);
         self.sway_rate2 += gain * (beyond(twist2) - self.sway_rate2);
         let least = self.config.still_rate_sigma_rad_s.powi(2);
-        let own = least.max(STILL_SHARE * self.still_rate2.max(beyond(tip2)));
+        let own = least.max(NOISE.still_share * self.still_rate2.max(beyond(tip2)));
         let own = Vector3::new(own, own, self.config.still_twist_sigma_rad_s.powi(2));
         let sways = Vector3::repeat(self.sway_level());
         let nis = 2.0 * tip2 / (own.x + known) + twist2 / (own.z + known);
@@ -214,7 +224,7 @@ impl BendFilter {
             single: v.add_scalar(white).into(),
             correlated: counts.then(|| (v * windows).add_scalar(white).into()),
         };
-        let mut all = [noise(own, nis < 3.0 * STILL_GATE * STILL_GATE); M];
+        let mut all = [noise(own, nis < 3.0 * FOREIGN_SIGMAS * FOREIGN_SIGMAS); M];
         all[SWAYS] = noise(sways, false);
         Some(Reading {
             rows: rows(&[(GYRO, to_phi)]),
@@ -228,11 +238,11 @@ impl BendFilter {
     pub(super) fn sway_level(&self) -> f64 {
         self.still_rate2
             .max(self.sway_rate2)
-            .max(SWAY_RATE_MIN_RAD_S * SWAY_RATE_MIN_RAD_S)
+            .max(NOISE.sway_rate_min_rad_s * NOISE.sway_rate_min_rad_s)
     }
 
     /// Noise of one rate sample, rad/s.
     pub(super) fn gyro_sigma_rad_s(&self) -> f64 {
-        self.alignment.gyro_sigma_rad_s.max(GYRO_SIGMA_MIN_RAD_S)
+        self.alignment.gyro_sigma_rad_s.max(NOISE.gyro_min_rad_s)
     }
 }

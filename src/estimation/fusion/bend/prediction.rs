@@ -9,23 +9,28 @@ use crate::estimation::fusion::base::BaseTurn;
 use crate::estimation::fusion::filter::{TipEstimator, TipSample};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-/// Ratio of the process noise to the noise during alignment: motion adds vibration.
-const GYRO_NOISE_FACTOR: f64 = 1.5;
-/// Correlation time of the error of the rate, s.
-const RATE_ERROR_TIME_S: f64 = 0.1;
-/// Random walk that the bias of the gyroscope on the base adds: it is constant in other axes.
-const BASE_GYRO_WALK_RAD_S_RTS: f64 = 3e-4;
-/// Turn of the tip after which the error of the field is another, rad.
-const FIELD_TURN_RAD: f64 = 1.5;
-/// Random walk of the scale per √rad of motion while the rate is wrong.
-const SCALE_WALK: f64 = 0.02;
-/// Time in which a base that sways turns back, s; the time for which it turns the same way, s; creep of the tip meanwhile,
-/// rad/√s.
-const SWAY_BACK_S: f64 = 1.5;
-const SWAY_TIME_S: f64 = 1.2;
-const SWAY_CREEP: f64 = 0.003;
-/// Time after which a turn of the base that lasts is no sway, s.
-const SWAY_MEAN_S: f64 = 8.0;
+crate::constants! {
+    /// Noise of the prediction beside the settings of the filter.
+    const NOISE: ProcessNoise;
+    /// Ratio of the process noise to the noise during alignment: motion adds vibration.
+    gyro_factor = 1.5;
+    /// Correlation time of the error of the rate, s: `rate_error` and `wrong_rate_error` are stated for it.
+    rate_error_time_s = 0.1;
+    /// Random walk that the bias of the gyroscope on the base adds, rad/s/√s: it is constant in other axes.
+    base_gyro_walk_rad_s_rts = 3e-4;
+    /// Turn of the tip after which the error of the field is another, rad.
+    field_turn_rad = 1.5;
+    /// Random walk of the scale per √rad of motion while the rate is wrong.
+    scale_walk = 0.02;
+    /// Time in which a base that sways turns back, s.
+    sway_back_s = 1.5;
+    /// Time for which a base that sways turns the same way, s.
+    sway_time_s = 1.2;
+    /// Creep of the tip meanwhile, rad/√s.
+    sway_creep = 0.003;
+    /// Time after which a turn of the base that lasts is no sway, s.
+    sway_mean_s = 8.0;
+}
 
 impl BendFilter {
     /// Integrates one sample, and adds it to the window.
@@ -80,14 +85,17 @@ impl BendFilter {
     pub(super) fn propagate(&mut self) {
         let (c, w) = (self.config, self.window);
         let t = w.length_s;
-        let white = (GYRO_NOISE_FACTOR * self.gyro_sigma_rad_s()).powi(2)
+        let white = (NOISE.gyro_factor * self.gyro_sigma_rad_s()).powi(2)
             * self.alignment.periods_s().0.max(1e-4)
             * t;
-        let keep = (-t / c.field_time_s - w.path / FIELD_TURN_RAD).exp();
+        let keep = (-t / c.field_time_s - w.path / NOISE.field_turn_rad).exp();
         let field = self.field_level() * (1.0 - keep * keep);
         self.field_offset *= keep;
         let sways = self.sway_level();
-        let base_walk = w.base_acc.get().map_or(0.0, |_| BASE_GYRO_WALK_RAD_S_RTS);
+        let base_walk = w
+            .base_acc
+            .get()
+            .map_or(0.0, |_| NOISE.base_gyro_walk_rad_s_rts);
         for (j, f) in self.bank.filters.iter_mut().enumerate() {
             f.propagate_turn(&[(GYRO, -w.turns_s), (SCALE, -w.scaled)]);
             f.widen(0, white);
@@ -98,7 +106,7 @@ impl BendFilter {
                 _ => (c.gyro_walk_rad_s_rts, c.rate_error),
             };
             // what a wrong rate adds is along the turn
-            let along = error * error * RATE_ERROR_TIME_S / t;
+            let along = error * error * NOISE.rate_error_time_s / t;
             for k in 0..3 {
                 for i in 0..3 {
                     f.p[i][k] += along * w.turned[i] * w.turned[k];
@@ -111,7 +119,7 @@ impl BendFilter {
             f.fade(FIELD, keep);
             f.widen(FIELD, field);
             match j {
-                WRONG_RATE => f.widen(SCALE, SCALE_WALK * SCALE_WALK * w.path),
+                WRONG_RATE => f.widen(SCALE, NOISE.scale_walk * NOISE.scale_walk * w.path),
                 SWAYS => sway(f, &w, sways),
                 _ => (),
             }
@@ -130,13 +138,13 @@ impl BendFilter {
 /// base; while they move it may be either.
 fn sway(f: &mut KalmanState, w: &Window, rate2: f64) {
     if w.still_n == w.samples {
-        f.fade(BASE, (-w.length_s / SWAY_MEAN_S).exp());
+        f.fade(BASE, (-w.length_s / NOISE.sway_mean_s).exp());
         for i in 0..3 {
             f.x[BASE + i] -= w.turned[i];
         }
-        f.widen(BASE, SWAY_CREEP * SWAY_CREEP * w.length_s);
+        f.widen(BASE, NOISE.sway_creep * NOISE.sway_creep * w.length_s);
     } else {
-        f.fade(BASE, (-w.length_s / SWAY_BACK_S).exp());
-        f.widen(BASE, 2.0 * SWAY_TIME_S * rate2 * w.length_s);
+        f.fade(BASE, (-w.length_s / NOISE.sway_back_s).exp());
+        f.widen(BASE, 2.0 * NOISE.sway_time_s * rate2 * w.length_s);
     }
 }

@@ -5,7 +5,7 @@
 //! after the event tell the two apart: after a mere spike they are where the filter predicts them.
 //!
 //! A normalised innovation squared `ε² = |v − v̂|² / E|v − v̂|²` (1 on average) of either vector beyond
-//! [`NIS_GATE`] within [`TEST_S`] of the rejected rate confirms a jump. The orientation then follows
+//! [`NIS_GATE`] within 0.4 s of the rejected rate confirms a jump. The orientation then follows
 //! from measurements that do not depend on its past, with the sensor errors as estimated before,
 //!
 //! `min over θ of Σ |w − Exp(θ) v|² / σ_v² + (c β − ψ)² / σ_ψ²`,
@@ -20,11 +20,17 @@ use super::laws::Twist;
 use super::state::BendFilter;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-/// Time after a rejected rate in which gravity and field are tested, s, and the time between two tests, s.
-const TEST_S: f64 = 0.4;
-const TEST_PERIOD_S: f64 = 0.02;
-/// Angle of a jump, rad, 1 σ.
-const JUMP_RAD: f64 = 1.0;
+crate::constants! {
+    /// The test for a jump.
+    const JUMP: JumpConstants;
+    /// Time after a rejected rate in which gravity and field are tested, s.
+    test_s = 0.4;
+    /// Time between two tests, s.
+    period_s = 0.02;
+    /// Angle of a jump, rad, 1 σ.
+    size_rad = 1.0;
+}
+
 /// Gauss-Newton steps.
 const STEPS: usize = 6;
 
@@ -43,14 +49,14 @@ struct Sight {
 impl BendFilter {
     /// Starts the test for a jump.
     pub(super) fn start_jump_test(&mut self) {
-        self.reacquisition.testing_s = TEST_S;
+        self.reacquisition.testing_s = JUMP.test_s;
     }
 
     /// Time between two corrections, s.
     pub(super) fn period_s(&self) -> f64 {
         let period_s = self.config.correction_period_s;
         if self.reacquisition.testing_s > 0.0 {
-            period_s.min(TEST_PERIOD_S)
+            period_s.min(JUMP.period_s)
         } else {
             period_s
         }
@@ -110,12 +116,12 @@ impl BendFilter {
 
     /// Finds the orientation that explains the averaged readings, and its covariance.
     fn reacquire(&mut self, sights: &[Option<Sight>; 2]) {
-        let mut covariance = Matrix3::identity() * (JUMP_RAD * JUMP_RAD);
+        let mut covariance = Matrix3::identity() * (JUMP.size_rad * JUMP.size_rad);
         let mut turn = UnitQuaternion::identity();
         let before = self.s;
         for _ in 0..STEPS {
             // normal equations, whose rows are weighted by their variance
-            let mut a = Matrix3::identity() / (JUMP_RAD * JUMP_RAD);
+            let mut a = Matrix3::identity() / (JUMP.size_rad * JUMP.size_rad);
             let mut b = Vector3::zeros();
             let mut add = |row: Vector3<f64>, residual: f64, variance: f64| {
                 a += row * row.transpose() / variance;

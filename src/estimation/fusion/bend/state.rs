@@ -9,27 +9,32 @@ use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::filter::{TipEstimator, TipSample};
 use crate::estimation::fusion::health::KnownErrors;
 use crate::model::Bend;
-use crate::primitives::{Base, Rotation, Tip};
+use crate::primitives::{Base, LIKELY_SIGMAS, Rotation, SURE_SIGMAS, Tip};
 use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
-/// Initial uncertainty of the orientation, rad, 1 σ: zero by definition, but not singular.
-const START_SIGMA_RAD: f64 = 1e-3;
-/// Drift of the gyroscope bias during alignment, rad/s, 1 σ, beyond the error of its mean.
-const BIAS_START_SIGMA_RAD_S: f64 = 2e-4;
-/// Error of the field during alignment, µT, 1 σ, beyond that of the bias.
-const FIELD_START_SIGMA_UT: f64 = 0.02;
-/// Field NIS from which the field counts as disturbed: two standard deviations.
-pub(super) const FIELD_NIS_MAX: f64 = 4.0;
-/// Rate by which the tip may turn unobserved, rad/s (60 °/s), 1 σ, and the largest such angle, rad.
-const UNOBSERVED_RAD_S: f64 = 1.0;
-const UNOBSERVED_MAX_RAD: f64 = 0.3;
-/// Tilt that the tip's sag explains, rad (1.7°), and twist of the tip as a share of c that passes for a tilt.
-const SAG_TILT_RAD: f64 = 0.03;
-const TILT_PER_TWIST: f64 = 0.9;
-/// Standard deviations of the estimated sensor errors by which the limits of the sensor monitor are widened.
-const MARGIN_SIGMAS: f64 = 3.0;
-/// Angle by which a chip that is glued straight is askew about each axis, rad (0.3°), 1 σ.
-const GLUED_SIGMA_RAD: f64 = 0.0055;
+crate::constants! {
+    /// What is expected of a tip beside the settings of the filter; 1 σ where nothing else is said.
+    const PRIOR: Prior;
+    /// Initial uncertainty of the orientation, rad: zero by definition, but not singular.
+    turn_rad = 1e-3;
+    /// Drift of the gyroscope bias during alignment, rad/s, beyond the error of its mean.
+    gyro_bias_rad_s = 2e-4;
+    /// Error of the field during alignment, µT, beyond that of the bias.
+    field_ut = 0.02;
+    /// Rate by which the tip may turn unobserved, rad/s (60 °/s).
+    unobserved_rad_s = 1.0;
+    /// Largest angle by which it may, rad.
+    unobserved_max_rad = 0.3;
+    /// Tilt that the tip's sag explains, rad (1.7°).
+    sag_tilt_rad = 0.03;
+    /// Twist of the tip as a share of c that passes for a tilt.
+    tilt_per_twist = 0.9;
+    /// Angle by which a chip that is glued straight is askew about each axis, rad (0.3°).
+    glued_rad = 0.0055;
+}
+
+/// Field NIS from which the field counts as disturbed.
+pub(super) const FIELD_NIS_MAX: f64 = LIKELY_SIGMAS * LIKELY_SIGMAS;
 
 /// Test for a jump of the tip after a rejected rate; see [`super::reacquisition`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -104,13 +109,13 @@ impl BendFilter {
     pub fn new(config: &BendFilterConfig, alignment: &Alignment) -> Self {
         let mut sigma = [0.0; N];
         let mean = alignment.gyro_sigma_rad_s / f64::from(alignment.samples.max(1)).sqrt();
-        sigma[..GYRO].fill(START_SIGMA_RAD);
-        sigma[GYRO..ACC].fill(mean + BIAS_START_SIGMA_RAD_S);
+        sigma[..GYRO].fill(PRIOR.turn_rad);
+        sigma[GYRO..ACC].fill(mean + PRIOR.gyro_bias_rad_s);
         sigma[ACC..MAG].fill(config.acc_bias_sigma_m_s2);
         sigma[MAG..TWIST].fill(config.mag_bias_sigma_ut);
         sigma[TWIST] = config.twist_sigma;
         sigma[MOUNT..BASE].fill(config.mount_sigma_rad);
-        sigma[FIELD..SCALE].fill(FIELD_START_SIGMA_UT);
+        sigma[FIELD..SCALE].fill(PRIOR.field_ut);
         sigma[SCALE..].fill(config.gyro_scale_sigma);
         let field_ut = alignment.mag_rest_ut.map_or(0.0, |m| m.norm());
         let mut filter = Self {
@@ -176,9 +181,9 @@ impl BendFilter {
     pub fn known_errors(&self) -> KnownErrors {
         KnownErrors {
             acc_bias_m_s2: self.acc_bias,
-            acc_margin_m_s2: MARGIN_SIGMAS * self.sigma_of(ACC),
+            acc_margin_m_s2: SURE_SIGMAS * self.sigma_of(ACC),
             iron_ut: self.mag_bias,
-            iron_margin_ut: MARGIN_SIGMAS * self.sigma_of(MAG),
+            iron_margin_ut: SURE_SIGMAS * self.sigma_of(MAG),
         }
     }
     /// Largest standard deviation of three entries from `at` on.
@@ -248,7 +253,9 @@ impl BendFilter {
         let mean = self.bank.mean();
         self.variances = self.bank.variances(&mean);
         let size = self.tilt.norm();
-        let explained = SAG_TILT_RAD.hypot(TILT_PER_TWIST * self.twist_per_bend);
+        let explained = PRIOR
+            .sag_tilt_rad
+            .hypot(PRIOR.tilt_per_twist * self.twist_per_bend);
         let askew = 1.0 - (explained / size.max(1e-9)).powi(2).min(1.0);
         let mount = self.tilt.push(0.0) * askew;
         self.derived.mount = UnitQuaternion::from_scaled_axis(mount);
@@ -256,9 +263,10 @@ impl BendFilter {
         let turn = self.bank.turn_covariance(&mean);
         let r = self.r_base_tip();
         let by_mount = Matrix3::identity() - r.quat().to_rotation_matrix().into_inner();
-        let glued2 = GLUED_SIGMA_RAD * GLUED_SIGMA_RAD;
+        let glued2 = PRIOR.glued_rad * PRIOR.glued_rad;
         let across = |i: usize| glued2 + askew * self.variances[i];
-        let beyond = size - (SAG_TILT_RAD * SAG_TILT_RAD / size.max(SAG_TILT_RAD)).min(size);
+        let beyond = size
+            - (PRIOR.sag_tilt_rad * PRIOR.sag_tilt_rad / size.max(PRIOR.sag_tilt_rad)).min(size);
         let about_z = glued2 + beyond * beyond;
         let mounts =
             Matrix3::from_diagonal(&Vector3::new(across(MOUNT), across(MOUNT + 1), about_z));
@@ -281,7 +289,7 @@ impl TipEstimator for BendFilter {
     }
 
     fn recover(&mut self, sample: &TipSample) {
-        self.widen((sample.dt_s * UNOBSERVED_RAD_S).min(UNOBSERVED_MAX_RAD));
+        self.widen((sample.dt_s * PRIOR.unobserved_rad_s).min(PRIOR.unobserved_max_rad));
         (self.window, self.field_nis) = (Window::default(), 1.0);
         self.velocity_m_s = None;
         // many short steps instead of a long one, because the corrections are large
@@ -291,7 +299,9 @@ impl TipEstimator for BendFilter {
     /// Over a gap the rate is interpolated. With an angular acceleration of at most α_max the rotation deviates from
     /// that by up to `α_max gap²/4`, taken as three standard deviations.
     fn widen_for_gap(&mut self, acceleration_max_rad_s2: f64, gap_s: f64) {
-        self.widen((acceleration_max_rad_s2 * gap_s * gap_s / 12.0).min(gap_s * UNOBSERVED_RAD_S));
+        self.widen(
+            (acceleration_max_rad_s2 * gap_s * gap_s / 12.0).min(gap_s * PRIOR.unobserved_rad_s),
+        );
     }
 
     fn r_base_tip(&self) -> Rotation<Base, Tip> {

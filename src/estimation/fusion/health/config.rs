@@ -31,61 +31,38 @@ parameters! {
     /// Reaction to each cause while it is present: `skip` omits the sample, `gravity_only` omits the magnetometer,
     /// `coast_on_gyro` integrates the gyroscope alone for `for_s` seconds and then holds, `hold` stops the pistons. A milder
     /// policy keeps the tip moving at the price of a larger error; `hold` is always safe.
-    pub struct Policies: Copy {
+    pub struct Policies: Copy by HealthCause -> Policy {
         /// A transfer that was not acknowledged: one lost sample costs one period.
-        nack: Policy = Policy::Skip;
+        nack of Nack: Policy = Policy::Skip;
         /// A transfer that ended early.
-        short_read: Policy = Policy::Skip;
+        short_read of ShortRead: Policy = Policy::Skip;
         /// A bus on which every transfer fails: there is no attitude to control with.
-        stuck_bus: Policy = Policy::Hold;
+        stuck_bus of StuckBus: Policy = Policy::Hold;
         /// A chip that is not the configured one: its numbers have another meaning.
-        wrong_id: Policy = Policy::Hold;
+        wrong_id of WrongId: Policy = Policy::Hold;
         /// A chip that lost its settings; the pistons hold until it is set up again.
-        brown_out: Policy = Policy::Hold;
+        brown_out of BrownOut: Policy = Policy::Hold;
         /// A chip that repeats its reading while the tip may move.
-        frozen: Policy = Policy::Hold;
+        frozen of Frozen: Policy = Policy::Hold;
         /// A value that is not a number. Whatever the policy, it never reaches a filter.
-        not_finite: Policy = Policy::Skip;
+        not_finite of NotFinite: Policy = Policy::Skip;
         /// A single implausible sample.
-        spike: Policy = Policy::Skip;
+        spike of Spike: Policy = Policy::Skip;
         /// A gyroscope at the end of its range: the rotation is unknown while it lasts.
-        saturated: Policy = Policy::Hold;
+        saturated of Saturated: Policy = Policy::Hold;
         /// Samples that come late or not at all; `blind_max_s` limits how long.
-        stale_timestamp: Policy = Policy::Skip;
+        stale_timestamp of StaleTimestamp: Policy = Policy::Skip;
         /// A clock that jumps: the sample would be integrated over a wrong time.
-        jumping_timestamp: Policy = Policy::Skip;
+        jumping_timestamp of JumpingTimestamp: Policy = Policy::Skip;
         /// A magnetometer that overflows.
-        mag_overflow: Policy = Policy::GravityOnly;
+        mag_overflow of MagOverflow: Policy = Policy::GravityOnly;
         /// A magnetometer without new values.
-        mag_silent: Policy = Policy::GravityOnly;
+        mag_silent of MagSilent: Policy = Policy::GravityOnly;
         /// A field that differs from the one at rest.
-        field_disturbed: Policy = Policy::GravityOnly;
+        field_disturbed of FieldDisturbed: Policy = Policy::GravityOnly;
         /// An accelerometer that measures more than gravity: a knock passes within 5 s, in which a corrected gyroscope drifts
         /// by less than a degree.
-        accel_disturbed: Policy = Policy::CoastOnGyro { for_s: 5.0 };
-    }
-}
-
-impl Policies {
-    /// The policy for a cause.
-    pub fn of(&self, cause: HealthCause) -> Policy {
-        match cause {
-            HealthCause::Nack => self.nack,
-            HealthCause::ShortRead => self.short_read,
-            HealthCause::StuckBus => self.stuck_bus,
-            HealthCause::WrongId => self.wrong_id,
-            HealthCause::BrownOut => self.brown_out,
-            HealthCause::Frozen => self.frozen,
-            HealthCause::NotFinite => self.not_finite,
-            HealthCause::Spike => self.spike,
-            HealthCause::Saturated => self.saturated,
-            HealthCause::StaleTimestamp => self.stale_timestamp,
-            HealthCause::JumpingTimestamp => self.jumping_timestamp,
-            HealthCause::MagOverflow => self.mag_overflow,
-            HealthCause::MagSilent => self.mag_silent,
-            HealthCause::FieldDisturbed => self.field_disturbed,
-            HealthCause::AccelDisturbed => self.accel_disturbed,
-        }
+        accel_disturbed of AccelDisturbed: Policy = Policy::CoastOnGyro { for_s: 5.0 };
     }
 }
 

@@ -103,10 +103,6 @@ impl SensorMonitor {
     pub fn verdict(&self) -> Option<HealthVerdict> {
         self.verdict
     }
-    fn in_force(&self) -> CauseSet {
-        let in_force = |cause: &HealthCause| self.track(*cause).since.is_some();
-        HealthCause::ALL.into_iter().filter(in_force).collect()
-    }
     fn track(&self, cause: HealthCause) -> &Track {
         &self.tracks[cause as usize]
     }
@@ -120,24 +116,24 @@ impl SensorMonitor {
     ) -> HealthVerdict {
         let shaken = self.track(HealthCause::AccelDisturbed).since.is_some();
         let found = self.checks.inspect(config, now.0, reading, shaken);
-        let (raised, recovered) = self.update_tracks(config, now.0, &found);
-        let verdict = self.apply_policies(config, now.0, reading, found.faults);
-        *self.verdict.insert(HealthVerdict {
-            raised,
-            recovered,
+        let mut verdict = HealthVerdict {
+            faults: found.faults,
             confirmed: found.confirmed,
-            ..verdict
-        })
+            ..HealthVerdict::default()
+        };
+        self.update_tracks(config, now.0, &found, &mut verdict);
+        self.apply_policies(config, now.0, reading, &mut verdict);
+        *self.verdict.insert(verdict)
     }
 
-    /// Advances the track of every cause by one reading; returns the causes raised and those cleared.
+    /// Advances the track of every cause by one reading, and notes the causes raised and those cleared.
     fn update_tracks(
         &mut self,
         config: &HealthConfig,
         now: f64,
         found: &Findings,
-    ) -> (CauseSet, CauseSet) {
-        let (mut raised, mut cleared) = (CauseSet::EMPTY, CauseSet::EMPTY);
+        verdict: &mut HealthVerdict,
+    ) {
         for cause in HealthCause::ALL {
             let track = &mut self.tracks[cause as usize];
             if found.faults.contains(cause) {
@@ -147,17 +143,16 @@ impl SensorMonitor {
                     let soon = track.cleared.is_some_and(|at| now - at < RETURN_S);
                     let again = track.returns.saturating_add(1);
                     track.returns = if soon { again } else { 0 };
-                    raised.insert(cause);
+                    verdict.raised.insert(cause);
                 }
             } else if track.since.is_some() && found.tested.contains(cause) {
                 track.good += 1;
                 if track.good >= readings_to_clear(config, cause, track.returns) {
                     (track.since, track.cleared) = (None, Some(now));
-                    cleared.insert(cause);
+                    verdict.recovered.insert(cause);
                 }
             }
         }
-        (raised, cleared)
     }
 
     /// Applies the policies of all causes in force to the reading.
@@ -166,43 +161,39 @@ impl SensorMonitor {
         config: &HealthConfig,
         now: f64,
         reading: &ImuReading,
-        faults: CauseSet,
-    ) -> HealthVerdict {
-        let sample = reading.sample();
-        let (mut gyro, mut acc, mut hold) = (sample.is_some(), sample.is_some(), false);
-        let mut mag = sample.is_some_and(|s| s.mag_ut.is_some());
-        let in_force = self.in_force();
-        for cause in in_force.iter() {
+        verdict: &mut HealthVerdict,
+    ) {
+        let (sample, faults) = (reading.sample(), verdict.faults);
+        verdict.gyro = sample.is_some();
+        verdict.acc = sample.is_some();
+        verdict.mag = sample.is_some_and(|s| s.mag_ut.is_some());
+        let in_force = |cause: &HealthCause| self.track(*cause).since.is_some();
+        verdict.in_force = HealthCause::ALL.into_iter().filter(in_force).collect();
+        for cause in verdict.in_force.iter() {
             let since = self.track(cause).since.unwrap_or(now);
             match config.policy.of(cause) {
-                Policy::Skip => gyro &= !faults.contains(cause),
-                Policy::GravityOnly => mag = false,
+                Policy::Skip => verdict.gyro &= !faults.contains(cause),
+                Policy::GravityOnly => verdict.mag = false,
                 Policy::CoastOnGyro { for_s } => {
-                    (acc, mag) = (false, false);
-                    hold |= now - since > for_s;
+                    (verdict.acc, verdict.mag) = (false, false);
+                    verdict.hold |= now - since > for_s;
                 }
                 Policy::Hold => {
-                    hold = true;
-                    gyro &= !faults.contains(cause);
+                    verdict.hold = true;
+                    verdict.gyro &= !faults.contains(cause);
                 }
             }
         }
-        gyro &= !faults.contains(HealthCause::NotFinite); // under any policy: it would corrupt the filter
+        // under any policy: it would corrupt the filter
+        verdict.gyro &= !faults.contains(HealthCause::NotFinite);
         let used = *self.used_s.get_or_insert(now);
-        let blind = !gyro && now - used > config.blind_max_s;
-        if gyro {
+        verdict.blind = !verdict.gyro && now - used > config.blind_max_s;
+        if verdict.gyro {
             self.used_s = Some(now);
         }
-        HealthVerdict {
-            gyro,
-            acc: acc && gyro,
-            mag: mag && gyro,
-            hold: hold || blind,
-            blind,
-            faults,
-            in_force,
-            ..HealthVerdict::default()
-        }
+        verdict.acc &= verdict.gyro;
+        verdict.mag &= verdict.gyro;
+        verdict.hold |= verdict.blind;
     }
 }
 

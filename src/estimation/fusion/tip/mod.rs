@@ -13,7 +13,7 @@
 mod tracking;
 mod types;
 
-pub use types::{FuseConfig, FusionInput, TipEstimate};
+pub use types::{FuseConfig, FusionInput, STILL_AFTER_S, TipEstimate};
 
 use crate::estimation::fusion::align::{AlignState, Alignment};
 use crate::estimation::fusion::base::BaseTracker;

@@ -17,8 +17,6 @@ use nalgebra::{Matrix2, Vector2, Vector3};
 const REMEMBERED_SIGMA_RAD: f64 = 0.035;
 /// Share of the longest blind time after which a base IMU that repeats itself is stuck.
 const FROZEN_SHARE: f64 = 0.4;
-/// Longest gap that is integrated, in sampling periods.
-const BRIDGED_PERIODS: f64 = 6.0;
 
 /// Rates that were rejected as spikes since the last used sample. They are used after all if the next readings
 /// confirm them.
@@ -126,7 +124,7 @@ impl Tracker {
         if self.rejected.until_s.is_some() && !verdict.confirmed {
             self.estimator.suspect_jump();
         }
-        if gap_s <= (BRIDGED_PERIODS * period_s).max(self.limits.jump_max_s) {
+        if gap_s <= self.limits.jump_max_s {
             if gap_s - period_s > 0.5 * period_s && !verdict.confirmed {
                 self.estimator
                     .widen_for_gap(self.limits.angular_acceleration_max_rad_s2, gap_s);

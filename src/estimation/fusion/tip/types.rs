@@ -48,6 +48,9 @@ pub struct TipEstimate {
     pub disagreement_rad: f64,
 }
 
+/// Time since the last step of any motor after which the tip counts as still, s: longer than its slowest lag.
+pub const STILL_AFTER_S: f64 = 0.5;
+
 /// Input of the fusion at one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FusionInput {
@@ -59,6 +62,6 @@ pub struct FusionInput {
     pub base: Option<ImuSample>,
     /// Field of the motor coils in the base frame, µT; zero where it is not known.
     pub coils_ut: Vector3<f64>,
-    /// The pistons have stood still for a while.
+    /// The pistons have stood still for [`STILL_AFTER_S`].
     pub still: bool,
 }
