@@ -22,12 +22,12 @@ use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::{HOLD_S, paper};
 use retroflex::model::Shape;
+use retroflex::motion::machine::Machine;
 use retroflex::primitives::units::{Mm, Seconds, Steps};
 use retroflex::service::rt_loop::{LoopFrame, RestartNote};
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::sim::Sim;
 use retroflex::simulation::world::World;
-use retroflex::supervisor::machine::Machine;
 use rtrb::RingBuffer;
 use std::sync::Arc;
 

@@ -3,7 +3,7 @@
 use crate::control::learning::batch::Unidentifiable;
 use crate::diagnosis::tip::observed::ObserveError;
 use crate::log::error::ReadError;
-use crate::supervisor::MachineError;
+use crate::simulation::MachineError;
 use thiserror::Error;
 
 /// Why an experiment failed.

@@ -12,9 +12,9 @@ use crate::experiment::rig::Rig;
 use crate::experiment::schedule::{DIRECTIONS, arrivals, paper};
 use crate::experiment::track::{self, TrackResult};
 use crate::model::{DescribedMachine, nominal_theta};
+use crate::simulation::MachineError;
 use crate::simulation::described::Described;
 use crate::simulation::world::World;
-use crate::supervisor::MachineError;
 use serde::Serialize;
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! Motion: from target piston positions to the exact instants of the microsteps.
+//! Motion: from target piston positions to the exact instants of the microsteps, and the trait [`Machine`] of whatever makes them.
 //!
 //! One move takes this path:
 //!
@@ -31,6 +31,7 @@ pub mod follow;
 pub mod histogram;
 pub mod limits;
 pub mod lines;
+pub mod machine;
 pub mod plan;
 pub mod pulse;
 pub mod queue;
@@ -43,6 +44,7 @@ pub mod stop;
 
 pub use histogram::Histogram;
 pub use lines::{EmergencyStop, Inputs, Levels, PulseTiming};
+pub use machine::{Alarm, Gauges, Machine, MachineError, MachineInfo, Sensed};
 pub use pulse::{PulseAction, StepCore};
 pub use report::{StepperFault, StepperMode, StepperOrder, StepperReport};
 pub use stop::Stop;

@@ -5,12 +5,10 @@
 //! sample and its request, and the queue does not run empty when the loop is late. A world takes the counts that are made
 //! by the end of each period.
 
-use crate::motion::Inputs;
-use crate::motion::{Drive, DriveLimits};
+use crate::motion::{Drive, DriveLimits, Inputs, Machine, MachineError, MachineInfo, Sensed};
 use crate::primitives::{ImuReading, Seconds, Steps};
 use crate::simulation::stepper::SimulatedStepper;
 use crate::simulation::world::World;
-use crate::supervisor::{Machine, MachineError, MachineInfo, Sensed};
 
 /// Largest number of periods that the world advances in one cycle of a late loop.
 const CATCH_UP_MAX: u64 = 2000;

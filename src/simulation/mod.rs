@@ -8,3 +8,5 @@ mod rate_check;
 pub mod sim;
 pub mod stepper;
 pub mod world;
+
+pub use crate::motion::{Machine, MachineError, MachineInfo, Sensed};

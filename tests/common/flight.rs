@@ -5,12 +5,12 @@ use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::{show, source};
 use retroflex::drill::bench::{Bench, BenchConfig};
+use retroflex::motion::machine::Machine;
 use retroflex::service::flight::file::FlightFile;
 use retroflex::service::flight::start::{Event, Logged, hash};
 use retroflex::service::start::{RunConfig, Start};
 use retroflex::service::store::Belief;
 use retroflex::supervisor::cycle::order::Order;
-use retroflex::supervisor::machine::Machine;
 use std::path::Path;
 use std::sync::Arc;
 

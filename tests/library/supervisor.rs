@@ -12,6 +12,7 @@ use retroflex::control::tick::RestartState;
 use retroflex::drill::bench::{Bench, BenchConfig};
 use retroflex::model::Shape;
 use retroflex::model::bend::Bend;
+use retroflex::motion::machine::Alarm;
 use retroflex::primitives::units::{Mm, Seconds, Steps};
 use retroflex::service::status;
 use retroflex::simulation::lockstep::Lockstep;
@@ -22,7 +23,6 @@ use retroflex::supervisor::cycle::order::{Order, Refusal};
 use retroflex::supervisor::cycle::runner::Runner;
 use retroflex::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
 use retroflex::supervisor::gate::{SafeState, TripCause};
-use retroflex::supervisor::machine::Alarm;
 use retroflex::supervisor::mode::Mode;
 
 /// An order to bend, degrees.

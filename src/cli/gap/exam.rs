@@ -3,8 +3,8 @@
 mod simulator;
 
 use crate::cli::{ResultFile, inputs, output};
-use crate::diagnosis::exam::run::run as answer_all;
-use crate::diagnosis::exam::{Answer, ExamScore, Question, questions, score};
+use crate::experiment::exam::run::run as answer_all;
+use crate::experiment::exam::{Answer, ExamScore, Question, questions, score};
 use crate::model::effects::by_catalogue;
 use crate::report::exam::summary;
 use crate::simulation::plant::effect_names;

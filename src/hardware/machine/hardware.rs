@@ -7,9 +7,11 @@ use crate::hardware::machine::sensor::{ImuSection, Sensor, slowness};
 use crate::hardware::pins::{self, PinsConfig};
 use crate::hardware::rt::monotonic_ns;
 use crate::hardware::stepper::Stepper;
-use crate::motion::{Drive, DriveLimits, EmergencyStop, StepGenerator, StepperConfig};
+use crate::motion::{
+    Drive, DriveLimits, EmergencyStop, Machine, MachineError, MachineInfo, Sensed, StepGenerator,
+    StepperConfig,
+};
 use crate::primitives::{ImuReading, Seconds, Steps};
-use crate::supervisor::{Machine, MachineError, MachineInfo, Sensed};
 
 /// Configuration of a machine made of hardware.
 #[derive(Debug, Clone)]

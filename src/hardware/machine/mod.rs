@@ -1,5 +1,5 @@
 //! The machine made of hardware: step thread, IMU threads and input lines behind
-//! [`crate::supervisor::machine::Machine`].
+//! [`crate::motion::machine::Machine`].
 //!
 //! ```text
 //!  loop ──turn(now, wanted)──▶ Drive ─ Motion ─ ring ─▶ step thread ──▶ pins      position =

@@ -10,7 +10,7 @@
 
 use crate::config::calib::Calibration;
 use crate::config::source;
-use crate::diagnosis::exam::{Logs, Question, Recorded, record};
+use crate::experiment::exam::{Logs, Question, Recorded, record};
 use crate::log::bend_log::BendLog;
 use crate::model::Line;
 use crate::model::effects::by_catalogue;

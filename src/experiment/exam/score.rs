@@ -1,7 +1,7 @@
 //! Scores of an exam.
 
-use crate::diagnosis::exam::{Answer, Content, Question};
 use crate::diagnosis::verdict::{Verdict, VerdictKind};
+use crate::experiment::exam::{Answer, Content, Question};
 use crate::model::effects::by_name;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
