@@ -22,5 +22,5 @@ pub use limits::ActuatorLimits;
 pub use path::Path;
 pub use tick::{
     FeedbackConfig, Frame, Input, LoopConfig, LoopState, Reference, RestartRest, RestartState,
-    TickPhase,
+    SETTLED_DEG, TickPhase,
 };

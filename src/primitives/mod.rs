@@ -1,6 +1,7 @@
-//! Units, frames, samples and the parameter table: the vocabulary of every other room.
+//! Units, frames, samples, the parameter table and text files: the vocabulary of every other room.
 
 pub mod check;
+pub mod file;
 pub mod frames;
 pub mod parameters;
 pub mod sample;

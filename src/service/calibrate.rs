@@ -1,7 +1,7 @@
 //! Calibration of the transmission while the service runs: [`Algorithm1`], driven by the frames of the running loop. The
 //! short form is one pass with the present calibration as prior.
 
-use crate::experiment::identify::{Algorithm1, Identified, Next, PASSES_MAX};
+use crate::control::learning::identify::{Algorithm1, Identified, Next, PASSES_MAX};
 use crate::supervisor::{CycleOutput, Mode};
 use nalgebra::Vector3;
 
@@ -65,7 +65,7 @@ impl Session {
             }
             State::Hold => {
                 let next = self.algorithm.step(&output.frame, &piston_mm, output.dt_s);
-                match next.map_err(|e| e.to_string())? {
+                match next.map_err(|e| format!("identification: {e}"))? {
                     Next::Done(Identified {
                         converged: false, ..
                     }) => Err(format!(

@@ -1,7 +1,6 @@
 //! Data for the IMU calibration: samples of a recording or a live sensor, and what a bend log adds to them.
 
 use crate::cli::output;
-use crate::estimation::imu_calibration::from_log;
 use crate::hardware::imu::{self, ChipConfig, Imu};
 use crate::log::bend_log;
 use crate::log::recording;
@@ -17,7 +16,7 @@ use std::path::Path;
 /// A report that names file, line and column.
 pub fn from_file(file: &Path) -> Result<Vec<ImuSample>> {
     let all = match bend_log::read(file) {
-        Ok(log) => from_log::samples(&log),
+        Ok(log) => log.samples(),
         // without bend-log columns the file may be an IMU recording
         Err(e) if e.lacking.is_some() => {
             let recording = recording::read(file).into_diagnostic()?;

@@ -1,7 +1,7 @@
 //! What comes from the loop: frames and answers.
 
 use super::{Hub, Pending, unix_s};
-use crate::experiment::identify::{Identified, Next};
+use crate::control::learning::identify::{Identified, Next};
 use crate::service::flight::start::{Event, Logged};
 use crate::service::memory::RecordedFault;
 use crate::service::rt_loop::{ANSWER_MAX_S, Answer};
