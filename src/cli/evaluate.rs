@@ -4,8 +4,7 @@ pub mod args;
 mod studies;
 
 use crate::cli::{gap, inputs, logging, output};
-use crate::config::{Board, Calibration, PlantSection, assemble, source};
-use crate::control::LoopConfig;
+use crate::config::{Board, Calibration, LoopConfig, PlantSection, assemble, source};
 use crate::experiment::arm::ArmResult;
 use crate::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose, Track};
 use crate::experiment::path;

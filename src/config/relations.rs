@@ -5,7 +5,6 @@ use crate::config::{Board, Header, PlantSection};
 use crate::hardware::machine::ImuSection;
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{Backend, PinsConfig};
-use crate::motion::stop::longest_stop_mm;
 use crate::primitives::{Check, Checker, Invalid, Parameters, Table, join, shown};
 use crate::simulation::plant::PlantError;
 use crate::supervisor::commission::homing::HomingMethod;
@@ -117,7 +116,7 @@ fn motion(board: &Board, to: &mut Checker) {
     if motion.validate().is_err() {
         return;
     }
-    let (stop_mm, travel_mm) = (longest_stop_mm(&motion), board.limits.travel_mm);
+    let (stop_mm, travel_mm) = (motion.longest_stop_mm(), board.limits.travel_mm);
     let problem = format!(
         "a stop from full speed takes {stop_mm:.2} mm, more than the travel of {travel_mm} mm"
     );

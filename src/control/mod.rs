@@ -15,6 +15,7 @@ pub mod rule;
 pub mod saturation;
 pub mod tick;
 
+pub use crate::estimation::fusion::health::{CauseSet, HealthCause};
 pub use calm::CalmConfig;
 pub use dynamics::{Dynamics, DynamicsPrior};
 pub use follow::Pace;

@@ -15,6 +15,8 @@ pub mod mode;
 pub mod residual_monitor;
 pub mod suspicion;
 
+pub use crate::control::{HealthCause, Path, RestartState};
+pub use crate::model::{Bend, Shape};
 pub use crate::motion::{Alarm, Machine, MachineError, MachineInfo, Sensed};
 pub use cycle::order::{BEND_MAX_RAD, Order, Refusal};
 pub use cycle::runner::Runner;

@@ -4,10 +4,9 @@ use crate::cli::inputs;
 use crate::config::source;
 use crate::config::supervisor::assemble;
 use crate::config::{Board, Calibration, Gains};
-use crate::control::DynamicsPrior;
 use crate::diagnosis::tip::SavedModel;
 use crate::estimation::fusion::estimator::EstimatorName;
-use crate::model::{DescribedMachine, Line};
+use crate::model::DescribedMachine;
 use crate::primitives::Check;
 use crate::service::flight::start::Header;
 use crate::supervisor::SupervisorConfig;
@@ -51,8 +50,8 @@ pub struct Settings {
     pub gains: Gains,
     /// The calibration.
     pub calibration: Calibration,
-    /// Lines and dynamics that were in use instead of those of the calibration.
-    learned: Option<([Line; 3], DynamicsPrior)>,
+    /// The lines and dynamics of the log's header are in use instead of those of the calibration.
+    learned: bool,
     feedforward: Option<Arc<DescribedMachine>>,
 }
 
@@ -81,7 +80,7 @@ impl Settings {
             feedforward: model.map(|model| inputs::described_by(name, &model, &board)),
             gains: text(gains)?,
             calibration: text(calibration)?,
-            learned: Some((header.lines, header.dynamics)),
+            learned: true,
             board,
         })
     }
@@ -92,8 +91,8 @@ impl Settings {
         if let Some(machine) = &self.feedforward {
             config.tick = config.tick.fed_forward(Arc::clone(machine));
         }
-        if let Some(learned) = self.learned {
-            (config.tick.lines, config.tick.dynamics) = learned;
+        if self.learned {
+            (config.tick.lines, config.tick.dynamics) = (header.lines, header.dynamics);
         }
         config
     }
@@ -106,11 +105,11 @@ impl Settings {
         self.gains = args.gains.as_deref().map_or(Ok(self.gains), source::read)?;
         self.gains.fuse.filter = args.filter.unwrap_or(self.gains.fuse.filter);
         if let Some(path) = &args.calib {
-            (self.calibration, self.learned) = (source::read(path)?, None);
+            (self.calibration, self.learned) = (source::read(path)?, false);
         }
         if let Some(path) = &args.feedforward {
             self.feedforward = Some(inputs::described(path, &self.board)?);
-            self.learned = None;
+            self.learned = false;
         }
         Ok(self)
     }
