@@ -1,6 +1,7 @@
 //! `retroflex bench rt`: timing of the step thread on this machine.
 
 use crate::cli::{inputs, manual_motion, output, within};
+use crate::hardware::StepperMode;
 use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
 use crate::hardware::pins::{self, Backend, PinsConfig};
 use crate::report::table;
@@ -119,7 +120,7 @@ fn shown(bench: &RtBench) -> String {
     for (name, grant) in &bench.status {
         let _ = write!(text, "\n{name}: {grant}");
     }
-    if let Some(fault) = bench.fault() {
+    if let StepperMode::Faulted(fault) = report.mode {
         let _ = write!(text, "\nFAULT: {fault}");
     }
     text
@@ -167,7 +168,11 @@ mod tests {
         let pins = Counting::default();
         let bench = bench_rt::run(&config, pins.clone()).unwrap();
         let steps = bench.steps.report.lateness.count();
-        assert!(steps > 300 && bench.fault().is_none(), "{}", shown(&bench));
+        assert!(
+            steps > 300 && !matches!(bench.steps.report.mode, StepperMode::Faulted(_)),
+            "{}",
+            shown(&bench)
+        );
         assert_eq!(pins.1.load(Ordering::Relaxed), 2 * steps);
         let table = shown(&bench);
         for words in [

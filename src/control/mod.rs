@@ -16,6 +16,7 @@ pub mod saturation;
 pub mod tick;
 
 pub use crate::estimation::fusion::health::{CauseSet, HealthCause};
+pub use crate::model::{Drive, Geometry, Line, Side};
 pub use calm::CalmConfig;
 pub use dynamics::{Dynamics, DynamicsPrior};
 pub use follow::Pace;

@@ -12,7 +12,7 @@ use crate::motion::Motion;
 use crate::motion::queue::SyncStatus;
 use crate::motion::{
     EmergencyStop, Histogram, Inputs, Levels, MotionLimits, StepGenerator, StepperConfig,
-    StepperFault, StepperMode,
+    StepperMode,
 };
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
@@ -197,16 +197,9 @@ impl Drop for Load {
 }
 
 impl RtBench {
-    /// The fault of the step thread, if it had one.
-    pub fn fault(&self) -> Option<StepperFault> {
-        match self.steps.report.mode {
-            StepperMode::Faulted(fault) => Some(fault),
-            _ => None,
-        }
-    }
-
     /// Whether no step was late enough to be a fault and no underrun occurred.
     pub fn is_good(&self) -> bool {
-        self.fault().is_none() && self.steps.report.underruns == 0
+        !matches!(self.steps.report.mode, StepperMode::Faulted(_))
+            && self.steps.report.underruns == 0
     }
 }

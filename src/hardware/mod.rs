@@ -10,4 +10,6 @@ pub mod rt;
 pub mod stepper;
 pub mod supply;
 
-pub use crate::motion::{DriveLimits, EmergencyStop, Levels, MotionLimits, StepperConfig};
+pub use crate::motion::{
+    DriveLimits, EmergencyStop, Levels, MotionLimits, StepperConfig, StepperMode,
+};

@@ -2,13 +2,13 @@
 //! short form is one pass with the present calibration as prior.
 
 use crate::control::learning::identify::{Algorithm1, Identified, Next, PASSES_MAX};
+use crate::model::Drive;
 use crate::supervisor::{CycleOutput, Mode};
-use nalgebra::Vector3;
 
 /// A calibration in progress.
 #[derive(Debug, Clone)]
 pub struct Session {
-    step_mm: f64,
+    drive: Drive,
     algorithm: Algorithm1,
     state: State,
 }
@@ -26,9 +26,9 @@ enum State {
 
 impl Session {
     /// A session that waits for the mode `calibrating`.
-    pub fn new(algorithm: Algorithm1, step_mm: f64) -> Self {
+    pub fn new(algorithm: Algorithm1, drive: Drive) -> Self {
         Self {
-            step_mm,
+            drive,
             algorithm,
             state: State::Mode,
         }
@@ -52,7 +52,7 @@ impl Session {
                 _ => Err(format!("mode {} ended the calibration", output.mode)),
             };
         }
-        let piston_mm = Vector3::from(output.counted.0.map(|n| f64::from(n) * self.step_mm));
+        let piston_mm = self.drive.piston_mm(&output.counted);
         match self.state {
             State::Mode => {
                 self.state = State::Pose;

@@ -18,7 +18,7 @@ use crate::service::protocol::{
 use crate::service::rt_loop::Precondition;
 use crate::service::start::with_gains;
 use crate::service::{Caller, Change, Failure, Request};
-use crate::supervisor::{BEND_MAX_RAD, Mode, Order, SupervisorConfig};
+use crate::supervisor::{BEND_MAX_RAD, Mode, Order};
 use serde_json::{Value, json};
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -305,11 +305,11 @@ impl Hub {
                 "not while {mode}: `retroflex arm` first and wait until the tip holds"
             ));
         }
-        let SupervisorConfig { tick, gate, .. } = &self.config.supervisor;
+        let tick = &self.config.supervisor.tick;
         let round = Round::new(tick.geometry, poses);
         let from_zero = [Line::default(); 3];
         let algorithm = Algorithm1::new(round, from_zero, prior, tick.dynamics);
-        self.calibration = Some(Session::new(algorithm, gate.step_mm));
+        self.calibration = Some(Session::new(algorithm, tick.drive));
         self.calibration_failed = None;
         self.order(Order::Calibrate(true), caller.clone());
         Ok(None)
