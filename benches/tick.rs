@@ -16,18 +16,17 @@ use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::control::tick::{Frame, Input, LoopConfig, LoopState, tick};
-use retroflex::drill::bench::BenchConfig;
 use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::{HOLD_S, paper};
 use retroflex::model::Shape;
+use retroflex::motion::machine::Machine;
 use retroflex::primitives::units::{Mm, Seconds, Steps};
 use retroflex::service::rt_loop::LoopFrame;
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::sim::Sim;
 use retroflex::simulation::world::World;
-use retroflex::supervisor::machine::Machine;
 use rtrb::RingBuffer;
 use std::sync::Arc;
 
@@ -130,11 +129,8 @@ fn one_tick_fed_forward(bencher: Bencher<'_, '_>) {
 #[divan::bench(sample_count = 200)]
 fn handing_over_a_cycle(bencher: Bencher<'_, '_>) {
     const CYCLES: usize = 4000;
-    let config = BenchConfig {
-        board: common::twin(),
-        calibration: Calibration::default(),
-        gains: Gains::default(),
-    };
+    let (calibration, gains) = (Calibration::default(), Gains::default());
+    let config = common::bench(&common::twin(), &calibration, &gains);
     let mut bench = config.bench(1, 1).unwrap();
     let output = bench.turn(None).unwrap();
     let frame = LoopFrame {

@@ -13,7 +13,7 @@ use flate2::write::GzEncoder;
 use rand::rngs::StdRng;
 use rand::{Rng, RngExt, SeedableRng};
 use rayon::prelude::*;
-use retroflex::diagnosis::exam::{Content, Question};
+use retroflex::experiment::exam::{Content, Question};
 use retroflex::log::bend_log::BendLog;
 use retroflex::service::record::{HEADER, write_values};
 use retroflex::simulation::plant::effect_names;

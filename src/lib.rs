@@ -5,16 +5,16 @@
 //!
 //! | room | contents | may use |
 //! |---|---|---|
-//! | [`primitives`] | units, frames, samples, parameters | nothing |
+//! | [`primitives`] | units, frames, samples, parameters, text files | files |
 //! | [`model`] | paper, Eq. 1-17, forward beside inverse; the effects, one physical cause a file | nothing |
 //! | [`log`] | bend logs and IMU recordings | files |
-//! | [`motion`] | from wanted piston positions to the instants of microsteps | nothing |
-//! | [`estimation`] | fusion, alignment, sensor health, IMU calibration, filter scores | nothing |
+//! | [`motion`] | from wanted piston positions to the instants of microsteps; the `Machine` trait | nothing |
+//! | [`estimation`] | fusion, alignment, sensor health, IMU calibration | nothing |
 //! | [`control`] | feedback, limits, backlash, learning, and the whole loop in [`control::tick`] | nothing |
-//! | [`supervisor`] | modes, safety gate, orders, residual monitor, commissioning, the `Machine` trait | nothing |
+//! | [`supervisor`] | modes, safety gate, orders, residual monitor, commissioning | nothing |
 //! | [`simulation`] | the built-in plant and the plant link | child processes |
 //! | [`diagnosis`] | sim-to-real gap: observe, fit, search, score, decide | threads |
-//! | [`experiment`] | the paper's protocol, identification, evaluation, sweep and ablation | threads |
+//! | [`experiment`] | the paper's protocol, identification, evaluation, sweep and ablation; filter scores and the exam of the diagnosis | threads |
 //! | [`report`] | words, tables, SVG and HTML | nothing |
 //! | [`hardware`] | IMU drivers, pins, step thread, clock, real-time set-up | devices |
 //! | [`config`] | TOML in, validated domain types out | files |

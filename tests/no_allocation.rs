@@ -15,10 +15,10 @@ use retroflex::experiment::schedule::paper;
 use retroflex::model::arc::Shape;
 use retroflex::model::bend::Bend;
 use retroflex::model::transmission::Line;
+use retroflex::motion::machine::Machine;
 use retroflex::primitives::units::{Mm, Rad, Seconds};
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::world::World;
-use retroflex::supervisor::machine::Machine;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 

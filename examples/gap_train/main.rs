@@ -2,7 +2,7 @@
 //! `cargo run --release --example gap_train -- --cases cases.jsonl --out posterior.toml`.
 //!
 //! Units run the catalogue's laws, each multiplied by a random function of the pistons and the time, with small effects of every kind
-//! beside them, or a random law that the catalogue lacks. The exam (`retroflex::diagnosis::exam`) asks about the built-in plant, which has
+//! beside them, or a random law that the catalogue lacks. The exam (`retroflex::experiment::exam`) asks about the built-in plant, which has
 //! laws of its own. With `--map`, random rigs ([`rig`]) train the probabilities of other rigs.
 
 mod case;

@@ -7,7 +7,7 @@ use rand::rngs::StdRng;
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_distr::StandardNormal;
-use retroflex::diagnosis::exam::{Recorded, difference_deg, record};
+use retroflex::experiment::exam::{Recorded, difference_deg, record};
 use retroflex::log::bend_log::BendLog;
 use retroflex::model::effects::{Effect, Param, by_name, catalogue};
 use retroflex::model::{DescribedMachine, Geometry, Line, RestReadings, nominal_theta};

@@ -1,9 +1,9 @@
 //! `retroflex bench rt`: timing of the step thread on this machine.
 
 use crate::cli::{inputs, manual_motion, output, within};
+use crate::hardware::StepperMode;
 use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
 use crate::hardware::pins::{self, Backend, PinsConfig};
-use crate::motion::StepperMode;
 use crate::report::table;
 use clap::builder::TypedValueParser;
 use miette::{IntoDiagnostic, Result, bail};

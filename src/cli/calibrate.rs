@@ -7,11 +7,12 @@ use crate::cli::client::follow::{TransmissionArgs, transmission};
 use crate::cli::{Refused, ResultFile, output, within};
 use crate::config::{MOTORS_IDLE_AFTER_S, calib, source};
 use crate::estimation::imu_calibration::{
-    ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, from_log, gyro, mag, motor,
+    ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, driven, gyro, mag, motor,
     mount, still,
 };
 use crate::hardware::imu::{self, ChipConfig, Imu};
-use crate::log::{bend_log, recording};
+use crate::log::bend_log::{self, BendLog};
+use crate::log::recording;
 use crate::primitives::{ImuSample, Seconds};
 use embedded_hal::delay::DelayNs;
 use linux_embedded_hal::{Delay, I2cdev};
@@ -130,22 +131,8 @@ fn identify(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Resul
         Step::Gyro => gyro_bias(&read()?, from, into),
         Step::Accel => accel_bias(&read()?, from, into),
         Step::Mag => hard_iron(&read()?, from, into),
-        Step::Motors => motor::fit(&from_log::of_motors(&log()?, MOTORS_IDLE_AFTER_S), from).map(|fit| {
-            let strongest = fit.field.cos_ut.iter().chain(&fit.field.sin_ut).map(|r| Vector3::from(*r).norm()).fold(0.0, f64::max);
-            into.motor_field = Some(fit.field);
-            let coverage = 100.0 * fit.coverage.into_iter().fold(1.0, f64::min);
-            format!("motor fields up to {strongest:.2} µT, residual {:.2} µT, {coverage:.0} % of the coil cycle covered", fit.residual_ut)
-        }),
-        Step::Mount => mount::from_bends(&from_log::bends(&log()?)).map(|fit| {
-            into.set_mount(&fit, from);
-            format!(
-                "sensor rotated by {:.2}° against the tip, ± {}°, from {} bends, {:.2}° out of their plane",
-                fit.r_tip_sensor.quat().angle().to_degrees(),
-                list(fit.sigma_rad.map(f64::to_degrees), 2),
-                fit.bends,
-                fit.out_of_plane_rad.to_degrees()
-            )
-        }),
+        Step::Motors => motor_fields(&log()?, from, into),
+        Step::Mount => mount_angle(&log()?, from, into),
     })
 }
 
@@ -190,6 +177,31 @@ fn hard_iron(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibratio
     ))
 }
 
+fn motor_fields(log: &BendLog, from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
+    let readings = driven::of_motors(&log.samples(), &log.piston_mm, MOTORS_IDLE_AFTER_S);
+    let fit = motor::fit(&readings, from)?;
+    let fields = fit.field.cos_ut.iter().chain(&fit.field.sin_ut);
+    let strongest = fields.map(|r| Vector3::from(*r).norm()).fold(0.0, f64::max);
+    into.motor_field = Some(fit.field);
+    let coverage = 100.0 * fit.coverage.into_iter().fold(1.0, f64::min);
+    Ok(format!(
+        "motor fields up to {strongest:.2} µT, residual {:.2} µT, {coverage:.0} % of the coil cycle covered",
+        fit.residual_ut
+    ))
+}
+
+fn mount_angle(log: &BendLog, from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
+    let fit = mount::from_bends(&driven::bends(&log.samples(), &log.command))?;
+    into.set_mount(&fit, from);
+    Ok(format!(
+        "sensor rotated by {:.2}° against the tip, ± {}°, from {} bends, {:.2}° out of their plane",
+        fit.r_tip_sensor.quat().angle().to_degrees(),
+        list(fit.sigma_rad.map(f64::to_degrees), 2),
+        fit.bends,
+        fit.out_of_plane_rad.to_degrees()
+    ))
+}
+
 fn list(v: Vector3<f64>, digits: usize) -> String {
     format!("{:.digits$} {:.digits$} {:.digits$}", v.x, v.y, v.z)
 }
@@ -205,7 +217,7 @@ pub(crate) fn today() -> String {
 /// A report that names file, line and column.
 fn from_file(file: &Path) -> Result<Vec<ImuSample>> {
     let all = match bend_log::read(file) {
-        Ok(log) => from_log::samples(&log),
+        Ok(log) => log.samples(),
         // without bend-log columns the file may be an IMU recording
         Err(e) if e.lacking.is_some() => {
             let recording = recording::read(file).into_diagnostic()?;

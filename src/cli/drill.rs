@@ -2,12 +2,15 @@
 
 use crate::cli::{ResultFile, inputs, output, within};
 use crate::config::Gains;
+use crate::config::supervisor::assemble;
 use crate::drill::bench::BenchConfig;
 use crate::drill::process::{self, Harm};
 use crate::drill::row::FaultResult;
 use crate::drill::run::{Allowance, fly};
 use crate::drill::{list, soak};
 use crate::service::{Memory, Store};
+use crate::simulation::sim::Sim;
+use crate::simulation::world::World;
 use miette::{IntoDiagnostic, Result, bail};
 use serde_json::json;
 use std::ffi::OsString;
@@ -57,11 +60,11 @@ pub struct Args {
 /// A report about the input.
 pub fn run(args: &Args) -> Result<bool> {
     // the simulated machine of the paper with the paper's calibration
-    let config = BenchConfig {
-        board: inputs::board(None)?,
-        calibration: inputs::calibration(None)?,
-        gains: Gains::default(),
-    };
+    let (board, calibration) = (inputs::board(None)?, inputs::calibration(None)?);
+    let plant = board.plant.clone().unwrap_or_default();
+    let sim = Sim::new(&plant, 0, 0, plant.period_s).into_diagnostic()?;
+    let supervisor = assemble(&board, &calibration, &Gains::default(), sim.info());
+    let config = BenchConfig { plant, supervisor };
     if let Some(folder) = &args.exercise {
         let done = process::exercise(&config, folder, args.harm);
         done.map_err(std::io::Error::other).into_diagnostic()?;

@@ -1,8 +1,7 @@
 //! `retroflex evaluate`: the paper's experiment on a plant; `--sweep` and `--ablate`: studies on the built-in plant.
 
 use crate::cli::{ResultFile, gap, inputs, logging, output};
-use crate::config::{Board, Calibration, Gains, PlantSection, assemble, source};
-use crate::control::LoopConfig;
+use crate::config::{Board, Calibration, Gains, LoopConfig, PlantSection, assemble, source};
 use crate::experiment::ablation::{self, AblationRow, MECHANISMS};
 use crate::experiment::arm::ArmResult;
 use crate::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose, Track};

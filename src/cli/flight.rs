@@ -1,6 +1,6 @@
 //! Flight logs as the commands read and write them.
 
-use crate::log::error::why_unreadable;
+use crate::primitives::file::why_unreadable;
 use crate::service::flight::file::{FlightFile, io_error};
 use crate::service::flight::read::{Ending, parse};
 use crate::service::record::flight_path;

@@ -2,7 +2,7 @@
 
 use crate::cli::{ResultFile, output};
 use crate::estimation::fusion::FilterName;
-use crate::estimation::score::{self, FileScore, Score};
+use crate::experiment::score::{self, FileScore, Score};
 use miette::{IntoDiagnostic, Result};
 use std::path::PathBuf;
 

@@ -5,6 +5,7 @@
 use crate::config::Calibration;
 use crate::hardware::rt;
 use crate::primitives::Parameters;
+use crate::primitives::file::is_irregular;
 pub use crate::report::table::table;
 use clap::ArgMatches;
 use indicatif::{ProgressBar, ProgressFinish, ProgressStyle};
@@ -197,7 +198,7 @@ pub fn check(results: &[(&str, &Path)], inputs: &[&Path]) -> Result<()> {
             let folder = folder_of(path).display();
             bail!("--{option} {file}: the folder {folder} does not exist; create it first");
         }
-        if path.is_file() || !path.exists() {
+        if !is_irregular(path) {
             let probe = beside(path);
             let made = std::fs::File::create(&probe).and_then(|_| std::fs::remove_file(&probe));
             made.map_err(|e| {
@@ -318,7 +319,7 @@ pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
         return Ok(());
     }
     // pipes and devices are written in place
-    if path.exists() && !path.is_file() {
+    if is_irregular(path) {
         return std::fs::write(path, content).map_err(|e| miette!("{}: {e}", path.display()));
     }
     let beside = beside(path);

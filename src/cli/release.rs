@@ -2,10 +2,10 @@
 //! service has failed for good, because the drivers otherwise stay energised with nobody in control.
 
 use crate::cli::{inputs, manual_motion, output};
+use crate::hardware::Levels;
 use crate::hardware::machine::HardwareError;
 use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt;
-use crate::motion::Levels;
 use miette::{IntoDiagnostic, Result, bail};
 use signal_hook::iterator::Signals;
 use std::path::PathBuf;

@@ -181,7 +181,7 @@ impl Replay<'_> {
                 }
             }
             Event::Path(t_s, rows) => {
-                let path = crate::control::path::Path::new(t_s.clone(), rows.clone()).map(Box::new);
+                let path = crate::supervisor::Path::new(t_s.clone(), rows.clone()).map(Box::new);
                 for supervisor in self.supervisor.iter_mut().chain(&mut self.altered) {
                     supervisor.load(&mut path.clone());
                 }

@@ -8,7 +8,7 @@ use crate::control::ActuatorLimits;
 use crate::hardware::machine::{GaugeConfig, ImuSection, MachineConfig};
 use crate::hardware::pins::PinsConfig;
 use crate::hardware::pressure::PressureSection;
-use crate::motion::{DriveLimits, EmergencyStop, MotionLimits, StepperConfig};
+use crate::hardware::{DriveLimits, EmergencyStop, MotionLimits, StepperConfig};
 use crate::parameters;
 use crate::simulation::plant::PlantConfig;
 use crate::supervisor::commission::homing::HomingConfig;

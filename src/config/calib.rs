@@ -1,9 +1,8 @@
 //! Calibration files: what this tip is.
 
 use crate::control::learning::batch::Prior;
-use crate::control::{Dynamics, DynamicsPrior};
+use crate::control::{Dynamics, DynamicsPrior, Line};
 use crate::estimation::imu_calibration::ImuCalibration;
-use crate::model::Line;
 use crate::parameters;
 use crate::primitives::{Check, Checker, Parameters, Table, join};
 use time::Date;

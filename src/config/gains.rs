@@ -3,10 +3,9 @@
 use crate::control::observer::{ObserverConfig, PeriodicConfig};
 use crate::control::obstruction::ObstructionConfig;
 use crate::control::refine::RefineConfig;
-use crate::control::{CalmConfig, FeedbackConfig, Pace};
+use crate::control::{CalmConfig, FeedbackConfig, Pace, Side};
 use crate::estimation::fusion::health::{HealthCause, Policy};
 use crate::estimation::fusion::tip::FuseConfig;
-use crate::model::Side;
 use crate::parameters;
 use crate::primitives::{Check, Checker, Parameters, Table};
 

@@ -20,14 +20,13 @@ pub mod show;
 pub mod source;
 pub mod supervisor;
 
+pub use crate::control::LoopConfig;
 pub use board::{Board, PlantSection};
 pub use calib::{Calibration, DynamicsSection, TransmissionSection};
 pub use gains::Gains;
 pub use pressure_bound::PressureBound;
 pub use sections::Header;
 pub use service::ServiceSection;
-
-use crate::control::LoopConfig;
 
 /// Puts the three files together into what [`crate::control::tick::tick`] runs on.
 pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> LoopConfig {

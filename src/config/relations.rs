@@ -5,7 +5,6 @@ use crate::config::{Board, Header, PlantSection};
 use crate::hardware::machine::ImuSection;
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{Backend, PinsConfig};
-use crate::motion::stop::longest_stop_mm;
 use crate::primitives::{Check, Checker, Invalid, Parameters, Table, join, shown};
 use crate::supervisor::commission::homing::HomingMethod;
 
@@ -113,7 +112,7 @@ fn motion(board: &Board, to: &mut Checker) {
             .holds(lead_ms * 1e-3 >= period_s, &problem)
             .hint("two turns of machine.period_s are a good lead");
     }
-    let (stop_mm, travel_mm) = (longest_stop_mm(&motion), board.limits.travel_mm);
+    let (stop_mm, travel_mm) = (motion.longest_stop_mm(), board.limits.travel_mm);
     let problem = format!(
         "a stop from full speed takes {stop_mm:.2} mm, more than the travel of {travel_mm} mm"
     );

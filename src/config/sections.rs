@@ -1,6 +1,6 @@
 //! The tables of a board file that describe the machine.
 
-use crate::model::{Drive, Geometry};
+use crate::control::{Drive, Geometry};
 use crate::{choices, parameters};
 
 choices! {

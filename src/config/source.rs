@@ -11,8 +11,7 @@
 use crate::config::message::plain;
 use crate::config::place::{key_at, span_of, value_of};
 use crate::config::shipped;
-use crate::log::error::why_unreadable;
-use crate::log::table::text;
+use crate::primitives::file::{is_irregular, text, why_unreadable};
 use crate::primitives::{Check, Checker, Invalid, shown};
 use miette::{Diagnostic, NamedSource, SourceSpan};
 use serde::de::DeserializeOwned;
@@ -190,7 +189,7 @@ fn layers(name: &str, text: &str) -> Result<Vec<Layer>, ConfigError> {
             None if base.ends_with(".toml") => {
                 let path = Path::new(&layer.name).with_file_name(base);
                 // a running service reads its gains again, and a pipe would keep it waiting
-                if path.exists() && !path.is_file() {
+                if is_irregular(&path) {
                     let problem = format!("base: `{base}` is no regular file");
                     return Err(wrong(problem, "name a file of this kind"));
                 }

@@ -1,7 +1,6 @@
 //! The files together, as the supervisor needs them.
 
 use crate::config::{Board, Calibration, Gains};
-use crate::model::Drive;
 use crate::supervisor::{MachineInfo, SupervisorConfig};
 
 /// Board, calibration and gains for a machine.
@@ -13,9 +12,7 @@ pub fn assemble(
 ) -> SupervisorConfig {
     let mut tick = super::assemble(board, calibration, gains);
     // the machine's own step and rest length take the board's place
-    tick.drive = Drive {
-        step_mm: info.step_mm,
-    };
+    tick.drive.step_mm = info.step_mm;
     tick.geometry.rest_length_mm = info.rest_length_mm;
     let gate = board.safety.gate(&tick, info.period_s);
     SupervisorConfig {

@@ -15,6 +15,8 @@ pub mod rule;
 pub mod saturation;
 pub mod tick;
 
+pub use crate::estimation::fusion::health::{CauseSet, HealthCause};
+pub use crate::model::{Drive, Geometry, Line, Side};
 pub use calm::CalmConfig;
 pub use dynamics::{Dynamics, DynamicsPrior};
 pub use follow::Pace;
@@ -22,5 +24,5 @@ pub use limits::ActuatorLimits;
 pub use path::Path;
 pub use tick::{
     FeedbackConfig, Frame, Input, LoopConfig, LoopState, Reference, RestartRest, RestartState,
-    TickPhase,
+    SETTLED_DEG, TickPhase,
 };

@@ -3,15 +3,14 @@
 //! A log is a [`problem`]: effects that may act in it, and how well each set of them explains parts of it that its fit has not seen.
 //! [`search()`](search::search) fits the sets ([`candidates`]), [`verdict`] gives every statement about the log a probability and takes the
 //! most probable, and [`diagnose()`](diagnose::diagnose) is the whole way to the document. A log of a bending [`tip`] is one such problem, a
-//! log of any other [`rig`] with one output another. [`fleet`] compares many units, [`excite`] designs schedules, and [`exam`] tests the
-//! diagnosis on the built-in plant.
+//! log of any other [`rig`] with one output another. [`plausibility`] refuses a log whose units or wiring cannot be right. [`fleet`] compares many units, and [`excite`] designs schedules.
 
 pub mod candidates;
 pub mod diagnose;
-pub mod exam;
 pub mod excite;
 pub mod fleet;
 pub mod judgement;
+pub mod plausibility;
 pub mod problem;
 pub mod rig;
 pub mod search;

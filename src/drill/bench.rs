@@ -1,16 +1,12 @@
 //! A supervisor on a simulated plant, with fault injection at sensor, lines and clock.
 
-use crate::config::supervisor::assemble;
-use crate::config::{Board, Calibration, Gains};
-use crate::control::RestartState;
-use crate::model::{Bend, Shape};
 use crate::primitives::{Base, ImuReading, Mm, ReadFault, Rotation, Seconds, Steps, Tip};
 use crate::simulation::lockstep::Lockstep;
-use crate::simulation::plant::{Plant, PlantError};
+use crate::simulation::plant::{Plant, PlantConfig, PlantError};
 use crate::simulation::sim::Sim;
 use crate::supervisor::{
-    Alarm, CycleOutput, Machine, MachineError, MachineInfo, Order, Runner, Sensed, Supervisor,
-    SupervisorConfig,
+    Alarm, Bend, CycleOutput, Machine, MachineError, MachineInfo, Order, RestartState, Runner,
+    Sensed, Shape, Supervisor, SupervisorConfig,
 };
 
 /// A simulated machine with fault injection.
@@ -100,12 +96,10 @@ impl Machine for FaultyMachine {
 /// The configuration of a bench.
 #[derive(Debug, Clone)]
 pub struct BenchConfig {
-    /// Board with a plant.
-    pub board: Board,
-    /// Calibration of that plant.
-    pub calibration: Calibration,
-    /// Gains.
-    pub gains: Gains,
+    /// The plant.
+    pub plant: PlantConfig,
+    /// The supervisor on it.
+    pub supervisor: SupervisorConfig,
 }
 
 /// A supervisor and a machine in simulated time.
@@ -122,25 +116,19 @@ pub struct Bench {
 }
 
 impl BenchConfig {
-    /// A simulated unit of the board's plant, without faults; `unit` and `noise` are seeds.
+    /// A simulated unit of the plant, without faults; `unit` and `noise` are seeds.
     ///
     /// # Errors
     /// [`PlantError`].
     pub fn machine(&self, unit: u64, noise: u64) -> Result<FaultyMachine, PlantError> {
-        let section = self.board.plant.clone().unwrap_or_default();
-        let sim = Sim::new(&section, unit, noise, section.period_s)?;
+        let sim = Sim::new(&self.plant, unit, noise, self.plant.period_s)?;
         Ok(FaultyMachine {
-            inner: Lockstep::new(sim, &self.board.drive_limits()),
+            inner: Lockstep::new(sim, &self.supervisor.tick.motion),
             bus: None,
             stamp_offset_s: 0.0,
             emergency_stop: false,
             alarm: None,
         })
-    }
-
-    /// The configuration of its supervisor.
-    pub fn supervisor(&self, info: &MachineInfo) -> SupervisorConfig {
-        assemble(&self.board, &self.calibration, &self.gains, info)
     }
 
     /// A bench at rest before the alignment.
@@ -158,11 +146,10 @@ impl BenchConfig {
         restart: Option<RestartState>,
         now_s: f64,
     ) -> Bench {
-        let config = self.supervisor(machine.info());
         Bench {
             now_s,
             period_s: machine.info().period_s,
-            runner: Runner::new(machine, Supervisor::new(config, restart)),
+            runner: Runner::new(machine, Supervisor::new(self.supervisor.clone(), restart)),
             straight: None,
             truth: None,
         }

@@ -4,11 +4,11 @@ use crate::drill::bench::bend;
 use crate::drill::spec::Bound::{self, Brakes, Continues, Copes, Freezes, Holds};
 use crate::drill::spec::Detector::{self, Trip};
 use crate::drill::spec::{Injection, Spec};
-use crate::estimation::fusion::health::HealthCause;
-use crate::model::{Bend, Shape};
 use crate::primitives::{Mm, ReadFault as Read};
 use crate::simulation::plant::{BURST_PER_S, ImuFaults, Plant};
-use crate::supervisor::{Alarm, Mode, Order, Refusal, SuspicionKind, TripCause};
+use crate::supervisor::{
+    Alarm, Bend, HealthCause, Mode, Order, Refusal, Shape, SuspicionKind, TripCause,
+};
 
 /// Channel of the faults that concern one channel.
 const CHANNEL: usize = 1;

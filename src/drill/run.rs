@@ -102,11 +102,11 @@ pub fn fly(
     row.steps_allowed = steps_allowed;
     let mut config = config.clone();
     if spec.mode == Mode::Faulted {
-        config.board.safety.on.emergency_stop = SafeState::Relax;
+        config.supervisor.gate.on.emergency_stop = SafeState::Relax;
     }
-    if let (Some(sway_deg), Some(plant)) = (spec.base_sway_deg, &mut config.board.plant) {
-        plant.base.imu = true;
-        let motion = plant.effects.base_motion.get_or_insert_default();
+    if let Some(sway_deg) = spec.base_sway_deg {
+        config.plant.base.imu = true;
+        let motion = config.plant.effects.base_motion.get_or_insert_default();
         (motion.sway_deg, motion.axis) = (sway_deg, SWAY_AXIS);
     }
     let mut bench = config.bench(0, 1)?;

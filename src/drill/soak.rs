@@ -51,9 +51,9 @@ pub fn run(
     let mut rng = StdRng::seed_from_u64(seed);
     let mut specs = specs();
     specs.retain(|spec| spec.base_sway_deg.is_none());
-    let prior = config.calibration.transmission.k_epsilon;
+    let prior = config.supervisor.tick.lines.map(|line| line.k_epsilon);
     let mut soak = Soak {
-        gain_allowed: config.gains.refine.range,
+        gain_allowed: config.supervisor.tick.refine.range,
         ..Soak::default()
     };
     let mut errors: Vec<f64> = Vec::new();

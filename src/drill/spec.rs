@@ -1,11 +1,12 @@
 //! One fault in flight: how it is injected, what must detect it, and what is allowed afterwards.
 
 use crate::drill::bench::Bench;
-use crate::estimation::fusion::health::{CauseSet, HealthCause};
 use crate::named;
 use crate::primitives::ReadFault;
 use crate::simulation::plant::Plant;
-use crate::supervisor::{Alarm, CycleOutput, Mode, Order, Refusal, SuspicionKind, TripCause};
+use crate::supervisor::{
+    Alarm, CauseSet, CycleOutput, HealthCause, Mode, Order, Refusal, SuspicionKind, TripCause,
+};
 
 /// Longest time until a detection unless a row states its own, s: the whole observation.
 const WITHIN_S: f64 = 7.0;

@@ -1,5 +1,4 @@
-//! Orientation of the tip from IMU samples, calibration of the IMU, and scores of orientation filters.
+//! Orientation of the tip from IMU samples, and calibration of the IMU.
 
 pub mod fusion;
 pub mod imu_calibration;
-pub mod score;

@@ -2,12 +2,12 @@
 //! sweep.
 
 use crate::control::LoopConfig;
+use crate::control::learning::schedule::HOLD_S;
 use crate::estimation::fusion::estimator::EstimatorName;
 use crate::estimation::fusion::registry::FilterName;
 use crate::experiment::arm::{percentile, root_mean};
 use crate::experiment::error::ExperimentError;
 use crate::experiment::evaluation::Arm;
-use crate::experiment::schedule::HOLD_S;
 use crate::experiment::sweep::{Condition, Study, rows};
 use rayon::prelude::*;
 use serde::Serialize;

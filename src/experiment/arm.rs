@@ -3,9 +3,10 @@
 //! The true bend is that of the estimator, [`Bend::nearest`]: where the tip has twisted, half of the twist is in its
 //! direction. The bend angle β is the same in every definition.
 
+use crate::control::SETTLED_DEG;
+use crate::control::learning::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::experiment::error::ExperimentError;
 use crate::experiment::rig::Rig;
-use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::{Bend, Line, Shape};
 use crate::primitives::{Base, Rotation, Tip};
 use serde::Serialize;
@@ -86,9 +87,6 @@ pub struct ArmResult {
     /// The held states.
     pub held: Vec<Held>,
 }
-
-/// Largest bend error of a settled tip, degrees.
-pub const SETTLED_DEG: f64 = 1.0;
 
 /// Runs an arm; `progress` is called after every scored state.
 ///

@@ -9,8 +9,7 @@ use crate::diagnosis::tip::fit::{BLOCKS_S, HeldOut, score, weighted};
 use crate::diagnosis::tip::model::{Motion, Residuals, every_bin, sense};
 use crate::diagnosis::tip::observed::Observed;
 use crate::experiment::error::ExperimentError;
-use crate::model::{Model, nominal_theta};
-use crate::primitives::Steps;
+use crate::model::{Drive, Model, nominal_theta};
 use crate::simulation::world::World;
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3};
 use serde::Serialize;
@@ -66,7 +65,7 @@ pub struct Compared {
 /// [`ExperimentError`]: the world fails, or does not tell how its tip is oriented.
 pub fn drive(world: &mut dyn World, log: &Observed) -> Result<Motion, ExperimentError> {
     let (period_s, step_mm) = (world.info().period_s, world.info().step_mm);
-    let start_s = log.start_s();
+    let (rack, start_s) = (Drive { step_mm }, log.start_s());
     let (mut motion, mut row, mut n) = (Motion::with_capacity(log.instants.len()), 0, 0.0);
     let mut before: Option<UnitQuaternion<f64>> = None;
     while motion.len() < log.instants.len() {
@@ -76,10 +75,7 @@ pub fn drive(world: &mut dyn World, log: &Observed) -> Result<Motion, Experiment
         while next(row).is_some_and(|next| next.t_s - start_s <= t_s) {
             row += 1;
         }
-        let counted = log.rows[row]
-            .piston_mm
-            .map(|mm| (mm / step_mm).round() as i32);
-        let reply = world.step(&Steps([counted.x, counted.y, counted.z]))?;
+        let reply = world.step(&rack.steps(&log.rows[row].piston_mm))?;
         let now = reply.truth.ok_or(ExperimentError::NoReference)?.quat();
         let last = before.replace(now).unwrap_or(now);
         while let Some(at_s) = log.instants.get(motion.len()).map(|i| i.t_s - start_s) {

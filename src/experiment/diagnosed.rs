@@ -9,8 +9,8 @@ use crate::experiment::error::ExperimentError;
 use crate::experiment::rig::Rig;
 use crate::log::bend_log::{BendLog, ImuColumns};
 use crate::model::{Bend, DescribedMachine, Shape};
+use crate::simulation::Sensed;
 use crate::simulation::world::World;
-use crate::supervisor::Sensed;
 use nalgebra::Vector3;
 
 /// Time of a row of the log, s.

@@ -3,7 +3,7 @@
 use crate::control::learning::batch::Unidentifiable;
 use crate::diagnosis::tip::observed::ObserveError;
 use crate::log::error::ReadError;
-use crate::supervisor::MachineError;
+use crate::simulation::MachineError;
 use thiserror::Error;
 
 /// Why an experiment failed.
@@ -22,21 +22,9 @@ pub enum ExperimentError {
         "the plant gives no `ref`, the true orientation of its tip, which it is judged by; it must answer with \"ref\":{{\"quat\":[w,x,y,z]}}"
     )]
     NoReference,
-    /// The data do not determine the gains.
+    /// The data do not determine the gains, or none that can be.
     #[error("identification: {0}")]
     Unidentifiable(#[from] Unidentifiable),
-    /// A gain is outside the physical range.
-    #[error(
-        "identification: channel {channel} yields k_ε = {k_epsilon:.2}, k_λ = {k_lambda_mm:.2} mm; k_ε must lie in 0 to 10 and k_λ in 0 to 3 mm. Check that line {channel} reaches bellow {channel} and that the motor turns the right way"
-    )]
-    Unphysical {
-        /// Channel, 1 to 3.
-        channel: usize,
-        /// Estimate.
-        k_epsilon: f64,
-        /// Estimate, mm.
-        k_lambda_mm: f64,
-    },
     /// The log for the diagnosis cannot be diagnosed.
     #[error("arm diagnosed: {0}")]
     Undiagnosed(#[from] ObserveError),

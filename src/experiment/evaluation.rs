@@ -2,19 +2,20 @@
 
 use crate::control::LoopConfig;
 use crate::control::learning::batch::Estimate;
+use crate::control::learning::identify::Identified;
+use crate::control::learning::schedule::{DIRECTIONS, arrivals, paper};
 use crate::diagnosis;
 use crate::experiment::arm::{self, ArmResult};
 use crate::experiment::diagnosed;
 use crate::experiment::error::ExperimentError;
-use crate::experiment::identify::{self, Identified};
+use crate::experiment::identify;
 use crate::experiment::path::PathFile;
 use crate::experiment::rig::Rig;
-use crate::experiment::schedule::{DIRECTIONS, arrivals, paper};
 use crate::experiment::track::{self, TrackResult};
 use crate::model::{DescribedMachine, nominal_theta};
+use crate::simulation::MachineError;
 use crate::simulation::described::Described;
 use crate::simulation::world::World;
-use crate::supervisor::MachineError;
 use serde::Serialize;
 use std::sync::Arc;
 

@@ -1,5 +1,6 @@
 //! The paper's experiment (§V): 120 held states in open and closed loop, and the identification of the gains; over
-//! conditions, with one mechanism off at a time, and along paths.
+//! conditions, with one mechanism off at a time, and along paths. [`exam`] tests the diagnosis on the built-in plant, and
+//! [`score`] the orientation filters on recordings.
 
 pub mod ablation;
 pub mod arm;
@@ -7,10 +8,12 @@ pub mod compare;
 pub mod diagnosed;
 pub mod error;
 pub mod evaluation;
+pub mod exam;
 pub mod identify;
 pub mod path;
-pub mod pose;
 pub mod rig;
-pub mod schedule;
+pub mod score;
 pub mod sweep;
 pub mod track;
+
+pub use crate::control::learning::schedule;

@@ -6,7 +6,7 @@ use crate::model::Shape;
 use crate::primitives::Seconds;
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::world::World;
-use crate::supervisor::{Machine, Sensed};
+use crate::simulation::{Machine, Sensed};
 
 /// Longest duration of the alignment, s.
 const ALIGN_MAX_S: f64 = 20.0;

@@ -7,9 +7,9 @@ use crate::control::LoopConfig;
 use crate::experiment::arm::{ArmResult, percentile, root_mean};
 use crate::experiment::error::ExperimentError;
 use crate::experiment::evaluation::Arm;
+use crate::simulation::MachineError;
 use crate::simulation::plant::PlantConfig;
 use crate::simulation::sim::Sim;
-use crate::supervisor::MachineError;
 use rayon::prelude::*;
 use serde::Serialize;
 

@@ -9,3 +9,7 @@ pub mod pressure;
 pub mod rt;
 pub mod stepper;
 pub mod supply;
+
+pub use crate::motion::{
+    DriveLimits, EmergencyStop, Levels, MotionLimits, StepperConfig, StepperMode,
+};

@@ -62,14 +62,22 @@ pub struct BendLog {
 }
 
 /// Names of the columns; those of an IMU without their prefix.
+impl BendLog {
+    /// The samples of the tip IMU; none if it is not logged.
+    pub fn samples(&self) -> Vec<ImuSample> {
+        let imu = self.imu.as_ref();
+        imu.map_or_else(Vec::new, |imu| imu.samples(&self.t_s).collect())
+    }
+}
+
 const TIME: &str = "time_s";
 const TEMP: &str = "temp_c";
-pub(super) const PISTON: [&str; 3] = ["piston1_mm", "piston2_mm", "piston3_mm"];
-pub(super) const COMMAND: [&str; 3] = ["cmd_bend_deg", "cmd_dir_deg", "cmd_len_mm"];
-pub(super) const PRESSURE: [&str; 3] = ["pressure1_kpa", "pressure2_kpa", "pressure3_kpa"];
-pub(super) const ACC: [&str; 3] = ["acc_x_m_s2", "acc_y_m_s2", "acc_z_m_s2"];
-pub(super) const GYR: [&str; 3] = ["gyr_x_rad_s", "gyr_y_rad_s", "gyr_z_rad_s"];
-pub(super) const MAG: [&str; 3] = ["mag_x_ut", "mag_y_ut", "mag_z_ut"];
+pub(crate) const PISTON: [&str; 3] = ["piston1_mm", "piston2_mm", "piston3_mm"];
+pub(crate) const COMMAND: [&str; 3] = ["cmd_bend_deg", "cmd_dir_deg", "cmd_len_mm"];
+pub(crate) const PRESSURE: [&str; 3] = ["pressure1_kpa", "pressure2_kpa", "pressure3_kpa"];
+pub(crate) const ACC: [&str; 3] = ["acc_x_m_s2", "acc_y_m_s2", "acc_z_m_s2"];
+pub(crate) const GYR: [&str; 3] = ["gyr_x_rad_s", "gyr_y_rad_s", "gyr_z_rad_s"];
+pub(crate) const MAG: [&str; 3] = ["mag_x_ut", "mag_y_ut", "mag_z_ut"];
 const REFERENCE: [&str; 4] = ["ref_qw", "ref_qx", "ref_qy", "ref_qz"];
 /// Beginnings of the columns that an exported flight log has besides: what the loop made of the samples.
 const OF_LOOP: [&str; 5] = ["setpoint_", "estimate_", "belief_", "k_", "mode"];

@@ -1,29 +1,9 @@
 //! Why a table is refused. Every message names the file and, where there is one, the line and the column.
 
 use std::fmt::Display;
-use std::io::ErrorKind;
-use std::path::Path;
 
 /// Longest field that an error shows, characters.
 const SHOWN_MAX: usize = 100;
-
-/// Why a file cannot be read, and what to do, in words that follow its name.
-pub fn why_unreadable(path: &Path, error: &std::io::Error) -> String {
-    match error.kind() {
-        _ if path.is_dir() => "this is a folder, not a file; give the name of a file".to_owned(),
-        ErrorKind::NotFound => "there is no such file; check the path".to_owned(),
-        ErrorKind::PermissionDenied => {
-            "this user has no permission to read the file; change its permissions or its owner"
-                .to_owned()
-        }
-        ErrorKind::FileTooLarge => {
-            "the file is larger than 1 MiB, so it is another file than is expected here".to_owned()
-        }
-        ErrorKind::InvalidData if error.get_ref().is_some() => error.to_string(),
-        ErrorKind::InvalidData => "this is not a text file (not valid UTF-8)".to_owned(),
-        _ => format!("the file cannot be read: {error}"),
-    }
-}
 
 /// A field as an error shows it: without the many digits of a number such as 1e300, and not endless.
 pub(super) fn short(field: &str) -> String {

@@ -15,8 +15,7 @@ use crate::log::bend_log::ImuColumns;
 use crate::log::error::ReadError;
 use crate::log::table::{Schema, Table, median};
 use crate::primitives::{ImuSample, Rotation, Sensor, World};
-use nalgebra::{UnitQuaternion, Vector3};
-use std::f64::consts::FRAC_PI_2;
+use nalgebra::Vector3;
 use std::io::Read;
 use std::path::Path;
 
@@ -94,7 +93,10 @@ fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
     }
     let row = |(k, sample): (usize, ImuSample)| RecordingRow {
         sample,
-        reference: reference.as_ref().and_then(|r| r[k]).map(world_from_enu),
+        reference: reference
+            .as_ref()
+            .and_then(|r| r[k])
+            .map(Rotation::from_enu),
         moving: moving.is_none_or(|m| m[k] == 1.0),
     };
     if table.rows() < ROWS_MIN {
@@ -106,12 +108,6 @@ fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
         name: name.to_string_lossy().into_owned(),
         rows: imu.samples(t).enumerate().map(row).collect(),
     })
-}
-
-/// Turns an orientation from east-north-up to the world frame (north-west-up).
-pub fn world_from_enu(r_enu_sensor: UnitQuaternion<f64>) -> Rotation<World, Sensor> {
-    let r_world_enu = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -FRAC_PI_2);
-    Rotation::assert_frames(r_world_enu * r_enu_sensor)
 }
 
 impl Recording {

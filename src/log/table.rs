@@ -2,7 +2,8 @@
 //!
 //! An empty field or `nan` is a missing value and reads as NaN. Gzip is recognised by its first two bytes.
 
-use crate::log::error::{ReadError, short, why_unreadable};
+use crate::log::error::{ReadError, short};
+use crate::primitives::file::{encoding, why_unreadable};
 use flate2::read::MultiGzDecoder;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use std::fs::File;
@@ -25,43 +26,6 @@ const STEP_MAX_S: f64 = 86_400.0;
 const STEP_MAX_PERIODS: f64 = 1e4;
 /// A clock stands between two rows that are nearer than this share of the median step.
 const STEP_MIN_PERIODS: f64 = 1e-6;
-/// Most bytes of a text that is read as a whole.
-const TEXT_MAX: u64 = 1 << 20;
-
-/// The text of a file that is read as a whole: settings, or a token.
-///
-/// # Errors
-/// The operating system's, or [`io::ErrorKind::FileTooLarge`] above 1 MiB.
-pub fn text(path: &Path) -> io::Result<String> {
-    let (mut bytes, mut start) = (Vec::new(), File::open(path)?.take(TEXT_MAX + 1));
-    if start.read_to_end(&mut bytes)? as u64 > TEXT_MAX {
-        return Err(io::ErrorKind::FileTooLarge.into());
-    }
-    if let Some(problem) = encoding(&bytes) {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, problem));
-    }
-    String::from_utf8(bytes).map_err(|_| io::ErrorKind::InvalidData.into())
-}
-
-/// What is wrong with the encoding of a text that begins with these bytes.
-fn encoding(start: &[u8]) -> Option<&'static str> {
-    let is_text =
-        |byte: u8| byte == b'\t' || byte == b'\n' || byte == b'\r' || (b' '..0x7f).contains(&byte);
-    // without a mark: every other byte of a text is zero
-    let wide = |zero: usize| {
-        let mut pairs = start[..start.len().min(64)].chunks_exact(2);
-        pairs.len() > 2 && pairs.all(|pair| pair[zero] == 0 && is_text(pair[1 - zero]))
-    };
-    if start.starts_with(&[0xff, 0xfe]) || start.starts_with(&[0xfe, 0xff]) || wide(0) || wide(1) {
-        return Some("this is UTF-16 text, as some Windows programs write it; save it as UTF-8");
-    }
-    match std::str::from_utf8(start) {
-        Err(e) if e.error_len().is_some() => Some(
-            "this is not UTF-8 text: perhaps Latin-1 (Windows-1252), or no text at all; save it as UTF-8",
-        ),
-        _ => None,
-    }
-}
 
 /// What is wrong with a header line, if its columns are not separated by commas.
 fn separation(header: &csv::StringRecord) -> Option<&'static str> {
@@ -113,7 +77,7 @@ fn reader(path: &Path) -> io::Result<Box<dyn Read>> {
 }
 
 /// Median of the finite values, the upper one of two; `None` without any.
-pub(super) fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+pub(crate) fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut all: Vec<f64> = values.filter(|v| v.is_finite()).collect();
     let middle = all.len() / 2;
     (!all.is_empty()).then(|| *all.select_nth_unstable_by(middle, f64::total_cmp).1)

@@ -5,7 +5,6 @@
 //! thread with pins, here the step core alone in simulated time.
 
 use crate::motion::queue::Feeder;
-use crate::motion::stop::longest_stop_mm;
 use crate::motion::{
     DriveState, Motion, MotionLimits, MotionState, StepperFault, StepperMode, StepperOrder,
     StepperReport,
@@ -32,7 +31,7 @@ pub struct DriveLimits {
 impl DriveLimits {
     /// The longest way of a piston from the counted position to rest, mm: through the queued motion and the longest stop.
     pub fn braking_mm(&self) -> f64 {
-        self.limits.speed_max_mm_s * self.lead_s + longest_stop_mm(&self.limits)
+        self.limits.speed_max_mm_s * self.lead_s + self.limits.longest_stop_mm()
     }
 
     /// Time from an order to brake until the mean of the deceleration begins, s: the queued motion and half the time in

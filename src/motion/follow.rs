@@ -9,7 +9,7 @@
 
 use crate::motion::plan::{Plan, PlanFault};
 use crate::motion::solver::{Ruckig, Solver};
-use crate::motion::stop::{longest_stop_mm, stops_within_travel};
+use crate::motion::stop::stops_within_travel;
 use crate::motion::{MotionLimits, MotionState, Segment};
 
 /// Ticks for which the present plan is followed after a new one was needed but failed; then the
@@ -60,7 +60,7 @@ impl<S: Solver> Motion<S> {
     pub fn with_solver(limits: &MotionLimits, solver: S) -> Self {
         Self {
             limits: *limits,
-            longest_stop_mm: longest_stop_mm(limits),
+            longest_stop_mm: limits.longest_stop_mm(),
             solver,
             state: [MotionState::rest(0.0); 3],
             target_mm: Some([0.0; 3]),

@@ -1,4 +1,4 @@
-//! Motion: from target piston positions to the exact instants of the microsteps.
+//! Motion: from target piston positions to the exact instants of the microsteps, and the trait [`Machine`] of whatever makes them.
 //!
 //! One move takes this path:
 //!
@@ -30,6 +30,7 @@ pub mod drive;
 pub mod follow;
 pub mod histogram;
 pub mod lines;
+pub mod machine;
 pub mod plan;
 pub mod pulse;
 pub mod queue;
@@ -42,6 +43,7 @@ pub mod stop;
 
 pub use histogram::Histogram;
 pub use lines::{EmergencyStop, Inputs, Levels, PulseTiming};
+pub use machine::{Alarm, Gauges, Machine, MachineError, MachineInfo, Sensed};
 pub use pulse::{PulseAction, StepCore};
 pub use report::{DriveState, StepperFault, StepperMode, StepperOrder, StepperReport};
 pub use stop::Stop;

@@ -64,20 +64,22 @@ impl Stop {
     }
 }
 
-/// The longest stop from any state within the limits, mm.
-///
-/// The stopping distance grows with speed and with acceleration, so this is the stop from the state in
-/// which both are at their limits.
-pub fn longest_stop_mm(limits: &MotionLimits) -> f64 {
-    let fastest = MotionState {
-        position_mm: 0.0,
-        velocity_mm_s: limits.speed_max_mm_s,
-        acceleration_mm_s2: limits.acceleration_max_mm_s2,
-    };
-    Stop::from(fastest, limits).end_mm
+impl MotionLimits {
+    /// The longest stop from any state within the limits, mm.
+    ///
+    /// The stopping distance grows with speed and with acceleration, so this is the stop from the state in
+    /// which both are at their limits.
+    pub fn longest_stop_mm(&self) -> f64 {
+        let fastest = MotionState {
+            position_mm: 0.0,
+            velocity_mm_s: self.speed_max_mm_s,
+            acceleration_mm_s2: self.acceleration_max_mm_s2,
+        };
+        Stop::from(fastest, self).end_mm
+    }
 }
 
-/// Whether the shortest stop from a state stays within travel. `longest_mm` is [`longest_stop_mm`]; it
+/// Whether the shortest stop from a state stays within travel. `longest_mm` is [`MotionLimits::longest_stop_mm`]; it
 /// saves the calculation far from the ends of travel.
 pub fn stops_within_travel(state: &MotionState, limits: &MotionLimits, longest_mm: f64) -> bool {
     if state.position_mm.abs() + longest_mm <= limits.travel_max_mm || state.is_rest() {
@@ -115,7 +117,7 @@ mod tests {
             prop_assert!(at.velocity_mm_s.abs() < 1e-9, "{at:?}");
             prop_assert!(at.acceleration_mm_s2.abs() < 1e-9, "{at:?}");
             let (low, high) = stop.position_range();
-            prop_assert!(high - low <= longest_stop_mm(&l) + 1e-9);
+            prop_assert!(high - low <= l.longest_stop_mm() + 1e-9);
         }
 
         /// Random admissible braking is never faster, and never slower in speed at the same time.

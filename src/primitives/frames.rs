@@ -9,6 +9,7 @@
 //! inner frames meet, so `r_base_world * r_world_tip` is a `Rotation<Base, Tip>` and nothing else.
 
 use nalgebra::{UnitQuaternion, Vector3};
+use std::f64::consts::FRAC_PI_2;
 use std::marker::PhantomData;
 use std::ops::Mul;
 
@@ -30,6 +31,14 @@ pub struct Sensor;
 pub struct Rotation<A, B> {
     q: UnitQuaternion<f64>,
     frames: PhantomData<(A, B)>,
+}
+
+impl Rotation<World, Sensor> {
+    /// Turns an orientation from east-north-up to the world frame (north-west-up).
+    pub fn from_enu(r_enu_sensor: UnitQuaternion<f64>) -> Self {
+        let r_world_enu = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -FRAC_PI_2);
+        Self::assert_frames(r_world_enu * r_enu_sensor)
+    }
 }
 
 impl<A, B> Rotation<A, B> {

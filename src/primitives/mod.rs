@@ -1,7 +1,8 @@
-//! Units, frames, samples and the parameter table: the vocabulary of every other room.
+//! Units, frames, samples, the parameter table and text files: the vocabulary of every other room.
 
 pub mod check;
 pub mod constants;
+pub mod file;
 pub mod frames;
 pub mod parameters;
 pub mod sample;

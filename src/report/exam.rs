@@ -1,6 +1,6 @@
 //! The score of an exam of the diagnosis, in words and tables.
 
-use crate::diagnosis::exam::{Count, Counts, ExamScore, Method, ReliabilityBin};
+use crate::experiment::exam::{Count, Counts, ExamScore, Method, ReliabilityBin};
 use crate::report::table::table;
 use comfy_table::Table;
 

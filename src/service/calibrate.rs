@@ -1,13 +1,14 @@
 //! Calibration of the transmission while the service runs: [`Algorithm1`], driven by the frames of the running loop. The
 //! short form is one pass with the present calibration as prior.
 
-use crate::experiment::identify::{Algorithm1, Identified, Next, PASSES_MAX};
+use crate::control::learning::identify::{Algorithm1, Identified, Next, PASSES_MAX};
+use crate::model::Drive;
 use crate::supervisor::{CycleOutput, Mode};
-use nalgebra::Vector3;
 
 /// A calibration in progress.
 #[derive(Debug, Clone)]
 pub struct Session {
+    drive: Drive,
     algorithm: Algorithm1,
     state: State,
 }
@@ -25,9 +26,13 @@ enum State {
 
 impl Session {
     /// A session that waits for the mode `calibrating`.
-    pub fn new(algorithm: Algorithm1) -> Self {
+    pub fn new(algorithm: Algorithm1, drive: Drive) -> Self {
         let state = State::Mode;
-        Self { algorithm, state }
+        Self {
+            drive,
+            algorithm,
+            state,
+        }
     }
 
     /// Progress, for the status.
@@ -37,18 +42,18 @@ impl Session {
         format!("pass {pass}, pose {} of {of}", at + 1)
     }
 
-    /// Processes the output of one cycle of a machine with this travel per microstep, mm.
+    /// Processes the output of one cycle.
     ///
     /// # Errors
     /// Why the calibration has failed.
-    pub fn step(&mut self, output: &CycleOutput, step_mm: f64) -> Result<Next, String> {
+    pub fn step(&mut self, output: &CycleOutput) -> Result<Next, String> {
         if output.mode != Mode::Calibrating {
             return match self.state {
                 State::Mode => Ok(Next::Wait),
                 _ => Err(format!("mode {} ended the calibration", output.mode)),
             };
         }
-        let piston_mm = Vector3::from(output.counted.0.map(|n| f64::from(n) * step_mm));
+        let piston_mm = self.drive.piston_mm(&output.counted);
         match self.state {
             State::Mode => {
                 self.state = State::Pose;
@@ -61,7 +66,7 @@ impl Session {
             }
             State::Hold => {
                 let next = self.algorithm.step(&output.frame, &piston_mm, output.dt_s);
-                match next.map_err(|e| e.to_string())? {
+                match next.map_err(|e| format!("identification: {e}"))? {
                     Next::Done(Identified {
                         converged: false, ..
                     }) => Err(format!(

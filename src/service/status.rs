@@ -1,8 +1,7 @@
 //! The status of the service as a JSON object, and the frame that subscribers receive.
 
-use crate::control::Frame;
 use crate::control::saturation::Saturation;
-use crate::experiment::arm::SETTLED_DEG;
+use crate::control::{Frame, SETTLED_DEG};
 use crate::model::Bend;
 use crate::service::LearnedGains;
 use crate::service::protocol::VERSION;

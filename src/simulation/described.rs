@@ -6,9 +6,9 @@
 
 use crate::model::effects::{ImuPrediction, Memory, Moment};
 use crate::model::{DescribedMachine, orientation};
+use crate::motion::{MachineError, MachineInfo};
 use crate::primitives::{ImuSample, Rotation, Seconds, Steps};
 use crate::simulation::world::{Reply, World};
-use crate::supervisor::{MachineError, MachineInfo};
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};

@@ -3,10 +3,10 @@
 //! The link is the program's stdin and stdout; its stderr goes to the terminal. A reader thread passes its lines
 //! through a channel, so that a read can time out.
 
+use crate::motion::{MachineError, MachineInfo};
 use crate::primitives::{Base, ImuSample, Rotation, Seconds, Steps, Tip};
 use crate::simulation::rate_check::RateCheck;
 use crate::simulation::world::{Reply, World};
-use crate::supervisor::{MachineError, MachineInfo};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use nix::sys::signal::{Signal, killpg};
 use nix::unistd::Pid;

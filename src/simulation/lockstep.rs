@@ -7,12 +7,11 @@
 
 use crate::motion::queue::{self, Feeder, TimedSegment};
 use crate::motion::{
-    Drive, DriveLimits, DriveState, Inputs, PulseAction, PulseTiming, StepCore, StepGenerator,
-    StepperOrder, StepperReport,
+    Drive, DriveLimits, DriveState, Inputs, Machine, MachineError, MachineInfo, PulseAction,
+    PulseTiming, Sensed, StepCore, StepGenerator, StepperOrder, StepperReport,
 };
 use crate::primitives::{ImuReading, Seconds, Steps};
 use crate::simulation::world::World;
-use crate::supervisor::{Machine, MachineError, MachineInfo, Sensed};
 
 /// Largest number of periods that the world advances in one cycle of a late loop.
 const CATCH_UP_MAX: u64 = 2000;

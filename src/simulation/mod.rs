@@ -7,3 +7,5 @@ pub mod plant;
 mod rate_check;
 pub mod sim;
 pub mod world;
+
+pub use crate::motion::{Machine, MachineError, MachineInfo, Sensed};

@@ -1,9 +1,9 @@
 //! The built-in plant as a [`World`].
 
+use crate::motion::{MachineError, MachineInfo};
 use crate::primitives::Steps;
 use crate::simulation::plant::{Output, Plant, PlantConfig, PlantError};
 use crate::simulation::world::{Reply, World};
-use crate::supervisor::{MachineError, MachineInfo};
 
 /// A running built-in plant.
 #[derive(Debug)]

@@ -3,9 +3,9 @@
 //! A world takes microstep counts, advances by one period, and returns the sensor reading. The *true* orientation
 //! is returned beside the reading, for scoring only; it never becomes part of the input of the loop.
 
+use crate::motion::{MachineError, MachineInfo};
 use crate::primitives::{Base, ImuSample, Rotation, Steps, Tip};
 use crate::simulation::plant::PlantError;
-use crate::supervisor::{MachineError, MachineInfo};
 
 /// Answer to one step.
 #[derive(Debug, Clone, Copy, PartialEq)]

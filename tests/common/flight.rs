@@ -4,13 +4,12 @@ use super::{repo, twin};
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::{show, source};
-use retroflex::drill::bench::{Bench, BenchConfig};
+use retroflex::drill::bench::Bench;
 use retroflex::service::flight::file::FlightFile;
 use retroflex::service::flight::start::{Event, Logged, hash};
 use retroflex::service::start::{RunConfig, Start};
 use retroflex::service::store::Belief;
 use retroflex::supervisor::cycle::order::Order;
-use retroflex::supervisor::machine::Machine;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -23,27 +22,21 @@ pub fn fly(
     mut script: impl FnMut(u64, &mut Bench) -> Option<Order>,
 ) -> (u64, u64) {
     let calibration: Calibration = source::read(&repo("calib/paper.toml")).unwrap();
-    let config = BenchConfig {
-        board: twin(),
-        calibration,
-        gains,
-    };
+    let board = twin();
+    let config = super::bench(&board, &calibration, &gains);
     let mut bench = config.bench(3, 5).unwrap();
     let texts = vec![
-        show::compact(&config.board),
-        show::compact(&config.gains),
-        show::compact(&config.calibration),
+        show::compact(&board),
+        show::compact(&gains),
+        show::compact(&calibration),
     ];
-    let supervisor = config.supervisor(bench.runner.machine.info());
+    let supervisor = config.supervisor;
     let start = Start {
         config: supervisor.clone(),
         restart: None,
         belief: Belief::Certain,
         unverified: false,
     };
-    let BenchConfig {
-        board, calibration, ..
-    } = config;
     let service = board.service.clone();
     let config_hash = hash(texts.iter().map(String::as_str));
     let run = RunConfig {

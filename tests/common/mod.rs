@@ -7,11 +7,13 @@ use retroflex::config::assemble;
 use retroflex::config::board::{Board, PlantSection};
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
-use retroflex::config::source;
+use retroflex::config::{source, supervisor};
+use retroflex::control::learning::identify::Identified;
 use retroflex::control::tick::LoopConfig;
 use retroflex::diagnosis::tip::Rig;
+use retroflex::drill::bench::BenchConfig;
 use retroflex::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose, for_world};
-use retroflex::experiment::identify::{Identified, algorithm_1};
+use retroflex::experiment::identify::algorithm_1;
 use retroflex::experiment::schedule::paper;
 use retroflex::model::arc::Geometry;
 use retroflex::model::described::{DescribedMachine, RestReadings};
@@ -21,6 +23,20 @@ use retroflex::model::transmission::Line;
 use retroflex::simulation::sim::Sim;
 use retroflex::simulation::world::World;
 use std::path::{Path, PathBuf};
+
+/// A bench for the drills on the plant of a board.
+pub fn bench(board: &Board, calibration: &Calibration, gains: &Gains) -> BenchConfig {
+    let plant = board.plant.clone().unwrap_or_default();
+    let sim = Sim::new(&plant, 0, 0, plant.period_s).unwrap();
+    let supervisor = supervisor::assemble(board, calibration, gains, sim.info());
+    BenchConfig { plant, supervisor }
+}
+
+/// The paper twin with the paper's calibration, as a bench for the drills.
+pub fn paper_bench() -> BenchConfig {
+    let calibration = source::read(&repo("calib/paper.toml")).unwrap();
+    bench(&twin(), &calibration, &Gains::default())
+}
 
 /// A file of the repository.
 pub fn repo(path: &str) -> PathBuf {

@@ -3,6 +3,7 @@
 use crate::common::plant;
 use nalgebra::{UnitQuaternion, Vector3};
 use retroflex::motion::lines::Inputs;
+use retroflex::motion::machine::{Machine, MachineError, MachineInfo, Sensed};
 use retroflex::primitives::ImuReading;
 use retroflex::primitives::units::{Seconds, Steps};
 use retroflex::simulation::lockstep::Lockstep;
@@ -11,7 +12,6 @@ use retroflex::simulation::sim::Sim;
 use retroflex::supervisor::commission::homing::{self, Homed, HomingConfig, HomingError};
 use retroflex::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};
 use retroflex::supervisor::commission::trial::{self, Findings, TrialConfig, TrialError};
-use retroflex::supervisor::machine::{Machine, MachineError, MachineInfo, Sensed};
 
 /// A simulated machine with exchanged lines, inverted motors, a rotated sensor or a cut line.
 struct Miswired {

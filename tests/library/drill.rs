@@ -1,24 +1,13 @@
 //! Every fault in flight is survived as claimed. The faults of the process run with `retroflex drill`.
 
-use crate::common::{repo, twin};
-use retroflex::config::gains::Gains;
-use retroflex::config::source;
-use retroflex::drill::bench::BenchConfig;
+use crate::common::paper_bench;
 use retroflex::drill::run::{Allowance, fly};
 use retroflex::drill::spec::Injection;
 use retroflex::drill::{list, soak};
 
-fn config() -> BenchConfig {
-    BenchConfig {
-        board: twin(),
-        calibration: source::read(&repo("calib/paper.toml")).unwrap(),
-        gains: Gains::default(),
-    }
-}
-
 #[test]
 fn every_fault_in_flight_is_survived() {
-    let config = config();
+    let config = paper_bench();
     let allowance = Allowance::new(&config).unwrap();
     let rows: Vec<_> = list::specs()
         .iter()
@@ -45,7 +34,7 @@ fn every_fault_in_flight_is_survived() {
 
 #[test]
 fn a_fault_without_detection_fails_its_row() {
-    let config = config();
+    let config = paper_bench();
     let allowance = Allowance::new(&config).unwrap();
     let mut spec = list::specs()
         .into_iter()
@@ -58,7 +47,7 @@ fn a_fault_without_detection_fails_its_row() {
 
 #[test]
 fn a_short_soak_meets_its_requirements() {
-    let soak = soak::run(&config(), 0.3, 3, &mut |_| ()).unwrap();
+    let soak = soak::run(&paper_bench(), 0.3, 3, &mut |_| ()).unwrap();
     // other tests in this process also allocate memory, so that its growth is assessed only by the command
     let why: Vec<_> = soak
         .why

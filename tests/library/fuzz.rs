@@ -236,7 +236,7 @@ fn a_damaged_slot_never_passes_its_checksum() {
 
 #[test]
 fn flight_logs_do_not_panic() {
-    let sensed = |k: i32| retroflex::supervisor::machine::Sensed {
+    let sensed = |k: i32| retroflex::motion::machine::Sensed {
         t: Seconds(f64::from(k)),
         imu: retroflex::primitives::ImuReading::Nothing,
         base_imu: None,

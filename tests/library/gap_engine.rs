@@ -1,13 +1,13 @@
 //! The diagnosis on logs of the built-in plant, whose laws differ in form from the catalogue's.
 
 use crate::plant_in_c::{Case, Cold, arguments, calibration, compiled};
-use retroflex::diagnosis::exam::record;
-use retroflex::diagnosis::exam::run::run;
-use retroflex::diagnosis::exam::{Content, Question, questions, score};
 use retroflex::diagnosis::tip::observed::Observed;
 use retroflex::diagnosis::tip::{Diagnosis, ParamValue, Rig, SavedModel, TipProblem, check};
 use retroflex::diagnosis::verdict::VerdictKind;
 use retroflex::diagnosis::{Judgement, diagnose};
+use retroflex::experiment::exam::record;
+use retroflex::experiment::exam::run::run;
+use retroflex::experiment::exam::{Content, Question, questions, score};
 use retroflex::log::bend_log::BendLog;
 use retroflex::model::effects::{by_catalogue, catalogue};
 use retroflex::simulation::link::Link;

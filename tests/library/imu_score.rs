@@ -6,7 +6,7 @@
 use nalgebra::Vector2;
 use retroflex::estimation::fusion::FilterName;
 use retroflex::estimation::fusion::mekf::saturation::Saturation;
-use retroflex::estimation::score::{self, FileScore, Score};
+use retroflex::experiment::score::{self, FileScore, Score};
 use retroflex::log::recording::{self, Recording};
 use std::path::PathBuf;
 use std::sync::OnceLock;

@@ -8,10 +8,10 @@ use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::paper;
 use retroflex::model::Shape;
 use retroflex::model::transmission::Line;
+use retroflex::motion::machine::{MachineError, MachineInfo};
 use retroflex::primitives::frames::Rotation;
 use retroflex::primitives::units::{Mm, Steps};
 use retroflex::simulation::world::{Reply, World};
-use retroflex::supervisor::machine::{MachineError, MachineInfo};
 
 /// Thirty seconds of closed loop on a world.
 fn frames(world: &mut dyn World) -> Vec<Frame> {

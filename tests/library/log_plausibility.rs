@@ -3,8 +3,8 @@
 
 use crate::common::repo;
 use nalgebra::Vector3;
+use retroflex::diagnosis::plausibility;
 use retroflex::log::bend_log::{self, BendLog};
-use retroflex::log::plausibility;
 use retroflex::model::arc::Geometry;
 use retroflex::model::transmission::Line;
 

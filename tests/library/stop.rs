@@ -1,21 +1,11 @@
 //! A stop in every mode of the supervised loop: it brakes, it latches, and nothing but an accepted `arm` ends it.
 
-use crate::common::{repo, twin};
-use retroflex::config::gains::Gains;
-use retroflex::config::source;
+use crate::common::paper_bench;
 use retroflex::drill::bench::{Bench, BenchConfig, bend};
 use retroflex::supervisor::cycle::CycleOutput;
 use retroflex::supervisor::cycle::order::{Order, Refusal};
 use retroflex::supervisor::gate::SafeState;
 use retroflex::supervisor::mode::Mode;
-
-fn config() -> BenchConfig {
-    BenchConfig {
-        board: twin(),
-        calibration: source::read(&repo("calib/paper.toml")).unwrap(),
-        gains: Gains::default(),
-    }
-}
 
 /// An armed tip on its way to a large bend.
 fn in_motion(config: &BenchConfig) -> Bench {
@@ -71,7 +61,7 @@ fn stands_after_a_stop(bench: &mut Bench) -> CycleOutput {
 
 #[test]
 fn a_stop_in_motion_stands_until_arm() {
-    let mut bench = in_motion(&config());
+    let mut bench = in_motion(&paper_bench());
     let stopped = stands_after_a_stop(&mut bench);
     assert_eq!((stopped.mode, stopped.energise), (Mode::Holding, true));
     assert_eq!(bench.turn(Some(Order::Arm)).unwrap().answer, Some(Ok(())));
@@ -87,14 +77,14 @@ fn a_stop_in_motion_stands_until_arm() {
 
 #[test]
 fn a_stop_ends_a_return_and_the_gates_own_return() {
-    let mut bench = in_motion(&config());
+    let mut bench = in_motion(&paper_bench());
     bench.turn(Some(Order::Relax)).unwrap();
     assert_eq!(bench.run(0.3).unwrap().mode, Mode::Relaxing);
     assert_eq!(stands_after_a_stop(&mut bench).mode, Mode::Holding);
 
     // the gate returns to zero after a trip
-    let mut config = config();
-    config.board.safety.on.emergency_stop = SafeState::Relax;
+    let mut config = paper_bench();
+    config.supervisor.gate.on.emergency_stop = SafeState::Relax;
     let mut bench = in_motion(&config);
     bench.runner.machine.emergency_stop = true;
     bench.turn(None).unwrap();
@@ -119,7 +109,7 @@ fn a_stop_ends_a_return_and_the_gates_own_return() {
 
 #[test]
 fn a_stop_ends_a_calibration() {
-    let mut bench = config().bench(0, 1).unwrap();
+    let mut bench = paper_bench().bench(0, 1).unwrap();
     assert!(bench.until(10.0, |t| t.mode == Mode::Disarmed).unwrap());
     for order in [Order::Arm, Order::Calibrate(true), bend(50.0, 10.0)] {
         bench.turn(Some(order)).unwrap();
@@ -131,7 +121,7 @@ fn a_stop_ends_a_calibration() {
 
 #[test]
 fn a_refused_arm_keeps_the_latch() {
-    let mut bench = in_motion(&config());
+    let mut bench = in_motion(&paper_bench());
     bench.runner.machine.emergency_stop = true;
     bench.turn(None).unwrap();
     bench.turn(Some(Order::Stop)).unwrap();
@@ -149,7 +139,7 @@ fn a_refused_arm_keeps_the_latch() {
 
 #[test]
 fn relax_does_not_end_lost_and_only_a_confirmed_or_asserted_zero_does() {
-    let config = config();
+    let config = paper_bench();
     // a tip that was bent when its memory was lost
     let start = |rest: bool| {
         let mut before = in_motion(&config);

@@ -1,6 +1,6 @@
 //! The supervised loop on the paper twin: modes, gate, suspicions and restarts.
 
-use crate::common::{repo, twin, unit};
+use crate::common::{paper_bench, repo, twin, unit};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use retroflex::config::calib::Calibration;
@@ -9,9 +9,10 @@ use retroflex::config::source;
 use retroflex::config::supervisor::assemble;
 use retroflex::control::saturation::Saturation;
 use retroflex::control::tick::RestartState;
-use retroflex::drill::bench::{Bench, BenchConfig};
+use retroflex::drill::bench::Bench;
 use retroflex::model::Shape;
 use retroflex::model::bend::Bend;
+use retroflex::motion::machine::Alarm;
 use retroflex::primitives::units::{Mm, Seconds, Steps};
 use retroflex::service::status;
 use retroflex::simulation::lockstep::Lockstep;
@@ -22,7 +23,6 @@ use retroflex::supervisor::cycle::order::{Order, Refusal};
 use retroflex::supervisor::cycle::runner::Runner;
 use retroflex::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
 use retroflex::supervisor::gate::{SafeState, TripCause};
-use retroflex::supervisor::machine::Alarm;
 use retroflex::supervisor::mode::Mode;
 
 /// An order to bend, degrees.
@@ -429,13 +429,7 @@ fn a_tip_found_energised_stays_so_until_the_check() {
 
 /// A bent tip whose step thread has stopped with this alarm.
 fn stopped_by(alarm: Alarm) -> Bench {
-    let calibration = source::read(&repo("calib/paper.toml")).unwrap();
-    let make = BenchConfig {
-        board: twin(),
-        calibration,
-        gains: Gains::default(),
-    };
-    let mut bench = make.bench(0, 1).unwrap();
+    let mut bench = paper_bench().bench(0, 1).unwrap();
     assert!(bench.until(10.0, |t| t.mode == Mode::Disarmed).unwrap());
     bench.turn(Some(Order::Arm)).unwrap();
     bench.run(0.1).unwrap();

@@ -1,20 +1,10 @@
 //! The service under attack, and a memory that was damaged after a kill.
 
-use crate::common::{repo, tries, twin};
-use retroflex::config::gains::Gains;
-use retroflex::config::source;
+use crate::common::{paper_bench, tries};
 use retroflex::drill::bench::BenchConfig;
 use retroflex::drill::process::{self, Plan};
 use retroflex::drill::row::FaultResult;
 use std::path::Path;
-
-fn config() -> BenchConfig {
-    BenchConfig {
-        board: twin(),
-        calibration: source::read(&repo("calib/paper.toml")).unwrap(),
-        gains: Gains::default(),
-    }
-}
 
 fn program() -> &'static Path {
     Path::new(env!("CARGO_BIN_EXE_retroflex"))
@@ -50,13 +40,13 @@ fn assert_all(rows: &[FaultResult]) {
 #[test]
 fn a_stop_is_answered_under_every_attack_and_nothing_moves_after_it() {
     let folder = tempfile::tempdir().unwrap();
-    assert_all(&process::attacks(&plan(&config(), folder.path(), &|_| true)).unwrap());
+    assert_all(&process::attacks(&plan(&paper_bench(), folder.path(), &|_| true)).unwrap());
 }
 
 #[test]
 fn a_memory_is_never_believed_falsely_after_a_kill() {
     let folder = tempfile::tempdir().unwrap();
-    assert_all(&process::kills(&plan(&config(), folder.path(), &|_| true)).unwrap());
+    assert_all(&process::kills(&plan(&paper_bench(), folder.path(), &|_| true)).unwrap());
 }
 
 #[test]
@@ -71,7 +61,7 @@ fn clients_that_contradict_each_other_fall_silent_or_die_are_survived() {
         ]
         .contains(&name)
     };
-    let rows = process::rows(&plan(&config(), folder.path(), &of_clients)).unwrap();
+    let rows = process::rows(&plan(&paper_bench(), folder.path(), &of_clients)).unwrap();
     assert_eq!(rows.len(), 4);
     assert_all(&rows);
 }

@@ -7,8 +7,8 @@ use crate::common::repo;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::drill::bench::{Bench, bend};
+use retroflex::motion::machine::Alarm;
 use retroflex::supervisor::cycle::order::Order;
-use retroflex::supervisor::machine::Alarm;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

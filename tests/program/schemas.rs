@@ -12,9 +12,9 @@ use prost_reflect::{DescriptorPool, DynamicMessage};
 use retroflex::cli::flight::read;
 use retroflex::config::gains::Gains;
 use retroflex::drill::bench::{Bench, bend};
+use retroflex::motion::machine::Alarm;
 use retroflex::service::flight::schema::{self, TOPICS};
 use retroflex::supervisor::cycle::order::Order;
-use retroflex::supervisor::machine::Alarm;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 

@@ -9,8 +9,7 @@ mod site;
 
 use super::connection::{At, socket};
 use crate::cli::{inputs, output};
-use crate::log::error::why_unreadable;
-use crate::log::table::text;
+use crate::primitives::file::{text, why_unreadable};
 use hyper::body::Bytes;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use site::Site;

@@ -10,8 +10,8 @@
 
 use crate::cli::{ResultFile, inputs, output};
 use crate::config::{Calibration, source};
-use crate::diagnosis::exam::run::run as answer_all;
-use crate::diagnosis::exam::{
+use crate::experiment::exam::run::run as answer_all;
+use crate::experiment::exam::{
     Answer, ExamScore, Logs, Question, Recorded, questions, record, score,
 };
 use crate::log::bend_log::BendLog;

@@ -1,11 +1,12 @@
 //! Inputs that the gap commands share: machine, log and saved model.
 
 use crate::cli::inputs;
+use crate::diagnosis::plausibility;
 use crate::diagnosis::rig::table::{self, MapError};
 use crate::diagnosis::rig::{MapFile, Signals};
 use crate::diagnosis::tip::Rig;
 use crate::diagnosis::tip::observed::Observed;
-use crate::log::{bend_log, plausibility};
+use crate::log::bend_log;
 use crate::model::Line;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::{Path, PathBuf};

@@ -10,9 +10,9 @@ use crate::diagnosis::diagnose;
 use crate::diagnosis::fleet::row::{self, FleetRow};
 use crate::diagnosis::tip::{Rig, TipProblem};
 use crate::log::columns;
-use crate::log::error::why_unreadable;
 use crate::model::Line;
 use crate::model::effects::catalogue;
+use crate::primitives::file::{is_irregular, why_unreadable};
 use crate::service::flight::cycle::fnv;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use rayon::ThreadPoolBuilder;
@@ -271,7 +271,7 @@ fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Re
 fn diagnose_one(settings: &Settings, task: &mut Task) {
     let Settings { rig, lines, seed } = settings;
     // a pipe would keep all the others waiting
-    if task.path.exists() && !task.path.is_file() {
+    if is_irregular(&task.path) {
         task.row.refused = format!("{}: this is no regular file", task.row.log);
         return;
     }

@@ -48,7 +48,7 @@ pub struct Settings {
     pub gains: Gains,
     /// The calibration.
     pub calibration: Calibration,
-    /// The lines and dynamics that were in use count instead of those of the calibration.
+    /// The lines and dynamics of the log's header are in use instead of those of the calibration.
     learned: bool,
     feedforward: Option<Arc<DescribedMachine>>,
 }

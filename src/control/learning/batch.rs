@@ -70,6 +70,18 @@ pub enum Unidentifiable {
         /// Condition number.
         condition: f64,
     },
+    /// A gain is outside the physical range.
+    #[error(
+        "channel {channel} yields k_ε = {k_epsilon:.2}, k_λ = {k_lambda_mm:.2} mm; k_ε must lie in 0 to 10 and k_λ in 0 to 3 mm. Check that line {channel} reaches bellow {channel} and that the motor turns the right way"
+    )]
+    Unphysical {
+        /// Channel, 1 to 3.
+        channel: usize,
+        /// Estimate.
+        k_epsilon: f64,
+        /// Estimate, mm.
+        k_lambda_mm: f64,
+    },
 }
 
 /// Fewest rows of a channel without a prior.

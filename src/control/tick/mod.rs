@@ -21,7 +21,9 @@ mod types;
 
 pub use restart::{RestartRest, RestartState};
 pub use state::LoopState;
-pub use types::{Belief, FeedbackConfig, Frame, Input, LoopConfig, Reference, Senses, TickPhase};
+pub use types::{
+    Belief, FeedbackConfig, Frame, Input, LoopConfig, Reference, SETTLED_DEG, Senses, TickPhase,
+};
 
 use crate::control::limits::Cut;
 use crate::estimation::fusion::health::HealthAction;

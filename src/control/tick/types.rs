@@ -180,6 +180,9 @@ pub enum TickPhase {
     Holding,
 }
 
+/// Largest bend error of a settled tip, degrees.
+pub const SETTLED_DEG: f64 = 1.0;
+
 /// Output and intermediates of one tick. The supervisor, the status, the bend log and the flight log take their
 /// values from it.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -21,6 +21,11 @@ pub fn confused_with(name: &str) -> &'static [&'static str] {
     by_name(name).map_or(&[], |e| e.info().confused_with)
 }
 
+/// The manoeuvre that separates the effect `name` from those; empty for an unknown name.
+pub fn separated_by(name: &str) -> &'static str {
+    by_name(name).map_or("", |e| e.info().separated_by)
+}
+
 /// The pairs of which a log, with a tracker or not, shows the sum alone.
 pub fn alike(tracker: bool) -> Vec<[&'static str; 2]> {
     let mut pairs = INSEPARABLE_BY_MOTION.to_vec();

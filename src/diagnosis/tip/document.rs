@@ -9,7 +9,7 @@ use crate::diagnosis::tip::observed::{
 use crate::diagnosis::verdict::Verdict;
 use crate::diagnosis::{Candidates, Judged, Scored, diagnose};
 use crate::model::effects::{Effect, Param, by_name};
-use crate::model::{Model, lines, nominal_theta};
+use crate::model::{Model, nominal_theta};
 use nalgebra::Vector3;
 use serde::Serialize;
 use std::ops::Range;
@@ -235,7 +235,7 @@ impl TipProblem<'_> {
             / (log.bins.len() as f64 / independent);
         let inflation = variance * log.bins.len() as f64 / independent;
         let mut values = model.of(&c.theta, i).to_vec();
-        let gains = lines(&c.theta).map(|l| l.k_epsilon);
+        let gains = c.lines().map(|l| l.k_epsilon);
         e.canonical(&mut values, &gains.into());
         let one = |(k, p): (usize, &Param)| {
             let at = model.at[i] + k;

@@ -5,7 +5,8 @@ use crate::diagnosis::tip::observed::{Observed, Quantity};
 use crate::diagnosis::{Candidates, Scored};
 use crate::model::effects::{Stage, by_name};
 use crate::model::{Bend, Line};
-use nalgebra::Vector3;
+use crate::primitives::Rotation;
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::Serialize;
 
 /// A stage and its share of the gap.
@@ -82,6 +83,14 @@ pub fn commanded_bend(log: &Observed, lines: &[Line; 3], k: usize) -> Bend {
     let u = log.instants[log.bins[k].at].piston_mm;
     let q = Vector3::from_fn(|i, _| lines[i].bellow_mm(u[i]));
     log.rig.geometry.shape(&q).bend
+}
+
+/// Bend vector of a measured orientation turned back by a residual.
+pub fn bend_without(reference: &Matrix3<f64>, residual: &Vector3<f64>) -> Bend {
+    let measured = Rotation3::from_matrix_unchecked(*reference);
+    let measured = UnitQuaternion::from_rotation_matrix(&measured);
+    let predicted = measured * UnitQuaternion::from_scaled_axis(-residual);
+    Bend::from_rotation(&Rotation::assert_frames(predicted))
 }
 
 /// Bend and direction, degrees; direction in 0..360.

@@ -18,11 +18,13 @@ pub mod saved;
 pub mod search;
 
 pub use check::check;
-pub use confusion::{alike, confused_with, separable};
+pub use confusion::{alike, confused_with, separable, separated_by};
 pub use document::{
     Diagnosed, Diagnosis, EffectEntry, Gap, LogEntry, ParamValue, UnknownEntry, goes_with,
 };
-pub use location::{Location, QuantityShare, Region, StageShare, When, commanded_bend, polar_deg};
+pub use location::{
+    Location, QuantityShare, Region, StageShare, When, bend_without, commanded_bend, polar_deg,
+};
 pub use remedy::Remedy;
 pub use rig::Rig;
 pub use saved::{SavedGains, SavedModel};

@@ -1,6 +1,6 @@
 //! What becomes of an effect once it is named. `gap diagnose` advises it, and `gap apply` does it.
 
-use crate::model::effects::{Effect, Stage};
+use crate::model::effects::{Effect, Stage, by_name};
 use crate::named;
 
 named! {
@@ -21,6 +21,11 @@ named! {
 }
 
 impl Remedy {
+    /// The remedy of the effect of this name, if there is such an effect.
+    pub fn named(name: &str) -> Option<Self> {
+        by_name(name).map(|e| Self::of(e))
+    }
+
     /// The remedy of an effect.
     pub fn of(e: &dyn Effect) -> Self {
         match e.name() {

@@ -1,11 +1,10 @@
 //! A full disk and a read-only one.
 
 use super::plan::Plan;
-use crate::control::RestartState;
 use crate::drill::bench::{BenchConfig, bend};
 use crate::drill::row::{FaultResult, require};
 use crate::service::{Memory, Store};
-use crate::supervisor::{Mode, Order};
+use crate::supervisor::{Mode, Order, RestartState};
 use nix::sys::resource::{Resource, setrlimit};
 use std::error::Error;
 use std::io::{self, Write};

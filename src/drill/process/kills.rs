@@ -6,7 +6,7 @@ use crate::drill::row::{FaultResult, require};
 use crate::primitives::Steps;
 use crate::service::store::{Found, Recall, SLOTS};
 use crate::service::{Belief, Start, Store};
-use crate::supervisor::{Machine, MachineError, Mode, Runner};
+use crate::supervisor::{MachineError, Mode, Runner};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use std::io::{self, BufRead, BufReader};
@@ -109,7 +109,7 @@ fn start_at_rest(
     let restart = recall.memory.as_ref().and_then(|memory| memory.restart);
     let mut bench = config.bench(0, 3)?;
     let start = Start {
-        config: config.supervisor(bench.runner.machine.info()),
+        config: config.supervisor.clone(),
         restart,
         belief: recall.belief(),
         unverified: false,

@@ -16,7 +16,6 @@
 
 use super::filter::{FilterStatus, OrientationFilter, Periods};
 use super::intake::{self, Step};
-use crate::log::recording::world_from_enu;
 use crate::primitives::{ImuSample, Rotation, Sensor, World};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
@@ -127,7 +126,7 @@ impl OrientationFilter for Vqf {
         if !self.levelled {
             return Rotation::identity();
         }
-        world_from_enu(unit(self.inner.quat_9d()))
+        Rotation::from_enu(unit(self.inner.quat_9d()))
     }
 
     fn status(&self) -> FilterStatus {

@@ -14,9 +14,9 @@
 //! alone does not determine a rotation, so M is symmetric. The standard deviations come from the residuals.
 
 pub mod accel;
+pub mod driven;
 mod ellipsoid;
 mod entry;
-pub mod from_log;
 pub mod gyro;
 pub mod mag;
 pub mod motor;

@@ -5,7 +5,7 @@ use crate::hardware::machine::reading;
 use crate::hardware::machine::sensor::open_bus;
 use crate::hardware::pressure::{CONVERSION_MS, PressureError, PressureSection, PressureSensor};
 use crate::hardware::rt::monotonic_ns;
-use crate::supervisor::{Alarm, Gauges};
+use crate::motion::{Alarm, Gauges};
 use embedded_hal::i2c::I2c;
 use std::sync::mpsc::Sender;
 use std::time::Duration;

@@ -1,5 +1,5 @@
 //! The machine made of hardware: step thread, IMU threads and input lines behind
-//! [`crate::supervisor::machine::Machine`].
+//! [`crate::motion::machine::Machine`].
 //!
 //! ```text
 //!  loop ──turn(now, wanted)──▶ Drive ─ Motion ─ ring ─▶ step thread ──▶ pins      position =
@@ -24,9 +24,11 @@ use crate::hardware::lock::HardwareLock;
 use crate::hardware::pins::{self, PinsConfig};
 use crate::hardware::rt::monotonic_ns;
 use crate::hardware::stepper::Stepper;
-use crate::motion::{Drive, DriveLimits, EmergencyStop, StepGenerator, StepperConfig};
+use crate::motion::{
+    Drive, DriveLimits, EmergencyStop, Machine, MachineError, MachineInfo, Sensed, StepGenerator,
+    StepperConfig,
+};
 use crate::primitives::{ImuReading, Seconds, Steps};
-use crate::supervisor::{Machine, MachineError, MachineInfo, Sensed};
 use gauges::GaugeWatch;
 
 /// Configuration of a machine made of hardware.

@@ -1,6 +1,7 @@
 //! Tables as people and their programs write them, and how each error names its place.
 
 use super::*;
+use crate::primitives::file::text;
 use std::io::Write;
 
 const SCHEMA: Schema<'_> = Schema {

@@ -2,13 +2,11 @@
 
 use crate::diagnosis::tip::fit::HeldOut;
 use crate::diagnosis::tip::observed::{G_M_S2, Observed, Quantity};
-use crate::diagnosis::tip::{Diagnosed, commanded_bend, polar_deg};
+use crate::diagnosis::tip::{Diagnosed, bend_without, commanded_bend, polar_deg};
 use crate::experiment::arm::root_mean;
-use crate::model::{Bend, lines};
-use crate::primitives::Rotation;
 use crate::report::gap::charts::{Trace, rms};
 use crate::report::polar::{Cell, RING_DEG, SECTORS};
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 /// Residuals of one bin.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,7 +36,7 @@ impl Evidence {
     /// The evidence of a diagnosis on its log.
     pub fn new(log: &Observed, done: &Diagnosed) -> Self {
         let (before, after) = (&done.found.nominal.held_out, &done.chosen.held_out);
-        let lines = lines(&done.found.nominal.theta);
+        let lines = done.found.nominal.lines();
         let start_s = log.start_s();
         let spot = |k: usize| {
             let (bend_deg, dir_deg) = polar_deg(&commanded_bend(log, &lines, k));
@@ -138,9 +136,6 @@ fn bend_of(reference: &Matrix3<f64>, residual: &Vector3<f64>) -> Vector3<f64> {
     if !residual.x.is_finite() {
         return Vector3::repeat(f64::NAN);
     }
-    let measured = Rotation3::from_matrix_unchecked(*reference);
-    let measured = UnitQuaternion::from_rotation_matrix(&measured);
-    let predicted = measured * UnitQuaternion::from_scaled_axis(-residual);
-    let b = Bend::from_rotation(&Rotation::assert_frames(predicted)).0;
+    let b = bend_without(reference, residual).0;
     Vector3::new(b.x.to_degrees(), b.y.to_degrees(), 0.0)
 }

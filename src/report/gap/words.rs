@@ -1,9 +1,10 @@
 //! A diagnosis in words.
 
 use crate::diagnosis::tip::observed::Depends;
-use crate::diagnosis::tip::{Diagnosis, EffectEntry, ParamValue, Remedy};
+use crate::diagnosis::tip::{
+    Diagnosis, EffectEntry, ParamValue, Remedy, confused_with, separated_by,
+};
 use crate::diagnosis::verdict::{StatementEntry, Verdict, VerdictKind};
-use crate::model::effects::by_name;
 
 /// Name of an effect without underscores.
 pub fn plain(name: &str) -> String {
@@ -103,14 +104,13 @@ fn sized(d: &Diagnosis, name: &'static str) -> String {
 /// What to do about the effects of the verdict: first tell those of a group apart.
 fn asked(d: &Diagnosis) -> String {
     if let Some(group) = d.verdict.equivalent.first() {
-        let first = group.first().and_then(|n| by_name(n));
-        let how = first.map_or("", |e| e.info().separated_by);
+        let how = group.first().map_or("", |name| separated_by(name));
         let group = listed(group, "and");
         return format!("record this manoeuvre to tell {group} apart: {how}");
     }
     let mut all: Vec<&str> = Vec::new();
-    for e in d.verdict.names.iter().filter_map(|n| by_name(n)) {
-        let advice = Remedy::of(e).advice();
+    for remedy in d.verdict.names.iter().filter_map(|n| Remedy::named(n)) {
+        let advice = remedy.advice();
         if !all.contains(&advice) {
             all.push(advice);
         }
@@ -218,8 +218,7 @@ pub fn next(d: &Diagnosis) -> Vec<String> {
     let design = "`retroflex gap diagnose LOG --save model.toml`, then `retroflex gap excite --like model.toml --out schedule.csv` designs a schedule for it";
     let mut out = Vec::new();
     for g in &d.verdict.equivalent {
-        let members = g.iter().filter_map(|n| by_name(n));
-        let mut how: Vec<&str> = members.map(|e| e.info().separated_by).collect();
+        let mut how: Vec<&str> = g.iter().map(|name| separated_by(name)).collect();
         how.dedup();
         let (names, how) = (listed(g, "and"), how.join("; or "));
         out.push(format!("To separate {names}: {how}; {design}."));
@@ -233,9 +232,9 @@ pub fn next(d: &Diagnosis) -> Vec<String> {
     });
     for name in &d.verdict.names {
         let doubtful = entry(d, name).is_some_and(|e| e.probability < 0.9);
-        if let Some(e) = by_name(name).filter(|_| group(d, name).is_none() && doubtful) {
-            let (name, others) = (capital(&plain(name)), listed(e.info().confused_with, "or"));
-            let how = format!("To separate them: {}.", e.info().separated_by);
+        if group(d, name).is_none() && doubtful {
+            let how = format!("To separate them: {}.", separated_by(name));
+            let (name, others) = (capital(&plain(name)), listed(confused_with(name), "or"));
             out.push(format!("{name} may be confused with {others}. {how}"));
         }
     }

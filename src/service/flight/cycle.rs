@@ -237,10 +237,10 @@ mod tests {
     use crate::model::bend::Bend;
     use crate::model::transmission::Line;
     use crate::motion::lines::Inputs;
+    use crate::motion::machine::{Alarm, Gauges};
     use crate::primitives::sample::ImuSample;
     use crate::primitives::units::{Mm, Seconds, Steps};
     use crate::primitives::{Quality, ReadFault};
-    use crate::supervisor::machine::{Alarm, Gauges};
     use nalgebra::Vector3;
 
     /// Cycles with many orders, readings and alarms.

@@ -1,7 +1,7 @@
 //! What comes from the loop: frames and answers.
 
 use super::{Hub, Pending, unix_s};
-use crate::experiment::identify::{Identified, Next};
+use crate::control::learning::identify::{Identified, Next};
 use crate::service::flight::start::{Event, Logged};
 use crate::service::memory::RecordedFault;
 use crate::service::rt_loop::{ANSWER_MAX_S, Answer};
@@ -185,7 +185,7 @@ impl Hub {
         let Some(session) = &mut self.calibration else {
             return;
         };
-        match session.step(output, self.config.supervisor.gate.step_mm) {
+        match session.step(output) {
             Ok(Next::Wait) => return,
             Ok(Next::Drive(pose)) => return self.own_order(Order::Bend(pose, None), calibrating),
             Ok(Next::Lines(lines)) => return self.own_order(Order::Lines(lines), calibrating),

@@ -4,11 +4,12 @@ use super::{Hub, Reply, Subscription, done, may_command, refuse};
 use crate::config::Gains;
 use crate::config::source;
 use crate::control::Path;
-use crate::experiment::identify::Algorithm1;
-use crate::experiment::pose::Round;
-use crate::experiment::schedule;
+use crate::control::learning::identify::Algorithm1;
+use crate::control::learning::pose::Round;
+use crate::control::learning::schedule;
 use crate::model::{Bend, Line, Shape};
 use crate::primitives::Checker;
+use crate::primitives::file::is_irregular;
 use crate::service::calibrate::Session;
 use crate::service::flight::start::Event;
 use crate::service::protocol::{
@@ -251,7 +252,7 @@ impl Hub {
         let path = path.ok_or_else(|| Failure::refused(why))?;
         let stay = |e: &dyn Display| Failure::bad(format!("{e}; the present gains stay in use"));
         // the end of anything else may never come, and the hub does not wait
-        if std::fs::metadata(&path).is_ok_and(|file| !file.is_file()) {
+        if is_irregular(&path) {
             let shown = path.display();
             let why = format!("{shown}: this is no regular file; put the gains file in its place");
             return Err(stay(&why));
@@ -300,7 +301,7 @@ impl Hub {
         let round = Round::new(tick.geometry, poses);
         let from_zero = [Line::default(); 3];
         let algorithm = Algorithm1::new(round, from_zero, prior, tick.dynamics);
-        self.calibration = Some(Session::new(algorithm));
+        self.calibration = Some(Session::new(algorithm, tick.drive));
         self.calibration_failed = None;
         self.order(Order::Calibrate(true), caller.clone());
         Ok(None)

@@ -2,7 +2,7 @@
 //!
 //! | module | contents |
 //! |---|---|
-//! | [`manual_motion`] | slow supervised moves of any [`crate::supervisor::machine::Machine`] |
+//! | [`manual_motion`] | slow supervised moves of any [`crate::motion::machine::Machine`] |
 //! | [`homing`] | zero by home switches |
 //! | [`rotation`] | rotation of the tip from the gyroscope |
 //! | [`wiring`] | wiring that explains the measured responses |

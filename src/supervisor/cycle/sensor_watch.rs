@@ -1,8 +1,6 @@
 //! Supervision of the orientation sensor: age of the last usable sample, and drift of the gyroscope bias.
 
-use crate::control::{Frame, TickPhase};
-use crate::estimation::fusion::health::CauseSet;
-use crate::estimation::fusion::tip::Fusion;
+use crate::control::{CauseSet, Frame, LoopState, TickPhase};
 use crate::primitives::lasting;
 use nalgebra::Vector3;
 
@@ -32,18 +30,18 @@ impl SensorWatch {
     /// One tick of `dt_s`; returns the causes that came into force. The rate is integrated over `paced_s`.
     pub(super) fn step(
         &mut self,
-        fusion: &Fusion,
+        state: &LoopState,
         frame: &Frame,
         dt_s: f64,
         paced_s: f64,
     ) -> CauseSet {
-        let verdict = fusion.verdict();
+        let verdict = state.fusion.verdict();
         if let Some(verdict) = &verdict {
             self.blind_s = lasting(!verdict.gyro, self.blind_s, dt_s);
         }
         let rests = frame.estimate.is_some() && frame.phase == TickPhase::Holding;
         self.resting_s = lasting(rests, self.resting_s, paced_s);
-        if let Some(rate) = fusion.rate_rad_s() {
+        if let Some(rate) = state.fusion.rate_rad_s() {
             let keep = (-paced_s / WATCH.resting_s).exp();
             self.rate_rad_s = rate + (self.rate_rad_s - rate) * keep;
         }
@@ -52,10 +50,11 @@ impl SensorWatch {
 
     /// True if the gyroscope bias has changed since the alignment. A tip whose set-point rests does not turn for long, so
     /// a lasting mean rate is an error of the sensor or a rotation of the base.
-    pub(super) fn bias_moved(&self, fusion: &Fusion) -> bool {
+    pub(super) fn bias_moved(&self, state: &LoopState) -> bool {
         if self.resting_s > 3.0 * WATCH.resting_s && self.rate_rad_s.norm() > WATCH.resting_rad_s {
             return true;
         }
+        let fusion = &state.fusion;
         let filter = fusion.estimator().and_then(|e| e.as_bend());
         filter.zip(fusion.alignment()).is_some_and(|(now, rest)| {
             (now.gyro_bias_rad_s() - rest.gyro_bias_rad_s).norm() > WATCH.bias_moved_rad_s

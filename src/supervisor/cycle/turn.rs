@@ -1,7 +1,7 @@
 //! One cycle: order, tick, sensor supervision, alignment, gate, residual monitor.
 
+use crate::control::CauseSet;
 use crate::control::tick::{Frame, Input, TickPhase, tick};
-use crate::estimation::fusion::health::CauseSet;
 use crate::model::{Bend, Shape};
 use crate::primitives::{Seconds, Steps};
 use crate::supervisor::cycle::restart_check;
@@ -28,9 +28,7 @@ impl Supervisor {
         let input = self.tick_input(sensed, dt_s);
         let frame = tick(&self.config.tick, &mut self.state, &input);
         self.setpoint = frame.setpoint;
-        let raised = self
-            .sensors
-            .step(&self.state.fusion, &frame, dt_s, input.dt_s);
+        let raised = self.sensors.step(&self.state, &frame, dt_s, input.dt_s);
         self.follow_alignment(&frame);
         let tripped = self.pass_gate(&frame, sensed, dt_s);
         self.follow_motion(&frame);
@@ -56,7 +54,7 @@ impl Supervisor {
             raised,
             base_imu: base.map(|(in_force, _)| (fusion.tracks_base(), in_force)),
             base_raised: base.map_or(CauseSet::EMPTY, |(_, raised)| raised),
-            bias_moved: self.sensors.bias_moved(fusion),
+            bias_moved: self.sensors.bias_moved(&self.state),
             stream_ended,
             source: self.source,
             stopped: self.stopped,

@@ -1,7 +1,6 @@
 //! Configuration and output of the supervisor.
 
-use crate::control::{Frame, Input, LoopConfig};
-use crate::estimation::fusion::health::CauseSet;
+use crate::control::{CauseSet, Frame, Input, LoopConfig};
 use crate::primitives::Steps;
 use crate::supervisor::cycle::restart_check::RestartCheckConfig;
 use crate::supervisor::residual_monitor::Suspicion;

@@ -10,7 +10,7 @@ use retroflex::estimation::fusion::madgwick::{Madgwick, MadgwickConfig};
 use retroflex::estimation::fusion::mekf::{Mekf, MekfConfig};
 use retroflex::estimation::fusion::vqf::Vqf;
 use retroflex::estimation::fusion::{Filter, FilterName};
-use retroflex::estimation::score;
+use retroflex::experiment::score;
 use retroflex::log::recording::{self, Recording};
 use std::path::PathBuf;
 

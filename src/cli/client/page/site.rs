@@ -3,7 +3,7 @@
 //! A page that bends the tip attends the motion: its last bend keeps a connection to the service, which holds the tip when that
 //! closes. It closes with the page's stream of frames, or with this process.
 
-use crate::log::table::text;
+use crate::primitives::file::text;
 use crate::service::client::Client;
 use crate::service::{Failure, Request, paths};
 use hyper::body::Bytes;

@@ -2,7 +2,7 @@
 
 use crate::diagnosis::Scored;
 use crate::diagnosis::tip::fit::{BaseFit, CLAIM_DEG, HeldOut, PRIOR_SLOPE, leave_out};
-use crate::model::Model;
+use crate::model::{Line, Model, lines};
 use nalgebra::DMatrix;
 
 /// A set of effects with its fit to the whole log and its scores.
@@ -48,6 +48,11 @@ impl Candidate {
             held_out: leave_out(fit),
             unusual: model.each(theta).map(|(e, p)| e.unusual(p)).sum(),
         }
+    }
+
+    /// Its gains.
+    pub fn lines(&self) -> [Line; 3] {
+        lines(&self.theta)
     }
 }
 

@@ -1,12 +1,12 @@
 //! Answers the questions of an exam.
 
 use crate::diagnosis::diagnose;
-use crate::diagnosis::exam::{Answers, Content, Logs, Question, baseline};
 use crate::diagnosis::tip::observed::{ObserveError, Observed};
 use crate::diagnosis::tip::{Diagnosis, Rig, SavedModel, TipProblem, check};
 use crate::diagnosis::verdict::VerdictKind;
+use crate::experiment::exam::{Answers, Content, Logs, Question, baseline};
 use crate::model::effects::{Effect, catalogue};
-use crate::supervisor::MachineError;
+use crate::simulation::MachineError;
 use rayon::prelude::*;
 use serde::Serialize;
 use thiserror::Error;

@@ -1,7 +1,8 @@
 //! Scores of an exam.
 
-use crate::diagnosis::exam::{Answer, Content, Question};
 use crate::diagnosis::verdict::{Verdict, VerdictKind};
+use crate::experiment::arm::percentile;
+use crate::experiment::exam::{Answer, Content, Question};
 use crate::model::effects::by_name;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -218,7 +219,7 @@ pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore
     let closed = |lab: bool| {
         let single = |(q, _): &&Answered<'_>| q.content == Content::Single && q.lab == lab;
         let closed = all.iter().filter(single).map(|(_, a)| a.fresh_closed);
-        median(closed.collect())
+        percentile(closed, 0.5)
     };
     let known = |q: &Question| !matches!(q.content, Content::None | Content::Outside);
     let known = all.iter().filter(|(q, _)| known(q));
@@ -319,9 +320,4 @@ fn macro_f1(all: &[Answered<'_>], verdict: impl Fn(&Answer) -> Verdict) -> f64 {
 fn holds_truth(q: &Question, a: &Answer) -> bool {
     let mut statements = a.diagnosis.verdict.conformal.iter();
     statements.any(|s| class(s.kind, &s.names) == truth(q))
-}
-
-fn median(mut v: Vec<f64>) -> f64 {
-    v.sort_by(f64::total_cmp);
-    v.get(v.len() / 2).copied().unwrap_or(0.0)
 }

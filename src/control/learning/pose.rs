@@ -6,10 +6,10 @@
 //! ([`crate::control::observer::bank`]).
 
 use crate::control::learning::batch::Measurement;
+use crate::control::learning::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::control::learning::sides::Sides;
 use crate::control::observer::bank::DynamicsBank;
 use crate::control::{DynamicsPrior, Frame, TickPhase};
-use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::{Bend, Geometry, Shape};
 use nalgebra::{Vector2, Vector3};
 

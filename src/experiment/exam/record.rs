@@ -3,10 +3,9 @@
 use crate::diagnosis::excite::standard::tour;
 use crate::diagnosis::excite::{ScheduleRow, rounded};
 use crate::log::bend_log::{BendLog, ImuColumns};
-use crate::model::{Geometry, Line};
-use crate::primitives::Steps;
+use crate::model::{Drive, Geometry, Line};
+use crate::simulation::MachineError;
 use crate::simulation::world::World;
-use crate::supervisor::MachineError;
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -36,6 +35,7 @@ pub fn record<W: World>(
     let (path, command) = drive(&schedule(&mut rng), lines, rng.random_range(8..20));
     let mut tip = machine(rng.random())?;
     let (step_mm, period_s) = (tip.info().step_mm, tip.info().period_s);
+    let rack = Drive { step_mm };
     let periods = (DT_S / period_s).round().max(1.0) as usize;
     let (n, nan) = (path.len(), Vector3::repeat(f64::NAN));
     let mut imus = [(); 2].map(|()| ImuColumns {
@@ -44,12 +44,11 @@ pub fn record<W: World>(
         mag: vec![nan; n],
     });
     let (mut piston_mm, mut reference) = (Vec::with_capacity(n), Vec::with_capacity(n));
-    let counted = |p: Vector3<f64>| Steps([p.x, p.y, p.z].map(|x| (x / step_mm).round() as i32));
     let mut before = Vector3::zeros();
     for (k, p) in path.iter().enumerate() {
         let mut last = None;
         for part in 1..=periods {
-            let out = tip.step(&counted(before.lerp(p, part as f64 / periods as f64)))?;
+            let out = tip.step(&rack.steps(&before.lerp(p, part as f64 / periods as f64)))?;
             for (imu, sample) in imus.iter_mut().zip([out.imu, out.base_imu]) {
                 if let Some(s) = sample {
                     (imu.acc[k], imu.gyr[k], imu.mag[k]) =
@@ -58,7 +57,7 @@ pub fn record<W: World>(
             }
             last = out.truth.map(|r| r.quat());
         }
-        piston_mm.push(Vector3::from(counted(*p).0.map(f64::from)) * step_mm);
+        piston_mm.push(rack.piston_mm(&rack.steps(p)));
         let noise = Vector3::from_fn(|_, _| rng.sample::<f64, _>(StandardNormal))
             * TRACKER_DEG.to_radians();
         before = *p;

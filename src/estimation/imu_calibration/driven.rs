@@ -1,27 +1,24 @@
-//! What a bend log holds for the calibration: its samples, those beside motors that step, and the bends.
+//! What samples beside driven pistons hold for the calibration: readings beside motors that step, and bends.
 
 use crate::estimation::fusion::tip::{FuseConfig, Fusion, FusionInput, STILL_AFTER_S};
 use crate::estimation::imu_calibration::{motor, mount, still};
-use crate::log::bend_log::BendLog;
 use crate::model::Drive;
 use crate::primitives::{ImuReading, ImuSample, Steps};
 use nalgebra::Vector3;
 
-/// The samples of a log; none if it has no IMU.
-pub fn samples(log: &BendLog) -> Vec<ImuSample> {
-    let imu = log.imu.as_ref();
-    imu.map_or_else(Vec::new, |imu| imu.samples(&log.t_s).collect())
-}
-
-/// Magnetometer readings in the base frame with the motors' step counts. The tip orientation is estimated without the
+/// Magnetometer readings in the base frame with the motors' step counts; `piston_mm` are the pistons at the samples. The tip orientation is estimated without the
 /// magnetometer.
-pub fn of_motors(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
+pub fn of_motors(
+    samples: &[ImuSample],
+    piston_mm: &[Vector3<f64>],
+    idle_after_s: f64,
+) -> Vec<motor::MotorSample> {
     let mut config = FuseConfig::default();
     config.bend.use_mag = false;
     let (drive, mut fusion) = (Drive::default(), Fusion::default());
     let (mut last, mut moved_s, mut out) = (Steps::default(), [f64::NEG_INFINITY; 3], Vec::new());
-    for (k, sample) in samples(log).iter().enumerate() {
-        let steps = drive.steps(&log.piston_mm[k]);
+    for (k, sample) in samples.iter().enumerate() {
+        let steps = drive.steps(&piston_mm[k]);
         for (moved, (now, before)) in moved_s.iter_mut().zip(steps.0.iter().zip(last.0)) {
             if *now != before {
                 *moved = sample.t.0;
@@ -49,18 +46,17 @@ pub fn of_motors(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
     out
 }
 
-/// Rotations between two held poses in the same bending plane.
-pub fn bends(log: &BendLog) -> Vec<mount::BendTurn> {
-    let samples = samples(log);
-    let Some(bias) = still::rests(&samples).first().map(|r| r.gyro_rad_s) else {
+/// Rotations between two held poses in the same bending plane; `command` are the commands at the samples, as a bend log has them.
+pub fn bends(samples: &[ImuSample], command: &[Vector3<f64>]) -> Vec<mount::BendTurn> {
+    let Some(bias) = still::rests(samples).first().map(|r| r.gyro_rad_s) else {
         return Vec::new();
     };
     let changes: Vec<usize> = (1..samples.len())
-        .filter(|&k| log.command.get(k) != log.command.get(k - 1))
+        .filter(|&k| command.get(k) != command.get(k - 1))
         .collect();
     let ends = changes.iter().skip(1).copied().chain([samples.len()]);
     let turn = |(&from, to): (&usize, usize)| {
-        let (before, after) = (log.command[from - 1], log.command[from]);
+        let (before, after) = (command[from - 1], command[from]);
         let direction_rad = plane(&before, &after)?.to_radians();
         let lost = samples[from..to].iter().any(|s| !s.is_finite());
         (!lost).then(|| mount::BendTurn {

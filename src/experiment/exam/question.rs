@@ -4,19 +4,18 @@
 //! calibration is a few percent off. The size of an effect is drawn; one that is too small to be claimed is drawn again, and
 //! the largest is asked for in any case.
 
-use crate::diagnosis::exam::{PERIOD_S, record};
 use crate::diagnosis::tip::fit::CLAIM_DEG;
 use crate::diagnosis::tip::observed::{Observed, PerQuantity, Quantity};
 use crate::diagnosis::tip::{Rig, recalibrated};
+use crate::experiment::exam::{PERIOD_S, record};
 use crate::log::bend_log::BendLog;
 use crate::model::Line;
 use crate::model::effects::entry;
+use crate::simulation::MachineError;
 use crate::simulation::plant::PlantConfig;
-use crate::simulation::plant::config::BaseConfig;
-use crate::simulation::plant::config::Spread;
+use crate::simulation::plant::config::{BaseConfig, Spread};
 use crate::simulation::plant::imu::chip::ImuConfig;
 use crate::simulation::sim::Sim;
-use crate::supervisor::MachineError;
 use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::seq::{IndexedRandom, SliceRandom};
