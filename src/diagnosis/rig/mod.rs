@@ -14,7 +14,6 @@ pub mod problem;
 mod refine;
 pub mod regress;
 pub mod saved;
-pub mod search;
 pub mod table;
 #[cfg(test)]
 mod tests;
@@ -25,7 +24,7 @@ pub use file::{MapFile, Nominal};
 pub use model::{MapBase, Member, RESONANT, Scale};
 pub use operators::{DRIVEN, Drive, Operator, STILL, none, oscillator, oscillator_step, play};
 pub use poses::{notes, poor};
+pub use problem::{RigProblem, Set};
 pub use regress::{Regressed, Task, closed_ci95, variance};
 pub use saved::SavedRig;
-pub use search::{RigProblem, Set};
 pub use table::Signals;

@@ -15,7 +15,6 @@ pub mod problem;
 pub mod remedy;
 pub mod rig;
 pub mod saved;
-pub mod search;
 
 pub use check::check;
 pub use confusion::{alike, confused_with, separable};
@@ -23,7 +22,7 @@ pub use document::{
     Diagnosed, Diagnosis, EffectEntry, Gap, LogEntry, ParamValue, UnknownEntry, goes_with,
 };
 pub use location::{Location, QuantityShare, Region, StageShare, When, commanded_bend, polar_deg};
+pub use problem::{TipProblem, recalibrated};
 pub use remedy::Remedy;
 pub use rig::Rig;
 pub use saved::{SavedGains, SavedModel};
-pub use search::{TipProblem, recalibrated};

@@ -244,11 +244,11 @@ mod tests {
             };
             let statement = |s: &(u8, f64, u8, f64)| Statement {
                 names: (s.0 < 32).then(|| names(s.0)),
-                features: vec![s.1.max(1e-9).ln()],
+                features: vec![("p".to_owned(), s.1.max(1e-9).ln())],
                 claim: Claim { names: (s.2 != 31).then(|| names(s.2 & s.0)), unexplained: s.3 },
             };
             let alike = [["delay", "latency"]];
-            let head = Head { names: vec!["p".to_owned()], weights: vec![1.0], conformal: 0.95 };
+            let head = Head { weight: [("p".to_owned(), 1.0)].into(), conformal: 0.95 };
             let p = Posterior::new(&head, said.iter().map(statement).collect()).shared(&alike);
             prop_assert!((p.ranked.iter().map(|s| s.1).sum::<f64>() - 1.0).abs() < 1e-9);
             let v = decide(&p, &alike, |_| vec![]);
