@@ -8,8 +8,8 @@ use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
+use retroflex::diagnosis::rig::catalogue;
 use retroflex::diagnosis::rig::file::Columns;
-use retroflex::diagnosis::rig::model::catalogue;
 use retroflex::diagnosis::rig::regress;
 use retroflex::diagnosis::rig::{
     DRIVEN, Drive, MapFile, Nominal, Operator, RESONANT, Signals, Task, variance,

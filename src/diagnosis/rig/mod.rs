@@ -21,8 +21,10 @@ mod tests;
 pub use check::check;
 pub use document::{Document, Entry};
 pub use file::{MapFile, Nominal};
-pub use model::{MapBase, Member, RESONANT, Scale};
-pub use operators::{DRIVEN, Drive, Operator, STILL, none, oscillator, oscillator_step, play};
+pub use model::{MapBase, Member, Scale};
+pub use operators::{
+    DRIVEN, Drive, Operator, RESONANT, STILL, catalogue, oscillator, oscillator_step, play,
+};
 pub use poses::{notes, poor};
 pub use problem::{RigProblem, Set};
 pub use regress::{Regressed, Task, closed_ci95, variance};

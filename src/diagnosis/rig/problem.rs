@@ -3,8 +3,8 @@
 //! Every operator is fitted alone, at the best η of its grid. All pairs are scored at these η and the best refitted; the best single is
 //! extended by every operator anew, and so is the best pair where it leaves something.
 
-use crate::diagnosis::rig::model::{catalogue, range};
-use crate::diagnosis::rig::operators::kind;
+use crate::diagnosis::rig::model::range;
+use crate::diagnosis::rig::operators::{catalogue, kind};
 use crate::diagnosis::rig::{
     Document, MapBase, MapFile, Member, Operator, Regressed, Signals, Task, closed_ci95, poor,
     variance,
