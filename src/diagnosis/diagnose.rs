@@ -1,7 +1,7 @@
 //! A diagnosis: sets of effects are fitted, the statements about the log get probabilities, the most probable is the verdict.
 
 use crate::diagnosis::verdict::{Claim, Feature, Posterior, Statement, decide};
-use crate::diagnosis::{Candidates, Judged, Problem, Scored};
+use crate::diagnosis::{Candidates, Documented, Judged, Problem, Scored};
 
 /// A diagnosis and what it was made from.
 pub struct Diagnosed<D, S> {
@@ -14,7 +14,7 @@ pub struct Diagnosed<D, S> {
 }
 
 /// Diagnoses a log.
-pub fn diagnose<P: Problem>(problem: &P) -> Diagnosed<P::Document, P::Set> {
+pub fn diagnose<P: Documented>(problem: &P) -> Diagnosed<P::Document, P::Set> {
     let found = search(problem);
     let alike = problem.alike();
     let posterior = Posterior::new(P::head(), statements(problem, &found)).shared(&alike);

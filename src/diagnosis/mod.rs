@@ -20,4 +20,4 @@ pub mod verdict;
 pub use candidates::{Candidates, Scored};
 pub use diagnose::{Diagnosed, diagnose, search, statements};
 pub use judgement::{Checked, Judgement};
-pub use problem::{Judged, Problem};
+pub use problem::{Documented, Judged, Problem};

@@ -7,8 +7,6 @@ use crate::diagnosis::{Candidates, Scored};
 pub trait Problem: Sized {
     /// A fitted set of effects.
     type Set: Scored + Clone;
-    /// What is written of the log.
-    type Document;
 
     /// The nominal model, recalibrated.
     fn nominal(&self) -> &Self::Set;
@@ -47,6 +45,13 @@ pub trait Problem: Sized {
     fn stand_ins(&self, _: &Candidates<Self::Set>, _: &[&'static str]) -> Vec<&'static str> {
         vec![]
     }
+}
+
+/// A problem whose diagnosis is written as a document.
+pub trait Documented: Problem {
+    /// What is written of the log.
+    type Document;
+
     /// The document.
     fn document(&self, judged: &Judged<Self>) -> Self::Document;
 }

@@ -2,7 +2,7 @@
 
 use crate::diagnosis::rig::{MapFile, Member, RigProblem, Set, Signals, closed_ci95, notes};
 use crate::diagnosis::verdict::Verdict;
-use crate::diagnosis::{Judged, Scored, diagnose};
+use crate::diagnosis::{Documented, Judged, Scored, diagnose};
 use serde::{Deserialize, Serialize};
 
 /// RMSE in the unit of the output.
@@ -116,9 +116,10 @@ impl Document {
     }
 }
 
-impl RigProblem<'_> {
-    /// The document.
-    pub fn written(&self, judged: &Judged<Self>) -> Document {
+impl Documented for RigProblem<'_> {
+    type Document = Document;
+
+    fn document(&self, judged: &Judged<Self>) -> Document {
         let (chosen, mut notes) = (judged.chosen(), notes(self.logs));
         let entry = |s: &Set| self.entry(judged, &self.nominal, s);
         let mut effects: Vec<Entry> = judged.found.singles.iter().map(entry).collect();
@@ -148,7 +149,9 @@ impl RigProblem<'_> {
             logs: self.log_entries(chosen),
         }
     }
+}
 
+impl RigProblem<'_> {
     /// The verdict's set as a whole, and what each of several effects closes beyond the others.
     fn set_entries(&self, judged: &Judged<Self>) -> Vec<Entry> {
         let set = judged.chosen();

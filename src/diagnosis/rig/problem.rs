@@ -6,11 +6,10 @@
 use crate::diagnosis::rig::model::range;
 use crate::diagnosis::rig::operators::{catalogue, kind};
 use crate::diagnosis::rig::{
-    Document, MapBase, MapFile, Member, Operator, Regressed, Signals, Task, closed_ci95, poor,
-    variance,
+    MapBase, MapFile, Member, Operator, Regressed, Signals, Task, closed_ci95, poor, variance,
 };
 use crate::diagnosis::verdict::{Claim, Feature, Head};
-use crate::diagnosis::{Candidates, Judged, Problem, Scored};
+use crate::diagnosis::{Candidates, Problem, Scored};
 use std::sync::LazyLock;
 
 /// Surcharge per effect when the best set is chosen, in the unit of a density.
@@ -213,7 +212,6 @@ impl<'a> RigProblem<'a> {
 
 impl Problem for RigProblem<'_> {
     type Set = Set;
-    type Document = Document;
 
     fn nominal(&self) -> &Set {
         &self.nominal
@@ -324,9 +322,6 @@ impl Problem for RigProblem<'_> {
         let least = found.set(names).unwrap_or(&found.nominal).energy();
         let better = found.singles.iter().filter(|s| s.energy() < least);
         better.map(|s| s.names[0]).collect()
-    }
-    fn document(&self, judged: &Judged<Self>) -> Document {
-        self.written(judged)
     }
 }
 

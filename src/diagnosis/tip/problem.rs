@@ -5,14 +5,14 @@
 //! ([`mod@crate::diagnosis::tip::fit::screen`]). The density of a block and sensor is that of residuals whose variance is unknown
 //! ([`crate::diagnosis::tip::fit::holdout::density`]).
 
+use crate::diagnosis::tip::alike;
 use crate::diagnosis::tip::fit::{
     Alone, BaseFit, CLAIM_DEG, Candidate, HeldOut, LeastSquares, Start, alone, best_start,
     dated_again, fit, grown, schwarz, screen,
 };
 use crate::diagnosis::tip::observed::{Observed, Quantity, dependences};
-use crate::diagnosis::tip::{Diagnosis, alike};
 use crate::diagnosis::verdict::{Claim, Feature, Head};
-use crate::diagnosis::{Candidates, Judged, Problem, Scored};
+use crate::diagnosis::{Candidates, Problem, Scored};
 use crate::model::effects::Effect;
 use crate::model::{Line, Model, nominal_theta};
 use rayon::prelude::*;
@@ -134,7 +134,6 @@ impl<'a> TipProblem<'a> {
 
 impl Problem for TipProblem<'_> {
     type Set = Candidate;
-    type Document = Diagnosis;
 
     fn nominal(&self) -> &Candidate {
         &self.nominal
@@ -237,9 +236,6 @@ impl Problem for TipProblem<'_> {
 
     fn alike(&self) -> Vec<[&'static str; 2]> {
         alike(self.log.has[Quantity::Reference])
-    }
-    fn document(&self, judged: &Judged<Self>) -> Diagnosis {
-        self.written(judged)
     }
 }
 
