@@ -6,7 +6,6 @@
 pub mod check;
 pub mod document;
 pub mod file;
-pub mod long;
 pub mod model;
 pub mod operators;
 pub mod poses;

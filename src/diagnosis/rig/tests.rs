@@ -1,7 +1,7 @@
 //! Random rigs of known cause: what is found does not depend on zeros and units, and parameters are found where they are.
 
 use crate::diagnosis::Scored;
-use crate::diagnosis::rig::long::ROWS_MAX;
+use crate::diagnosis::rig::table::ROWS_MAX;
 use crate::diagnosis::rig::{DRIVEN, Document, MapFile, RigProblem, Signals};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};

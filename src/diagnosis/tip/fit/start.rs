@@ -4,8 +4,7 @@
 //! predicts how far the sum of squares falls, and the fit starts at the best. The sum of squares has no gradient with
 //! respect to the time of an event; a linear least-squares scan over all times of the log finds it. [`super::modes`] finds frequencies.
 
-use crate::diagnosis::tip::fit::modes::periodic;
-use crate::diagnosis::tip::fit::offsets::{EARLY_S, SCANNED_S, changes, vanishing};
+use crate::diagnosis::tip::fit::modes::{EARLY_S, SCANNED_S, changes, periodic, vanishing};
 use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, Sums, Tangent, schwarz, step};
 use crate::diagnosis::tip::observed::Segment;
 use crate::model::effects::{Effect, Stage};
