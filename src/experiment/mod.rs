@@ -9,7 +9,6 @@ pub mod error;
 pub mod evaluation;
 pub mod identify;
 pub mod path;
-pub mod pose;
 pub mod rig;
 pub mod schedule;
 pub mod sweep;

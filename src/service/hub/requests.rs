@@ -5,7 +5,6 @@ use crate::config::Gains;
 use crate::config::source;
 use crate::control::Path;
 use crate::experiment::identify::Algorithm1;
-use crate::experiment::pose::Round;
 use crate::experiment::schedule;
 use crate::model::{Bend, Line, Shape};
 use crate::primitives::Checker;
@@ -305,9 +304,8 @@ impl Hub {
             ));
         }
         let SupervisorConfig { tick, gate, .. } = &self.config.supervisor;
-        let round = Round::new(tick.geometry, poses);
         let from_zero = [Line::default(); 3];
-        let algorithm = Algorithm1::new(round, from_zero, prior, tick.dynamics);
+        let algorithm = Algorithm1::new(tick.geometry, poses, from_zero, prior, tick.dynamics);
         self.calibration = Some(Session::new(algorithm, gate.step_mm));
         self.calibration_failed = None;
         self.order(Order::Calibrate(true), caller.clone());
