@@ -2,7 +2,7 @@
 
 use crate::diagnosis::rig::{MapFile, Member, RigProblem, Set, Signals, closed_ci95, notes};
 use crate::diagnosis::verdict::Verdict;
-use crate::diagnosis::{Documented, Judged, Scored, diagnose};
+use crate::diagnosis::{Documented, Judged, Scored};
 use serde::{Deserialize, Serialize};
 
 /// RMSE in the unit of the output.
@@ -95,12 +95,6 @@ pub struct Document {
 }
 
 impl Document {
-    /// Diagnoses logs of one rig with the seed of the bootstrap.
-    pub fn new(map: &MapFile, logs: &[Signals], seed: u64) -> Self {
-        RigProblem::new(map, logs, seed)
-            .map_or_else(|| Self::empty(map), |problem| diagnose(&problem).document)
-    }
-
     /// The document of logs that do not determine the nominal model: their verdict is `unknown`.
     pub fn empty(map: &MapFile) -> Self {
         Self {
@@ -223,6 +217,7 @@ impl RigProblem<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnosis::rig::tests::document;
     use crate::diagnosis::rig::{play, poor};
     use crate::diagnosis::verdict::VerdictKind;
     use rand::rngs::StdRng;
@@ -254,7 +249,7 @@ mod tests {
     }
 
     fn diagnosis(law: impl Fn(&[f64], &[f64]) -> Vec<f64>) -> Document {
-        Document::new(&toml::from_str(MAP).unwrap(), &[log(law)], 1)
+        document(&toml::from_str(MAP).unwrap(), &[log(law)])
     }
 
     #[test]
@@ -320,7 +315,7 @@ mod tests {
                 poor(std::slice::from_ref(&stands)) && !poor(&[signals(slow(80.0))]),
                 "{poses}"
             );
-            let d = Document::new(&toml::from_str(MAP).unwrap(), &[stands], 1);
+            let d = document(&toml::from_str(MAP).unwrap(), &[stands]);
             assert!(
                 d.verdict.names.is_empty() && d.notes.iter().any(|n| n.contains("distinct")),
                 "{:?}",
@@ -355,7 +350,7 @@ mod tests {
                 t,
                 clocked: true,
             };
-            let d = Document::new(&toml::from_str(MAP).unwrap(), &[signals], 1);
+            let d = document(&toml::from_str(MAP).unwrap(), &[signals]);
             let noted = d.notes.iter().any(|n| n.contains("Record a longer log"));
             assert!(
                 if rows < 200 {
