@@ -114,7 +114,6 @@ impl Mean {
     fn write(self, log: &mut BendLog) {
         log.t_s.push(self.t_s / self.ticks);
         log.piston_mm.push(self.piston_mm / self.ticks);
-        log.command.push(Vector3::repeat(f64::NAN));
         if let Some(imu) = &mut log.imu {
             let columns = [&mut imu.acc, &mut imu.gyr, &mut imu.mag];
             for (column, (sum, n)) in columns.into_iter().zip(self.imu) {

@@ -234,16 +234,15 @@ impl Problem for RigProblem<'_> {
         further.unwrap_or_default()
     }
     fn parts(&self, _: &Candidates<Set>, triples: &[Set]) -> Vec<Set> {
-        let without = |set: &Set, k: usize| {
-            let mut rest = set.members.clone();
-            rest.remove(k);
-            self.set(rest)
-        };
-        let places = |set: &Set| 0..set.members.len();
-        let parts = triples
-            .iter()
-            .flat_map(|set| places(set).map(move |k| (set, k)));
-        parts.filter_map(|(set, k)| without(set, k)).collect()
+        let mut parts = vec![];
+        for set in triples {
+            for k in 0..set.members.len() {
+                let mut rest = set.members.clone();
+                rest.remove(k);
+                parts.extend(self.set(rest));
+            }
+        }
+        parts
     }
 
     fn head() -> &'static Head {

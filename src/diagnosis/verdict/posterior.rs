@@ -60,19 +60,6 @@ pub fn probabilities(scores: &[f64]) -> Vec<f64> {
     scores.iter().map(|s| (s - best).exp() / total).collect()
 }
 
-/// The statements that have at least `level` of the probability together, the most probable first.
-pub fn conformal_set(p: &[f64], level: f64) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..p.len()).collect();
-    order.sort_by(|&a, &b| p[b].total_cmp(&p[a]));
-    let mut sum = 0.0;
-    let enough = order.iter().position(|&i| {
-        sum += p[i];
-        sum >= level
-    });
-    order.truncate(enough.map_or(p.len(), |n| n + 1));
-    order
-}
-
 /// Statements with their probabilities: the names of a set, or `None` for `unknown`.
 pub type Said = (Option<Vec<&'static str>>, f64);
 
@@ -150,10 +137,14 @@ impl Posterior {
         Self { ranked, level }
     }
 
-    /// The statements of the conformal set.
+    /// The statements of the conformal set: the most probable, as many as have the level together.
     pub fn conformal(&self) -> &[Said] {
-        let p: Vec<f64> = self.ranked.iter().map(|s| s.1).collect();
-        &self.ranked[..conformal_set(&p, self.level).len()]
+        let mut sum = 0.0;
+        let enough = self.ranked.iter().position(|(_, p)| {
+            sum += p;
+            sum >= self.level
+        });
+        &self.ranked[..enough.map_or(self.ranked.len(), |last| last + 1)]
     }
 
     /// The posterior of a log that cannot tell the effects of these pairs apart: they share the probability.
@@ -226,9 +217,18 @@ mod tests {
             (p[0] - 0.5).abs() < 1e-3 && (p.iter().sum::<f64>() - 1.0).abs() < 1e-12,
             "{p:?}"
         );
-        let mut set = conformal_set(&p, 0.95);
-        set.sort_unstable();
-        assert_eq!(set, [0, 1]);
-        assert_eq!(conformal_set(&[0.97, 0.02, 0.01], 0.95), [0]);
+        let sets = ["leak", "creep", "play"].map(|name| Some(vec![name]));
+        let said = |p: &[f64]| {
+            sets.clone()
+                .into_iter()
+                .zip(p.to_vec())
+                .collect::<Vec<Said>>()
+        };
+        let named = |p: &[f64]| -> Vec<_> {
+            let posterior = Posterior::of(said(p), 0.95);
+            posterior.conformal().iter().map(|s| s.0.clone()).collect()
+        };
+        assert_eq!(named(&p), sets[..2]);
+        assert_eq!(named(&[0.02, 0.97, 0.01]), sets[1..2]);
     }
 }

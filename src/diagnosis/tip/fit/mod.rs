@@ -36,7 +36,8 @@ const ATTEMPTS: usize = 6;
 
 /// Fits from `start` with at most `rounds` accepted steps. After a last step within `CONVERGED` the tangent is that of the point before.
 pub fn fit<'a>(problem: LeastSquares<'a>, start: &[f64], rounds: usize) -> BaseFit<'a> {
-    let (mut point, mut damping) = (problem.at_clamped(start), DAMPING);
+    let start = within(start.iter().copied(), &problem.bounds);
+    let (mut point, mut damping) = (problem.at(start), DAMPING);
     let mut tangent = Tangent::new(&problem, &point);
     for _ in 0..rounds {
         let mut sums = tangent.sums(&problem, &point);
