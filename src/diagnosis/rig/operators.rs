@@ -5,6 +5,7 @@
 //! rows if the log has no clock. The state starts with a log and runs through it.
 
 use crate::diagnosis::rig::Nominal;
+use crate::log::table::median;
 use std::f64::consts::TAU;
 
 /// Signals that an operator acts on.
@@ -223,9 +224,7 @@ const ROWS_PER_PERIOD: f64 = 5.0;
 /// are a trend. The longest is there in any case.
 fn periods(range: f64, x: &[f64], unit: f64) -> Vec<f64> {
     let steps = x.windows(2).map(|w| (w[1] - w[0]).abs() * unit);
-    let mut steps: Vec<f64> = steps.filter(|s| *s > 0.0).collect();
-    steps.sort_by(f64::total_cmp);
-    let usual = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
+    let usual = median(steps.filter(|s| *s > 0.0)).unwrap_or(0.0);
     let period = |k: u32| range * 4.0 / f64::from(k);
     let passed = |k: &u32| *k == 24 || period(*k) >= ROWS_PER_PERIOD * usual;
     (24..=600).filter(passed).map(period).collect()
