@@ -36,7 +36,8 @@ pub fn described(
     let found = best_predicting(&log, &nominal, &nominal);
     let theta = &found.theta;
     let causes = found.model.each(theta).map(|(e, p)| (e, p.to_vec()));
-    let machine = DescribedMachine::new(rig.geometry, log.rest(), theta, causes.collect());
+    let rest = log.segments[0].rest;
+    let machine = DescribedMachine::new(rig.geometry, rest, theta, causes.collect());
     Ok(machine.foreseeable())
 }
 

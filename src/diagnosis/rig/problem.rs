@@ -251,7 +251,7 @@ impl Problem for RigProblem<'_> {
     fn lack(&self, set: &Set) -> f64 {
         2.0 * PER_EFFECT * set.names.len() as f64 - self.gained(set).iter().sum::<f64>()
     }
-    /// What a set gains over the nominal model: the density of the long and of the short blocks, and their mean up to each of [`SLIGHT`].
+    /// What a set gains over the nominal model: the density of the long and of the short blocks, and their mean up to each of `SLIGHT`.
     fn density(&self, set: &Set) -> Vec<Feature> {
         let [long, short] = self.gained(set);
         let [slight, clear] = SLIGHT.map(|most| ((long + short) / 2.0 / most).min(1.0));
@@ -284,7 +284,7 @@ impl Problem for RigProblem<'_> {
         ]
     }
     /// One, and the logarithm of what the best set leaves above the noise over the noise, the same where it is negative, over the gap, and the
-    /// same above [`FORM`].
+    /// same above `FORM`.
     fn of_unknown(&self, _: &Candidates<Set>, best: &Set) -> Vec<Feature> {
         let noise = self.noisy(best);
         let left = ratio(self.above(best), self.above(&self.nominal));

@@ -176,7 +176,7 @@ impl SavedModel {
     pub fn with_forecast(self, log: &Observed, done: &Diagnosed) -> Self {
         let best = best_predicting(log, &done.found.nominal, &done.chosen);
         Self {
-            rest: Some(log.rest()),
+            rest: Some(log.segments[0].rest),
             forecast: Some(SavedForecast {
                 gains: SavedGains::new(&best.theta),
                 effect: saved_effects(&best),

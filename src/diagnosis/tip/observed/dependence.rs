@@ -179,7 +179,7 @@ fn change(log: &Observed, q: Quantity, k: usize) -> Vector3<f64> {
 fn reading(log: &Observed, q: Quantity, k: usize) -> Vector3<f64> {
     let bin = &log.bins[k];
     let segment = log.segments.first();
-    let field_ut = segment.map_or(1.0, |s| s.field_base_ut.norm().max(1.0));
+    let field_ut = segment.map_or(1.0, |s| s.rest.field_ut.norm().max(1.0));
     match q {
         Quantity::Reference => bin.reference.transpose() * Vector3::z(),
         Quantity::Acc => bin.acc / G_M_S2,
