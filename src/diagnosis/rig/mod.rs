@@ -22,7 +22,7 @@ pub use document::{Document, Entry};
 pub use file::{MapFile, Nominal};
 pub use model::{MapBase, Member, Scale};
 pub use operators::{
-    DRIVEN, Drive, Operator, RESONANT, STILL, catalogue, oscillator, oscillator_step, play,
+    DRIVEN, Drive, Operator, RESONANT, catalogue, oscillator, oscillator_step, play,
 };
 pub use poses::{notes, poor};
 pub use problem::{RigProblem, Set};
