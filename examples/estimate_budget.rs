@@ -190,7 +190,7 @@ fn main() {
     for condition in &CONDITIONS {
         for &value in condition.values {
             row(&format!("{} = {value}", condition.name), &|unit, n| {
-                condition.apply(unit, value, TURN_DEG * n as f64 % 360.0);
+                (condition.apply)(unit, value, TURN_DEG * n as f64 % 360.0);
             });
         }
     }

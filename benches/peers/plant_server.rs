@@ -69,7 +69,7 @@ fn unit(args: &Args, twin: &PlantConfig) -> Result<PlantConfig, Box<dyn Error>> 
             .iter()
             .find(|c| c.name == name)
             .ok_or_else(|| format!("no condition {name}; there are {}", known()))?;
-        condition.apply(
+        (condition.apply)(
             &mut unit,
             value.parse()?,
             TURN_DEG * args.unit.saturating_sub(1) as f64 % 360.0,

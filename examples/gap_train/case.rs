@@ -6,7 +6,7 @@ use retroflex::diagnosis::rig::RigProblem;
 use retroflex::diagnosis::tip::observed::{ObserveError, Observed};
 use retroflex::diagnosis::tip::{Rig, TipProblem};
 use retroflex::diagnosis::verdict::Posterior;
-use retroflex::diagnosis::verdict::posterior;
+use retroflex::diagnosis::verdict::{posterior, probabilities};
 use retroflex::diagnosis::{Problem, search, statements};
 use retroflex::model::effects::catalogue;
 use serde::{Deserialize, Serialize};
@@ -50,7 +50,8 @@ pub fn known(names: &[String]) -> Vec<&'static str> {
 pub struct Said {
     /// Names of the set, or `None` for `unknown`.
     pub names: Option<Vec<String>>,
-    /// Its features.
+    /// Its features, in the order of their names.
+    #[serde(rename = "features_by_name")]
     pub features: Vec<f64>,
     /// What may be claimed of it.
     pub claim: Claim,
@@ -76,9 +77,13 @@ impl Case {
                 .map(|n| (*n).to_owned())
                 .collect::<Vec<String>>()
         };
+        let value = |s: &posterior::Statement, name: &String| {
+            let known = s.features.iter().find(|(known, _)| known == name);
+            known.map_or(0.0, |(_, value)| *value)
+        };
         let said = |s: &posterior::Statement| Said {
             names: s.names.as_deref().map(owned),
-            features: s.features.clone(),
+            features: P::head().weight.keys().map(|n| value(s, n)).collect(),
             claim: Claim {
                 names: s.claim.names.as_deref().map(owned),
                 unexplained: s.claim.unexplained,
@@ -133,5 +138,11 @@ impl Case {
     /// Features of all statements.
     pub fn features(&self) -> impl Iterator<Item = &[f64]> {
         self.said.iter().map(|s| s.features.as_slice())
+    }
+
+    /// Probabilities of all statements with these weights.
+    pub fn probabilities(&self, weights: &[f64]) -> Vec<f64> {
+        let score = |x: &[f64]| x.iter().zip(weights).map(|(x, w)| x * w).sum();
+        probabilities(&self.features().map(score).collect::<Vec<f64>>())
     }
 }

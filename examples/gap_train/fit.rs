@@ -2,7 +2,6 @@
 
 use super::case::{Case, known};
 use nalgebra::{DMatrix, DVector};
-use retroflex::diagnosis::verdict::probabilities;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -93,7 +92,7 @@ fn needed(case: &Case, right: usize, w: &[f64]) -> (f64, f64) {
     let truth = &case.said[right];
     let claim = || truth.claim.names.as_deref().map(known).unwrap_or_default();
     let truth = truth.names.as_ref().map(|_| claim());
-    let claimed = case.claimed(&probabilities(case.features(), w));
+    let claimed = case.claimed(&case.probabilities(w));
     let p = claimed
         .iter()
         .find(|(names, _)| *names == truth)
@@ -113,7 +112,7 @@ fn level(p: &[(f64, f64)]) -> f64 {
 /// Mean log-likelihood with the ridge.
 fn likelihood(cases: &[(&Case, usize)], w: &DVector<f64>) -> f64 {
     let of = |(c, right): &(&Case, usize)| {
-        probabilities(c.features(), w.as_slice())[*right]
+        c.probabilities(w.as_slice())[*right]
             .max(f64::MIN_POSITIVE)
             .ln()
     };
@@ -126,7 +125,7 @@ fn slopes(cases: &[(&Case, usize)], w: &DVector<f64>) -> (DVector<f64>, DMatrix<
     let mut gradient = -w * (2.0 * RIDGE);
     let mut curvature = DMatrix::identity(size, size) * (2.0 * RIDGE);
     for (c, right) in cases {
-        let p = probabilities(c.features(), w.as_slice());
+        let p = c.probabilities(w.as_slice());
         let mut mean = DVector::zeros(size);
         c.features()
             .zip(&p)
@@ -146,7 +145,7 @@ mod tests {
     use super::*;
     use rand::rngs::StdRng;
     use rand::{RngExt, SeedableRng};
-    use retroflex::diagnosis::verdict::conformal_set;
+    use retroflex::diagnosis::verdict::{Posterior, probabilities};
 
     /// Cases drawn from known weights: a fit finds them, and the sets hold as often as they should.
     #[test]
@@ -157,7 +156,8 @@ mod tests {
             let features: Vec<Vec<f64>> = (0..6)
                 .map(|_| truth.iter().map(|_| rng.random_range(-2.0..2.0)).collect())
                 .collect();
-            let p = probabilities(features.iter().map(Vec::as_slice), &truth);
+            let score = |x: &Vec<f64>| x.iter().zip(&truth).map(|(x, w)| x * w).sum();
+            let p = probabilities(&features.iter().map(score).collect::<Vec<f64>>());
             let mut drawn: f64 = rng.random();
             let right = p.iter().position(|p| {
                 drawn -= p;
@@ -191,10 +191,13 @@ mod tests {
         );
         let fresh: Vec<Case> = (12_000..15_000).map(&mut case).collect();
         let holds = |c: &&Case| {
-            c.right().is_some_and(|r| {
-                conformal_set(&probabilities(c.features(), found), trained.head.conformal)
-                    .contains(&r)
-            })
+            let claimed = c.claimed(&c.probabilities(found));
+            let posterior = Posterior::of(claimed, trained.head.conformal);
+            let truth = c.truth.as_deref().map(known);
+            posterior
+                .conformal()
+                .iter()
+                .any(|(names, _)| *names == truth)
         };
         let held = fresh.iter().filter(holds).count();
         assert!((2790..=2910).contains(&held), "95 % of 3,000: {held}");

@@ -90,7 +90,7 @@ fn main() -> Result<()> {
     } else {
         TipProblem::head()
     };
-    let trained = fit::fit(&cases, head.names.clone());
+    let trained = fit::fit(&cases, head.weight.keys().cloned().collect());
     let [fitted, check, lost] = trained.logs;
     let head = format!(
         "# Weights of the posterior (src/diagnosis/verdict/posterior.rs), made by\n# cargo run --release --example gap_train --{} --logs {} --seed {}\n\

@@ -8,8 +8,8 @@ use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
+use retroflex::diagnosis::rig::catalogue;
 use retroflex::diagnosis::rig::file::Columns;
-use retroflex::diagnosis::rig::model::catalogue;
 use retroflex::diagnosis::rig::regress;
 use retroflex::diagnosis::rig::{
     DRIVEN, Drive, MapFile, Nominal, Operator, RESONANT, Signals, Task, variance,
@@ -378,7 +378,8 @@ fn recalibrated(y: &[f64], inputs: &[Vec<f64>]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use retroflex::diagnosis::rig::Document;
+    use retroflex::diagnosis::diagnose;
+    use retroflex::diagnosis::rig::{Document, RigProblem};
     use retroflex::diagnosis::verdict::VerdictKind;
 
     #[test]
@@ -394,7 +395,9 @@ mod tests {
     fn on_random_rigs_the_verdict_is_its_posterior() {
         for seed in 800_000..800_040 {
             let rig = draw(seed);
-            let d = Document::new(&rig.map, std::slice::from_ref(&rig.signals), seed);
+            let problem = RigProblem::new(&rig.map, std::slice::from_ref(&rig.signals), seed);
+            let empty = || Document::empty(&rig.map);
+            let d = problem.map_or_else(empty, |problem| diagnose(&problem).document);
             let v = &d.verdict;
             let Some(first) = v.conformal.first() else {
                 assert_eq!(v.kind, VerdictKind::Unknown, "{seed}");

@@ -1,7 +1,7 @@
 //! A diagnosis: sets of effects are fitted, the statements about the log get probabilities, the most probable is the verdict.
 
 use crate::diagnosis::verdict::{Claim, Feature, Posterior, Statement, decide};
-use crate::diagnosis::{Candidates, Judged, Problem, Scored, search};
+use crate::diagnosis::{Candidates, Documented, Judged, Problem, Scored};
 
 /// A diagnosis and what it was made from.
 pub struct Diagnosed<D, S> {
@@ -14,7 +14,7 @@ pub struct Diagnosed<D, S> {
 }
 
 /// Diagnoses a log.
-pub fn diagnose<P: Problem>(problem: &P) -> Diagnosed<P::Document, P::Set> {
+pub fn diagnose<P: Documented>(problem: &P) -> Diagnosed<P::Document, P::Set> {
     let found = search(problem);
     let alike = problem.alike();
     let posterior = Posterior::new(P::head(), statements(problem, &found)).shared(&alike);
@@ -31,6 +31,23 @@ pub fn diagnose<P: Problem>(problem: &P) -> Diagnosed<P::Document, P::Set> {
     }
 }
 
+/// Fits and scores sets of effects: every single effect, the pairs that may explain more, and triples where a pair leaves something.
+/// [`decide`] checks whether a set needs all its members.
+pub fn search<P: Problem>(problem: &P) -> Candidates<P::Set> {
+    let [singles, pairs] = problem.singles_and_pairs();
+    let mut found = Candidates {
+        nominal: problem.nominal().clone(),
+        singles,
+        larger: vec![],
+    };
+    found.add(pairs);
+    if let Some(triples) = found.larger.first().map(|pair| problem.triples(pair)) {
+        let parts = problem.parts(&found, &triples);
+        found.add(triples.into_iter().chain(parts));
+    }
+    found
+}
+
 /// All statements about a log, with the features that their probabilities are made from: each set, the nominal model, `unknown`. The score of
 /// a set rises with the predictive density of the left-out blocks and falls with its freedom.
 pub fn statements<P: Problem>(problem: &P, found: &Candidates<P::Set>) -> Vec<Statement> {
@@ -39,7 +56,10 @@ pub fn statements<P: Problem>(problem: &P, found: &Candidates<P::Set>) -> Vec<St
     let best = found.sets().min_by(|a, b| lack(a).total_cmp(&lack(b)));
     let best = best.unwrap_or(nominal);
     let features = |set: &P::Set, own: Vec<Feature>, forms: &[&str]| {
-        P::head().features(&[problem.density(set), own].concat(), forms)
+        let own = problem.density(set).into_iter().chain(own);
+        let own = own.map(|(name, value)| (name.to_owned(), value));
+        let forms = forms.iter().map(|name| (format!("form_{name}"), 1.0));
+        own.chain(forms).collect()
     };
     let of_set = |set: &P::Set| Statement {
         names: Some(set.names().to_vec()),
@@ -53,7 +73,7 @@ pub fn statements<P: Problem>(problem: &P, found: &Candidates<P::Set>) -> Vec<St
     };
     let unknown = Statement {
         names: None,
-        features: features(best, problem.of_unknown(found, best), best.names()),
+        features: features(best, problem.of_unknown(found, best), &P::forms(best)),
         claim: Claim::default(),
     };
     found.sets().map(of_set).chain([none, unknown]).collect()

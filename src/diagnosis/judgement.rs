@@ -1,20 +1,16 @@
 //! What a saved model on a fresh log shows: whether it fits this machine, belongs to another unit, or does worse than nothing.
 
 use crate::named;
-use serde::Serialize;
 
 named! {
     /// What a check finds.
-    #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
     pub enum Judgement {
         /// The model fits the machine of the log.
-        #[serde(rename = "this machine")]
         ThisMachine = "this machine",
         /// Other gains or, of a mapped rig, effects of another size fit the log better: it is of another unit.
-        #[serde(rename = "another unit")]
         AnotherUnit = "another unit",
         /// The log has less error without the effects of the model.
-        #[serde(rename = "worse than nothing")]
         WorseThanNothing = "worse than nothing",
     }
 }

@@ -1,7 +1,7 @@
 //! Diagnosis of the sim-to-real gap: where it lies, which effect causes it, and how much of it the effect closes.
 //!
 //! A log is a [`problem`]: effects that may act in it, and how well each set of them explains parts of it that its fit has not seen.
-//! [`search()`](search::search) fits the sets ([`candidates`]), [`verdict`] gives every statement about the log a probability and takes the
+//! [`search`](diagnose::search) fits the sets ([`candidates`]), [`verdict`] gives every statement about the log a probability and takes the
 //! most probable, and [`diagnose()`](diagnose::diagnose) is the whole way to the document. A log of a bending [`tip`] is one such problem, a
 //! log of any other [`rig`] with one output another. [`plausibility`] refuses a log whose units or wiring cannot be right. [`fleet`] compares many units, and [`excite`] designs schedules.
 
@@ -13,12 +13,10 @@ pub mod judgement;
 pub mod plausibility;
 pub mod problem;
 pub mod rig;
-pub mod search;
 pub mod tip;
 pub mod verdict;
 
 pub use candidates::{Candidates, Scored};
-pub use diagnose::{Diagnosed, diagnose, statements};
+pub use diagnose::{Diagnosed, diagnose, search, statements};
 pub use judgement::{Checked, Judgement};
-pub use problem::{Judged, Problem};
-pub use search::{Search, search};
+pub use problem::{Documented, Judged, Problem};

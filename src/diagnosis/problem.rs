@@ -1,14 +1,23 @@
 //! What a diagnosis asks of a log, whatever the machine: [`crate::diagnosis::tip`] and [`crate::diagnosis::rig`] answer it.
 
 use crate::diagnosis::verdict::{Claim, Feature, Head, Posterior, Verdict};
-use crate::diagnosis::{Candidates, Search};
+use crate::diagnosis::{Candidates, Scored};
 
 /// A log with everything that sets of effects are fitted to it and judged by.
-pub trait Problem: Search {
-    /// What is written of the log.
-    type Document;
+pub trait Problem: Sized {
+    /// A fitted set of effects.
+    type Set: Scored + Clone;
 
-    /// The features of a statement and their weights.
+    /// The nominal model, recalibrated.
+    fn nominal(&self) -> &Self::Set;
+    /// Every single effect, the best first, and the promising pairs.
+    fn singles_and_pairs(&self) -> [Vec<Self::Set>; 2];
+    /// The promising extensions of the best pair by one effect; none if it leaves too little for another.
+    fn triples(&self, pair: &Self::Set) -> Vec<Self::Set>;
+    /// The pairs within triples, of which a triple is claimed for what each effect adds to the other two.
+    fn parts(&self, found: &Candidates<Self::Set>, triples: &[Self::Set]) -> Vec<Self::Set>;
+
+    /// The weights of the features of a statement.
     fn head() -> &'static Head;
     /// Predictive density that a set lacks, with a surcharge for each effect; the best set has the least.
     fn lack(&self, set: &Self::Set) -> f64;
@@ -20,6 +29,11 @@ pub trait Problem: Search {
     fn of_none(&self) -> Vec<Feature>;
     /// Features of the statement that no set does; `best` is the best of them.
     fn of_unknown(&self, found: &Candidates<Self::Set>, best: &Self::Set) -> Vec<Feature>;
+    /// The effects of the best set, in the order in which their features `form_EFFECT` are summed. They are 1 for `unknown`: a right effect
+    /// whose law has another form leaves something too, more for some effects than for others.
+    fn forms(best: &Self::Set) -> Vec<&'static str> {
+        best.names().to_vec()
+    }
     /// What may be claimed of a set.
     fn claim(&self, found: &Candidates<Self::Set>, set: &Self::Set) -> Claim;
 
@@ -31,6 +45,13 @@ pub trait Problem: Search {
     fn stand_ins(&self, _: &Candidates<Self::Set>, _: &[&'static str]) -> Vec<&'static str> {
         vec![]
     }
+}
+
+/// A problem whose diagnosis is written as a document.
+pub trait Documented: Problem {
+    /// What is written of the log.
+    type Document;
+
     /// The document.
     fn document(&self, judged: &Judged<Self>) -> Self::Document;
 }

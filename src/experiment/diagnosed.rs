@@ -36,7 +36,8 @@ pub fn described(
     let found = best_predicting(&log, &nominal, &nominal);
     let theta = &found.theta;
     let causes = found.model.each(theta).map(|(e, p)| (e, p.to_vec()));
-    let machine = DescribedMachine::new(rig.geometry, log.rest(), theta, causes.collect());
+    let rest = log.segments[0].rest;
+    let machine = DescribedMachine::new(rig.geometry, rest, theta, causes.collect());
     Ok(machine.foreseeable())
 }
 
@@ -114,7 +115,6 @@ impl Mean {
     fn write(self, log: &mut BendLog) {
         log.t_s.push(self.t_s / self.ticks);
         log.piston_mm.push(self.piston_mm / self.ticks);
-        log.command.push(Vector3::repeat(f64::NAN));
         if let Some(imu) = &mut log.imu {
             let columns = [&mut imu.acc, &mut imu.gyr, &mut imu.mag];
             for (column, (sum, n)) in columns.into_iter().zip(self.imu) {

@@ -102,9 +102,6 @@ pub enum Purpose {
     Track,
 }
 
-/// Opens a fresh world at rest for a purpose.
-pub type Open<'a> = dyn FnMut(Purpose) -> Result<Box<dyn World>, MachineError> + 'a;
-
 /// Uncertainty of the gains of one channel.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ChannelFigures {
@@ -210,13 +207,13 @@ pub struct Track {
     pub live: bool,
 }
 
-/// Runs an evaluation; `progress` receives a description after every held state.
+/// Runs an evaluation; `open` makes a fresh world at rest, and `progress` receives a description after every held state.
 ///
 /// # Errors
 /// [`ExperimentError`] from a world, if the data do not determine the gains, or if the path is out of reach.
 pub fn run(
     plan: &Plan,
-    open: &mut Open<'_>,
+    open: &mut dyn FnMut(Purpose) -> Result<Box<dyn World>, MachineError>,
     progress: &mut dyn FnMut(&str),
 ) -> Result<Evaluation, ExperimentError> {
     let (mut base, mut found, mut plant) = (plan.config.clone(), None, String::new());

@@ -3,7 +3,6 @@
 use crate::control::LoopConfig;
 use crate::control::learning::batch::Prior;
 use crate::control::learning::identify::{Algorithm1, Identified, Next};
-use crate::control::learning::pose::Round;
 use crate::control::learning::schedule::Pose;
 use crate::experiment::error::ExperimentError;
 use crate::experiment::rig::Rig;
@@ -20,8 +19,9 @@ pub fn algorithm_1(
     prior: Option<&[Prior; 3]>,
     progress: &mut dyn FnMut(usize),
 ) -> Result<Identified, ExperimentError> {
-    let round = Round::new(config.geometry, poses.to_vec());
-    let mut algorithm = Algorithm1::new(round, config.lines, prior.copied(), config.dynamics);
+    let (poses, prior) = (poses.to_vec(), prior.copied());
+    let mut algorithm =
+        Algorithm1::new(config.geometry, poses, config.lines, prior, config.dynamics);
     let open = LoopConfig {
         feedback: None,
         ..config.clone()
@@ -29,7 +29,7 @@ pub fn algorithm_1(
     let mut rig = Rig::new(open, world);
     rig.align()?;
     rig.relearn(algorithm.lines());
-    let mut command = Some(algorithm.round.command());
+    let mut command = Some(algorithm.command());
     loop {
         let (frame, sensed) = rig.advance(command.take())?;
         let piston_mm = rig.config.drive.piston_mm(&sensed.counted);
@@ -43,7 +43,7 @@ pub fn algorithm_1(
             Next::Drive(pose) => command = Some(pose),
             Next::Lines(lines) => {
                 rig.relearn(lines);
-                command = Some(algorithm.round.command());
+                command = Some(algorithm.command());
             }
             Next::Done(found) => return Ok(found),
         }

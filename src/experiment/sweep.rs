@@ -34,20 +34,14 @@ pub struct Condition {
     pub name: &'static str,
     /// Values, mildest first.
     pub values: &'static [f64],
-    set: fn(&mut PlantConfig, f64, f64),
-}
-
-impl Condition {
-    /// Sets the value on a unit; `turn_deg` turns directions from unit to unit.
-    pub fn apply(&self, unit: &mut PlantConfig, value: f64, turn_deg: f64) {
-        (self.set)(unit, value, turn_deg);
-    }
+    /// Sets a value on a unit; the last argument turns directions from unit to unit, degrees.
+    pub apply: fn(&mut PlantConfig, f64, f64),
 }
 
 /// Lists conditions: a name, the values, and what a value does to a unit whose directions are turned by an angle.
 macro_rules! conditions {
     ($($name:literal: $values:expr => $set:expr;)+) => {
-        [$(Condition { name: $name, values: &$values, set: $set }),+]
+        [$(Condition { name: $name, values: &$values, apply: $set }),+]
     };
 }
 
@@ -170,7 +164,7 @@ impl Study {
     /// The unit `n` under a condition.
     pub fn unit_under(&self, condition: &Condition, value: f64, n: u64) -> PlantConfig {
         let mut unit = self.unit(n);
-        condition.apply(&mut unit, value, TURN_DEG * n as f64 % 360.0);
+        (condition.apply)(&mut unit, value, TURN_DEG * n as f64 % 360.0);
         unit
     }
 
@@ -332,7 +326,7 @@ mod tests {
         for c in &CONDITIONS {
             for &value in c.values {
                 let mut unit = PlantConfig::default();
-                c.apply(&mut unit, value, 137.5);
+                (c.apply)(&mut unit, value, 137.5);
                 unit.validate()
                     .unwrap_or_else(|e| panic!("{} = {value}: {e}", c.name));
                 assert_ne!(unit, PlantConfig::default(), "{}", c.name);

@@ -77,7 +77,7 @@ fn reader(path: &Path) -> io::Result<Box<dyn Read>> {
 }
 
 /// Median of the finite values, the upper one of two; `None` without any.
-pub(crate) fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+pub fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut all: Vec<f64> = values.filter(|v| v.is_finite()).collect();
     let middle = all.len() / 2;
     (!all.is_empty()).then(|| *all.select_nth_unstable_by(middle, f64::total_cmp).1)

@@ -37,7 +37,7 @@ impl Session {
 
     /// Progress, for the status.
     pub fn progress(&self) -> String {
-        let (at, of) = self.algorithm.round.at();
+        let (at, of) = self.algorithm.at();
         let pass = self.algorithm.pass();
         format!("pass {pass}, pose {} of {of}", at + 1)
     }
@@ -60,9 +60,9 @@ impl Session {
                 Ok(Next::Lines(self.algorithm.lines()))
             }
             State::Pose => {
-                self.algorithm.round.follow(&piston_mm);
+                self.algorithm.follow(&piston_mm);
                 self.state = State::Hold;
-                Ok(Next::Drive(self.algorithm.round.command()))
+                Ok(Next::Drive(self.algorithm.command()))
             }
             State::Hold => {
                 let next = self.algorithm.step(&output.frame, &piston_mm, output.dt_s);

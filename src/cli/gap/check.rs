@@ -73,7 +73,8 @@ fn check_rig(args: &Args) -> Result<Checked> {
 /// The answer as JSON; keys of degrees say so.
 fn document(c: &Checked) -> Value {
     let unit = if c.unit.is_none() { "_deg" } else { "" };
-    let mut out = json!({"judgement": c.judgement, "closed": c.closed, "left_out": c.left_out});
+    let mut out =
+        json!({"judgement": c.judgement.name(), "closed": c.closed, "left_out": c.left_out});
     for (key, error) in [
         ("before", c.before),
         ("after", c.after),

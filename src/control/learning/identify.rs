@@ -1,14 +1,24 @@
 //! Algorithm 1 of the paper (§IV-C): apply k, hold the poses, solve Eq. 25, repeat until k changes by less than 2 %.
 //!
-//! The IMU measures the bend; the counted steps give the side of each piston ([`super::pose`]). The last pass also yields
-//! lag and dead time.
+//! A pose is measured once the set-point has rested; its bend is the mean over the scored time. The counted steps give the
+//! side of each piston (Eq. 21): the row of a channel counts only if its piston has moved further than the widest
+//! backlash since its last reversal. The motion between the poses of the last pass yields lag and dead time
+//! ([`crate::control::observer::bank`]).
 
-use crate::control::learning::batch::{Estimate, Prior, Unidentifiable, relative_step, solve};
-use crate::control::learning::pose::{Round, Step};
-use crate::control::{DynamicsPrior, Frame};
-use crate::model::{Line, Shape};
-use nalgebra::Vector3;
+use crate::control::learning::batch::{
+    Estimate, Measurement, Prior, Unidentifiable, relative_step, solve,
+};
+use crate::control::learning::schedule::{HOLD_S, Pose, SCORED_S};
+use crate::control::learning::sides::Sides;
+use crate::control::observer::bank::DynamicsBank;
+use crate::control::{DynamicsPrior, Frame, TickPhase};
+use crate::model::{Bend, Geometry, Line, Shape};
+use nalgebra::{Vector2, Vector3};
 
+/// Time for which the set-point must have rested before a pose is measured, s.
+const RESTED_S: f64 = 0.7;
+/// Longest time to reach a pose, s.
+const WAY_MAX_S: f64 = 15.0;
 /// The paper's criterion: relative step below 2 %.
 const CONVERGED: f64 = 0.02;
 /// Share by which k_ε changes from one calibration to the next: the absolute temperature of the air in a line rises by 5 % from a room
@@ -60,31 +70,73 @@ pub enum Next {
     Done(Identified),
 }
 
+/// Progress of the present pose.
+#[derive(Debug, Clone, Copy, Default)]
+struct PoseProgress {
+    /// Time since the command, time at rest, and measured time, s.
+    since_s: f64,
+    rested_s: f64,
+    measured_s: f64,
+    /// Sum of the measured bends, rad, and their number.
+    sum: Vector2<f64>,
+    samples: u32,
+}
+
 /// Algorithm 1 in progress, for whoever runs the loop: frames in, poses and gains out.
 #[derive(Debug, Clone)]
 pub struct Algorithm1 {
-    /// The poses of this pass.
-    pub round: Round,
+    geometry: Geometry,
+    poses: Vec<Pose>,
     prior: Option<[Prior; 3]>,
     before: DynamicsPrior,
     history: Vec<[Line; 3]>,
+    at: usize,
+    pose: PoseProgress,
+    sides: Sides,
+    bank: DynamicsBank,
+    /// Measurements of this pass; a pose that was not reached in time has none.
+    data: Vec<Measurement>,
 }
 
 impl Algorithm1 {
-    /// Starts with the gains `start`. With a prior it starts at the gains of the prior and makes one pass: the short
-    /// calibration of a new tip. `before` is what is known of lag and dead time.
+    /// Starts with the gains `start` and passes through these poses. With a prior it starts at the gains of the prior and makes one pass: the
+    /// short calibration of a new tip. `before` is what is known of lag and dead time.
     pub fn new(
-        round: Round,
+        geometry: Geometry,
+        poses: Vec<Pose>,
         start: [Line; 3],
         prior: Option<[Prior; 3]>,
         before: DynamicsPrior,
     ) -> Self {
         Self {
-            round,
+            geometry,
+            data: Vec::with_capacity(poses.len()),
+            poses,
             prior,
             before,
             history: vec![prior.map_or(start, |prior| prior.map(|p| p.line))],
+            at: 0,
+            pose: PoseProgress::default(),
+            sides: Sides::default(),
+            bank: DynamicsBank::default(),
         }
+    }
+
+    /// Index of the present pose, and the number of poses.
+    pub fn at(&self) -> (usize, usize) {
+        (self.at, self.poses.len())
+    }
+
+    /// Command for the present pose, or for the last one when all have ended.
+    pub fn command(&self) -> Shape {
+        let pose = self.poses.get(self.at).or(self.poses.last());
+        let bend = pose.map_or(Bend::STRAIGHT, Pose::bend);
+        Shape::new(bend.0, self.geometry.rest_length_mm)
+    }
+
+    /// Follows the pistons before the first command.
+    pub fn follow(&mut self, piston_mm: &Vector3<f64>) {
+        self.sides.follow(piston_mm);
     }
 
     /// Gains of this pass.
@@ -107,15 +159,48 @@ impl Algorithm1 {
         piston_mm: &Vector3<f64>,
         dt_s: f64,
     ) -> Result<Next, Unidentifiable> {
-        match self.round.step(frame, piston_mm, dt_s) {
-            Step::Waiting => Ok(Next::Wait),
-            Step::Next => Ok(Next::Drive(self.round.command())),
-            Step::Over => self.conclude(),
+        let half_s = 0.5 * dt_s; // tolerance for rounding in the sums of periods
+        self.sides.follow(piston_mm);
+        let pose = &mut self.pose;
+        pose.since_s += dt_s;
+        let holds = frame.phase == TickPhase::Holding;
+        pose.rested_s = if holds { pose.rested_s + dt_s } else { 0.0 };
+        if let Some(estimate) = frame.estimate {
+            let bend = estimate.bend.0;
+            self.bank.step(frame.bend_from_pistons.0, bend, dt_s);
+            if pose.since_s > HOLD_S - SCORED_S + half_s && pose.rested_s > RESTED_S + half_s {
+                pose.sum += bend;
+                pose.samples += 1;
+                pose.measured_s += dt_s;
+            }
+        }
+        if pose.measured_s > SCORED_S - half_s {
+            self.measure();
+        } else if pose.since_s < WAY_MAX_S - half_s {
+            return Ok(Next::Wait);
+        }
+        self.pose = PoseProgress::default();
+        self.at += 1;
+        if self.at < self.poses.len() {
+            Ok(Next::Drive(self.command()))
+        } else {
+            self.conclude()
         }
     }
 
+    fn measure(&mut self) {
+        let bend = self.pose.sum / f64::from(self.pose.samples.max(1));
+        let shape = Shape::new(bend, self.geometry.rest_length_mm);
+        self.data.push(Measurement {
+            piston_mm: self.sides.piston_mm(),
+            bellow_mm: self.geometry.lengths(&shape),
+            side: self.sides.side,
+            weight: self.sides.weight(),
+        });
+    }
+
     fn conclude(&mut self) -> Result<Next, Unidentifiable> {
-        let channels = solve(&self.round.data, self.prior.as_ref())?;
+        let channels = solve(&self.data, self.prior.as_ref())?;
         let (before, now) = (self.lines(), plausible(&channels)?);
         let converged = self.prior.is_some() || relative_step(&now, &before) < CONVERGED;
         let last = converged || self.pass() >= PASSES_MAX;
@@ -123,12 +208,15 @@ impl Algorithm1 {
         if last {
             return Ok(Next::Done(Identified {
                 channels,
-                dynamics: self.round.dynamics(&self.before),
+                dynamics: self.bank.assess(&self.before, &self.before.range()).prior(),
                 history: std::mem::take(&mut self.history),
                 converged,
             }));
         }
-        self.round.again();
+        // the sides of the pistons stay known
+        self.data.clear();
+        self.at = 0;
+        self.bank = DynamicsBank::default();
         Ok(Next::Lines(now))
     }
 }

@@ -2,6 +2,5 @@
 
 pub mod batch;
 pub mod identify;
-pub mod pose;
 pub mod schedule;
 pub mod sides;

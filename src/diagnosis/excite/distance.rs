@@ -95,8 +95,8 @@ pub fn information(
     tracker: bool,
     seed: u64,
 ) -> Option<Information> {
-    let driven = machine.drive(rows, synthetic::PERIOD_S);
-    let log = synthetic::observed(machine, &driven, tracker, seed).ok()?;
+    let (piston_mm, _) = machine.drive(rows, synthetic::PERIOD_S);
+    let log = synthetic::observed(machine, piston_mm, tracker, seed).ok()?;
     let start = nominal_theta(&machine.lines, machine.rig.prior_lag_s);
     let none = Model::new(&[]);
     let base = residual(&log, &none, &start);

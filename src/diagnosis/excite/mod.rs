@@ -10,4 +10,4 @@ pub mod synthetic;
 pub use design::{APART, Design, LONGEST_S, Pair, Request, design};
 pub use distance::{Rival, information};
 pub use manoeuvre::{Manoeuvre, first_guess, schedule};
-pub use rows::{Driven, Machine, ScheduleRow, rounded};
+pub use rows::{Machine, ScheduleRow, rounded};

@@ -122,12 +122,12 @@ impl Machine {
         })
     }
 
-    /// Pistons along a schedule, every `period_s`. They start at zero with the play centred.
-    pub fn drive(&self, rows: &[ScheduleRow], period_s: f64) -> Driven {
+    /// Counted pistons along a schedule, mm, every `period_s`, and the end of the last hold, s. They start at zero with the play centred.
+    pub fn drive(&self, rows: &[ScheduleRow], period_s: f64) -> (Vec<Vector3<f64>>, f64) {
         let side = Side::Band { band_mm: BAND_MM };
         let mut states = [SideState::default(); 3];
         let (mut from, mut begun_s) = (Vector3::zeros(), 0.0);
-        let mut out = Driven::default();
+        let mut piston_mm = Vec::new();
         for row in rows {
             let q = row.lengths(&self.rig.geometry);
             let to = Vector3::from_fn(|i, _| {
@@ -138,7 +138,7 @@ impl Machine {
             let move_s = (to - from).amax() / row.speed_mm_s;
             let end_s = begun_s + move_s + row.hold_s;
             loop {
-                let t = period_s * (out.t_s.len() + 1) as f64;
+                let t = period_s * (piston_mm.len() + 1) as f64;
                 if t > end_s {
                     break;
                 }
@@ -148,30 +148,18 @@ impl Machine {
                 } else {
                     1.0
                 };
-                out.t_s.push(t);
-                out.piston_mm.push(from + (to - from) * share);
+                piston_mm.push(from + (to - from) * share);
             }
             (from, begun_s) = (to, end_s);
         }
-        out.duration_s = begun_s;
-        out
+        (piston_mm, begun_s)
     }
 
     /// Length of a schedule, s.
     pub fn duration_s(&self, rows: &[ScheduleRow]) -> f64 {
-        self.drive(rows, 10.0).duration_s
+        let (_, duration_s) = self.drive(rows, 10.0);
+        duration_s
     }
-}
-
-/// Counted pistons of a schedule.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Driven {
-    /// Time, s.
-    pub t_s: Vec<f64>,
-    /// Pistons, mm.
-    pub piston_mm: Vec<Vector3<f64>>,
-    /// End of the last hold, s.
-    pub duration_s: f64,
 }
 
 /// The moving average of a path over the last `window` instants.
@@ -250,24 +238,23 @@ mod tests {
                 speed_mm_s: 10.0,
             },
         ];
-        let d = machine.drive(&rows, 0.01);
-        let speed = d
-            .piston_mm
+        let (piston_mm, duration_s) = machine.drive(&rows, 0.01);
+        let speed = piston_mm
             .windows(2)
             .map(|w| (w[1] - w[0]).amax() / 0.01)
             .fold(0.0, f64::max);
         assert!((speed - 10.0).abs() < 0.01, "{speed}");
         assert!(
-            d.piston_mm[398].amax() == 0.0,
+            piston_mm[398].amax() == 0.0,
             "the pistons stand during the rest"
         );
         let q = rows[1].lengths(&machine.rig.geometry);
-        let end = d.piston_mm[d.piston_mm.len() - 1];
+        let end = piston_mm[piston_mm.len() - 1];
         for i in 0..3 {
             assert!((end[i] - PAPER.piston_mm(q[i], q[i].signum())).abs() < 1e-9);
         }
-        assert!((d.duration_s - (4.0 + end.amax() / 10.0 + 2.0)).abs() < 1e-9);
-        assert!((machine.duration_s(&rows) - d.duration_s).abs() < 1e-12);
+        assert!((duration_s - (4.0 + end.amax() / 10.0 + 2.0)).abs() < 1e-9);
+        assert!((machine.duration_s(&rows) - duration_s).abs() < 1e-12);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The log of a schedule on the nominal machine, relative to which distances are computed.
 
-use crate::diagnosis::excite::{Driven, Machine};
+use crate::diagnosis::excite::Machine;
 use crate::diagnosis::tip::observed::{BIN_S, G_M_S2, ObserveError, Observed};
 use crate::log::bend_log::{BendLog, ImuColumns};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -16,18 +16,18 @@ const FIELD_UT: Vector3<f64> = Vector3::new(21.0, -17.0, -38.0);
 /// White noise of a sample: m/s², rad/s, µT, and rad for the tracker.
 const NOISE: [f64; 4] = [0.04, 0.004, 0.5, 0.002];
 
-/// The log of `driven` on the nominal machine with an IMU and, if asked for, a tracker.
+/// The log of these pistons on the nominal machine with an IMU and, if asked for, a tracker.
 ///
 /// # Errors
 /// [`ObserveError`] if the schedule is too short or moves too little to be diagnosed.
 pub fn observed(
     machine: &Machine,
-    driven: &Driven,
+    piston_mm: Vec<Vector3<f64>>,
     tracker: bool,
     seed: u64,
 ) -> Result<Observed, ObserveError> {
     let mut rng = StdRng::seed_from_u64(seed);
-    let tips = tips(machine, driven);
+    let tips = tips(machine, &piston_mm);
     let mut noise = |size: f64| {
         Vector3::from_fn(|_, _| size * (0..12).map(|_| rng.random_range(-0.5..0.5)).sum::<f64>())
     };
@@ -45,9 +45,8 @@ pub fn observed(
         reference.push(Some(r * UnitQuaternion::from_scaled_axis(noise(NOISE[3]))));
     }
     let log = BendLog {
-        t_s: driven.t_s.clone(),
-        command: vec![Vector3::repeat(f64::NAN); driven.t_s.len()],
-        piston_mm: driven.piston_mm.clone(),
+        t_s: (1..=tips.len()).map(|k| PERIOD_S * k as f64).collect(),
+        piston_mm,
         imu: Some(imu),
         reference: tracker.then_some(reference),
         ..BendLog::default()
@@ -56,7 +55,7 @@ pub fn observed(
 }
 
 /// Pistons → play → extension → lag → constant curvature.
-fn tips(machine: &Machine, driven: &Driven) -> Vec<UnitQuaternion<f64>> {
+fn tips(machine: &Machine, piston_mm: &[Vector3<f64>]) -> Vec<UnitQuaternion<f64>> {
     let (mut w_mm, mut q_mm) = (Vector3::zeros(), Vector3::zeros());
     let keep = (-PERIOD_S / machine.rig.prior_lag_s).exp();
     let one = |u: &Vector3<f64>| {
@@ -65,5 +64,5 @@ fn tips(machine: &Machine, driven: &Driven) -> Vec<UnitQuaternion<f64>> {
         q_mm = to + (q_mm - to) * keep;
         machine.rig.geometry.shape(&q_mm).bend.rotation().quat()
     };
-    driven.piston_mm.iter().map(one).collect()
+    piston_mm.iter().map(one).collect()
 }

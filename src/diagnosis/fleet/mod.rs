@@ -7,6 +7,7 @@ pub use row::GAINS;
 
 use crate::diagnosis::fleet::chance::{at_least, rank_z, two_sided};
 use crate::diagnosis::fleet::row::FleetRow;
+use crate::log::table::median;
 use crate::model::effects::catalogue;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -275,13 +276,9 @@ fn drifts(rows: &[&FleetRow], q: Quantity, lot: Option<&str>, comparisons: f64) 
 
 /// Median and robust standard deviation.
 fn spread(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
-    let median = |mut all: Vec<f64>| {
-        all.sort_by(f64::total_cmp);
-        all.get(all.len() / 2).copied()
-    };
     let values: Vec<f64> = values.collect();
-    let middle = median(values.clone())?;
-    let apart = values.iter().map(|x| (x - middle).abs()).collect();
+    let middle = median(values.iter().copied())?;
+    let apart = values.iter().map(|x| (x - middle).abs());
     Some([middle, SIGMA_PER_MAD * median(apart)?])
 }
 

@@ -1,8 +1,8 @@
 //! A saved model of a rig on a fresh log.
 
 use crate::diagnosis::rig::model::{driven, range};
+use crate::diagnosis::rig::problem::WORTH;
 use crate::diagnosis::rig::regress::{Columns, left, variance};
-use crate::diagnosis::rig::search::WORTH;
 use crate::diagnosis::rig::table::MapError;
 use crate::diagnosis::rig::{MapBase, Operator, SavedRig, Signals, Task};
 use crate::diagnosis::{Checked, Judgement};

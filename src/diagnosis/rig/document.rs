@@ -2,7 +2,7 @@
 
 use crate::diagnosis::rig::{MapFile, Member, RigProblem, Set, Signals, closed_ci95, notes};
 use crate::diagnosis::verdict::Verdict;
-use crate::diagnosis::{Judged, Scored, diagnose};
+use crate::diagnosis::{Documented, Judged, Scored};
 use serde::{Deserialize, Serialize};
 
 /// RMSE in the unit of the output.
@@ -95,12 +95,6 @@ pub struct Document {
 }
 
 impl Document {
-    /// Diagnoses logs of one rig with the seed of the bootstrap.
-    pub fn new(map: &MapFile, logs: &[Signals], seed: u64) -> Self {
-        RigProblem::new(map, logs, seed)
-            .map_or_else(|| Self::empty(map), |problem| diagnose(&problem).document)
-    }
-
     /// The document of logs that do not determine the nominal model: their verdict is `unknown`.
     pub fn empty(map: &MapFile) -> Self {
         Self {
@@ -116,9 +110,10 @@ impl Document {
     }
 }
 
-impl RigProblem<'_> {
-    /// The document.
-    pub fn written(&self, judged: &Judged<Self>) -> Document {
+impl Documented for RigProblem<'_> {
+    type Document = Document;
+
+    fn document(&self, judged: &Judged<Self>) -> Document {
         let (chosen, mut notes) = (judged.chosen(), notes(self.logs));
         let entry = |s: &Set| self.entry(judged, &self.nominal, s);
         let mut effects: Vec<Entry> = judged.found.singles.iter().map(entry).collect();
@@ -148,7 +143,9 @@ impl RigProblem<'_> {
             logs: self.log_entries(chosen),
         }
     }
+}
 
+impl RigProblem<'_> {
     /// The verdict's set as a whole, and what each of several effects closes beyond the others.
     fn set_entries(&self, judged: &Judged<Self>) -> Vec<Entry> {
         let set = judged.chosen();
@@ -220,6 +217,7 @@ impl RigProblem<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnosis::rig::tests::document;
     use crate::diagnosis::rig::{play, poor};
     use crate::diagnosis::verdict::VerdictKind;
     use rand::rngs::StdRng;
@@ -251,7 +249,7 @@ mod tests {
     }
 
     fn diagnosis(law: impl Fn(&[f64], &[f64]) -> Vec<f64>) -> Document {
-        Document::new(&toml::from_str(MAP).unwrap(), &[log(law)], 1)
+        document(&toml::from_str(MAP).unwrap(), &[log(law)])
     }
 
     #[test]
@@ -317,7 +315,7 @@ mod tests {
                 poor(std::slice::from_ref(&stands)) && !poor(&[signals(slow(80.0))]),
                 "{poses}"
             );
-            let d = Document::new(&toml::from_str(MAP).unwrap(), &[stands], 1);
+            let d = document(&toml::from_str(MAP).unwrap(), &[stands]);
             assert!(
                 d.verdict.names.is_empty() && d.notes.iter().any(|n| n.contains("distinct")),
                 "{:?}",
@@ -352,7 +350,7 @@ mod tests {
                 t,
                 clocked: true,
             };
-            let d = Document::new(&toml::from_str(MAP).unwrap(), &[signals], 1);
+            let d = document(&toml::from_str(MAP).unwrap(), &[signals]);
             let noted = d.notes.iter().any(|n| n.contains("Record a longer log"));
             assert!(
                 if rows < 200 {

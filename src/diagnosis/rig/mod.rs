@@ -6,7 +6,6 @@
 pub mod check;
 pub mod document;
 pub mod file;
-pub mod long;
 pub mod model;
 pub mod operators;
 pub mod poses;
@@ -14,7 +13,6 @@ pub mod problem;
 mod refine;
 pub mod regress;
 pub mod saved;
-pub mod search;
 pub mod table;
 #[cfg(test)]
 mod tests;
@@ -22,10 +20,12 @@ mod tests;
 pub use check::check;
 pub use document::{Document, Entry};
 pub use file::{MapFile, Nominal};
-pub use model::{MapBase, Member, RESONANT, Scale};
-pub use operators::{DRIVEN, Drive, Operator, STILL, none, oscillator, oscillator_step, play};
+pub use model::{MapBase, Member, Scale};
+pub use operators::{
+    DRIVEN, Drive, Operator, RESONANT, catalogue, oscillator, oscillator_step, play,
+};
 pub use poses::{notes, poor};
+pub use problem::{RigProblem, Set};
 pub use regress::{Regressed, Task, closed_ci95, variance};
 pub use saved::SavedRig;
-pub use search::{RigProblem, Set};
 pub use table::Signals;

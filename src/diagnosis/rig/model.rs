@@ -2,9 +2,7 @@
 
 use crate::diagnosis::rig::operators::TAKES_OVER;
 use crate::diagnosis::rig::regress::{Columns, centred};
-use crate::diagnosis::rig::{
-    DRIVEN, Drive, MapFile, Nominal, Operator, STILL, Signals, Task, none, oscillator,
-};
+use crate::diagnosis::rig::{Drive, MapFile, Nominal, Operator, Signals, Task, oscillator};
 use serde::{Deserialize, Serialize};
 
 /// An operator at one value of η.
@@ -46,35 +44,6 @@ pub struct MapBase {
     pub drives: Vec<Drive>,
     /// Columns: the offset of each log, then the inputs, [`centred`].
     pub base: Vec<Vec<f64>>,
-}
-
-/// Operators for an oscillator: the response to a nonlinear spring force, to first and second order of a perturbation
-/// (Nayfeh 1973).
-pub const RESONANT: [Operator; 2] = [
-    // Spring with a third power (Duffing). Separated by several amplitudes.
-    Operator::new("cubic", 0, "", none, |d, _| spring(d, 3)),
-    // Spring with a square: stiffer to one side. Separated by amplitudes to both sides.
-    Operator::new("asymmetry", 0, "", none, |d, _| spring(d, 2)),
-];
-
-/// Operators that apply to a rig; a period in time needs a clock.
-pub fn catalogue(nominal: Nominal, clocked: bool) -> Vec<Operator> {
-    let mut all = match nominal {
-        Nominal::Still => STILL.to_vec(),
-        Nominal::Line => DRIVEN.to_vec(),
-        Nominal::Resonance => RESONANT.to_vec(),
-    };
-    all.retain(|o| clocked || o.name != "periodic_time");
-    all
-}
-
-fn spring(d: &Drive, power: i32) -> Vec<Vec<f64>> {
-    // `Scale::drive` stores frequency and damping of the oscillator in the first two samples of `m`
-    let swung = |force: Vec<f64>| oscillator(&force, d.m[0], d.m[1]);
-    let first = swung(d.v.iter().map(|v| v.powi(power)).collect());
-    let slope = |(v, f): (&f64, &f64)| f64::from(power) * v.powi(power - 1) * f;
-    let second = swung(d.v.iter().zip(&first).map(slope).collect());
-    vec![first, second]
 }
 
 impl MapBase {

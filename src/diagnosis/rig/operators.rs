@@ -4,6 +4,8 @@
 //! ones. `v` is the nominal prediction scaled to −1..=1, `m` the moving signal scaled to 0..=1; times are in seconds, or
 //! rows if the log has no clock. The state starts with a log and runs through it.
 
+use crate::diagnosis::rig::Nominal;
+use crate::log::table::median;
 use std::f64::consts::TAU;
 
 /// Signals that an operator acts on.
@@ -41,38 +43,12 @@ pub struct Operator {
 }
 
 impl Operator {
-    /// An operator whose first coefficient has this sign, 0 for either.
-    pub const fn new(
-        name: &'static str,
-        sign: i8,
-        eta: &'static str,
-        grid: fn(&Drive) -> Vec<f64>,
-        columns: fn(&Drive, f64) -> Vec<Vec<f64>>,
-    ) -> Self {
-        Self {
-            name,
-            eta,
-            grid,
-            columns,
-            sign,
-            is_state: false,
-        }
-    }
-
     /// What takes the place of its terms once the cause is gone: of an effect that takes the answer over, the immediate answer.
     pub fn healed(&self, d: &Drive, terms: usize) -> Vec<Vec<f64>> {
         match self.name {
             "lag" | "delay" => of_each(d, <[f64]>::to_vec),
             name if TAKES_OVER.contains(&name) => vec![d.v.clone(); terms],
             _ => vec![vec![0.0; d.v.len()]; terms],
-        }
-    }
-
-    /// The operator with coefficients of its own for each log.
-    const fn state(self) -> Self {
-        Self {
-            is_state: true,
-            ..self
         }
     }
 }
@@ -102,133 +78,118 @@ pub const TAKES_OVER: [&str; 7] = [
 /// Ratio of the time constants of the two elements of a creep.
 const SLOWER: f64 = 12.0;
 
+/// Lists operators: a name, `state` if the coefficients are a state, the sign of the first one (0 for either), the meaning of η and its grid
+/// if there is an η, and the columns.
+macro_rules! operators {
+    ($($name:literal $($state:ident)?, $sign:literal $(, $eta:literal in $grid:expr)? => $columns:expr;)+) => {
+        [$(Operator {
+            name: $name,
+            eta: concat!($($eta)?),
+            grid: operators!(@grid $($grid)?),
+            columns: $columns,
+            sign: $sign,
+            is_state: operators!(@is_state $($state)?),
+        }),+]
+    };
+    (@grid) => { |_| vec![0.0] };
+    (@grid $grid:expr) => { $grid };
+    (@is_state) => { false };
+    (@is_state state) => { true };
+}
+
 /// Operators for a rig with an input.
-pub const DRIVEN: [Operator; 18] = [
+pub const DRIVEN: [Operator; 18] = operators! {
     // Play operator of one half-width. Separated by nested loops of several sizes.
-    Operator::new("play", 1, "half-width / range", widths, |d, r| {
-        vec![play(&d.v, 2.0 * r)]
-    }),
+    "play", 1, "half-width / range" in widths => |d, r| vec![play(&d.v, 2.0 * r)];
     // Prandtl-Ishlinskii: eight weighted plays (Kuhnen 2003). Separated by nested loops of several sizes.
-    Operator::new("hysteresis", 0, "", none, |d, _| {
-        (1..=8).map(|k| play(&d.v, 0.12 * f64::from(k))).collect()
-    }),
+    "hysteresis", 0 => |d, _| (1..=8).map(|k| play(&d.v, 0.12 * f64::from(k))).collect();
     // Bouc-Wen with n = 1 and β = γ (Wen 1976). Separated by nested loops of several sizes.
-    Operator::new("bouc_wen", 0, "yield / range", widths, |d, r| {
-        vec![bouc_wen(&d.v, 2.0 * r)]
-    }),
+    "bouc_wen", 0, "yield / range" in widths => |d, r| vec![bouc_wen(&d.v, 2.0 * r)];
     // Sign of the speed. Separated by several speeds, and loops of several sizes.
-    Operator::new("coulomb", 0, "", none, |d, _| vec![sign_of(&d.m, &d.t)]),
+    "coulomb", 0 => |d, _| vec![sign_of(&d.m, &d.t)];
     // Sign of the speed times the load. Separated by two loads.
-    Operator::new("load_friction", 0, "", none, |d, _| {
+    "load_friction", 0 => |d, _| {
         let sign = sign_of(&d.m, &d.t);
         vec![sign.iter().zip(&d.v).map(|(s, v)| s * (v + 1.0)).collect()]
-    }),
+    };
     // Speed. Separated by several speeds.
-    Operator::new("viscous", 0, "", none, |d, _| vec![speed(&d.m, &d.t)]),
+    "viscous", 0 => |d, _| vec![speed(&d.m, &d.t)];
     // Third power: symmetric stiffening or softening. Separated by several amplitudes.
-    Operator::new("cubic", 0, "", none, |d, _| {
-        vec![d.v.iter().map(|v| v * v * v).collect()]
-    }),
+    "cubic", 0 => |d, _| vec![d.v.iter().map(|v| v * v * v).collect()];
     // Another slope on one side of a corner. Separated by amplitudes to both sides.
-    Operator::new(
-        "asymmetry",
-        0,
-        "corner / range",
-        |_| (1..10).map(|k| f64::from(k) * 0.1).collect(),
-        |d, c| vec![d.v.iter().map(|v| (v - (2.0 * c - 1.0)).abs()).collect()],
-    ),
+    "asymmetry", 0, "corner / range" in |_| (1..10).map(|k| f64::from(k) * 0.1).collect() => |d, c| {
+        vec![d.v.iter().map(|v| (v - (2.0 * c - 1.0)).abs()).collect()]
+    };
     // No answer to a small input of either sign. Separated by small and large amplitudes.
-    Operator::new("dead_band", 1, "half-width / range", widths, |d, w| {
+    "dead_band", 1, "half-width / range" in widths => |d, w| {
         vec![d.v.iter().map(|v| beyond(v - d.zero, 2.0 * w)).collect()]
-    }),
+    };
     // Nothing beyond an end, on either side. Separated by amplitudes to both sides.
-    Operator::new(
-        "saturation",
-        -1,
-        "end / half range",
-        |_| (2..20).map(|k| f64::from(k) * 0.05).collect(),
-        |d, c| {
-            let side = |sign: f64| d.v.iter().map(|v| sign * (sign * v - c).max(0.0)).collect();
-            vec![side(1.0), side(-1.0)]
-        },
-    ),
+    "saturation", -1, "end / half range" in |_| (2..20).map(|k| f64::from(k) * 0.05).collect() => |d, c| {
+        let side = |sign: f64| d.v.iter().map(|v| sign * (sign * v - c).max(0.0)).collect();
+        vec![side(1.0), side(-1.0)]
+    };
     // The speed of a servo is limited. Separated by steps of several sizes.
-    Operator::new(
-        "rate_limit",
-        1,
-        "largest speed, ranges per time",
-        rates,
-        |d, r| vec![limited(&d.v, &d.t, 2.0 * r)],
-    ),
+    "rate_limit", 1, "largest speed, ranges per time" in rates => |d, r| {
+        vec![limited(&d.v, &d.t, 2.0 * r)]
+    };
     // First order. Separated by a step and a chirp.
-    Operator::new("lag", 1, "time constant", short_times, |d, tau| {
-        of_each(d, |v| follow(v, &d.t, tau))
-    }),
+    "lag", 1, "time constant" in short_times => |d, tau| of_each(d, |v| follow(v, &d.t, tau));
     // Delayed input. Separated by a chirp: phase that grows with frequency.
-    Operator::new("delay", 1, "dead time", short_times, |d, tau| {
-        of_each(d, |v| late(v, &d.t, tau))
-    }),
+    "delay", 1, "dead time" in short_times => |d, tau| of_each(d, |v| late(v, &d.t, tau));
     // Two Kelvin-Voigt elements, a factor [`SLOWER`] apart. Separated by hold, return, hold.
-    Operator::new(
-        "creep",
-        1,
-        "time constant",
-        |d| times_from(d, 20.0, 0.5 / SLOWER),
-        |d, tau| vec![follow(&d.v, &d.t, tau), follow(&d.v, &d.t, SLOWER * tau)],
-    ),
+    "creep", 1, "time constant" in |d| times_from(d, 20.0, 0.5 / SLOWER) => |d, tau| {
+        vec![follow(&d.v, &d.t, tau), follow(&d.v, &d.t, SLOWER * tau)]
+    };
     // Exponential return after an input. Separated by a long hold, then a return to zero.
-    Operator::new(
-        "leak",
-        -1,
-        "time constant",
-        |d| times_from(d, 20.0, 0.5),
-        |d, tau| vec![follow(&d.v, &d.t, tau)],
-    ),
+    "leak", -1, "time constant" in |d| times_from(d, 20.0, 0.5) => |d, tau| {
+        vec![follow(&d.v, &d.t, tau)]
+    };
     // Sine of position, with a second harmonic. Separated by two speeds.
-    Operator::new(
-        "periodic_position",
-        0,
-        "period",
-        |d| periods(d.m_range, &d.m, d.m_range),
-        |d, p| waves(d.m.iter().map(|m| m * d.m_range / p)),
-    ),
+    "periodic_position", 0, "period" in |d| periods(d.m_range, &d.m, d.m_range) => |d, p| {
+        waves(d.m.iter().map(|m| m * d.m_range / p))
+    };
     // Sine of time, with a second harmonic. Separated by two speeds.
-    Operator::new(
-        "periodic_time",
-        0,
-        "period",
-        |d| periods(d.t[d.t.len() - 1] - d.t[0], &d.t, 1.0),
-        |d, p| waves(d.t.iter().map(|t| t / p)),
-    )
-    .state(),
-    DRIFT,
-];
-
-/// A dependence on time alone: a straight line. Separated by the same motion repeated later.
-const DRIFT: Operator = Operator::new("drift", 0, "", none, |d, _| vec![since(&d.t)]);
+    "periodic_time" state, 0, "period" in |d| periods(span(d), &d.t, 1.0) => |d, p| {
+        waves(d.t.iter().map(|t| t / p))
+    };
+    // A dependence on time alone: a straight line. Separated by the same motion repeated later.
+    "drift", 0 => |d, _| vec![since(&d.t)];
+};
 
 /// Operators for a rig without an input.
-pub const STILL: [Operator; 3] = [
+pub const STILL: [Operator; 3] = operators! {
     // Exponential decay. Separated by two pressures, and a temperature record.
-    Operator::new(
-        "leak",
-        0,
-        "time constant",
-        |d| times_from(d, 3.0, 30.0),
-        |d, tau| vec![since(&d.t).iter().map(|t| (-t / tau).exp()).collect()],
-    )
-    .state(),
+    "leak" state, 0, "time constant" in |d| times_from(d, 3.0, 30.0) => |d, tau| {
+        vec![since(&d.t).iter().map(|t| (-t / tau).exp()).collect()]
+    };
     // Logarithm of time. Separated by a repetition after a long rest.
-    Operator::new(
-        "creep",
-        0,
-        "onset",
-        |d| times_from(d, 1.0, 0.2),
-        |d, tau| vec![since(&d.t).iter().map(|t| (1.0 + t / tau).ln()).collect()],
-    )
-    .state(),
-    DRIFT,
-];
+    "creep" state, 0, "onset" in |d| times_from(d, 1.0, 0.2) => |d, tau| {
+        vec![since(&d.t).iter().map(|t| (1.0 + t / tau).ln()).collect()]
+    };
+    // As with an input.
+    "drift", 0 => |d, _| vec![since(&d.t)];
+};
+
+/// Operators for an oscillator: the response to a nonlinear spring force, to first and second order of a perturbation
+/// (Nayfeh 1973).
+pub const RESONANT: [Operator; 2] = operators! {
+    // Spring with a third power (Duffing). Separated by several amplitudes.
+    "cubic", 0 => |d, _| spring(d, 3);
+    // Spring with a square: stiffer to one side. Separated by amplitudes to both sides.
+    "asymmetry", 0 => |d, _| spring(d, 2);
+};
+
+/// Operators that apply to a rig; a period in time needs a clock.
+pub fn catalogue(nominal: Nominal, clocked: bool) -> Vec<Operator> {
+    let mut all = match nominal {
+        Nominal::Still => STILL.to_vec(),
+        Nominal::Line => DRIVEN.to_vec(),
+        Nominal::Resonance => RESONANT.to_vec(),
+    };
+    all.retain(|o| clocked || o.name != "periodic_time");
+    all
+}
 
 /// A column of the whole drive, and one of each part of it.
 fn of_each(d: &Drive, column: impl Fn(&[f64]) -> Vec<f64>) -> Vec<Vec<f64>> {
@@ -236,10 +197,6 @@ fn of_each(d: &Drive, column: impl Fn(&[f64]) -> Vec<f64>) -> Vec<Vec<f64>> {
     all.map(|v| column(v)).collect()
 }
 
-/// The grid of an operator without η.
-pub fn none(_: &Drive) -> Vec<f64> {
-    vec![0.0]
-}
 fn widths(_: &Drive) -> Vec<f64> {
     spread(0.005, 100.0)
 }
@@ -248,11 +205,14 @@ fn spread(low: f64, times: f64) -> Vec<f64> {
     let value = |k| low * times.powf(f64::from(k) / 23.0);
     (0..24).map(value).collect()
 }
+/// Duration of a log.
+fn span(d: &Drive) -> f64 {
+    d.t[d.t.len() - 1] - d.t[0]
+}
 /// 24 times from a number of rows to a share of the log, uniform in the logarithm.
 fn times_from(d: &Drive, rows: f64, share: f64) -> Vec<f64> {
-    let span = d.t[d.t.len() - 1] - d.t[0];
-    let low = rows * span / (d.t.len() - 1) as f64;
-    spread(low, (share * span).max(2.0 * low) / low)
+    let low = rows * span(d) / (d.t.len() - 1) as f64;
+    spread(low, (share * span(d)).max(2.0 * low) / low)
 }
 fn short_times(d: &Drive) -> Vec<f64> {
     times_from(d, 1.0, 0.5)
@@ -264,9 +224,7 @@ const ROWS_PER_PERIOD: f64 = 5.0;
 /// are a trend. The longest is there in any case.
 fn periods(range: f64, x: &[f64], unit: f64) -> Vec<f64> {
     let steps = x.windows(2).map(|w| (w[1] - w[0]).abs() * unit);
-    let mut steps: Vec<f64> = steps.filter(|s| *s > 0.0).collect();
-    steps.sort_by(f64::total_cmp);
-    let usual = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
+    let usual = median(steps.filter(|s| *s > 0.0)).unwrap_or(0.0);
     let period = |k: u32| range * 4.0 / f64::from(k);
     let passed = |k: &u32| *k == 24 || period(*k) >= ROWS_PER_PERIOD * usual;
     (24..=600).filter(passed).map(period).collect()
@@ -277,8 +235,7 @@ fn rates(d: &Drive) -> Vec<f64> {
     let mut speeds: Vec<f64> = (1..d.v.len()).map(speed).filter(|s| *s > 0.0).collect();
     speeds.sort_by(f64::total_cmp);
     let high = speeds.get(speeds.len() * 99 / 100).copied().unwrap_or(1.0);
-    let span = d.t[d.t.len() - 1] - d.t[0];
-    let low = (1.0 / span).min(high / 2.0);
+    let low = (1.0 / span(d)).min(high / 2.0);
     spread(low, high / low)
 }
 fn beyond(x: f64, half: f64) -> f64 {
@@ -358,6 +315,16 @@ fn waves(turns: impl Iterator<Item = f64>) -> Vec<Vec<f64>> {
 }
 fn since(t: &[f64]) -> Vec<f64> {
     t.iter().map(|x| x - t[0]).collect()
+}
+
+/// The response of an oscillator to a force that is a power of its state.
+fn spring(d: &Drive, power: i32) -> Vec<Vec<f64>> {
+    // `Scale::drive` stores frequency and damping of the oscillator in the first two samples of `m`
+    let swung = |force: Vec<f64>| oscillator(&force, d.m[0], d.m[1]);
+    let first = swung(d.v.iter().map(|v| v.powi(power)).collect());
+    let slope = |(v, f): (&f64, &f64)| f64::from(power) * v.powi(power - 1) * f;
+    let second = swung(d.v.iter().zip(&first).map(slope).collect());
+    vec![first, second]
 }
 
 /// A linear oscillator `ÿ + 2ζω ẏ + ω² y = ω² u` by the bilinear transform, `wh = 2 tan(ω h / 2)`, at rest at the first value.

@@ -150,8 +150,7 @@ impl Regressed {
 
 /// Variance of a signal.
 pub fn variance(x: &[f64]) -> f64 {
-    let mean = x.iter().sum::<f64>() / x.len() as f64;
-    x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / x.len() as f64
+    centred(x).iter().map(|x| x.powi(2)).sum::<f64>() / x.len() as f64
 }
 
 fn mean_square(blocks: &[(f64, f64)]) -> f64 {

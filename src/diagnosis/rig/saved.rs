@@ -2,7 +2,7 @@
 
 use crate::diagnosis::Diagnosed;
 use crate::diagnosis::rig::document::Figures;
-use crate::diagnosis::rig::model::catalogue;
+use crate::diagnosis::rig::operators::catalogue;
 use crate::diagnosis::rig::{Document, Drive, MapFile, Member, Operator, RigProblem, Scale, Set};
 use crate::primitives::{Check, Checker};
 use serde::{Deserialize, Serialize};

@@ -1,9 +1,9 @@
 //! Reader of the columns that a map names.
 
-use crate::diagnosis::rig::long::Compared;
-use crate::diagnosis::rig::{MapFile, Nominal};
+use crate::diagnosis::rig::{MapFile, Nominal, variance};
 use crate::log::error::ReadError;
 use crate::log::table::{Schema, Table};
+use std::ops::Range;
 use std::path::Path;
 use thiserror::Error;
 
@@ -36,6 +36,11 @@ pub enum MapError {
 /// Rows needed: five in each of the twelve blocks of [`crate::diagnosis::rig::regress`].
 const ROWS_MIN: usize = 60;
 
+/// Most rows of a log that are compared: an hour in as many as a few minutes.
+pub const ROWS_MAX: usize = 20_000;
+/// Largest part of the variance of an input that the means of rows may hide: there are fifty means or more in a period of the motion.
+const HIDDEN: f64 = 1e-3;
+
 /// Signals of a log as the map defines them, all of equal length.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Signals {
@@ -56,10 +61,24 @@ pub struct Signals {
 }
 
 impl Signals {
-    /// The signals in no more rows than are compared.
+    /// What is compared of a log: at most [`ROWS_MAX`] means of successive rows, as many at a time as hide nothing of the motion of the inputs.
+    /// Of a log that is longer even so, it is the stretch in which the inputs move most.
     pub(super) fn compared(self) -> Self {
-        let compared = Compared::new(&self.inputs, self.t.len());
-        let of = |x: &Vec<f64>| compared.of(x);
+        let (inputs, rows) = (&self.inputs, self.t.len());
+        let mut each = rows.div_ceil(ROWS_MAX).max(1);
+        while each > 1 && inputs.iter().any(|u| hidden(u, each) > HIDDEN) {
+            each /= 2;
+        }
+        let length = (ROWS_MAX * each).min(rows);
+        let moves = |stretch: &Range<usize>| -> f64 {
+            let of = |u: &Vec<f64>| variance(&u[stretch.clone()]) / variance(u).max(1e-300);
+            inputs.iter().map(of).sum()
+        };
+        let stretches = (0..=rows - length).step_by(length.max(1));
+        let stretches = stretches.map(|first| first..first + length);
+        let stretch = stretches.max_by(|a, b| moves(a).total_cmp(&moves(b)));
+        let stretch = stretch.unwrap_or(0..rows);
+        let of = |x: &Vec<f64>| means(&x[stretch.clone()], each);
         Self {
             inputs: self.inputs.iter().map(of).collect(),
             output: of(&self.output),
@@ -68,6 +87,17 @@ impl Signals {
             ..self
         }
     }
+}
+
+/// Part of the variance of a signal that the means of so many rows at a time do not have.
+fn hidden(x: &[f64], each: usize) -> f64 {
+    1.0 - variance(&means(x, each)) / variance(x)
+}
+
+/// The means of so many values at a time; fewer values at the end are left out.
+fn means(x: &[f64], each: usize) -> Vec<f64> {
+    let mean = |few: &[f64]| few.iter().sum::<f64>() / each as f64;
+    x.chunks_exact(each).map(mean).collect()
 }
 
 /// Reads the columns that a map names.

@@ -1,8 +1,8 @@
 //! Random rigs of known cause: what is found does not depend on zeros and units, and parameters are found where they are.
 
-use crate::diagnosis::Scored;
-use crate::diagnosis::rig::long::ROWS_MAX;
+use crate::diagnosis::rig::table::ROWS_MAX;
 use crate::diagnosis::rig::{DRIVEN, Document, MapFile, RigProblem, Signals};
+use crate::diagnosis::{Scored, diagnose};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -19,6 +19,15 @@ struct Drawn {
     truth: f64,
     /// Noise of a row, 1 σ.
     noise: f64,
+}
+
+/// Diagnoses logs of one rig.
+pub fn document(map: &MapFile, logs: &[Signals]) -> Document {
+    let problem = RigProblem::new(map, logs, 1);
+    problem.map_or_else(
+        || Document::empty(map),
+        |problem| diagnose(&problem).document,
+    )
 }
 
 fn map() -> MapFile {
@@ -136,7 +145,7 @@ fn the_zeros_of_input_and_output_do_not_count() {
         let of = |input: f64, output: f64| {
             let inputs = vec![moved(&drawn.inputs[0], input)];
             let (motion, output) = (Some(inputs[0].clone()), moved(&drawn.output, output));
-            Document::new(
+            document(
                 &map(),
                 &[Signals {
                     inputs,
@@ -144,7 +153,6 @@ fn the_zeros_of_input_and_output_do_not_count() {
                     output,
                     ..drawn.clone()
                 }],
-                1,
             )
         };
         let plain = of(0.0, 0.0);

@@ -7,7 +7,7 @@ use crate::diagnosis::tip::observed::{
     CORRELATED_S, Depends, Observed, PerQuantity, Segment, dependences,
 };
 use crate::diagnosis::verdict::Verdict;
-use crate::diagnosis::{Candidates, Judged, Scored, diagnose};
+use crate::diagnosis::{Candidates, Documented, Judged, Scored, diagnose};
 use crate::model::effects::{Effect, Param, by_name};
 use crate::model::{Model, nominal_theta};
 use nalgebra::Vector3;
@@ -128,9 +128,10 @@ pub struct Diagnosis {
     pub rivals: Vec<Rival>,
 }
 
-impl TipProblem<'_> {
-    /// The document.
-    pub fn written(&self, judged: &Judged<Self>) -> Diagnosis {
+impl Documented for TipProblem<'_> {
+    type Document = Diagnosis;
+
+    fn document(&self, judged: &Judged<Self>) -> Diagnosis {
         let (log, nominal, chosen) = (self.log, &self.nominal, judged.chosen());
         let verdict = judged.verdict.clone();
         let all = self.catalogue.iter();
@@ -171,7 +172,9 @@ impl TipProblem<'_> {
             rivals: rivals(&judged.found),
         }
     }
+}
 
+impl TipProblem<'_> {
     /// The gap that recalibration leaves above noise, deg².
     fn gap(&self) -> f64 {
         (self.nominal.energy() - self.log.noise_energy()).max(1e-9)

@@ -15,7 +15,6 @@ pub mod problem;
 pub mod remedy;
 pub mod rig;
 pub mod saved;
-pub mod search;
 
 pub use check::check;
 pub use confusion::{alike, confused_with, separable, separated_by};
@@ -25,7 +24,7 @@ pub use document::{
 pub use location::{
     Location, QuantityShare, Region, StageShare, When, bend_without, commanded_bend, polar_deg,
 };
+pub use problem::{TipProblem, recalibrated};
 pub use remedy::Remedy;
 pub use rig::Rig;
 pub use saved::{SavedGains, SavedModel};
-pub use search::{TipProblem, recalibrated};

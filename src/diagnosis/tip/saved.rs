@@ -176,7 +176,7 @@ impl SavedModel {
     pub fn with_forecast(self, log: &Observed, done: &Diagnosed) -> Self {
         let best = best_predicting(log, &done.found.nominal, &done.chosen);
         Self {
-            rest: Some(log.rest()),
+            rest: Some(log.segments[0].rest),
             forecast: Some(SavedForecast {
                 gains: SavedGains::new(&best.theta),
                 effect: saved_effects(&best),
@@ -258,10 +258,7 @@ impl Check for SavedModel {
             within(to, "field_ut", &rest.field_ut, 1000.0, "µT");
             within(to, "gyro_bias_rad_s", &rest.gyro_bias_rad_s, 1.0, "rad/s");
         }
-        let forecast = self
-            .forecast
-            .as_ref()
-            .map(|f| ("forecast.effect", &f.effect));
+        let forecast = self.forecast.iter().map(|f| ("forecast.effect", &f.effect));
         for (at, effects) in [("effect", &self.effect)].into_iter().chain(forecast) {
             for (i, effect) in effects.iter().enumerate() {
                 let at = format!("{at}.{i}");

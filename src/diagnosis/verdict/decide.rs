@@ -97,42 +97,35 @@ pub fn decide(
         posterior.set(names) + others.map(|o| posterior.set(&o)).sum::<f64>()
     };
     // of equal sets the first, which was fitted
-    let most = |sets: &mut dyn Iterator<Item = &'_ [&'static str]>| {
-        let mut best = (vec![], 0.0);
-        for names in sets {
-            let p = pooled(names);
-            if p > best.1 {
-                best = (names.to_vec(), p);
-            }
-        }
-        best
+    let most = |is_asked: fn(&&[&str]) -> bool| {
+        let asked = sets().rev().filter(is_asked);
+        let most = asked.max_by(|a, b| pooled(a).total_cmp(&pooled(b)));
+        most.unwrap_or_default()
     };
-    let (best, p) = most(&mut sets());
-    let explained = (doubt <= p).then_some(best.as_slice());
+    let best = most(|_| true);
+    let explained = (doubt <= pooled(best)).then_some(best);
     let kind = VerdictKind::of(explained);
     let effects = 1.0 - doubt - posterior.set(&[]);
     let names = match kind {
         // of an unknown cause, a part may be explained
-        VerdictKind::Unknown if effects > posterior.set(&[]) => {
-            most(&mut sets().filter(|names| !names.is_empty())).0
-        }
-        VerdictKind::Unknown => vec![],
+        VerdictKind::Unknown if effects > posterior.set(&[]) => most(|names| !names.is_empty()),
+        VerdictKind::Unknown => &[],
         _ => best,
     };
     let equivalent = match kind {
-        VerdictKind::Effects => groups(posterior, &names, alike, &better(&names)),
+        VerdictKind::Effects => groups(posterior, names, alike, &better(names)),
         _ => vec![],
     };
-    let same = || sets().filter(|set| stands_for(set, &names, &equivalent));
+    let same = sets().filter(|set| stands_for(set, names, &equivalent));
     let probability = match kind {
         VerdictKind::None => posterior.set(&[]),
         VerdictKind::Unknown => doubt,
-        VerdictKind::Effects => same().map(|set| posterior.set(set)).sum(),
+        VerdictKind::Effects => same.map(|set| posterior.set(set)).sum(),
     };
     let conformal = posterior.conformal().iter().map(StatementEntry::new);
     Verdict {
         kind,
-        names,
+        names: names.to_vec(),
         probability,
         equivalent,
         conformal: conformal.collect(),
@@ -244,11 +237,11 @@ mod tests {
             };
             let statement = |s: &(u8, f64, u8, f64)| Statement {
                 names: (s.0 < 32).then(|| names(s.0)),
-                features: vec![s.1.max(1e-9).ln()],
+                features: vec![("p".to_owned(), s.1.max(1e-9).ln())],
                 claim: Claim { names: (s.2 != 31).then(|| names(s.2 & s.0)), unexplained: s.3 },
             };
             let alike = [["delay", "latency"]];
-            let head = Head { names: vec!["p".to_owned()], weights: vec![1.0], conformal: 0.95 };
+            let head = Head { weight: [("p".to_owned(), 1.0)].into(), conformal: 0.95 };
             let p = Posterior::new(&head, said.iter().map(statement).collect()).shared(&alike);
             prop_assert!((p.ranked.iter().map(|s| s.1).sum::<f64>() - 1.0).abs() < 1e-9);
             let v = decide(&p, &alike, |_| vec![]);

@@ -4,6 +4,4 @@ pub mod decide;
 pub mod posterior;
 
 pub use decide::{StatementEntry, Verdict, VerdictKind, decide};
-pub use posterior::{
-    Claim, Feature, Head, Posterior, Said, Statement, conformal_set, exchanged, probabilities,
-};
+pub use posterior::{Claim, Feature, Head, Posterior, Said, Statement, exchanged, probabilities};

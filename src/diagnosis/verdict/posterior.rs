@@ -11,63 +11,35 @@ use std::collections::BTreeMap;
 pub type Feature = (&'static str, f64);
 
 /// Weights of features, and the level of the sets that are probable together.
-pub struct Head {
-    /// Names of the features.
-    pub names: Vec<String>,
-    /// Weight of each feature.
-    pub weights: Vec<f64>,
-    /// Probability that the statements of a conformal set have together.
-    pub conformal: f64,
-}
-
-/// A head as its file has it; the weight of a feature that it lacks is 0.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct HeadFile {
-    conformal: f64,
-    weight: BTreeMap<String, f64>,
+pub struct Head {
+    /// Probability that the statements of a conformal set have together.
+    pub conformal: f64,
+    /// Weight of each feature.
+    pub weight: BTreeMap<String, f64>,
 }
 
 impl Head {
-    /// The weights, a part of the program, of the features `common` and of one for each effect, `form_` and its name. That one is 1 for
-    /// `unknown` where the best set has the effect: a right effect whose law has another form leaves something too, more for some effects
-    /// than for others.
+    /// The weights in a text that is a part of the program.
     ///
     /// # Panics
-    /// On a text that is not TOML, or names another feature; a test reads each.
+    /// On a text that is not TOML; a test reads each.
     #[expect(
         clippy::expect_used,
         reason = "the text is a part of the program, and a test reads it"
     )]
-    pub fn built_in(text: &str, common: &[&str], effects: &[&str]) -> Self {
-        let mut file: HeadFile = toml::from_str(text).expect("a head is TOML");
-        let common = common.iter().map(|name| (*name).to_owned());
-        let names: Vec<String> = common.chain(effects.iter().map(form)).collect();
-        let mut weight = |name: &String| file.weight.remove(name).unwrap_or(0.0);
-        let weights = names.iter().map(&mut weight).collect();
-        assert!(file.weight.is_empty(), "no features: {:?}", file.weight);
-        Self {
-            names,
-            weights,
-            conformal: file.conformal,
-        }
+    pub fn built_in(text: &str) -> Self {
+        toml::from_str(text).expect("a head is TOML")
     }
 
-    /// The values of all features: those of a statement, those of the effects in `best`, and 0 for all others.
-    pub fn features(&self, own: &[Feature], best: &[&str]) -> Vec<f64> {
-        let own = own.iter().map(|(name, value)| ((*name).to_owned(), *value));
-        let forms = best.iter().map(|effect| (form(effect), 1.0));
-        let known: BTreeMap<String, f64> = own.chain(forms).collect();
-        let is_feature = |name: &String| self.names.contains(name);
-        debug_assert!(known.keys().all(is_feature), "no features: {known:?}");
-        let value = |name: &String| known.get(name).copied().unwrap_or(0.0);
-        self.names.iter().map(value).collect()
+    /// The weighted sum of features; the weight of one that the head lacks is 0.
+    fn score(&self, features: &[(String, f64)]) -> f64 {
+        let is_known = |(name, _): &(String, f64)| self.weight.contains_key(name);
+        debug_assert!(features.iter().all(is_known), "no weights: {features:?}");
+        let weight = |name: &String| self.weight.get(name).copied().unwrap_or(0.0);
+        features.iter().map(|(name, x)| x * weight(name)).sum()
     }
-}
-
-/// Name of the feature of an effect.
-fn form(effect: &&str) -> String {
-    format!("form_{effect}")
 }
 
 /// A statement about a log.
@@ -75,32 +47,17 @@ fn form(effect: &&str) -> String {
 pub struct Statement {
     /// The effects that explain the log, none for the nominal model; `None` for `unknown`.
     pub names: Option<Vec<&'static str>>,
-    /// The features, in the order of a [`Head`].
-    pub features: Vec<f64>,
+    /// The features that are not 0.
+    pub features: Vec<(String, f64)>,
     /// What may be claimed of the set; of no meaning for `unknown`.
     pub claim: Claim,
 }
 
-/// Probabilities of statements with these features.
-pub fn probabilities<'a>(features: impl Iterator<Item = &'a [f64]>, weights: &[f64]) -> Vec<f64> {
-    let score = |x: &[f64]| x.iter().zip(weights).map(|(x, w)| x * w).sum();
-    let scores: Vec<f64> = features.map(score).collect();
+/// Probabilities of statements with these scores.
+pub fn probabilities(scores: &[f64]) -> Vec<f64> {
     let best = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let total: f64 = scores.iter().map(|s| (s - best).exp()).sum();
     scores.iter().map(|s| (s - best).exp() / total).collect()
-}
-
-/// The statements that have at least `level` of the probability together, the most probable first.
-pub fn conformal_set(p: &[f64], level: f64) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..p.len()).collect();
-    order.sort_by(|&a, &b| p[b].total_cmp(&p[a]));
-    let mut sum = 0.0;
-    let enough = order.iter().position(|&i| {
-        sum += p[i];
-        sum >= level
-    });
-    order.truncate(enough.map_or(p.len(), |n| n + 1));
-    order
 }
 
 /// Statements with their probabilities: the names of a set, or `None` for `unknown`.
@@ -165,8 +122,8 @@ impl Posterior {
     /// The posterior of what may be claimed: a probability is that of an effect that is present and above the bar. A set of which nothing
     /// may be claimed is left out.
     pub fn new(head: &Head, statements: Vec<Statement>) -> Self {
-        let features = statements.iter().map(|s| s.features.as_slice());
-        let p = probabilities(features, &head.weights);
+        let scores = statements.iter().map(|s| head.score(&s.features));
+        let p = probabilities(&scores.collect::<Vec<f64>>());
         let said = |(s, p): (Statement, f64)| match s.names {
             Some(_) => s.claim.said(p),
             None => vec![(None, p)],
@@ -180,10 +137,14 @@ impl Posterior {
         Self { ranked, level }
     }
 
-    /// The statements of the conformal set.
+    /// The statements of the conformal set: the most probable, as many as have the level together.
     pub fn conformal(&self) -> &[Said] {
-        let p: Vec<f64> = self.ranked.iter().map(|s| s.1).collect();
-        &self.ranked[..conformal_set(&p, self.level).len()]
+        let mut sum = 0.0;
+        let enough = self.ranked.iter().position(|(_, p)| {
+            sum += p;
+            sum >= self.level
+        });
+        &self.ranked[..enough.map_or(self.ranked.len(), |last| last + 1)]
     }
 
     /// The posterior of a log that cannot tell the effects of these pairs apart: they share the probability.
@@ -241,37 +202,33 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_feature_that_a_statement_lacks_is_zero_and_a_head_names_only_features() {
-        let head = |name: &str| {
-            Head::built_in(
-                &format!("conformal = 0.9\n[weight]\n{name} = 3.5\n"),
-                &["density", "claim", "unusual"],
-                &["leak"],
-            )
-        };
-        assert_eq!(
-            head("claim").features(&[("density", 2.0)], &["leak"]),
-            [2.0, 0.0, 0.0, 1.0]
-        );
-        assert_eq!(head("claim").weights, [0.0, 3.5, 0.0, 0.0]);
-        assert!(std::panic::catch_unwind(|| head("clam")).is_err());
+    fn a_score_is_the_weighted_sum_of_features_that_the_head_names() {
+        let head = Head::built_in("conformal = 0.9\n[weight]\nclaim = 3.5\ndensity = 2.0\n");
+        let score = |name: &str| head.score(&[(name.to_owned(), 2.0), ("density".to_owned(), 1.0)]);
+        assert_eq!(score("claim"), 9.0);
+        assert_eq!(head.score(&[]), 0.0);
+        assert!(std::panic::catch_unwind(|| score("clam")).is_err());
     }
 
     #[test]
     fn equal_statements_share_the_probability_and_a_conformal_set_has_both() {
-        let p = probabilities(
-            [[1.0, 4.0], [4.0, 1.0], [-3.0, 0.0]]
-                .iter()
-                .map(<[f64; 2]>::as_slice),
-            &[1.0; 2],
-        );
+        let p = probabilities(&[5.0, 5.0, -3.0]);
         assert!(
             (p[0] - 0.5).abs() < 1e-3 && (p.iter().sum::<f64>() - 1.0).abs() < 1e-12,
             "{p:?}"
         );
-        let mut set = conformal_set(&p, 0.95);
-        set.sort_unstable();
-        assert_eq!(set, [0, 1]);
-        assert_eq!(conformal_set(&[0.97, 0.02, 0.01], 0.95), [0]);
+        let sets = ["leak", "creep", "play"].map(|name| Some(vec![name]));
+        let said = |p: &[f64]| {
+            sets.clone()
+                .into_iter()
+                .zip(p.to_vec())
+                .collect::<Vec<Said>>()
+        };
+        let named = |p: &[f64]| -> Vec<_> {
+            let posterior = Posterior::of(said(p), 0.95);
+            posterior.conformal().iter().map(|s| s.0.clone()).collect()
+        };
+        assert_eq!(named(&p), sets[..2]);
+        assert_eq!(named(&[0.02, 0.97, 0.01]), sets[1..2]);
     }
 }

@@ -88,7 +88,7 @@ fn angle_deg(log: &Observed, held: &HeldOut, k: usize) -> Option<f64> {
 
 /// The signals of a quantity, each with the energy that its gap loses, degrees².
 fn traces(log: &Observed, q: Quantity, before: &HeldOut, after: &HeldOut) -> Vec<(f64, Trace)> {
-    let field = log.segments[0].field_base_ut.norm().max(1.0);
+    let field = log.segments[0].rest.field_ut.norm().max(1.0);
     let bins = (0..log.bins.len()).filter(|&k| log.bins[k].weight[q] > 0.0);
     let or_nan = |r: Option<Vector3<f64>>| r.unwrap_or(Vector3::repeat(f64::NAN));
     let row = |k: usize| {

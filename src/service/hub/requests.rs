@@ -5,7 +5,6 @@ use crate::config::Gains;
 use crate::config::source;
 use crate::control::Path;
 use crate::control::learning::identify::Algorithm1;
-use crate::control::learning::pose::Round;
 use crate::control::learning::schedule;
 use crate::model::{Bend, Line, Shape};
 use crate::primitives::Checker;
@@ -298,9 +297,8 @@ impl Hub {
             ));
         }
         let tick = &self.config.supervisor.tick;
-        let round = Round::new(tick.geometry, poses);
         let from_zero = [Line::default(); 3];
-        let algorithm = Algorithm1::new(round, from_zero, prior, tick.dynamics);
+        let algorithm = Algorithm1::new(tick.geometry, poses, from_zero, prior, tick.dynamics);
         self.calibration = Some(Session::new(algorithm, tick.drive));
         self.calibration_failed = None;
         self.order(Order::Calibrate(true), caller.clone());

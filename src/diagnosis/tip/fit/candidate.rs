@@ -31,7 +31,8 @@ impl Candidate {
     /// The candidate of a fit.
     pub fn new(fit: &BaseFit<'_>) -> Self {
         let (model, theta) = (&fit.problem.model, &fit.point.theta);
-        let (bounds, normal) = (&fit.problem.bounds, fit.sums().normal);
+        let normal = fit.tangent.sums(&fit.problem, &fit.point).normal;
+        let bounds = &fit.problem.bounds;
         let n = bounds.len();
         let inverse = normal.clone().try_inverse();
         let inverse = inverse.unwrap_or_else(|| DMatrix::identity(n, n));

@@ -78,7 +78,8 @@ fn is_steady(e: &dyn Effect) -> bool {
 /// Effects whose parameters the log does not separate from their vanishing point.
 fn weak(base: &BaseFit<'_>) -> Vec<&'static str> {
     let (problem, point) = (&base.problem, &base.point);
-    let Some(covariance) = base.sums().normal.try_inverse() else {
+    let sums = base.tangent.sums(problem, point);
+    let Some(covariance) = sums.normal.try_inverse() else {
         return vec![];
     };
     let model = &problem.model;

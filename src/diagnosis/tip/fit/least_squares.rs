@@ -79,11 +79,6 @@ impl<'a> LeastSquares<'a> {
         }
     }
 
-    /// Runs the model at `theta` moved into the limits.
-    pub fn at_clamped(&self, theta: &[f64]) -> Point {
-        self.at(within(theta.iter().copied(), &self.bounds))
-    }
-
     /// Weighted residuals of a motion.
     pub fn residual(&self, theta: &[f64], motion: &Motion) -> Vec<f64> {
         let residual = sense(self.log, &self.model, theta, motion, every_bin);

@@ -9,7 +9,6 @@ pub mod forecast;
 pub mod holdout;
 pub mod least_squares;
 pub mod modes;
-pub mod offsets;
 pub mod screen;
 pub mod start;
 pub mod tangent;
@@ -18,7 +17,7 @@ pub use candidate::Candidate;
 pub use forecast::best_predicting;
 pub use holdout::{BLOCKS_S, CLAIM_DEG, HeldOut, closed_ci95, density, leave_out, score, scored};
 pub use least_squares::{LeastSquares, PRIOR_SLOPE, Point, schwarz, weighted, within};
-pub use offsets::vanishing;
+pub use modes::vanishing;
 pub use screen::{Alone, alone, screen};
 pub use start::{Start, best_start, dated_again, grown, stepped};
 pub use tangent::{BaseFit, Sums, Tangent};
@@ -37,7 +36,8 @@ const ATTEMPTS: usize = 6;
 
 /// Fits from `start` with at most `rounds` accepted steps. After a last step within `CONVERGED` the tangent is that of the point before.
 pub fn fit<'a>(problem: LeastSquares<'a>, start: &[f64], rounds: usize) -> BaseFit<'a> {
-    let (mut point, mut damping) = (problem.at_clamped(start), DAMPING);
+    let start = within(start.iter().copied(), &problem.bounds);
+    let (mut point, mut damping) = (problem.at(start), DAMPING);
     let mut tangent = Tangent::new(&problem, &point);
     for _ in 0..rounds {
         let mut sums = tangent.sums(&problem, &point);

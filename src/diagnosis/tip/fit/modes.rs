@@ -2,15 +2,20 @@
 //!
 //! The sum of squares has no gradient with respect to the frequency of a mode. What an event of the effect changes in the residuals tells
 //! what its offsets change at any time, so a mode of a given frequency is linear least squares, and a scan over all frequencies that a log
-//! shows finds the best: a periodogram (Lomb 1976) in the offsets.
+//! shows finds the best: a periodogram (Lomb 1976) in the offsets. [`changes`] is also what dates events.
 
-use crate::diagnosis::tip::fit::offsets::{EARLY_S, SCANNED_S, changes, vanishing};
 use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, schwarz};
+use crate::diagnosis::tip::observed::Segment;
 use crate::model::effects::{Effect, MODE_PARAMS, catalogue};
-use crate::model::{Mode, Model};
+use crate::model::{Event, Mode, Model};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
+
+/// Time to which an event is moved so that its offsets act on the whole log, s after the start: within the rest.
+pub const EARLY_S: f64 = 1.5;
+/// Duration of the events that a scan looks for, s; slower events have starting points of their own.
+pub const SCANNED_S: f64 = 0.5;
 
 /// Frequencies of the modes that a scan looks for, Hz, and the least number of their periods in the log.
 const MODES_HZ: f64 = 1.0;
@@ -68,6 +73,28 @@ pub fn periodic(base: &BaseFit<'_>, to: &LeastSquares<'_>, added: &dyn Effect) -
     }
     let first = model.modes(effect).next()?;
     (theta[first.frequency] > 0.0).then(|| model.of(&theta, effect).to_vec())
+}
+
+/// Parameters at which an effect vanishes.
+pub fn vanishing(effect: &dyn Effect) -> Vec<f64> {
+    effect.params().iter().map(|p| p.start).collect()
+}
+
+/// What one unit of each offset of an event changes in the residuals `r0` of a segment from the rest on.
+pub fn changes(
+    problem: &LeastSquares<'_>,
+    without: &[f64],
+    event: &Event,
+    segment: &Segment,
+    r0: &[f64],
+) -> [Vec<f64>; 3] {
+    event.offsets.map(|o| {
+        let (mut moved, scale) = (without.to_vec(), problem.bounds[o].scale);
+        moved[event.time] = segment.start_s - problem.log.start_s() + EARLY_S;
+        moved[o] = scale;
+        let with = problem.residual_from_rest(&moved, EARLY_S);
+        with.iter().zip(r0).map(|(x, y)| (x - y) / scale).collect()
+    })
 }
 
 /// What one unit of each of three offsets changes in the residuals of a log.

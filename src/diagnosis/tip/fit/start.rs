@@ -4,9 +4,8 @@
 //! predicts how far the sum of squares falls, and the fit starts at the best. The sum of squares has no gradient with
 //! respect to the time of an event; a linear least-squares scan over all times of the log finds it. [`super::modes`] finds frequencies.
 
-use crate::diagnosis::tip::fit::modes::periodic;
-use crate::diagnosis::tip::fit::offsets::{EARLY_S, SCANNED_S, changes, vanishing};
-use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, Sums, Tangent, schwarz, step};
+use crate::diagnosis::tip::fit::modes::{EARLY_S, SCANNED_S, changes, periodic, vanishing};
+use crate::diagnosis::tip::fit::{BaseFit, LeastSquares, Sums, Tangent, schwarz, step, within};
 use crate::diagnosis::tip::observed::Segment;
 use crate::model::effects::{Effect, Stage};
 use crate::model::{Event, Model};
@@ -64,7 +63,7 @@ fn predict(base: &BaseFit<'_>, to: &LeastSquares<'_>, fresh: &[f64]) -> Option<S
     let extended = to
         .model
         .extended(known, &base.point.theta, |_| fresh.to_vec());
-    let point = to.at_clamped(&extended);
+    let point = to.at(within(extended, &to.bounds));
     let sums = Tangent::grown(to, &point, base).sums(to, &point);
     stepped(to, &point.theta, point.total(), &sums, base)
 }

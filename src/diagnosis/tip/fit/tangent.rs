@@ -145,13 +145,6 @@ impl Tangent {
     }
 }
 
-impl BaseFit<'_> {
-    /// Sums over all bins, including the priors.
-    pub fn sums(&self) -> Sums {
-        self.tangent.sums(&self.problem, &self.point)
-    }
-}
-
 impl Sums {
     /// Adds the priors.
     pub fn add_prior(&mut self, problem: &LeastSquares<'_>, theta: &[f64]) {

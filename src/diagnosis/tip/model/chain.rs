@@ -65,7 +65,7 @@ fn append(log: &Observed, segment: &Segment, model: &Model, theta: &[f64], out: 
     let every = model.each(theta).any(|(e, p)| e.latency_s(p) > 0.0);
     let chain = Chain::new(log.rig.geometry, model, theta);
     let mut memory = vec![Memory::default(); model.effects.len()];
-    let mut at = chain.moment(segment.up_base, FIRST_STEP_S);
+    let mut at = chain.moment(segment.rest.up, FIRST_STEP_S);
     // the pistons as counted a dead time ago; called with increasing instants
     let mut row = segment.rows.start;
     let mut counted_mm = |now: &Row| {

@@ -99,7 +99,7 @@ impl Part<'_> {
             t_s: t_s - self.segment.start_s,
             dt_s: FIRST_STEP_S,
             counted_mm: rows[row].piston_mm,
-            up_base: self.segment.up_base,
+            up_base: self.segment.rest.up,
             k_epsilon: Vector3::repeat(rig.prior.k_epsilon),
             r_mm: rig.geometry.r_mm,
             idle_s: rows[row].idle_s,
@@ -195,7 +195,7 @@ impl Imu {
             }
         }
         let up = sum.acc.try_normalize(0.0);
-        let up = up.unwrap_or(part.segment.up_base);
+        let up = up.unwrap_or(part.segment.rest.up);
         Readings {
             acc: up * G_M_S2,
             mag: sum.mag / weight[0],
@@ -235,9 +235,9 @@ impl Imu {
                 let r = self.tip[k];
                 let turned = Rotation3::from_matrix_unchecked(r);
                 let before = ImuPrediction {
-                    acc_m_s2: r.tr_mul(&segment.up_base) * G_M_S2,
+                    acc_m_s2: r.tr_mul(&segment.rest.up) * G_M_S2,
                     gyro_rad_s: self.rate[k],
-                    mag_ut: r.tr_mul(&segment.field_base_ut),
+                    mag_ut: r.tr_mul(&segment.rest.field_ut),
                     r_base_sensor: UnitQuaternion::from_rotation_matrix(&turned),
                 };
                 let rows = rows_of(part.log, bin, e.follows_motors());

@@ -2,6 +2,7 @@
 
 use crate::diagnosis::tip::observed::{PerQuantity, Quantity};
 use crate::log::bend_log::{BendLog, ImuColumns};
+use crate::log::table::median;
 use nalgebra::{Matrix3, Vector3};
 use std::borrow::Cow;
 
@@ -234,11 +235,8 @@ pub fn noise(bins: &[Bin], field_ut: f64) -> PerQuantity<f64> {
         }
     }
     // the difference of two samples has twice the variance of one
-    let sigma = |m: &f64| (m / CHI2_3_MEDIAN / 2.0).sqrt().to_degrees();
-    PerQuantity(squares.0.map(|mut s| {
-        s.sort_by(f64::total_cmp);
-        s.get(s.len() / 2).map_or(0.0, sigma)
-    }))
+    let sigma = |m: f64| (m / CHI2_3_MEDIAN / 2.0).sqrt().to_degrees();
+    PerQuantity(squares.0.map(|s| median(s.into_iter()).map_or(0.0, sigma)))
 }
 
 /// Rotation vector of the small rotation from `a` to `b`, which may be means: half of the antisymmetric part of `aᵀ b`.

@@ -146,10 +146,9 @@ fn inputs(
     let bin = &log.bins[k];
     let u = log.instants[bin.at].piston_mm;
     let t = (bin.t_s - log.start_s()) / log.duration_s() * 2.0 - 1.0;
-    let read = || reading(log, q, k).unwrap_or_default();
     let power = |n| Vector3::new(t.powi(n), t.powi(n + 1), t.powi(n + 2));
     let [a, b] = match on {
-        Dependence::Reading => [read() - residual, Vector3::zeros()],
+        Dependence::Reading => [reading(log, q, k) - residual, Vector3::zeros()],
         Dependence::Timing => [1.0, t].map(|by| change(log, q, k) * by),
         Dependence::Time => [power(1), power(4)],
         Dependence::Pistons => [u, u.component_mul(&u.yzx())],
@@ -166,27 +165,27 @@ fn change(log: &Observed, q: Quantity, k: usize) -> Vector3<f64> {
     if log.bins[k].speed_mm_s == 0.0 || span_s <= 0.0 {
         return Vector3::zeros();
     }
-    let [before, after] = [a, b].map(|k| reading(log, q, k));
     let change = match q {
-        Quantity::Reference => Some(between(&log.bins[a].reference, &log.bins[b].reference)),
-        _ => after.zip(before).map(|(after, before)| after - before),
+        Quantity::Reference => between(&log.bins[a].reference, &log.bins[b].reference),
+        _ => reading(log, q, b) - reading(log, q, a),
     };
-    let known = change.filter(|v| !v.x.is_nan());
-    known.map_or_else(Vector3::zeros, |c| c / span_s)
+    if change.x.is_nan() {
+        return Vector3::zeros();
+    }
+    change / span_s
 }
 
-/// A reading in the unit of its residual; for the tracker the vertical of the base in the axes of the tip. `None` where it is missing.
-fn reading(log: &Observed, q: Quantity, k: usize) -> Option<Vector3<f64>> {
+/// A reading in the unit of its residual; for the tracker the vertical of the base in the axes of the tip. Not a number where it is missing.
+fn reading(log: &Observed, q: Quantity, k: usize) -> Vector3<f64> {
     let bin = &log.bins[k];
     let segment = log.segments.first();
-    let field_ut = segment.map_or(1.0, |s| s.field_base_ut.norm().max(1.0));
-    let v = match q {
+    let field_ut = segment.map_or(1.0, |s| s.rest.field_ut.norm().max(1.0));
+    match q {
         Quantity::Reference => bin.reference.transpose() * Vector3::z(),
         Quantity::Acc => bin.acc / G_M_S2,
         Quantity::Mag => bin.mag / field_ut,
         Quantity::Gyro => bin.gyr,
-    };
-    Some(v).filter(|v| !v.x.is_nan())
+    }
 }
 
 #[cfg(test)]

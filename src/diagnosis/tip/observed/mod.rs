@@ -62,10 +62,8 @@ pub struct Segment {
     pub instants: Range<usize>,
     /// Its bins.
     pub bins: Range<usize>,
-    /// Direction of the mean specific force at the initial rest: up, in the base frame.
-    pub up_base: Vector3<f64>,
-    /// Mean field at the initial rest, µT.
-    pub field_base_ut: Vector3<f64>,
+    /// Mean readings of the tip IMU at the initial rest.
+    pub rest: RestReadings,
 }
 
 /// One or several logs of a machine, prepared for fits. Their times follow each other.
@@ -104,16 +102,6 @@ fn follow_base(bins: &mut [Bin], log: &BendLog, up: &Vector3<f64>) {
 }
 
 impl Observed {
-    /// Readings of the tip IMU at the initial rest of the first log.
-    pub fn rest(&self) -> RestReadings {
-        let still = self.bins.iter().take_while(|b| b.speed_mm_s == 0.0);
-        RestReadings {
-            up: self.segments[0].up_base,
-            field_ut: self.segments[0].field_base_ut,
-            gyro_bias_rad_s: mean(still.map(|b| b.gyr)).unwrap_or_default(),
-        }
-    }
-
     /// Appends another log of the same machine.
     pub fn append(&mut self, mut other: Self) {
         let quantity = |q| {
@@ -159,10 +147,10 @@ impl Observed {
         let moving = bins.iter().position(|b| b.speed_mm_s > 0.0);
         let rest = moving.unwrap_or(bins.len()).max(1);
         let up = mean(bins[..rest].iter().map(|b| b.acc));
-        let up_base = up.map_or(Vector3::z(), |v| v.normalize());
-        let field_base_ut = mean(bins[..rest].iter().map(|b| b.mag)).unwrap_or_default();
-        follow_base(&mut bins, log, &up_base);
-        let noise_deg = noise(&bins, field_base_ut.norm().max(1.0));
+        let up = up.map_or(Vector3::z(), |v| v.normalize());
+        let field_ut = mean(bins[..rest].iter().map(|b| b.mag)).unwrap_or_default();
+        follow_base(&mut bins, log, &up);
+        let noise_deg = noise(&bins, field_ut.norm().max(1.0));
         let mut o = Self {
             rig: *rig,
             rows,
@@ -171,6 +159,12 @@ impl Observed {
             ..Self::default()
         };
         o.place_instants();
+        let still = o.bins.iter().take_while(|b| b.speed_mm_s == 0.0);
+        let rest = RestReadings {
+            up,
+            field_ut,
+            gyro_bias_rad_s: mean(still.map(|b| b.gyr)).unwrap_or_default(),
+        };
         let (rows, instants, bins) = (0..o.rows.len(), 0..o.instants.len(), 0..o.bins.len());
         o.segments.push(Segment {
             file: log.file.clone(),
@@ -178,8 +172,7 @@ impl Observed {
             rows,
             instants,
             bins,
-            up_base,
-            field_base_ut,
+            rest,
         });
         o.weigh();
         if o.quantities().next().is_none() {
@@ -313,15 +306,14 @@ mod tests {
         };
         o.place_instants();
         let (rows, instants, bins) = (0..o.rows.len(), 0..o.instants.len(), 0..o.bins.len());
-        let (up_base, field_base_ut) = (Vector3::z(), Vector3::x());
+        let rest = RestReadings::default();
         o.segments.push(Segment {
             file: String::new(),
             start_s: 0.0,
             rows,
             instants,
             bins,
-            up_base,
-            field_base_ut,
+            rest,
         });
         o
     }
