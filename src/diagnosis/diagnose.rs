@@ -32,7 +32,7 @@ pub fn diagnose<P: Documented>(problem: &P) -> Diagnosed<P::Document, P::Set> {
 }
 
 /// Fits and scores sets of effects: every single effect, the pairs that may explain more, and triples where a pair leaves something.
-/// [`decide`] checks whether a set needs all its members.
+/// [`decide()`] checks whether a set needs all its members.
 pub fn search<P: Problem>(problem: &P) -> Candidates<P::Set> {
     let [singles, pairs] = problem.singles_and_pairs();
     let mut found = Candidates {

@@ -1,9 +1,10 @@
 //! Diagnosis of the sim-to-real gap: where it lies, which effect causes it, and how much of it the effect closes.
 //!
 //! A log is a [`problem`]: effects that may act in it, and how well each set of them explains parts of it that its fit has not seen.
-//! [`search`](diagnose::search) fits the sets ([`candidates`]), [`verdict`] gives every statement about the log a probability and takes the
-//! most probable, and [`diagnose()`](diagnose::diagnose) is the whole way to the document. A log of a bending [`tip`] is one such problem, a
-//! log of any other [`rig`] with one output another. [`plausibility`] refuses a log whose units or wiring cannot be right. [`fleet`] compares many units, and [`excite`] designs schedules.
+//! [`search`] fits the sets ([`candidates`]), [`verdict`] gives every statement about the log a probability and takes the most probable,
+//! and [`diagnose()`] is the whole way to the document. A log of a bending [`tip`] is one such problem, a log of any other [`rig`] with
+//! one output another. [`plausibility`] refuses a log whose units or wiring cannot be right. [`fleet`] compares many units, and
+//! [`excite`] designs schedules.
 
 pub mod candidates;
 pub mod diagnose;

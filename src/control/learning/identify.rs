@@ -99,8 +99,8 @@ pub struct Algorithm1 {
 }
 
 impl Algorithm1 {
-    /// Starts with the gains `start` and passes through these poses. With a prior it starts at the gains of the prior and makes one pass: the
-    /// short calibration of a new tip. `before` is what is known of lag and dead time.
+    /// Starts with the gains `start` and passes through these poses. With a prior it starts at the gains of the prior and
+    /// makes one pass: the short calibration of a new tip. `before` is what is known of lag and dead time.
     pub fn new(
         geometry: Geometry,
         poses: Vec<Pose>,

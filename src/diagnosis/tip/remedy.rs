@@ -23,7 +23,7 @@ named! {
 impl Remedy {
     /// The remedy of the effect of this name, if there is such an effect.
     pub fn named(name: &str) -> Option<Self> {
-        by_name(name).map(|e| Self::of(e))
+        by_name(name).map(Self::of)
     }
 
     /// The remedy of an effect.

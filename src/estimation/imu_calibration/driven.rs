@@ -6,8 +6,8 @@ use crate::model::Drive;
 use crate::primitives::{ImuReading, ImuSample, Steps};
 use nalgebra::Vector3;
 
-/// Magnetometer readings in the base frame with the motors' step counts; `piston_mm` are the pistons at the samples. The tip orientation is estimated without the
-/// magnetometer.
+/// Magnetometer readings in the base frame with the motors' step counts; `piston_mm` are the pistons at the samples. The tip
+/// orientation is estimated without the magnetometer.
 pub fn of_motors(
     samples: &[ImuSample],
     piston_mm: &[Vector3<f64>],
