@@ -50,13 +50,15 @@ fn instead(name: &str, message: &str) -> String {
 
 /// A value of the wrong type or a list of the wrong length.
 fn typed(message: &str, row: Option<&Parameter>) -> String {
-    const VALUES: [(&str, &str); 11] = [
+    const VALUES: [(&str, &str); 13] = [
         ("invalid type: ", ""),
         ("invalid value: ", ""),
         ("floating point `", "the number `"),
         ("integer `", "the number `"),
         ("string \"", "the text \""),
         ("boolean `", "the flag `"),
+        ("a sequence", "sequence"),
+        ("a map", "map"),
         ("sequence", "a list"),
         ("map", "a table"),
         ("invalid length ", "a list of length "),

@@ -42,14 +42,18 @@ fn sound_logs_pass() {
 /// A kind of wrong input: words of the message, and the change that makes a log wrong.
 type Wrong = (&'static str, fn(&mut BendLog) -> bool);
 
+fn each(values: &mut [Vector3<f64>], change: fn(&mut Vector3<f64>)) -> bool {
+    values.iter_mut().for_each(change);
+    true
+}
+
 fn scale(values: &mut [Vector3<f64>], by: f64) -> bool {
     values.iter_mut().for_each(|v| *v *= by);
     true
 }
 
 fn each_piston(log: &mut BendLog, change: fn(&mut Vector3<f64>)) -> bool {
-    log.piston_mm.iter_mut().for_each(change);
-    true
+    each(&mut log.piston_mm, change)
 }
 
 fn each_reading(log: &mut BendLog, change: fn(&mut Vector3<f64>)) -> bool {
@@ -62,7 +66,7 @@ fn each_reading(log: &mut BendLog, change: fn(&mut Vector3<f64>)) -> bool {
     true
 }
 
-const WRONG: [Wrong; 20] = [
+const WRONG: [Wrong; 24] = [
     ("acc_* looks like g", |log| {
         log.imu
             .as_mut()
@@ -90,23 +94,39 @@ const WRONG: [Wrong; 20] = [
     ("piston*_mm looks like m", |log| {
         scale(&mut log.piston_mm, 1e-3)
     }),
-    ("gyr_*: x and y look exchanged", |log| {
+    ("mag_*: x and y look exchanged", |log| {
         each_reading(log, |v| v.swap_rows(0, 1))
     }),
-    ("gyr_*: x and z look exchanged", |log| {
+    ("mag_*: x and z look exchanged", |log| {
         each_reading(log, |v| v.swap_rows(0, 2))
     }),
-    ("gyr_*: y and z look exchanged", |log| {
+    ("mag_*: y and z look exchanged", |log| {
         each_reading(log, |v| v.swap_rows(1, 2))
     }),
-    ("gyr_*: x looks like it has the other sign", |log| {
+    ("mag_*: x looks like it has the other sign", |log| {
         each_reading(log, |v| v.x = -v.x)
     }),
-    ("gyr_*: y looks like it has the other sign", |log| {
+    ("mag_*: y looks like it has the other sign", |log| {
         each_reading(log, |v| v.y = -v.y)
     }),
-    ("gyr_*: z looks like it has the other sign", |log| {
+    ("mag_*: z looks like it has the other sign", |log| {
         each_reading(log, |v| v.z = -v.z)
+    }),
+    ("columns mag_*: z looks like it has the other sign", |log| {
+        let imu = log.imu.as_mut();
+        imu.is_some_and(|imu| each(&mut imu.mag, |v| v.z = -v.z))
+    }),
+    ("columns mag_*: x and y look exchanged", |log| {
+        let imu = log.imu.as_mut();
+        imu.is_some_and(|imu| each(&mut imu.mag, |v| v.swap_rows(0, 1)))
+    }),
+    ("columns acc_*: x and z look exchanged", |log| {
+        let imu = log.imu.as_mut();
+        imu.is_some_and(|imu| each(&mut imu.acc, |v| v.swap_rows(0, 2)))
+    }),
+    ("columns gyr_*: x and y look exchanged", |log| {
+        let imu = log.imu.as_mut();
+        imu.is_some_and(|imu| each(&mut imu.gyr, |v| v.swap_rows(0, 1)))
     }),
     ("piston1_mm and piston2_mm look exchanged", |log| {
         each_piston(log, |p| p.swap_rows(0, 1))

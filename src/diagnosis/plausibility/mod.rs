@@ -5,12 +5,13 @@
 //! * units, from the median magnitude of each sensor and from the piston speed: a still accelerometer reads 9.81 m/s², the
 //!   Earth's field is 25 to 65 µT (Alken et al. 2021, IGRF-13), the pistons move millimetres in seconds;
 //! * single values beyond what the machine or the sensor can do;
-//! * axes of the sensor: gravity turns in them as the gyroscope says, unless two are exchanged or one is reversed, which makes a
-//!   left-handed frame;
+//! * axes of the sensors, of one or of all: gravity and the magnetic field turn in them as the gyroscope says, and the gyroscope as
+//!   the pistons say;
 //! * wiring, from the rotations of the tip over windows of two seconds: measured by the tracker or integrated from the
 //!   gyroscope on one side, predicted from the pistons by the nominal model on the other. Exchanged pistons or reversed signs
 //!   turn the prediction in a way that no effect of the catalogue does.
 
+mod axes;
 mod motion;
 mod values;
 
@@ -199,14 +200,37 @@ mod tests {
                     }
                 });
                 assert!(
-                    message.contains("columns acc_*, gyr_*") && message.contains(words),
+                    message.contains("columns acc_*, gyr_*, mag_*") && message.contains(words),
                     "{words}: {message}"
                 );
             }
+            let one: [(&str, fn(&mut ImuColumns) -> &mut Vec<Vector3<f64>>); 3] = [
+                ("columns acc_*: ", |imu| &mut imu.acc),
+                ("columns gyr_*: ", |imu| &mut imu.gyr),
+                ("columns mag_*: ", |imu| &mut imu.mag),
+            ];
+            for (columns, of) in one {
+                let message = verdict(|log| of(imu(log)).iter_mut().for_each(change));
+                // a tip that bends does not turn about its own z
+                let is_unseen = columns.contains("gyr") && words.starts_with("z");
+                let expected = format!("{columns}{words}");
+                assert!(
+                    message.contains(&expected) || is_unseen && message == "sound",
+                    "{expected}: {message}"
+                );
+            }
         }
+        let message = verdict(|log| {
+            let forwards = |v: &mut Vector3<f64>| *v = Vector3::new(v.z, v.x, v.y);
+            imu(log).acc.iter_mut().for_each(forwards);
+        });
+        assert!(
+            message.contains("columns acc_*: x, y and z look like z, x and y"),
+            "{message}"
+        );
         let message = verdict(|log| imu(log).gyr.iter_mut().for_each(|v| *v = -*v));
         assert!(
-            message.contains("gyr_* looks like it has the other sign"),
+            message.contains("columns gyr_*: looks like it has the other sign"),
             "{message}"
         );
     }

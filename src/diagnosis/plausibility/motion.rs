@@ -1,7 +1,8 @@
 //! Wiring of the pistons, axes of the sensor, and units that only show in motion: rotations of the tip, measured and predicted.
 
+use super::axes::{self, AGREES, Axes, BETTER, MOTION_RAD, Turn, correlation};
 use super::values::{finding, finite};
-use crate::log::bend_log::BendLog;
+use crate::log::bend_log::{BendLog, ImuColumns};
 use crate::model::{Geometry, Line};
 use nalgebra::{UnitQuaternion, Vector3};
 use std::ops::Range;
@@ -10,20 +11,10 @@ use std::ops::Range;
 const WINDOW_S: f64 = 2.0;
 /// Command-to-motion delays that the comparison of rotations allows for, s.
 const SHIFTS_S: [f64; 4] = [0.0, 0.15, 0.4, 0.8];
-/// Rotation within a window that counts as motion, rad (5°).
-const MOTION_RAD: f64 = 0.09;
-/// Windows with motion below which the wiring is not judged.
-const WINDOWS_MIN: usize = 8;
-/// Correlation from which another wiring or other axes explain the rotations, and by how much they have to do it better.
-const AGREES: f64 = 0.7;
-const BETTER: f64 = 0.25;
-
 /// Rotations of the tip over windows, measured and predicted, as rotation vectors in the tip frame at the window's start, rad.
 pub(super) struct Motion {
     measured: Vec<Vector3<f64>>,
-    /// The same by the gyroscope alone, with the directions of the specific force at the window's start and end; zero where the
-    /// sensor has no sample.
-    sensed: Vec<(Vector3<f64>, [Vector3<f64>; 2])>,
+    sensed: Vec<Turn>,
     /// Bellow length changes at the start and end of each window, mm, for each of [`SHIFTS_S`].
     bellows: [Vec<(Vector3<f64>, Vector3<f64>)>; SHIFTS_S.len()],
     /// Path of the predicted and of the measured rotation in windows with motion, rad; the latter from the gyroscope.
@@ -58,8 +49,11 @@ impl Motion {
             if let Some(turn) = measured_turn(log, from, to, &bias) {
                 motion.measured.push(turn);
                 let turn = gyroscope_turn(log, from, to, &bias);
-                let turn = turn.unwrap_or_else(Vector3::zeros);
-                motion.sensed.push((turn, [up(log, from), up(log, to)]));
+                motion.sensed.push(Turn {
+                    gyroscope: turn.unwrap_or_else(Vector3::zeros),
+                    up: [from, to].map(|row| direction(log, row, |imu| &imu.acc)),
+                    north: [from, to].map(|row| direction(log, row, |imu| &imu.mag)),
+                });
                 for (shift_s, pairs) in SHIFTS_S.iter().zip(&mut motion.bellows) {
                     let back = |k: usize| bellow_mm[row_at(log.t_s[k] - shift_s)];
                     pairs.push((back(from), back(to)));
@@ -129,34 +123,15 @@ impl Motion {
         finding("columns gyr_*", text, "write rad/s")
     }
 
-    /// Axes of the sensor that form a left-handed frame: gravity turns in it the other way round than the gyroscope says, whatever the
-    /// pistons do. These tell which axes are at fault.
+    /// Sensors whose axes are not those of the tip.
     pub(super) fn axes(&self) -> Option<String> {
-        let gravity = |way: f64| {
-            let window = |(turn, [a, b]): &(Vector3<f64>, [Vector3<f64>; 2])| {
-                (b - a, UnitQuaternion::from_scaled_axis(turn * way) * a - a)
-            };
-            correlation(self.sensed.iter().map(window))
+        let driven = |axes: &Axes| {
+            let turns = self.sensed.iter().map(|turn| axes.apply(&turn.gyroscope));
+            self.agreement(&turns.collect::<Vec<_>>(), &AS_WIRED)
         };
-        let (as_is, mirrored) = (gravity(-1.0)?, gravity(1.0)?);
-        if mirrored < AGREES || mirrored - as_is < BETTER {
-            return None;
-        }
-        let score = |(says, axes): &LeftHanded| {
-            let turns: Vec<_> = self.sensed.iter().map(|(turn, _)| axes(turn)).collect();
-            Some((self.agreement(&turns, &AS_WIRED)?, *says))
-        };
-        let scores = LEFT_HANDED.iter().filter_map(score);
-        let best = scores.max_by(|a, b| a.0.total_cmp(&b.0));
-        let says = best.filter(|(score, _)| *score > AGREES);
-        let says = says.map_or("two axes look exchanged, or one has the other sign", |b| {
-            b.1
-        });
-        let text = format!(
-            "{says}: by the gyroscope, gravity should turn the other way (correlation {as_is:.2})"
-        );
+        let (columns, text) = axes::stray(&self.sensed, driven)?;
         let mend = "correct the columns of each sensor that has these axes, so that x, y, z are those of the tip";
-        finding("columns acc_*, gyr_*", text, mend)
+        finding(&format!("columns {columns}"), text, mend)
     }
 
     /// Pistons wired otherwise than the model says: another wiring explains the tip's rotations, and this one does not. A single
@@ -176,25 +151,17 @@ impl Motion {
     }
 }
 
-/// Correlation of rotations, measured and predicted, over the windows with motion; `None` where too little moves.
-fn correlation(pairs: impl Iterator<Item = (Vector3<f64>, Vector3<f64>)>) -> Option<f64> {
-    let (mut mp, mut mm, mut pp, mut windows) = (0.0, 0.0, 0.0, 0);
-    for (measured, predicted) in pairs {
-        if measured.norm().max(predicted.norm()) > MOTION_RAD {
-            mp += measured.dot(&predicted);
-            mm += measured.norm_squared();
-            pp += predicted.norm_squared();
-            windows += 1;
-        }
-    }
-    (windows >= WINDOWS_MIN && mm > 0.0 && pp > 0.0).then(|| mp / (mm * pp).sqrt())
-}
-
-/// Direction of the specific force in a row, which is that of up; zero without a sample.
-fn up(log: &BendLog, row: usize) -> Vector3<f64> {
-    let acc = log.imu.as_ref().map(|imu| imu.acc[row]);
-    let up = acc.filter(finite).and_then(|acc| acc.try_normalize(0.0));
-    up.unwrap_or_else(Vector3::zeros)
+/// Direction of a reading in a row; zero without a sample.
+fn direction(
+    log: &BendLog,
+    row: usize,
+    of: impl Fn(&ImuColumns) -> &Vec<Vector3<f64>>,
+) -> Vector3<f64> {
+    let reading = log.imu.as_ref().and_then(|imu| of(imu).get(row));
+    let direction = reading
+        .filter(|v| finite(v))
+        .and_then(|v| v.try_normalize(0.0));
+    direction.unwrap_or_else(Vector3::zeros)
 }
 
 /// Mean rate over the rows before the first piston moves, rad/s: the gyroscope's constant bias.
@@ -257,29 +224,6 @@ fn tilt_rad(log: &BendLog) -> f64 {
     let gravity = log.imu.iter().flat_map(|imu| imu.acc.iter().copied());
     largest(&mut { tracker }).max(largest(&mut { gravity }))
 }
-
-/// What is said about axes that form a left-handed frame, and vectors in them as they should be.
-type LeftHanded = (&'static str, fn(&Vector3<f64>) -> Vector3<f64>);
-
-const LEFT_HANDED: [LeftHanded; 7] = [
-    ("x and y look exchanged", |v| Vector3::new(v.y, v.x, v.z)),
-    ("x and z look exchanged", |v| Vector3::new(v.z, v.y, v.x)),
-    ("y and z look exchanged", |v| Vector3::new(v.x, v.z, v.y)),
-    ("x looks like it has the other sign", |v| {
-        Vector3::new(-v.x, v.y, v.z)
-    }),
-    ("y looks like it has the other sign", |v| {
-        Vector3::new(v.x, -v.y, v.z)
-    }),
-    ("z looks like it has the other sign", |v| {
-        Vector3::new(v.x, v.y, -v.z)
-    }),
-    // gravity has no sign here: only the gyroscope's is told
-    (
-        "gyr_* looks like it has the other sign, or the rows run backwards",
-        |v| -v,
-    ),
-];
 
 /// A way in which pistons may be wired.
 #[derive(Clone, Copy)]

@@ -1,0 +1,208 @@
+//! Axes of the sensors: gravity and the magnetic field turn in them as the gyroscope says, and the gyroscope as the pistons say.
+//!
+//! A field that is constant in space turns in the sensor by `b = R(ω)⁻¹ a`. If the axes of its sensor are `Q a` instead, with Q a
+//! permutation with signs, it turns as if the gyroscope read `P ω` with `P = det(Q) Q`, which is a rotation. If the axes of all sensors are
+//! Q, this is `det(Q) ω`: of those only left-handed ones are seen, and the pistons tell which. A tip that bends does not turn about its
+//! own z, so the third sign of P is not seen.
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+/// Rotation within a window that counts as motion, rad (5°).
+pub(super) const MOTION_RAD: f64 = 0.09;
+/// Windows with motion below which the wiring is not judged.
+const WINDOWS_MIN: usize = 8;
+/// Correlation from which another wiring or other axes explain the rotations, and by how much they have to do it better.
+pub(super) const AGREES: f64 = 0.7;
+pub(super) const BETTER: f64 = 0.25;
+
+/// What the sensors say about a window: the turn by the gyroscope as a rotation vector, rad, and the directions of specific force and
+/// magnetic field at its start and end; zero without a sample.
+pub(super) struct Turn {
+    pub(super) gyroscope: Vector3<f64>,
+    pub(super) up: [Vector3<f64>; 2],
+    pub(super) north: [Vector3<f64>; 2],
+}
+
+/// Columns that stand in place of x, y and z, with their signs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Axes {
+    from: [usize; 3],
+    sign: [i8; 3],
+}
+
+/// The order in which columns can stand.
+const ORDERS: [[usize; 3]; 6] = [
+    [0, 1, 2],
+    [1, 0, 2],
+    [2, 1, 0],
+    [0, 2, 1],
+    [1, 2, 0],
+    [2, 0, 1],
+];
+
+impl Axes {
+    const RIGHT: Self = Self {
+        from: ORDERS[0],
+        sign: [1; 3],
+    };
+
+    /// All of one handedness, 1 or −1.
+    fn all(handedness: i8) -> impl Iterator<Item = Self> {
+        let signs = [[1, 1], [1, -1], [-1, 1], [-1, -1]];
+        let all = signs.into_iter().flat_map(|[x, y]| {
+            ORDERS.map(|from| Self {
+                from,
+                sign: [x, y, 1],
+            })
+        });
+        all.map(move |mut axes| {
+            axes.sign[2] = handedness * axes.handedness();
+            axes
+        })
+    }
+
+    /// 1, or −1 if left-handed.
+    fn handedness(&self) -> i8 {
+        let [x, y, z] = [0, 1, 2].map(|k| self.apply(&Vector3::ith(k, 1.0)));
+        if x.cross(&y).dot(&z) < 0.0 { -1 } else { 1 }
+    }
+
+    /// Number of axes that are exchanged or have the other sign.
+    fn changes(&self) -> usize {
+        let is_changed = |i: &usize| self.from[*i] != *i || self.sign[*i] < 0;
+        (0..3).filter(is_changed).count()
+    }
+
+    pub(super) fn apply(&self, v: &Vector3<f64>) -> Vector3<f64> {
+        Vector3::from_fn(|i, _| f64::from(self.sign[i]) * v[self.from[i]])
+    }
+
+    fn inverse(&self) -> Self {
+        let mut inverse = *self;
+        for (i, from) in self.from.into_iter().enumerate() {
+            (inverse.from[from], inverse.sign[from]) = (i, self.sign[i]);
+        }
+        inverse
+    }
+
+    /// These axes with the signs in `unseen` chosen such that the fewest change.
+    fn simplest(self, unseen: [[i8; 3]; 2]) -> Self {
+        let signed = unseen.map(|by| Self {
+            sign: [0, 1, 2].map(|i| self.sign[i] * by[i]),
+            ..self
+        });
+        let [a, b] = signed;
+        if b.changes() < a.changes() { b } else { a }
+    }
+
+    /// What is said about columns with these axes.
+    fn says(&self) -> String {
+        let changed: Vec<&str> = (0..3)
+            .filter(|&i| self.from[i] != i || self.sign[i] < 0)
+            .map(|i| ["x", "y", "z"][i])
+            .collect();
+        match changed[..] {
+            [axis] => format!("{axis} looks like it has the other sign"),
+            [a, b] if self.sign == [1; 3] => format!("{a} and {b} look exchanged"),
+            _ => {
+                let [x, y, z] = [0, 1, 2].map(|i| {
+                    let sign = if self.sign[i] < 0 { "−" } else { "" };
+                    format!("{sign}{}", ["x", "y", "z"][self.from[i]])
+                });
+                format!("x, y and z look like {x}, {y} and {z}")
+            }
+        }
+    }
+}
+
+/// Rotation P with which a field turns in its sensor as the gyroscope says, and the correlation as the columns stand.
+fn turns_as(turns: &[Turn], field: impl Fn(&Turn) -> [Vector3<f64>; 2]) -> Option<(Axes, f64)> {
+    let score = |axes: &Axes| {
+        let window = |turn: &Turn| {
+            let [a, b] = field(turn);
+            let back = UnitQuaternion::from_scaled_axis(-axes.apply(&turn.gyroscope));
+            let is_known = a != Vector3::zeros() && b != Vector3::zeros();
+            is_known.then(|| (b - a, back * a - a))
+        };
+        correlation(turns.iter().filter_map(window))
+    };
+    let as_is = score(&Axes::RIGHT)?;
+    let scores = Axes::all(1).filter_map(|axes| Some((axes, score(&axes)?)));
+    let (best, likeness) = scores.max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let is_other = likeness > AGREES && likeness - as_is > BETTER;
+    Some((if is_other { best } else { Axes::RIGHT }, as_is))
+}
+
+/// The columns that have other axes than those of the tip, and what is said about them. `driven` is the correlation of the gyroscope's
+/// turns with those that the pistons drive, if its axes are these.
+pub(super) fn stray(
+    turns: &[Turn],
+    driven: impl Fn(&Axes) -> Option<f64>,
+) -> Option<(&'static str, String)> {
+    /// By gravity or field alone, the gyroscope seems to turn the other way.
+    const OPPOSITE: Axes = Axes {
+        sign: [-1, -1, 1],
+        ..Axes::RIGHT
+    };
+    let (gravity, mut as_is) = turns_as(turns, |turn| turn.up)?;
+    let field = turns_as(turns, |turn| turn.north);
+    let of_field = |axes: Axes| axes.simplest([[1; 3], [-1; 3]]).says();
+    let (columns, says) = match (gravity, field.map(|(axes, _)| axes)) {
+        (Axes::RIGHT, None | Some(Axes::RIGHT)) => return None,
+        (Axes::RIGHT, Some(axes)) => {
+            as_is = field.map_or(as_is, |(_, correlation)| correlation);
+            ("mag_*", of_field(axes))
+        }
+        (OPPOSITE, None | Some(OPPOSITE)) => left_handed(driven),
+        (axes, Some(Axes::RIGHT)) => ("acc_*", of_field(axes)),
+        (axes, None) if driven(&Axes::RIGHT).is_some_and(|agrees| agrees > AGREES) => {
+            ("acc_*", of_field(axes))
+        }
+        (axes, field) if field.is_none_or(|field| field == axes) => {
+            let gyroscope = axes.inverse();
+            // the reading of the tip's z is nearly zero
+            let unseen = [0, 1, 2].map(|i| if gyroscope.from[i] == 2 { -1 } else { 1 });
+            ("gyr_*", gyroscope.simplest([[1; 3], unseen]).says())
+        }
+        _ => (ALL, "no two sensors have the same axes".to_owned()),
+    };
+    let text = format!(
+        "{says}: by the gyroscope, gravity and the field should turn otherwise (correlation {as_is:.2})"
+    );
+    Some((columns, text))
+}
+
+const ALL: &str = "acc_*, gyr_*, mag_*";
+
+/// What is said about left-handed axes of all sensors, or a gyroscope that turns the other way.
+fn left_handed(driven: impl Fn(&Axes) -> Option<f64>) -> (&'static str, String) {
+    let scores = Axes::all(-1).filter_map(|axes| Some((driven(&axes.inverse())?, axes)));
+    let best = scores.max_by(|a, b| a.0.total_cmp(&b.0));
+    match best.filter(|(agrees, _)| *agrees > AGREES) {
+        Some((_, axes)) if axes.sign == [-1; 3] && axes.from == ORDERS[0] => {
+            let says = "looks like it has the other sign, or the rows run backwards";
+            ("gyr_*", says.to_owned())
+        }
+        Some((_, axes)) => (ALL, axes.says()),
+        None => {
+            let says = "two axes look exchanged, or one has the other sign";
+            (ALL, says.to_owned())
+        }
+    }
+}
+
+/// Correlation of rotations, measured and predicted, over the windows with motion; `None` where too little moves.
+pub(super) fn correlation(
+    pairs: impl Iterator<Item = (Vector3<f64>, Vector3<f64>)>,
+) -> Option<f64> {
+    let (mut mp, mut mm, mut pp, mut windows) = (0.0, 0.0, 0.0, 0);
+    for (measured, predicted) in pairs {
+        if measured.norm().max(predicted.norm()) > MOTION_RAD {
+            mp += measured.dot(&predicted);
+            mm += measured.norm_squared();
+            pp += predicted.norm_squared();
+            windows += 1;
+        }
+    }
+    (windows >= WINDOWS_MIN && mm > 0.0 && pp > 0.0).then(|| mp / (mm * pp).sqrt())
+}
