@@ -67,14 +67,20 @@ impl Axes {
         if x.cross(&y).dot(&z) < 0.0 { -1 } else { 1 }
     }
 
-    /// Number of axes that are exchanged or have the other sign.
+    /// Number of exchanged columns and of other signs.
     fn changes(&self) -> usize {
-        let is_changed = |i: &usize| self.from[*i] != *i || self.sign[*i] < 0;
-        (0..3).filter(is_changed).count()
+        let exchanged = (0..3).filter(|&i| self.from[i] != i).count();
+        exchanged + self.sign.iter().filter(|sign| **sign < 0).count()
     }
 
     pub(super) fn apply(&self, v: &Vector3<f64>) -> Vector3<f64> {
         Vector3::from_fn(|i, _| f64::from(self.sign[i]) * v[self.from[i]])
+    }
+
+    /// With the other sign of z.
+    fn mirrored(mut self) -> Self {
+        self.sign[2] = -self.sign[2];
+        self
     }
 
     fn inverse(&self) -> Self {
@@ -115,7 +121,8 @@ impl Axes {
     }
 }
 
-/// Rotation P with which a field turns in its sensor as the gyroscope says, and the correlation as the columns stand.
+/// Rotation P with which a field turns in its sensor as the gyroscope says, and the correlation as the columns stand. [`OPPOSITE`] stands
+/// for `−ω` too, as a tip that bends hardly tells them apart.
 fn turns_as(turns: &[Turn], field: impl Fn(&Turn) -> [Vector3<f64>; 2]) -> Option<(Axes, f64)> {
     let score = |axes: &Axes| {
         let window = |turn: &Turn| {
@@ -127,8 +134,12 @@ fn turns_as(turns: &[Turn], field: impl Fn(&Turn) -> [Vector3<f64>; 2]) -> Optio
         correlation(turns.iter().filter_map(window))
     };
     let as_is = score(&Axes::RIGHT)?;
+    let mirrored = score(&OPPOSITE.mirrored())?;
     let scores = Axes::all(1).filter_map(|axes| Some((axes, score(&axes)?)));
-    let (best, likeness) = scores.max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let (mut best, mut likeness) = scores.max_by(|a, b| a.1.total_cmp(&b.1))?;
+    if mirrored > likeness - ALIKE {
+        (best, likeness) = (OPPOSITE, mirrored);
+    }
     let is_other = likeness > AGREES && likeness - as_is > BETTER;
     Some((if is_other { best } else { Axes::RIGHT }, as_is))
 }
@@ -139,40 +150,51 @@ pub(super) fn stray(
     turns: &[Turn],
     driven: impl Fn(&Axes) -> Option<f64>,
 ) -> Option<(&'static str, String)> {
-    /// By gravity or field alone, the gyroscope seems to turn the other way.
-    const OPPOSITE: Axes = Axes {
-        sign: [-1, -1, 1],
-        ..Axes::RIGHT
-    };
     let (gravity, mut as_is) = turns_as(turns, |turn| turn.up)?;
     let field = turns_as(turns, |turn| turn.north);
+    let agrees = |axes: &Axes| driven(axes).is_some_and(|agrees| agrees > AGREES);
     let of_field = |axes: Axes| axes.simplest([[1; 3], [-1; 3]]).says();
+    let of_gyroscope = |axes: Axes| {
+        let gyroscope = axes.inverse();
+        // the reading of the tip's z is nearly zero
+        let unseen = [0, 1, 2].map(|i| if gyroscope.from[i] == 2 { -1 } else { 1 });
+        gyroscope.simplest([[1; 3], unseen]).says()
+    };
     let (columns, says) = match (gravity, field.map(|(axes, _)| axes)) {
-        (Axes::RIGHT, None | Some(Axes::RIGHT)) => return None,
-        (Axes::RIGHT, Some(axes)) => {
+        (Axes::RIGHT, None | Some(Axes::RIGHT)) => (ALL, turned(driven)?),
+        (OPPOSITE, None | Some(OPPOSITE)) => left_handed(driven),
+        (Axes::RIGHT, Some(axes)) if agrees(&Axes::RIGHT) => {
             as_is = field.map_or(as_is, |(_, correlation)| correlation);
             ("mag_*", of_field(axes))
         }
-        (OPPOSITE, None | Some(OPPOSITE)) => left_handed(driven),
+        (axes, _) if agrees(&Axes::RIGHT) => ("acc_*", of_field(axes)),
+        (Axes::RIGHT, Some(axes)) | (axes, _) if agrees(&axes) => ("gyr_*", of_gyroscope(axes)),
         (axes, Some(Axes::RIGHT)) => ("acc_*", of_field(axes)),
-        (axes, None) if driven(&Axes::RIGHT).is_some_and(|agrees| agrees > AGREES) => {
-            ("acc_*", of_field(axes))
-        }
-        (axes, field) if field.is_none_or(|field| field == axes) => {
-            let gyroscope = axes.inverse();
-            // the reading of the tip's z is nearly zero
-            let unseen = [0, 1, 2].map(|i| if gyroscope.from[i] == 2 { -1 } else { 1 });
-            ("gyr_*", gyroscope.simplest([[1; 3], unseen]).says())
-        }
-        _ => (ALL, "no two sensors have the same axes".to_owned()),
+        _ => (ALL, "the sensors have axes of their own".to_owned()),
     };
     let text = format!(
-        "{says}: by the gyroscope, gravity and the field should turn otherwise (correlation {as_is:.2})"
+        "{says}: gyroscope, gravity, field and pistons turn in different directions (correlation of the first two {as_is:.2})"
     );
     Some((columns, text))
 }
 
 const ALL: &str = "acc_*, gyr_*, mag_*";
+/// A field turns as if the gyroscope turned the other way about x and y.
+const OPPOSITE: Axes = Axes {
+    sign: [-1, -1, 1],
+    ..Axes::RIGHT
+};
+/// Difference of two correlations that says nothing.
+const ALIKE: f64 = 0.05;
+
+/// What is said about right-handed axes of all sensors. Those that are turned about the tip's z are those of other pistons.
+fn turned(driven: impl Fn(&Axes) -> Option<f64>) -> Option<String> {
+    let as_is = driven(&Axes::RIGHT)?;
+    let others = Axes::all(1).filter(|axes| axes.from[2] != 2);
+    let scores = others.filter_map(|axes| Some((driven(&axes.inverse())?, axes)));
+    let (best, axes) = scores.max_by(|a, b| a.0.total_cmp(&b.0))?;
+    (best > AGREES && best - as_is > BETTER).then(|| axes.says())
+}
 
 /// What is said about left-handed axes of all sensors, or a gyroscope that turns the other way.
 fn left_handed(driven: impl Fn(&Axes) -> Option<f64>) -> (&'static str, String) {

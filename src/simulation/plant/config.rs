@@ -297,7 +297,7 @@ mod tests {
         };
         assert!(
             refusal("[line]\nk_epsilon = [1.0, nan, 1.0]")
-                .contains("plant.line.k_epsilon[2] = NaN is outside 0 to 20; ")
+                .contains("line.k_epsilon[2] = NaN is outside 0 to 20; ")
         );
         assert!(
             refusal("[effects.outside.soft_iron]\nstretch = 0.1\ndirection = [0, 0, 0]")
