@@ -57,6 +57,7 @@ fn typed(message: &str, row: Option<&Parameter>) -> String {
         ("integer `", "the number `"),
         ("string \"", "the text \""),
         ("boolean `", "the flag `"),
+        // serde says both with and without the article
         ("a sequence", "sequence"),
         ("a map", "map"),
         ("sequence", "a list"),

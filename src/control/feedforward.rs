@@ -5,6 +5,7 @@
 //! most of the response, so that an effect that delays has an answer too. Broyden's method (*Math. Comp.* 1965) starts from the
 //! last solution with the last slope, so a tick needs one or two evaluations of the laws and never more than five. Nothing
 //! allocates after [`Feedforward::new`].
+
 use crate::control::limits::relief;
 use crate::model::effects::{Memory, Moment};
 use crate::model::{Bend, Chain, DescribedMachine, Shape, orientation};

@@ -9,6 +9,7 @@
 //! because a move crosses gaps whose width is known to a standard deviation, and friction. What a reversal does wrong is seen after
 //! `t_answer`, while an error that has lasted for `t_rest` goes on. `|e'|` is what the limits of the actuators leave; 0 without a limit and with `kp` 1. The variance of
 //! the belief is on neither side: it is the same before and after a move.
+
 use crate::control::CalmConfig;
 use crate::control::dynamics::Dynamics;
 use crate::control::observer::Observer;

@@ -1,7 +1,6 @@
 //! The evaluation: identification on a plant of its own, then every arm on a fresh plant.
 
 use crate::control::LoopConfig;
-use crate::control::learning::batch::Estimate;
 use crate::control::learning::identify::Identified;
 use crate::control::learning::schedule::{DIRECTIONS, arrivals, paper};
 use crate::diagnosis;
@@ -105,7 +104,7 @@ pub enum Purpose {
 /// Uncertainty of the gains of one channel.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ChannelFigures {
-    /// 1 σ of k_ε.
+    /// 1 σ of k_ε, with what changes until a later calibration.
     pub k_eps_sigma: f64,
     /// 1 σ of k_λ, mm.
     pub k_lambda_sigma_mm: f64,
@@ -116,13 +115,15 @@ pub struct ChannelFigures {
 }
 
 impl ChannelFigures {
-    fn of(e: &Estimate) -> Self {
-        Self {
-            k_eps_sigma: e.covariance[(0, 0)].max(0.0).sqrt(),
-            k_lambda_sigma_mm: e.covariance[(1, 1)].max(0.0).sqrt(),
-            condition: e.condition,
-            residual_mm: e.residual_mm,
-        }
+    /// Of each channel.
+    fn of(found: &Identified) -> [Self; 3] {
+        let sigmas = found.line_sigmas();
+        std::array::from_fn(|i| Self {
+            k_eps_sigma: sigmas[i][0],
+            k_lambda_sigma_mm: sigmas[i][1],
+            condition: found.channels[i].condition,
+            residual_mm: found.channels[i].residual_mm,
+        })
     }
 }
 
@@ -260,7 +261,6 @@ pub fn run(
         track = Some(followed(wanted, &config, world.as_mut(), &mut told)?);
     }
     let history = found.iter().flat_map(|f| &f.history);
-    let channels = found.iter().flat_map(|f| &f.channels);
     Ok(Evaluation {
         seed: plan.seed,
         arms,
@@ -275,7 +275,7 @@ pub fn run(
         history: history
             .map(|lines| lines.map(|l| [l.k_epsilon, l.k_lambda_mm]))
             .collect(),
-        identified: channels.map(ChannelFigures::of).collect(),
+        identified: found.iter().flat_map(ChannelFigures::of).collect(),
         plant,
     })
 }

@@ -78,13 +78,21 @@ const STEP_MM: f64 = 0.01;
 pub fn run(config: &RtBenchConfig, pins: impl Pins + 'static) -> Result<RtBench, StartError> {
     let ended = AtomicBool::new(false);
     std::thread::scope(|scope| {
+        let _end = EndOfLoad(&ended);
         for _ in 0..config.load_threads {
             scope.spawn(|| load(&ended));
         }
-        let bench = measure(config, pins);
-        ended.store(true, Relaxed);
-        bench
+        measure(config, pins)
     })
+}
+
+/// Ends the threads of the load, also after a panic.
+struct EndOfLoad<'a>(&'a AtomicBool);
+
+impl Drop for EndOfLoad<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Relaxed);
+    }
 }
 
 /// The bench, under whatever load there is.

@@ -61,7 +61,6 @@ pub struct BendLog {
     pub ignored: Vec<String>,
 }
 
-/// Names of the columns; those of an IMU without their prefix.
 impl BendLog {
     /// The samples of the tip IMU; none if it is not logged.
     pub fn samples(&self) -> Vec<ImuSample> {
@@ -70,6 +69,7 @@ impl BendLog {
     }
 }
 
+/// Names of the columns; those of an IMU without their prefix.
 const TIME: &str = "time_s";
 const TEMP: &str = "temp_c";
 pub(crate) const PISTON: [&str; 3] = ["piston1_mm", "piston2_mm", "piston3_mm"];

@@ -46,13 +46,15 @@ impl Identified {
         self.channels.map(|e| e.line)
     }
 
-    /// Standard deviations of k_ε and k_λ in mm, per channel. They cover how far a later calibration of the same tip differs.
+    /// Standard deviations of k_ε and k_λ in mm, per channel. They cover how far a later calibration of the same tip differs,
+    /// and are no smaller than a calibration is repeatable.
     pub fn line_sigmas(&self) -> [[f64; 2]; 3] {
         self.channels.map(|e| {
             let variance = |i| e.covariance[(i, i)].max(0.0);
             let later = WARMED * e.line.k_epsilon;
             let k_lambda_mm = f64::sqrt(variance(1)).max(0.03);
-            [(variance(0) + later * later).sqrt(), k_lambda_mm]
+            let k_epsilon = f64::sqrt(variance(0) + later * later).max(0.05);
+            [k_epsilon, k_lambda_mm]
         })
     }
 }

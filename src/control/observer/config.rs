@@ -38,7 +38,7 @@ parameters! {
         /// Noise of the estimated bend per 10 ms, the least that is assumed. A larger value reacts later.
         noise_deg: f64 = 0.086, "deg", 0.001..=10.0, "0.086 is a quiet IMU";
         /// Error of the timing of the prediction: a constant. A larger value learns less during motion.
-        timing_s: f64 = 0.005, "s", 0.0..=1.0, "0.005 is a sample of a slow bus";
+        timing_s: f64 = 0.01, "s", 0.0..=1.0, "0.01 is a few samples";
         /// The same as a share of lag plus dead time.
         timing_share: f64 = 0.05, "", 0.0..=1.0, "0.05: a line is no first-order lag";
         /// Time by which a residual that still changes may be off. A larger value waits longer for a pose to settle.

@@ -1,4 +1,5 @@
 //! The inverse of a backlash under a reference that moves: where a piston passes, and when it crosses.
+
 use crate::control::path::RUN_UP_S;
 use crate::model::SideState;
 use crate::motion::{MotionLimits, MotionState, Stop};

@@ -88,7 +88,7 @@ pub(super) struct BeforeBaseMotion {
     pub(super) sway_rad: f64,
 }
 
-/// Time within which a motion of the base is noticed, s: twice the memory of [`Watch`].
+/// Time within which a motion of the base is noticed, s: twice the memory of a sway.
 const UNNOTICED_S: f64 = 2.0 * sway::MEMORY_S;
 
 impl BeforeBaseMotion {

@@ -38,7 +38,8 @@ pub fn check(log: &BendLog, geometry: &Geometry, lines: &[Line; 3]) -> Result<()
         let motion = Motion::of(log, geometry, lines);
         let unit = motion.piston_unit(log).or_else(|| motion.rate_unit());
         let axes = unit.or_else(|| motion.axes());
-        axes.or_else(|| motion.wiring())
+        let wiring = axes.or_else(|| motion.wiring());
+        wiring.or_else(|| motion.turned())
     };
     let first = values::clock_unit(log)
         .or_else(|| values::sensor_units(log.imu.as_ref()?, ""))

@@ -1,6 +1,6 @@
 //! Wiring of the pistons, axes of the sensor, and units that only show in motion: rotations of the tip, measured and predicted.
 
-use super::axes::{self, AGREES, Axes, BETTER, MOTION_RAD, Turn, correlation};
+use super::axes::{self, AGREES, Axes, BETTER, MOTION_RAD, Stray, Turn, correlation};
 use super::values::{finding, finite};
 use crate::log::bend_log::{BendLog, ImuColumns};
 use crate::model::{Geometry, Line};
@@ -51,8 +51,8 @@ impl Motion {
                 let turn = gyroscope_turn(log, from, to, &bias);
                 motion.sensed.push(Turn {
                     gyroscope: turn.unwrap_or_else(Vector3::zeros),
-                    up: [from, to].map(|row| direction(log, row, |imu| &imu.acc)),
-                    north: [from, to].map(|row| direction(log, row, |imu| &imu.mag)),
+                    up: [from, to].map(|row| reading(log, row, |imu| &imu.acc)),
+                    north: [from, to].map(|row| reading(log, row, |imu| &imu.mag)),
                 });
                 for (shift_s, pairs) in SHIFTS_S.iter().zip(&mut motion.bellows) {
                     let back = |k: usize| bellow_mm[row_at(log.t_s[k] - shift_s)];
@@ -123,15 +123,20 @@ impl Motion {
         finding("columns gyr_*", text, "write rad/s")
     }
 
-    /// Sensors whose axes are not those of the tip.
+    /// Sensors whose axes are not those of the tip, by each other.
     pub(super) fn axes(&self) -> Option<String> {
-        let driven = |axes: &Axes| {
-            let turns = self.sensed.iter().map(|turn| axes.apply(&turn.gyroscope));
-            self.agreement(&turns.collect::<Vec<_>>(), &AS_WIRED)
-        };
-        let (columns, text) = axes::stray(&self.sensed, driven)?;
-        let mend = "correct the columns of each sensor that has these axes, so that x, y, z are those of the tip";
-        finding(&format!("columns {columns}"), text, mend)
+        told(axes::stray(&self.sensed, |axes| self.driven(axes))?)
+    }
+
+    /// Sensors that all have the same axes, but not those of the tip.
+    pub(super) fn turned(&self) -> Option<String> {
+        told(axes::turned(|axes| self.driven(axes))?)
+    }
+
+    /// Correlation of the gyroscope's turns with those that the pistons drive, if its axes are these.
+    fn driven(&self, axes: &Axes) -> Option<f64> {
+        let turns = self.sensed.iter().map(|turn| axes.apply(&turn.gyroscope));
+        self.agreement(&turns.collect::<Vec<_>>(), &AS_WIRED)
     }
 
     /// Pistons wired otherwise than the model says: another wiring explains the tip's rotations, and this one does not. A single
@@ -151,17 +156,24 @@ impl Motion {
     }
 }
 
-/// Direction of a reading in a row; zero without a sample.
-fn direction(
+/// The finding about stray axes.
+fn told((columns, says): Stray) -> Option<String> {
+    let text = format!("{says}: sensors and pistons turn in different directions");
+    let mend = "correct the columns of each sensor that has these axes, so that x, y, z are those of the tip";
+    finding(&format!("columns {columns}"), text, mend)
+}
+
+/// A reading in a row; zero without a sample.
+fn reading(
     log: &BendLog,
     row: usize,
     of: impl Fn(&ImuColumns) -> &Vec<Vector3<f64>>,
 ) -> Vector3<f64> {
     let reading = log.imu.as_ref().and_then(|imu| of(imu).get(row));
-    let direction = reading
-        .filter(|v| finite(v))
-        .and_then(|v| v.try_normalize(0.0));
-    direction.unwrap_or_else(Vector3::zeros)
+    reading
+        .copied()
+        .filter(finite)
+        .unwrap_or_else(Vector3::zeros)
 }
 
 /// Mean rate over the rows before the first piston moves, rad/s: the gyroscope's constant bias.

@@ -2,6 +2,7 @@
 //!
 //! While armed, every correction of the estimate is subtracted from the output and then decays with time constant τ.
 //! The output follows the gyroscope at once, and gravity and field smoothly.
+
 use nalgebra::Vector2;
 
 crate::constants! {

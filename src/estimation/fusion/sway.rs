@@ -4,6 +4,7 @@
 //! mount ([`TwistLaw`]). The rest is a base that turns, which then turns the tip about the other two axes as well. Bend of the tip itself, such as breath causes, comes without twist. What the pistons do not explain is the sum of
 //! both. The best linear estimate of the tip's part is that sum times its share in the mean square (Wiener 1949), so feedback that
 //! takes only this share follows a disturbance of the tip and ignores a sway.
+
 use crate::estimation::fusion::intake::share;
 use crate::estimation::fusion::twist_law::TwistLaw;
 use crate::primitives::LIKELY_SIGMAS;

@@ -3,6 +3,7 @@
 //! A section of constant curvature cannot twist. What a tip twists nevertheless is torsion of the section, in proportion to β, and tilt of
 //! the mount and sag, in proportion to the bend vector: `ψ = cᵀ (b_x, b_y, β (1 − β²/4))`. Recursive least squares over what the
 //! gyroscope measures finds c and its covariance; a twist beyond that is a rotation of the base.
+
 use crate::primitives::SURE_SIGMAS;
 use nalgebra::{Matrix3, Vector2, Vector3};
 

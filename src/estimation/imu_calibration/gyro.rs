@@ -28,7 +28,8 @@ pub struct GyroBias {
 /// [`Refusal`] if it is too short, not finite, or contains motion.
 pub fn at_rest(samples: &[ImuSample]) -> Result<GyroBias, Refusal> {
     let rest = still::rest(samples)?;
-    // a steady rotation about the vertical, which the accelerometer does not observe, is bounded as in an alignment
+    // a steady rotation about the vertical, which the accelerometer does not observe, is bounded
+    // by the default of an alignment
     let limit = AlignConfig::default().gyro_bias_max_rad_s;
     let have = rest.gyro_rad_s.amax();
     if have > limit {

@@ -289,15 +289,12 @@ mod tests {
         let why = toml::from_str::<PlantConfig>("[line]\nk_epsilom = [1, 1, 1]").unwrap_err();
         assert!(why.to_string().contains("k_epsilom"), "{why}");
         let refusal = |text: &str| {
-            toml::from_str::<PlantConfig>(text)
-                .unwrap()
-                .validate()
-                .unwrap_err()
-                .to_string()
+            let plant = toml::from_str::<PlantConfig>(text).unwrap();
+            PlantError::from(plant.validate().unwrap_err()).to_string()
         };
         assert!(
             refusal("[line]\nk_epsilon = [1.0, nan, 1.0]")
-                .contains("line.k_epsilon[2] = NaN is outside 0 to 20; ")
+                .contains("plant.line.k_epsilon[2] = NaN is outside 0 to 20; ")
         );
         assert!(
             refusal("[effects.outside.soft_iron]\nstretch = 0.1\ndirection = [0, 0, 0]")

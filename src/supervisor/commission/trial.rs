@@ -1,4 +1,5 @@
 //! The commissioning procedure: each channel in turn bends the tip a little and holds it.
+
 use crate::model::Geometry;
 use crate::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};
 use crate::supervisor::commission::rotation::TipRotation;

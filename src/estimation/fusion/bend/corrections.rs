@@ -13,7 +13,7 @@ pub(super) const NIS_GATE: f64 = UNEXPLAINED_SIGMAS * UNEXPLAINED_SIGMAS;
 
 crate::constants! {
     /// Noise of the readings beside the settings of the filter. Least values are for simulated sources, which may be free of noise.
-    const NOISE: ReadingNoise;
+    const READINGS: ReadingNoise;
     /// Least noise of the gyroscope, rad/s.
     gyro_min_rad_s = 1e-3;
     /// Least noise of the accelerometer, m/s².
@@ -95,7 +95,7 @@ impl BendFilter {
     /// White noise of the mean specific force per axis, m²/s⁴.
     pub(super) fn gravity_white(&self) -> f64 {
         let motion = self.config.acc_motion_m_s2_per_rad_s * self.rate_rad_s;
-        let sigma = self.alignment.acc_sigma_m_s2.max(NOISE.acc_min_m_s2);
+        let sigma = self.alignment.acc_sigma_m_s2.max(READINGS.acc_min_m_s2);
         sigma * sigma / f64::from(self.window.acc.n.max(1)) + motion * motion
     }
 
@@ -106,7 +106,7 @@ impl BendFilter {
 
     /// White noise of the mean field per axis, µT².
     pub(super) fn field_white(&self) -> f64 {
-        let sigma = self.alignment.mag_sigma_ut.max(NOISE.mag_min_ut);
+        let sigma = self.alignment.mag_sigma_ut.max(READINGS.mag_min_ut);
         sigma * sigma / f64::from(self.window.mag.n.max(1))
     }
 
@@ -137,13 +137,13 @@ impl BendFilter {
         let nis = innovation.norm_squared() / variance;
         let rises = nis > self.field_nis;
         let time_s = if rises {
-            NOISE.field_nis_rise_s
+            READINGS.field_nis_rise_s
         } else {
-            NOISE.field_nis_fall_s
+            READINGS.field_nis_fall_s
         };
         let gain = (self.window.length_s / time_s).min(1.0);
         self.field_nis +=
-            gain * (nis.min(NOISE.field_nis_step_max * self.field_nis) - self.field_nis);
+            gain * (nis.min(READINGS.field_nis_step_max * self.field_nis) - self.field_nis);
         let persistent =
             (self.field_nis.max(1.0) - 1.0) * (self.field_nis / FIELD_NIS_MAX).max(1.0);
         let excess = nis / FIELD_NIS_MAX;
@@ -152,7 +152,7 @@ impl BendFilter {
         let error = variance / 3.0 * persistent.max(sudden);
         let windows = self.windows(self.config.field_time_s);
         Some(Reading {
-            share: 1.0 / self.windows(NOISE.field_pose_s),
+            share: 1.0 / self.windows(READINGS.field_pose_s),
             ..Reading::new(rows, innovation.into(), white, error, windows)
         })
     }
@@ -164,7 +164,7 @@ impl BendFilter {
         // a vertical field has no heading
         let heading = up.cross(w).try_normalize(1e-6).unwrap_or_default();
         let revealed = differs - heading * heading.dot(differs);
-        let gain = self.window.path / (self.window.path + NOISE.field_level_turn_rad);
+        let gain = self.window.path / (self.window.path + READINGS.field_level_turn_rad);
         let now = (revealed.norm_squared() / 2.0 - white).max(0.0);
         self.field_error_ut2 += gain * (now - self.field_error_ut2);
     }
@@ -172,7 +172,7 @@ impl BendFilter {
     /// Mean square error of the field per axis, µT².
     pub(super) fn field_level(&self) -> f64 {
         let norm = self.alignment.mag_rest_ut.map_or(0.0, |m| m.norm());
-        let least = (NOISE.field_error_min * norm).max(NOISE.field_error_min_ut);
+        let least = (READINGS.field_error_min * norm).max(READINGS.field_error_min_ut);
         self.field_error_ut2.max(least * least)
     }
 
@@ -193,7 +193,7 @@ impl BendFilter {
         (h[MOUNT], h[MOUNT + 1]) = (twist.psi_by_tilt.x, twist.psi_by_tilt.y);
         let innovation = c * twist.beta - twist.psi;
         let error = self.twist_sigma_rad(twist.beta).powi(2);
-        let gain = (self.window.length_s / NOISE.twist_nis_time_s).min(1.0);
+        let gain = (self.window.length_s / READINGS.twist_nis_time_s).min(1.0);
         let nis = innovation * innovation / (self.bank.variance(&[h]) + error);
         self.twist_nis += gain * (nis - self.twist_nis);
         let windows = self.windows(self.config.direction_time_s);
@@ -210,12 +210,12 @@ impl BendFilter {
         let white = self.gyro_sigma_rad_s().powi(2) / n;
         let known = self.bank.mean_variance(GYRO) + white;
         let (tip2, twist2) = (rate.xy().norm_squared() / 2.0, rate.z * rate.z);
-        let gain = (self.window.length_s / NOISE.still_memory_s).min(1.0);
-        let beyond = |square: f64| (square - known).clamp(0.0, NOISE.still_rate2_max);
+        let gain = (self.window.length_s / READINGS.still_memory_s).min(1.0);
+        let beyond = |square: f64| (square - known).clamp(0.0, READINGS.still_rate2_max);
         self.still_rate2 += gain * (beyond(tip2) - self.still_rate2);
         self.sway_rate2 += gain * (beyond(twist2) - self.sway_rate2);
         let least = self.config.still_rate_sigma_rad_s.powi(2);
-        let own = least.max(NOISE.still_share * self.still_rate2.max(beyond(tip2)));
+        let own = least.max(READINGS.still_share * self.still_rate2.max(beyond(tip2)));
         let own = Vector3::new(own, own, self.config.still_twist_sigma_rad_s.powi(2));
         let sways = Vector3::repeat(self.sway_level());
         let nis = 2.0 * tip2 / (own.x + known) + twist2 / (own.z + known);
@@ -238,11 +238,11 @@ impl BendFilter {
     pub(super) fn sway_level(&self) -> f64 {
         self.still_rate2
             .max(self.sway_rate2)
-            .max(NOISE.sway_rate_min_rad_s * NOISE.sway_rate_min_rad_s)
+            .max(READINGS.sway_rate_min_rad_s * READINGS.sway_rate_min_rad_s)
     }
 
     /// Noise of one rate sample, rad/s.
     pub(super) fn gyro_sigma_rad_s(&self) -> f64 {
-        self.alignment.gyro_sigma_rad_s.max(NOISE.gyro_min_rad_s)
+        self.alignment.gyro_sigma_rad_s.max(READINGS.gyro_min_rad_s)
     }
 }

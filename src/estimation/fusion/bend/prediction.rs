@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 crate::constants! {
     /// Noise of the prediction beside the settings of the filter.
-    const NOISE: ProcessNoise;
+    const PROCESS: ProcessNoise;
     /// Ratio of the process noise to the noise during alignment: motion adds vibration.
     gyro_factor = 1.5;
     /// Correlation time of the error of the rate, s: `rate_error` and `wrong_rate_error` are stated for it.
@@ -85,17 +85,17 @@ impl BendFilter {
     pub(super) fn propagate(&mut self) {
         let (c, w) = (self.config, self.window);
         let t = w.length_s;
-        let white = (NOISE.gyro_factor * self.gyro_sigma_rad_s()).powi(2)
+        let white = (PROCESS.gyro_factor * self.gyro_sigma_rad_s()).powi(2)
             * self.alignment.periods_s().0.max(1e-4)
             * t;
-        let keep = (-t / c.field_time_s - w.path / NOISE.field_turn_rad).exp();
+        let keep = (-t / c.field_time_s - w.path / PROCESS.field_turn_rad).exp();
         let field = self.field_level() * (1.0 - keep * keep);
         self.field_offset *= keep;
         let sways = self.sway_level();
         let base_walk = w
             .base_acc
             .get()
-            .map_or(0.0, |_| NOISE.base_gyro_walk_rad_s_rts);
+            .map_or(0.0, |_| PROCESS.base_gyro_walk_rad_s_rts);
         for (j, f) in self.bank.filters.iter_mut().enumerate() {
             f.propagate_turn(&[(GYRO, -w.turns_s), (SCALE, -w.scaled)]);
             f.widen(0, white);
@@ -106,7 +106,7 @@ impl BendFilter {
                 _ => (c.gyro_walk_rad_s_rts, c.rate_error),
             };
             // what a wrong rate adds is along the turn
-            let along = error * error * NOISE.rate_error_time_s / t;
+            let along = error * error * PROCESS.rate_error_time_s / t;
             for k in 0..3 {
                 for i in 0..3 {
                     f.p[i][k] += along * w.turned[i] * w.turned[k];
@@ -119,7 +119,7 @@ impl BendFilter {
             f.fade(FIELD, keep);
             f.widen(FIELD, field);
             match j {
-                WRONG_RATE => f.widen(SCALE, NOISE.scale_walk * NOISE.scale_walk * w.path),
+                WRONG_RATE => f.widen(SCALE, PROCESS.scale_walk * PROCESS.scale_walk * w.path),
                 SWAYS => sway(f, &w, sways),
                 _ => (),
             }
@@ -138,13 +138,13 @@ impl BendFilter {
 /// base; while they move it may be either.
 fn sway(f: &mut KalmanState, w: &Window, rate2: f64) {
     if w.still_n == w.samples {
-        f.fade(BASE, (-w.length_s / NOISE.sway_mean_s).exp());
+        f.fade(BASE, (-w.length_s / PROCESS.sway_mean_s).exp());
         for i in 0..3 {
             f.x[BASE + i] -= w.turned[i];
         }
-        f.widen(BASE, NOISE.sway_creep * NOISE.sway_creep * w.length_s);
+        f.widen(BASE, PROCESS.sway_creep * PROCESS.sway_creep * w.length_s);
     } else {
-        f.fade(BASE, (-w.length_s / NOISE.sway_back_s).exp());
-        f.widen(BASE, 2.0 * NOISE.sway_time_s * rate2 * w.length_s);
+        f.fade(BASE, (-w.length_s / PROCESS.sway_back_s).exp());
+        f.widen(BASE, 2.0 * PROCESS.sway_time_s * rate2 * w.length_s);
     }
 }
