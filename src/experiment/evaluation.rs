@@ -117,10 +117,10 @@ pub struct ChannelFigures {
 impl ChannelFigures {
     /// Of each channel.
     fn of(found: &Identified) -> [Self; 3] {
-        let sigmas = found.line_sigmas();
+        let (lines, later) = (found.line_sigmas(), found.later_sigmas());
         std::array::from_fn(|i| Self {
-            k_eps_sigma: sigmas[i][0],
-            k_lambda_sigma_mm: sigmas[i][1],
+            k_eps_sigma: later[i],
+            k_lambda_sigma_mm: lines[i][1],
             condition: found.channels[i].condition,
             residual_mm: found.channels[i].residual_mm,
         })

@@ -88,7 +88,7 @@ fn the_interval_of_a_short_calibration_holds_the_gain_of_a_full_one_on_the_twin(
         let [brief, full] = short_and_full(seed, unit);
         for i in 0..3 {
             let [k, k_full] = [&brief, &full].map(|found| found.lines()[i].k_epsilon);
-            let sigma = brief.line_sigmas()[i][0];
+            let sigma = brief.later_sigmas()[i];
             let sigma_full = full.channels[i].covariance[(0, 0)].sqrt();
             println!(
                 "unit {seed}, line {i}: {k:.2} ± {sigma:.2}, 120 poses {k_full:.2} ± {sigma_full:.2}"

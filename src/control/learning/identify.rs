@@ -46,16 +46,19 @@ impl Identified {
         self.channels.map(|e| e.line)
     }
 
-    /// Standard deviations of k_ε and k_λ in mm, per channel. They cover how far a later calibration of the same tip differs,
-    /// and are no smaller than a calibration is repeatable.
+    /// Standard deviations of k_ε and k_λ in mm, per channel, no smaller than a calibration is repeatable.
     pub fn line_sigmas(&self) -> [[f64; 2]; 3] {
         self.channels.map(|e| {
-            let variance = |i| e.covariance[(i, i)].max(0.0);
-            let later = WARMED * e.line.k_epsilon;
-            let k_lambda_mm = f64::sqrt(variance(1)).max(0.03);
-            let k_epsilon = f64::sqrt(variance(0) + later * later).max(0.05);
-            [k_epsilon, k_lambda_mm]
+            let sigma = |i, least| e.covariance[(i, i)].max(0.0).sqrt().max(least);
+            [sigma(0, 0.05), sigma(1, 0.03)]
         })
+    }
+
+    /// Standard deviations of k_ε per channel, with what the temperature of the air changes until another calibration of the same tip.
+    /// The loop, which follows such a change, does without it.
+    pub fn later_sigmas(&self) -> [f64; 3] {
+        let of_lines = self.line_sigmas();
+        std::array::from_fn(|i| of_lines[i][0].hypot(WARMED * self.channels[i].line.k_epsilon))
     }
 }
 
