@@ -121,6 +121,9 @@ mod tests {
     /// Words of the message, and the change that makes a log wrong.
     type Case<'a, T> = (&'static str, &'a dyn Fn(&mut T));
 
+    /// The readings of one sensor.
+    type Sensor = fn(&mut ImuColumns) -> &mut Vec<Vector3<f64>>;
+
     fn verdict(change: impl Fn(&mut BendLog)) -> String {
         let mut log = sound();
         change(&mut log);
@@ -205,7 +208,7 @@ mod tests {
                     "{words}: {message}"
                 );
             }
-            let one: [(&str, fn(&mut ImuColumns) -> &mut Vec<Vector3<f64>>); 3] = [
+            let one: [(&str, Sensor); 3] = [
                 ("columns acc_*: ", |imu| &mut imu.acc),
                 ("columns gyr_*: ", |imu| &mut imu.gyr),
                 ("columns mag_*: ", |imu| &mut imu.mag),
