@@ -77,13 +77,19 @@ impl Case {
                 .map(|n| (*n).to_owned())
                 .collect::<Vec<String>>()
         };
+        let weights = &P::head().weight;
         let value = |s: &posterior::Statement, name: &String| {
+            let stray = s.features.iter().find(|(n, _)| !weights.contains_key(n));
+            assert!(
+                stray.is_none(),
+                "posterior.toml lacks {stray:?}: add it with 0"
+            );
             let known = s.features.iter().find(|(known, _)| known == name);
             known.map_or(0.0, |(_, value)| *value)
         };
         let said = |s: &posterior::Statement| Said {
             names: s.names.as_deref().map(owned),
-            features: P::head().weight.keys().map(|n| value(s, n)).collect(),
+            features: weights.keys().map(|n| value(s, n)).collect(),
             claim: Claim {
                 names: s.claim.names.as_deref().map(owned),
                 unexplained: s.claim.unexplained,

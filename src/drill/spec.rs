@@ -156,8 +156,10 @@ impl Spec {
 
     /// With a rack put back by hand.
     pub fn by_hand(self) -> Self {
-        let by_hand = true;
-        Self { by_hand, ..self }
+        Self {
+            by_hand: true,
+            ..self
+        }
     }
 
     /// With an IMU on a base that sways by so much, degrees.

@@ -148,9 +148,8 @@ fn drive(
         let now_ns = monotonic_ns();
         next_ns += tick_ns;
         match stepper.sync(now_ns) {
-            Ok(restart) => restart
-                .into_iter()
-                .for_each(|rest_mm| motion.reset(rest_mm)),
+            Ok(Some(rest_mm)) => motion.reset(rest_mm),
+            Ok(None) => {}
             Err(DriveState::Busy) => {
                 rt::sleep_until_ns(next_ns);
                 continue;

@@ -121,9 +121,9 @@ impl<G: StepGenerator> Drive<G> {
         self.state = match self.generator.sync(now_ns) {
             Err(state) => state,
             Ok(restart) => {
-                restart
-                    .into_iter()
-                    .for_each(|rest_mm| self.motion.reset(rest_mm));
+                if let Some(rest_mm) = restart {
+                    self.motion.reset(rest_mm);
+                }
                 self.feed(now_ns, target_mm)
             }
         };

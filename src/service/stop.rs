@@ -1,8 +1,8 @@
 //! The path of `stop` from the threads of the sockets to the loop.
 //!
-//! A stop shares no queue with other orders. The thread that receives it increments an atomic counter, as the loop does for a stop of its own; the loop compares it in
-//! every cycle before it takes a message, hands [`Order::Stop`] to the supervisor, and stores the number of the stop that
-//! it has carried out. The latch itself is part of the supervisor; [`StopSignal::admit`] adds that an order which was received
+//! A stop shares no queue with other orders. The thread that receives it increments an atomic counter, as the loop does for a stop of its
+//! own; the loop compares it in every cycle before it takes a message, hands [`Order::Stop`] to the supervisor, and stores the number of
+//! the stop that it has carried out. [`StopSignal::pending`], [`StopSignal::admit`] and [`StopSignal::report`] are for the loop alone. The latch itself is part of the supervisor; [`StopSignal::admit`] adds that an order which was received
 //! before the stop cannot release it.
 
 use crate::service::Failure;

@@ -4,7 +4,7 @@ use crate::plant_in_c::{Case, Cold, arguments, calibration, compiled};
 use retroflex::diagnosis::tip::observed::Observed;
 use retroflex::diagnosis::tip::{Diagnosis, ParamValue, Rig, SavedModel, TipProblem, check};
 use retroflex::diagnosis::verdict::VerdictKind;
-use retroflex::diagnosis::{Judgement, diagnose};
+use retroflex::diagnosis::{Judgement, Problem, diagnose, search, statements};
 use retroflex::experiment::exam::record;
 use retroflex::experiment::exam::run::run;
 use retroflex::experiment::exam::{Content, Question, questions, score};
@@ -12,6 +12,7 @@ use retroflex::log::bend_log::BendLog;
 use retroflex::model::effects::{by_catalogue, catalogue};
 use retroflex::simulation::link::Link;
 use retroflex::simulation::plant::effect_names;
+use std::collections::BTreeSet;
 
 fn question(content: Content, names: &[&'static str], lab: bool, seed: u64) -> Question {
     Question {
@@ -45,6 +46,22 @@ fn an_exam_asks_about_every_effect_and_is_reproducible() {
             .iter()
             .all(|q| q.content != Content::Pair || q.names[0] != q.names[1])
     );
+}
+
+/// Every feature has a weight, and every weight a feature.
+#[test]
+fn the_weights_are_those_of_the_features() {
+    let logs = question(Content::Single, &["leak"], true, 14)
+        .draw()
+        .unwrap();
+    let log = Observed::new(&logs.log, &Rig::default()).unwrap();
+    let problem = TipProblem::new(&log, catalogue(), &logs.lines, 1);
+    let said = statements(&problem, &search(&problem));
+    let names = said.iter().flat_map(|s| &s.features).map(|(name, _)| name);
+    let forms = catalogue().iter().map(|e| format!("form_{}", e.name()));
+    let known: BTreeSet<String> = names.cloned().chain(forms).collect();
+    let weights: BTreeSet<String> = TipProblem::head().weight.keys().cloned().collect();
+    assert_eq!(known, weights);
 }
 
 #[test]

@@ -165,49 +165,53 @@ fn wrong_units_and_wiring_are_refused() {
     assert!(missed.is_empty(), "{}", missed.join("\n"));
 }
 
-/// Axes of one sensor alone: words of the message, and the change.
-const ONE_SENSOR: [Wrong; 6] = [
-    ("columns mag_*: z looks like it has the other sign", |log| {
-        of_imu(log, |imu| each(&mut imu.mag, |v| v.z = -v.z))
+/// Changes of axes that can be told of one sensor alone, in words. With two signs reversed a sensor reads as with the third.
+const AXES: [(&str, fn(&mut Vector3<f64>)); 8] = [
+    ("x and y look exchanged", |v| v.swap_rows(0, 1)),
+    ("x and z look exchanged", |v| v.swap_rows(0, 2)),
+    ("y and z look exchanged", |v| v.swap_rows(1, 2)),
+    ("x looks like it has the other sign", |v| v.x = -v.x),
+    ("y looks like it has the other sign", |v| v.y = -v.y),
+    ("z looks like it has the other sign", |v| v.z = -v.z),
+    ("x, y and z look like z, x and y", |v| {
+        *v = Vector3::new(v.z, v.x, v.y)
     }),
-    ("columns mag_*: x and y look exchanged", |log| {
-        of_imu(log, |imu| each(&mut imu.mag, |v| v.swap_rows(0, 1)))
-    }),
-    ("columns mag_*: x, y and z look like z, x and y", |log| {
-        of_imu(log, |imu| {
-            each(&mut imu.mag, |v| *v = Vector3::new(v.z, v.x, v.y))
-        })
-    }),
-    ("columns acc_*: x and z look exchanged", |log| {
-        of_imu(log, |imu| each(&mut imu.acc, |v| v.swap_rows(0, 2)))
-    }),
-    ("columns gyr_*: x and y look exchanged", |log| {
-        of_imu(log, |imu| each(&mut imu.gyr, |v| v.swap_rows(0, 1)))
-    }),
-    ("columns gyr_*: x looks like it has the other sign", |log| {
-        of_imu(log, |imu| each(&mut imu.gyr, |v| v.x = -v.x))
+    ("x, y and z look like y, −x and z", |v| {
+        *v = Vector3::new(v.y, -v.x, v.z);
     }),
 ];
 
-fn of_imu(log: &mut BendLog, change: impl FnOnce(&mut ImuColumns) -> bool) -> bool {
-    log.imu.as_mut().is_some_and(change)
-}
+/// One sensor: its columns, and its readings.
+type Sensor = (&'static str, fn(&mut ImuColumns) -> &mut Vec<Vector3<f64>>);
+
+const SENSORS: [Sensor; 3] = [
+    ("acc_*", |imu| &mut imu.acc),
+    ("gyr_*", |imu| &mut imu.gyr),
+    ("mag_*", |imu| &mut imu.mag),
+];
 
 #[test]
 fn axes_of_one_sensor_are_told() {
     let Some(logs) = logs() else { return };
-    for (words, change) in ONE_SENSOR {
-        let (mut told, mut asked) = (0, 0);
-        for log in &logs {
-            let mut wrong = log.clone();
-            if change(&mut wrong) {
+    for (columns, of) in SENSORS {
+        for (says, change) in AXES {
+            let words = format!("columns {columns}: {says}");
+            let (mut told, mut asked) = (0, 0);
+            for log in &logs {
+                let mut wrong = log.clone();
+                let Some(imu) = &mut wrong.imu else { continue };
+                each(of(imu), change);
                 asked += 1;
-                told += u32::from(verdict(&wrong).is_err_and(|why| why.contains(words)));
+                told += u32::from(verdict(&wrong).is_err_and(|why| why.contains(&words)));
             }
+            println!("{words}: {told} of {asked}");
+            // a tip that bends does not turn about its own z
+            let is_unseen = columns == "gyr_*" && says.starts_with("z looks");
+            assert!(
+                10 * told >= 8 * asked || is_unseen,
+                "{words}: {told} of {asked}"
+            );
         }
-        println!("{words}: {told} of {asked}");
-        // of a field whose offset is not known, and of motion in one plane, less is seen
-        assert!(10 * told >= 9 * asked, "{words}: {told} of {asked}");
     }
 }
 

@@ -21,6 +21,7 @@ mod minutes {
     mod fuse_cv;
     mod gap_recovery;
     mod identification;
+    mod plausibility;
     mod sway;
 }
 

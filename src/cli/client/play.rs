@@ -182,7 +182,9 @@ fn run_path(connection: &mut Connection, rows: &[PathRow], stops: u64) -> Result
     ask(connection, &to_first(rows[0]))?;
     arrive_and_hold(connection, &now, 0.0, &first, Some(rows[0]))?;
     let began = status_after(connection, stops)?;
-    let end = rows[rows.len() - 1];
+    let (t_s, bend_deg, dir_deg, length_mm) = rows[rows.len() - 1];
+    // a path without lengths keeps the one at its first row
+    let end = (t_s, bend_deg, dir_deg, length_mm.or(began.target_length_mm));
     let (rows, more) = (vec![], false);
     let answer = ask(connection, &Request::Path { rows, more })?;
     let duration_s = answer["duration_s"].as_f64().unwrap_or_default();

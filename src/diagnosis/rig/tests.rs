@@ -1,11 +1,13 @@
 //! Random rigs of known cause: what is found does not depend on zeros and units, and parameters are found where they are.
 
+use crate::diagnosis::rig::operators::catalogue;
 use crate::diagnosis::rig::table::ROWS_MAX;
-use crate::diagnosis::rig::{DRIVEN, Document, MapFile, RigProblem, Signals};
-use crate::diagnosis::{Scored, diagnose};
+use crate::diagnosis::rig::{DRIVEN, Document, MapFile, Nominal, RigProblem, Signals};
+use crate::diagnosis::{Problem, Scored, diagnose, search, statements};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
+use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 
 const MAP: &str = "input = \"u\"\noutput = \"y\"\ntime = \"t\"\n";
@@ -28,6 +30,24 @@ pub fn document(map: &MapFile, logs: &[Signals]) -> Document {
         || Document::empty(map),
         |problem| diagnose(&problem).document,
     )
+}
+
+/// Every feature has a weight, and every weight a feature.
+#[test]
+fn the_weights_are_those_of_the_features() {
+    let drawn = draw("creep", 1);
+    let (map, logs) = (map(), [drawn.signals]);
+    let problem = RigProblem::new(&map, &logs, 1).unwrap();
+    let said = statements(&problem, &search(&problem));
+    let names = said.iter().flat_map(|s| &s.features).map(|(name, _)| name);
+    let all = [Nominal::Still, Nominal::Line, Nominal::Resonance].map(|n| catalogue(n, true));
+    let forms = all
+        .iter()
+        .flatten()
+        .map(|operator| format!("form_{}", operator.name));
+    let known: BTreeSet<String> = names.cloned().chain(forms).collect();
+    let weights: BTreeSet<String> = RigProblem::head().weight.keys().cloned().collect();
+    assert_eq!(known, weights);
 }
 
 fn map() -> MapFile {

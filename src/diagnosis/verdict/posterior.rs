@@ -47,7 +47,7 @@ impl Head {
 pub struct Statement {
     /// The effects that explain the log, none for the nominal model; `None` for `unknown`.
     pub names: Option<Vec<&'static str>>,
-    /// The features that are not 0.
+    /// The features that it has; all others are 0.
     pub features: Vec<(String, f64)>,
     /// What may be claimed of the set; of no meaning for `unknown`.
     pub claim: Claim,
@@ -207,7 +207,9 @@ mod tests {
         let score = |name: &str| head.score(&[(name.to_owned(), 2.0), ("density".to_owned(), 1.0)]);
         assert_eq!(score("claim"), 9.0);
         assert_eq!(head.score(&[]), 0.0);
-        assert!(std::panic::catch_unwind(|| score("clam")).is_err());
+        if cfg!(debug_assertions) {
+            assert!(std::panic::catch_unwind(|| score("clam")).is_err());
+        }
     }
 
     #[test]

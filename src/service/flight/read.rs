@@ -248,7 +248,10 @@ impl Reading {
 
     /// The messages of the next record; `None` at the end of the data.
     fn record(&mut self, source: &mut (impl Read + Seek)) -> McapResult<Option<Messages>> {
-        source.seek(SeekFrom::Start(self.at()))?;
+        // a seek empties the buffer
+        if source.stream_position()? != self.at() {
+            source.seek(SeekFrom::Start(self.at()))?;
+        }
         let mut head = [0; 9];
         source.read_exact(&mut head)?;
         let [opcode, length @ ..] = head;

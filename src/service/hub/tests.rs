@@ -258,6 +258,33 @@ fn no_client_leads_the_setpoint_faster_than_the_board_permits() {
     }
 }
 
+/// The loop stops a tip by itself when the thread that takes commands hangs. What was received before does not release that stop.
+#[test]
+fn the_stop_of_the_loop_itself_refuses_what_was_received_before() {
+    let mut house = House::new(17);
+    let order = |house: &mut House, order, stops| {
+        let (since, mode) = (Instant::now(), None);
+        house
+            .hub
+            .push_order(house.cycles, order, Precondition { stops, since, mode });
+        house.cycle();
+        house.rt.runner.supervisor.is_stopped()
+    };
+    (0..2500).for_each(|_| house.cycle());
+    assert!(!order(&mut house, Order::Arm, 0));
+    assert!(house.rt.runner.supervisor.mode().moves());
+    let hangs = |house: &House| (0..30).for_each(|_| house.shared.watch(0.05));
+    hangs(&house);
+    house.cycle();
+    assert!(house.rt.runner.supervisor.is_stopped());
+    assert_eq!(
+        (house.shared.stop.requested(), house.shared.stop.completed()),
+        (1, 1)
+    );
+    assert!(order(&mut house, Order::Arm, 0), "received before the stop");
+    assert!(!order(&mut house, Order::Arm, 1), "received after it");
+}
+
 /// Orders that were decided in a mode, before a stop or long ago: each is carried out only where that still holds.
 #[test]
 fn what_was_decided_on_an_old_picture_is_not_carried_out() {
