@@ -165,8 +165,11 @@ fn wrong_units_and_wiring_are_refused() {
     assert!(missed.is_empty(), "{}", missed.join("\n"));
 }
 
+/// A change of a reading, in words.
+type Change = (&'static str, fn(&mut Vector3<f64>));
+
 /// Changes of axes that can be told of one sensor alone, in words. With two signs reversed a sensor reads as with the third.
-const AXES: [(&str, fn(&mut Vector3<f64>)); 8] = [
+const AXES: [Change; 8] = [
     ("x and y look exchanged", |v| v.swap_rows(0, 1)),
     ("x and z look exchanged", |v| v.swap_rows(0, 2)),
     ("y and z look exchanged", |v| v.swap_rows(1, 2)),
